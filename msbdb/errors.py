@@ -1,0 +1,56 @@
+"""The errors of msbdb: one root, so that a caller can catch all of them or one kind.
+
+Every message says what is wrong, what was found, what was expected and what to do next.
+"""
+
+
+class MsbdbError(Exception):
+    """Root of every error that msbdb raises on purpose."""
+
+
+class InputError(MsbdbError, ValueError):
+    """The data given cannot be used as they are."""
+
+
+class CRSError(InputError):
+    """A coordinate reference system is missing, unsuitable or contradictory."""
+
+
+class GridMismatchError(InputError):
+    """Two grids that must share a lattice do not."""
+
+
+class NodataError(InputError):
+    """There is no valid value where one is needed."""
+
+
+class ParameterError(InputError):
+    """A parameter is unknown, of the wrong type or out of its bounds."""
+
+
+class TableError(InputError):
+    """A table breaks its declaration: a column, a dtype or an invariant."""
+
+
+class FileError(MsbdbError, OSError):
+    """A file cannot be read or written."""
+
+
+class DatabaseError(MsbdbError):
+    """The database cannot be opened, read or written."""
+
+
+class SchemaVersionError(DatabaseError):
+    """The database is foreign, or its schema is older or newer than this msbdb."""
+
+
+class LoadError(DatabaseError):
+    """Rows were refused by the database; nothing was written."""
+
+
+class MissingDependencyError(MsbdbError, ImportError):
+    """An optional library or a system package is not installed."""
+
+
+class MsbdbWarning(UserWarning):
+    """Something was assumed, converted or left out; the result is still right."""

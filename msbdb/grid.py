@@ -1,0 +1,173 @@
+"""Georeferenced grids: a frozen lattice description, and values with their validity on it."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from msbdb.errors import CRSError, GridMismatchError, InputError
+
+Bounds = tuple[float, float, float, float]
+
+LATTICE_TOLERANCE = 1e-6
+"""Largest misfit, in cells, at which two lattices still count as the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class GridSpec:
+    """Shape, position and CRS of a north-up grid of square cells, apart from its values.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    transform : Affine
+        Maps (column, row) of a cell corner to (easting, northing), in metres.
+    crs : CRS
+        A projected CRS in metres.
+    """
+
+    shape: tuple[int, int]
+    transform: Affine
+    crs: CRS
+
+    def __post_init__(self) -> None:
+        """Refuse empty, rotated or south-up grids and cells that are not square."""
+        rows, cols = self.shape
+        t = self.transform
+        if rows < 1 or cols < 1:
+            msg = f"A grid needs at least one cell; got the shape {self.shape}."
+            raise InputError(msg)
+        if t.b != 0 or t.d != 0 or t.a <= 0 or t.e >= 0:
+            msg = f"A grid must be north-up and unrotated; got the transform {tuple(t)[:6]}. Warp it first."
+            raise InputError(msg)
+        if not math.isclose(t.a, -t.e, rel_tol=1e-6):
+            msg = f"A grid must have square cells; got {t.a} by {-t.e}. Warp it first."
+            raise InputError(msg)
+        require_metric(self.crs)
+
+    @property
+    def cell_m(self) -> float:
+        """Side of a cell, metres."""
+        return float(self.transform.a)
+
+    @property
+    def cell_area_m2(self) -> float:
+        """Area of a cell, square metres."""
+        return self.cell_m**2
+
+    @property
+    def bounds(self) -> Bounds:
+        """West, south, east and north edge, metres."""
+        rows, cols = self.shape
+        west, north = self.transform.c, self.transform.f
+        return (west, north - rows * self.cell_m, west + cols * self.cell_m, north)
+
+    @property
+    def origin(self) -> tuple[int, int]:
+        """Absolute lattice (row, column) of the first cell; rows count southwards from northing 0."""
+        return (round(-self.transform.f / self.cell_m), round(self.transform.c / self.cell_m))
+
+    def xy(self, row: NDArray[np.integer], col: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Easting and northing of cell centres, metres."""
+        east = self.transform.c + (np.asarray(col, dtype=np.float64) + 0.5) * self.cell_m
+        north = self.transform.f - (np.asarray(row, dtype=np.float64) + 0.5) * self.cell_m
+        return east, north
+
+    def rowcol(
+        self, easting: NDArray[np.float64], northing: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Row and column of the cells that hold the points; may lie outside of the shape."""
+        col = np.floor((np.asarray(easting) - self.transform.c) / self.cell_m).astype(np.int64)
+        row = np.floor((self.transform.f - np.asarray(northing)) / self.cell_m).astype(np.int64)
+        return row, col
+
+    def same_lattice(self, other: "GridSpec") -> bool:
+        """Whether both grids have the same shape, position and CRS."""
+        if self.shape != other.shape or self.crs != other.crs:
+            return False
+        tolerance = LATTICE_TOLERANCE * self.cell_m
+        return all(abs(a - b) <= tolerance for a, b in zip(self.transform, other.transform, strict=True))
+
+    def crop(self, rows: slice, cols: slice) -> "GridSpec":
+        """Return the part of this lattice within two slices of non-negative start and stop."""
+        transform = self.transform @ Affine.translation(cols.start, rows.start)
+        return replace(self, shape=(rows.stop - rows.start, cols.stop - cols.start), transform=transform)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """Values and their validity on a lattice; both arrays are read-only.
+
+    Parameters
+    ----------
+    values : (H, W) ndarray
+        Finite everywhere; zero where not valid. float32 metres for heights.
+    valid : (H, W) ndarray of bool
+        Where a value was observed or filled by a stated rule.
+    spec : GridSpec
+        The lattice.
+    """
+
+    values: NDArray[np.generic]
+    valid: NDArray[np.bool_]
+    spec: GridSpec
+
+    def __post_init__(self) -> None:
+        """Check the shapes and freeze the arrays."""
+        if self.values.shape != self.spec.shape or self.valid.shape != self.spec.shape:
+            msg = f"Values {self.values.shape}, validity {self.valid.shape} and lattice {self.spec.shape} must agree."
+            raise GridMismatchError(msg)
+        if self.valid.dtype != np.bool_:
+            msg = f"Validity must be bool; got {self.valid.dtype}."
+            raise InputError(msg)
+        self.values.flags.writeable = False
+        self.valid.flags.writeable = False
+
+    def with_values(self, values: NDArray[np.generic], valid: NDArray[np.bool_] | None = None) -> "Grid":
+        """Return other values on the same lattice, with the same validity unless another is given."""
+        return Grid(values, self.valid if valid is None else valid, self.spec)
+
+
+def require_metric(crs: CRS) -> None:
+    """Refuse a CRS that is not projected with metres on both axes.
+
+    Raises
+    ------
+    CRSError
+        With the CRS's name and the next step.
+    """
+    if not crs.is_projected:
+        msg = (
+            f"The CRS must be projected, in metres; got '{crs.name}', in degrees or without a projection. "
+            "Reproject the data first, for instance with 'pdal translate' and filters.reprojection, or gdalwarp."
+        )
+        raise CRSError(msg)
+    units = {axis.unit_conversion_factor for axis in crs.axis_info[:2]}
+    if units != {1.0}:
+        msg = f"The CRS must be in metres; got '{crs.name}' in {crs.axis_info[0].unit_name}."
+        raise CRSError(msg)
+
+
+def lattice(bounds: Bounds, cell_m: float, crs: CRS) -> GridSpec:
+    """Return the smallest grid on the absolute lattice that covers the bounds.
+
+    The lattice's corners lie at whole multiples of the cell, so that neighbouring tiles share their indices.
+
+    Parameters
+    ----------
+    bounds : tuple of float
+        West, south, east and north, metres. A point on the east or south edge gets a cell of its own.
+    cell_m : float
+        Side of a cell, metres.
+    crs : CRS
+        A projected CRS in metres.
+    """
+    west, south, east, north = bounds
+    col0, col1 = math.floor(west / cell_m), math.floor(east / cell_m) + 1
+    row0, row1 = math.floor(-north / cell_m), math.floor(-south / cell_m) + 1
+    transform = Affine(cell_m, 0.0, col0 * cell_m, 0.0, -cell_m, -row0 * cell_m)
+    return GridSpec((row1 - row0, col1 - col0), transform, crs)

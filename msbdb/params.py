@@ -1,0 +1,334 @@
+"""Every parameter of msbdb, declared once: the command line, the docs and the run table derive from here.
+
+A stage has one frozen dataclass. Each field carries its unit, bounds, meaning and provenance: the paper's
+requirement number where a paper gives the value, or ``ours`` with the reason. A profile is a set of other values.
+"""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from msbdb.errors import FileError, ParameterError
+
+
+def param(
+    default: Any,  # noqa: ANN401  (a parameter may be of any plain type)
+    *,
+    unit: str,
+    doc: str,
+    source: str,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] | None = None,
+) -> Any:  # noqa: ANN401
+    """Declare a parameter: its default, unit, bounds or choices, meaning and where the value comes from."""
+    metadata = {"unit": unit, "doc": doc, "source": source, "low": low, "high": high, "choices": choices}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceParams:
+    """From points to DSM, DTM and nDSM."""
+
+    cell_m: float = param(
+        0.0,
+        unit="m",
+        low=0.0,
+        high=50.0,
+        source="V14: mean point spacing, 1/sqrt(density)",
+        doc="Cell size; 0 takes the mean spacing of the first echoes, snapped to a ladder of round values.",
+    )
+    max_gap_m: float = param(
+        5.0,
+        unit="m",
+        low=0.0,
+        high=1000.0,
+        source="ours: water and canals stay holes, roofs in shadow are closed",
+        doc="Empty cells this near to a measured one take its value; farther ones stay invalid.",
+    )
+    mask_m: float = param(
+        2.0,
+        unit="m",
+        low=0.1,
+        high=20.0,
+        source="V17",
+        doc="Cells of the nDSM below this height are no part of any building.",
+    )
+    slicing: str = param(
+        "storey",
+        unit="-",
+        choices=("storey", "step"),
+        source="V18, V19",
+        doc="Slice the heights by storeys, or by a metric step.",
+    )
+    storey_m: float = param(
+        3.0,
+        unit="m",
+        low=1.5,
+        high=10.0,
+        source="V18: 2 to 3 m",
+        doc="Height of a storey.",
+    )
+    step_m: float = param(
+        1.0,
+        unit="m",
+        low=0.05,
+        high=50.0,
+        source="ours: V19 gives no step",
+        doc="Height of a slice when slicing is 'step'.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class GroundParams:
+    """Telling ground from off-ground."""
+
+    ground_filter: str = param(
+        "auto",
+        unit="-",
+        choices=("auto", "class2", "progressive", "wavelet"),
+        source="V16",
+        doc="'auto' trusts class 2 where it is given, and filters by the default otherwise.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleParams:
+    """The area open-close scale-space and the tree of parts."""
+
+    scales_m2: tuple[float, ...] = param(
+        (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0),
+        unit="m2",
+        low=0.0,
+        high=1e7,
+        source="V53: 50, 100, 200, 500, 1000; ours: 20, the smallest building of a survey denser than the paper's",
+        doc="Area thresholds s of the scale-space, ascending; empty finds them by granulometry (V8).",
+    )
+    connectivity: int = param(
+        8,
+        unit="-",
+        low=4,
+        high=8,
+        source="ours: V10 states none; 8 keeps islands independent (V12)",
+        doc="Neighbourhood of openings, closings and flat zones alike: 4 or 8.",
+    )
+    duplicate_share: float = param(
+        0.85,
+        unit="1",
+        low=0.5,
+        high=1.0,
+        source="V28: 0.9 or 0.85",
+        doc="A finer cluster of at least this share of its coarser one's area is its duplicate.",
+    )
+    keep_courtyards: bool = param(
+        True,
+        unit="-",
+        source="ours: closing at coarse scales covers courtyards that the finest scale shows as ground",
+        doc="Cut every part to the support of the finest scale.",
+    )
+    fake_father_ratio: float = param(
+        0.5,
+        unit="1",
+        low=0.0,
+        high=10.0,
+        source="ours: V46 gives no threshold; relative by A7",
+        doc="A father whose StdDis over sqrt(area/pi) exceeds this is fake.",
+    )
+    fake_father_m: float = param(
+        0.0,
+        unit="m",
+        low=0.0,
+        high=1e5,
+        source="ours: V46 gives no threshold",
+        doc="Absolute StdDis above which a father is fake; 0 turns the absolute test off.",
+    )
+    fake_father_min_children: int = param(
+        3,
+        unit="count",
+        low=1,
+        high=1000,
+        source="V46: more than two children",
+        doc="Fathers with fewer children are never fake.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SpectralParams:
+    """Classes of land cover, and what they remove."""
+
+    classes: int = param(15, unit="count", low=2, high=250, source="V35", doc="K of k-means.")
+    seed: int = param(0, unit="-", low=0, high=2**31 - 1, source="ours: the paper states none", doc="Seed of k-means.")
+    sample: int = param(
+        100_000,
+        unit="count",
+        low=100,
+        high=10_000_000,
+        source="ours: centres from a sample are as good and cost a fixed time",
+        doc="Cells on which k-means is fitted.",
+    )
+    filter_share: float = param(
+        0.8,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="V34: 'a bit smaller than the smallest building'",
+        doc="Area of the bands' open-close filter as a share of the finest scale.",
+    )
+    min_building_share: float = param(
+        0.3,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: V41 removes at no pixel at all, which is lax (V43)",
+        doc="A part with a smaller share of building classes is removed.",
+    )
+    split_share: float = param(
+        0.4,
+        unit="1",
+        low=0.0,
+        high=0.5,
+        source="V44: 40 to 60 %",
+        doc="A part is split when its second class reaches this share; 0 never splits.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class VectorParams:
+    """From raster parts to polygons."""
+
+    simplify_px: float = param(
+        1.0,
+        unit="cells",
+        low=0.0,
+        high=100.0,
+        source="ours: V47 gives no tolerance",
+        doc="Tolerance of the outlines' simplification, in cells; shared edges stay shared.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """All parameters of a build, a section a stage."""
+
+    surface: SurfaceParams = field(default_factory=SurfaceParams)
+    ground: GroundParams = field(default_factory=GroundParams)
+    scale: ScaleParams = field(default_factory=ScaleParams)
+    spectral: SpectralParams = field(default_factory=SpectralParams)
+    vector: VectorParams = field(default_factory=VectorParams)
+
+
+PROFILES: dict[str, dict[str, dict[str, Any]]] = {
+    "default": {},
+    "vu2009": {
+        "surface": {"cell_m": 1.0},
+        "ground": {"ground_filter": "wavelet"},
+        "scale": {"scales_m2": (50.0, 100.0, 200.0, 500.0, 1000.0), "keep_courtyards": False},
+    },
+}
+"""What each profile sets otherwise than the defaults."""
+
+
+def sections(params: Params) -> Iterator[tuple[str, Any]]:
+    """Yield each section's name and its dataclass."""
+    for section in fields(params):
+        yield section.name, getattr(params, section.name)
+
+
+def as_dict(params: Params) -> dict[str, dict[str, Any]]:
+    """Return all values as nested plain dictionaries, for TOML, JSON and the run table."""
+    return asdict(params)
+
+
+def with_values(params: Params, values: Mapping[str, Mapping[str, Any]]) -> Params:
+    """Return the parameters with some values replaced, checked against their declarations.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown section or name, a wrong type, or a value out of bounds.
+    """
+    known = dict(sections(params))
+    changed = {}
+    for section, pairs in values.items():
+        if section not in known or not isinstance(pairs, Mapping):
+            msg = f"There is no parameter section '{section}'; the sections are {', '.join(known)}."
+            raise ParameterError(msg)
+        declared = {f.name: f for f in fields(known[section])}
+        for name in pairs:
+            if name not in declared:
+                msg = f"There is no parameter '{section}.{name}'; this section has {', '.join(declared)}."
+                raise ParameterError(msg)
+        checked = {name: _checked(section, declared[name], value) for name, value in pairs.items()}
+        changed[section] = replace(known[section], **checked)
+    return replace(params, **changed)
+
+
+def profile(name: str = "default") -> Params:
+    """Return the parameters of a named profile."""
+    if name not in PROFILES:
+        msg = f"There is no profile '{name}'; the profiles are {', '.join(PROFILES)}."
+        raise ParameterError(msg)
+    return with_values(Params(), PROFILES[name])
+
+
+def read_params(path: Path, base: Params) -> Params:
+    """Read a TOML file with a table a section over the base values.
+
+    Raises
+    ------
+    FileError
+        When the file cannot be read.
+    ParameterError
+        When it is no TOML, or sets what is not declared.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        msg = f"The parameter file {path} cannot be read: {error.strerror}."
+        raise FileError(msg) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        msg = f"The parameter file {path} is no valid TOML: {error}."
+        raise ParameterError(msg) from error
+    return with_values(base, values)
+
+
+def declared() -> Iterator[tuple[str, Field[Any], Any]]:
+    """Yield section, field and default of every parameter, in order of the stages."""
+    for section, values in sections(Params()):
+        for item in fields(values):
+            yield section, item, item.default if item.default is not MISSING else getattr(values, item.name)
+
+
+def _checked(section: str, item: Field[Any], value: Any) -> Any:  # noqa: ANN401
+    """Return the value in its declared type, or refuse it."""
+    name = f"{section}.{item.name}"
+    meta = item.metadata
+    converted = _converted(name, type(item.default), value)
+    if meta["choices"] and converted not in meta["choices"]:
+        msg = f"{name} must be one of {', '.join(meta['choices'])}; got {value!r}."
+        raise ParameterError(msg)
+    numbers = converted if isinstance(converted, tuple) else (converted,)
+    for number in numbers:
+        too_low = meta["low"] is not None and not number >= meta["low"]
+        too_high = meta["high"] is not None and not number <= meta["high"]
+        if too_low or too_high:
+            msg = f"{name} must lie between {meta['low']} and {meta['high']} {meta['unit']}; got {value!r}."
+            raise ParameterError(msg)
+    return converted
+
+
+def _converted(name: str, kind: type, value: Any) -> Any:  # noqa: ANN401
+    """Convert a plain TOML or JSON value to the type of the default."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if kind is float and is_number:
+        return float(value)
+    if kind is tuple and isinstance(value, list | tuple):
+        return tuple(_converted(name, float, item) for item in value)
+    if kind is int and is_number and value == int(value):
+        return int(value)
+    if kind in (bool, str) and isinstance(value, kind):
+        return value
+    msg = f"{name} must be of type {kind.__name__}; got {value!r}."
+    raise ParameterError(msg)
