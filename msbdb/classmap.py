@@ -39,7 +39,10 @@ class ClassMap:
         wrong = sorted(set(self.labels.values()) - set(LABELS))
         unknown = sorted(set(np.unique(self.index).tolist()) - {0} - set(self.labels))
         if wrong or unknown:
-            msg = f"Classes need one of the labels {', '.join(LABELS)}; got labels {wrong} and unlabelled classes {unknown}."
+            msg = (
+                f"Every class needs one of the labels {', '.join(LABELS)}; "
+                f"got the labels {wrong} and the unlabelled classes {unknown}."
+            )
             raise InputError(msg)
         self.index.flags.writeable = False
 
