@@ -1,0 +1,138 @@
+"""``msbdb build``: from points or rasters to a database."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from msbdb.cli.command import command, notice
+from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, iso_date, scales_m2, setting, shared
+from msbdb.cli.output import emit_json, emit_pairs, progress_bars
+from msbdb.params import PROFILES, Params
+
+if TYPE_CHECKING:
+    from msbdb.pipeline import BuildReport
+
+Z_UNITS = ("auto", "metre", "foot", "us-foot")
+
+
+@command(
+    "build",
+    examples=(
+        "msbdb build --points town.laz --db town.sqlite",
+        "msbdb build --points tiles/*.laz --crs EPSG:28992 --ortho rgb.tif --db town.sqlite --figure town.png",
+        "msbdb build --dsm dsm.tif --dtm dtm.tif --db town.sqlite --survey spring --date 2021-04-20",
+        "msbdb build --points town.laz --db postgresql://me@localhost/town --scales 30,100,1000",
+        "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
+    ),
+)
+@click.option(
+    "--points", type=INPUT_FILE, multiple=True, metavar="FILE...", help="LAS, LAZ or COPC files of one survey."
+)
+@click.option(
+    "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."
+)
+@click.option("--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster; needs --dtm.")
+@click.option("--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster.")
+@click.option("--ndsm", type=INPUT_FILE, metavar="FILE", help="Heights above ground as a raster.")
+@click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL.")
+@click.option("--survey", metavar="NAME", help="Name of the survey. [default: the first file's name]")
+@click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
+@click.option("--crs", metavar="EPSG", help="The data's CRS where the files do not state it, like EPSG:2154.")
+@click.option(
+    "--z-unit",
+    type=click.Choice(Z_UNITS),
+    default="auto",
+    show_default=True,
+    help="Unit of the heights; auto follows the CRS.",
+)
+@click.option(
+    "--scales",
+    type=scales_m2,
+    metavar="auto|M2,M2,...",
+    help="Area thresholds in m2, or 'auto' to find them by granulometry.",
+)
+@click.option(
+    "--profile", type=click.Choice(list(PROFILES)), default="default", show_default=True, help="Set of values."
+)
+@click.option("--params", "params_file", type=INPUT_FILE, metavar="FILE.toml", help="Values over those of the profile.")
+@click.option(
+    "--set",
+    "settings",
+    type=setting,
+    multiple=True,
+    metavar="SECTION.NAME=VALUE",
+    help="One value over all others; repeatable.",
+)
+@click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Also draw the map of 'msbdb view'.")
+@shared("json")
+def build(*, as_json: bool, figure: Path | None, **inputs: Any) -> None:  # noqa: ANN401
+    """Build or extend a database of buildings from one survey.
+
+    Give points, or a DSM with a DTM, or heights above ground. Without an orthophoto, the colours of the points
+    serve; without any imagery, height texture and echoes do. Building the same survey again changes nothing.
+    """
+    _check_inputs(inputs)
+    params = parameters(inputs["profile"], inputs.pop("params_file"), inputs.pop("settings"), inputs.pop("scales"))
+    from msbdb import pipeline
+
+    with progress_bars() as progress:
+        report = pipeline.build(inputs.pop("points"), **inputs, params=params, progress=progress)
+    if figure is not None:
+        pipeline.view(inputs["db"], figure, survey=report.survey)
+    if as_json:
+        emit_json(report.as_dict())
+    else:
+        emit_report(report)
+
+
+def parameters(
+    profile: str,
+    file: Path | None,
+    settings: tuple[tuple[str, str, object], ...],
+    scales: tuple[float, ...] | None,
+) -> Params:
+    """Return the parameters: the profile, then the file, then single settings, then the scales."""
+    from msbdb import params as declared
+
+    values = declared.profile(profile)
+    if file is not None:
+        values = declared.read_params(file, values)
+    for section, name, value in settings:
+        values = declared.with_values(values, {section: {name: value}})
+    if scales is not None:
+        values = declared.with_values(values, {"scale": {"scales_m2": scales}})
+    return values
+
+
+def emit_report(report: "BuildReport") -> None:
+    """Print what a build did; notices go to the standard error, each once."""
+    shown = click.get_current_context().ensure_object(set)
+    for sentence in report.notices:
+        notice(sentence, shown)
+    pairs = {
+        "survey": report.survey,
+        "buildings": report.buildings,
+        "parts": report.parts,
+        "rejected regions": report.rejected,
+        "database": "written" if report.changed else "unchanged: this build was there already",
+        "seconds": float(sum(report.timings.values())),
+    }
+    emit_pairs(pairs)
+
+
+def _check_inputs(inputs: dict[str, Any]) -> None:
+    """Refuse a set of inputs that cannot make heights above ground."""
+    given = [name for name in ("points", "dsm", "ndsm") if inputs[name]]
+    if not given:
+        msg = "Give --points FILE..., or --dsm FILE with --dtm FILE, or --ndsm FILE."
+        raise click.UsageError(msg)
+    if len(given) > 1:
+        msg = f"Give one kind of heights; got --{' and --'.join(given)}."
+        raise click.UsageError(msg)
+    if given == ["dsm"] and not inputs["dtm"]:
+        msg = "--dsm needs --dtm FILE, or give heights above ground by --ndsm FILE."
+        raise click.UsageError(msg)
+    if inputs["dtm"] and not inputs["dsm"]:
+        msg = "--dtm goes with --dsm FILE."
+        raise click.UsageError(msg)

@@ -1,0 +1,34 @@
+"""The program ``msbdb``: its commands, and nothing that takes time to import."""
+
+import click
+
+from msbdb.cli.build import build
+from msbdb.cli.classes import classes
+from msbdb.cli.evaluate import evaluate
+from msbdb.cli.export import export
+from msbdb.cli.info import info
+from msbdb.cli.params import params
+from msbdb.cli.view import view
+from msbdb.version import __version__
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="msbdb")
+def cli() -> None:
+    """Multi-scale building databases from airborne LiDAR and imagery.
+
+    Start with 'msbdb build --points FILE.laz --db town.sqlite', then 'msbdb info town.sqlite'.
+    """
+
+
+for _command in (build, info, classes, view, export, evaluate, params):
+    cli.add_command(_command)
+
+
+def main() -> None:
+    """Run the program."""
+    cli(prog_name="msbdb")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,457 @@
+"""The commands: what they promise in their help, hand to the pipeline, print, and how they fail."""
+
+import io
+import json
+import logging
+import shlex
+import subprocess
+import sys
+import tomllib
+import types
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from rich.console import Console
+
+import msbdb
+from msbdb import params as declared
+from msbdb.cli import command, output
+from msbdb.cli.main import cli
+from msbdb.cli.output import emit, text
+from msbdb.errors import DatabaseError, MsbdbWarning
+
+COMMANDS = sorted(cli.commands)
+
+
+@dataclass
+class FakeReport:
+    """A build's report as the pipeline gives it."""
+
+    survey: str = "spring"
+    buildings: int = 3
+    parts: int = 7
+    rejected: int = 2
+    notices: tuple[str, ...] = ("No imagery: classes come from height texture.",)
+    timings: dict[str, float] = field(default_factory=lambda: {"read": 0.5, "surface": 0.25})
+    changed: bool = True
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what --json prints."""
+        return {"survey": self.survey, "buildings": self.buildings, "quality": float("nan"), "notices": self.notices}
+
+
+class FakePipeline(types.ModuleType):
+    """Stands for msbdb.pipeline: remembers its calls, and returns or raises what a test sets."""
+
+    def __init__(self) -> None:
+        super().__init__("msbdb.pipeline")
+        self.calls: list[tuple[str, dict[str, Any]]] = []
+        self.fails: BaseException | None = None
+        self.warns: tuple[Warning, ...] = ()
+
+    def _note(self, name: str, **values: Any) -> None:
+        self.calls.append((name, values))
+        for warning in self.warns:
+            warnings.warn(warning, stacklevel=2)
+        logging.getLogger("msbdb.pipeline").info("a stage was done")
+        if self.fails is not None:
+            raise self.fails
+
+    def build(
+        self,
+        points=(),
+        *,
+        ortho=(),
+        dsm=None,
+        dtm=None,
+        ndsm=None,
+        db,
+        survey=None,
+        date=None,
+        crs=None,
+        z_unit="auto",
+        params,
+        profile="default",
+        progress=None,
+    ):
+        """Pass two steps of a stage and return a report."""
+        values = {name: value for name, value in locals().items() if name != "self"}
+        self._note("build", **values)
+        if progress is not None:
+            progress("surface", 1, 2)
+            progress("surface", 2, 2)
+        return FakeReport()
+
+    def info(self, db):
+        """Return two levels of plain and numpy values."""
+        self._note("info", db=db)
+        return {"schema": "0001", "surveys": [{"name": "spring", "cells": np.int64(5), "density": np.float32(2.5)}]}
+
+    def relabel(self, db, labels, *, survey=None, progress=None):
+        """Return a report without notices."""
+        self._note("relabel", db=db, labels=labels, survey=survey, progress=progress)
+        return FakeReport(notices=())
+
+    def classes(self, db, survey=None):
+        """Return two classes."""
+        self._note("classes", db=db, survey=survey)
+        return pd.DataFrame({"speindex": [1, 2], "label": ["building", "other"], "ndvi": [0.25, float("nan")]})
+
+    def view(self, db, out, *, survey=None):
+        """Draw nothing."""
+        self._note("view", db=db, out=out, survey=survey)
+
+    def export(self, db, out, *, survey=None, overwrite=False):
+        """Write nothing."""
+        self._note("export", db=db, out=out, survey=survey, overwrite=overwrite)
+
+    def evaluate(self, db, reference, *, layer=None, aoi=None, crs=None, overlap=0.5, cell_m=0.5, survey=None):
+        """Return nested scores."""
+        values = {name: value for name, value in locals().items() if name != "self"}
+        self._note("evaluate", **values)
+        return types.SimpleNamespace(as_dict=lambda: {"area": {"quality": 0.91234}, "objects": {"all": {"found": 3}}})
+
+
+@pytest.fixture
+def pipeline(monkeypatch, tmp_path):
+    """Put the fake in the pipeline's place, in a fresh folder."""
+    fake = FakePipeline()
+    monkeypatch.setitem(sys.modules, "msbdb.pipeline", fake)
+    monkeypatch.setattr(msbdb, "pipeline", fake, raising=False)
+    monkeypatch.chdir(tmp_path)
+    return fake
+
+
+def run(*args: str) -> Any:
+    """Run a command line."""
+    return CliRunner().invoke(cli, list(args), prog_name="msbdb")
+
+
+def example_lines() -> list[str]:
+    """Return the examples of all commands."""
+    return [line for name in COMMANDS for line in cli.commands[name].examples]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_examples(name):
+    """The help holds a sentence for the command and each option, the common options, and examples of this command."""
+    result = run(name, "--help")
+    assert result.exit_code == 0
+    for expected in ("Examples:", f"msbdb {name} ", "--debug", "-v, --verbose"):
+        assert expected in result.stdout
+    options = [param for param in cli.commands[name].params if isinstance(param, click.Option)]
+    assert all(option.help for option in options)
+
+
+@pytest.mark.parametrize("name", sorted({"build", "info", "classes", "evaluate", "params"}))
+def test_every_reporting_command_has_json(name, pipeline):
+    """With --json the standard output is one JSON value and nothing else."""
+    Path("a.laz").touch()
+    args = {
+        "build": ["--points", "a.laz", "--db", "x"],
+        "info": ["x"],
+        "classes": ["x"],
+        "evaluate": ["x", "--reference", "a.laz"],
+        "params": [],
+    }[name]
+    result = run(name, *args, "--json")
+    assert result.exit_code == 0, result.stderr
+    assert json.loads(result.stdout)
+
+
+@pytest.mark.parametrize("line", example_lines())
+def test_every_example_runs(line, pipeline):
+    """An example of the help works as it stands, given its files."""
+    Path("tiles").mkdir()
+    words: list[str] = []
+    for word in shlex.split(line.partition(" > ")[0])[1:]:
+        words += ["tiles/a.laz", "tiles/b.laz"] if "*" in word else [word]
+    for word in words:
+        if Path(word).suffix in {".laz", ".tif", ".gpkg"}:
+            Path(word).touch()
+    result = run(*words)
+    assert result.exit_code == 0, result.stderr
+
+
+def test_build_hands_everything_over(pipeline):
+    """Files become paths, several after one flag too; survey, date, CRS and unit pass as they are."""
+    for name in ("a.laz", "b.laz", "o.tif"):
+        Path(name).touch()
+    result = run(
+        *("build", "--points", "a.laz", "b.laz", "--ortho", "o.tif", "--db", "x.sqlite", "--survey", "spring"),
+        *("--date", "2021-05", "--crs", "EPSG:2154", "--z-unit", "foot"),
+    )
+    assert result.exit_code == 0, result.stderr
+    name, values = pipeline.calls[0]
+    assert name == "build"
+    assert tuple(values["points"]) == (Path("a.laz"), Path("b.laz"))
+    assert tuple(values["ortho"]) == (Path("o.tif"),)
+    assert (values["db"], values["survey"], values["date"]) == ("x.sqlite", "spring", "2021-05")
+    assert (values["crs"], values["z_unit"], values["profile"]) == ("EPSG:2154", "foot", "default")
+    assert values["progress"] is None, "no bars where the standard error is no terminal"
+
+
+def test_the_nearest_word_on_a_parameter_wins(pipeline):
+    """The profile is overruled by the file, the file by --set, and that by --scales."""
+    Path("a.laz").touch()
+    Path("p.toml").write_text("[surface]\ncell_m = 2.0\nstorey_m = 2.5\n[vector]\nsimplify_px = 3.0\n")
+    result = run(
+        *("build", "--points", "a.laz", "--db", "x", "--profile", "vu2009", "--params", "p.toml"),
+        *("--set", "surface.storey_m=2.7", "surface.slicing=step", "--set", "scale.scales_m2=[1, 2]"),
+        *("--scales", "200,50"),
+    )
+    assert result.exit_code == 0, result.stderr
+    params = pipeline.calls[0][1]["params"]
+    assert (params.surface.cell_m, params.surface.storey_m, params.vector.simplify_px) == (2.0, 2.7, 3.0)
+    assert params.surface.slicing == "step"
+    assert params.ground.ground_filter == "wavelet", "the profile's own value stays"
+    assert params.scale.scales_m2 == (50.0, 200.0)
+    assert pipeline.calls[0][1]["profile"] == "vu2009"
+
+
+def test_scales_auto_asks_for_granulometry(pipeline):
+    """--scales auto empties the list, by which the thresholds are found from the data (V8)."""
+    Path("a.laz").touch()
+    run("build", "--points", "a.laz", "--db", "x", "--scales", "auto")
+    assert pipeline.calls[0][1]["params"].scale.scales_m2 == ()
+
+
+def test_build_reports_and_draws(pipeline):
+    """The summary goes to the standard output, notices to the standard error, and the figure is drawn once."""
+    Path("a.laz").touch()
+    result = run("build", "--points", "a.laz", "--db", "x", "--figure", "f.png")
+    assert "spring" in result.stdout
+    assert "Notice" not in result.stdout
+    assert result.stderr.count("Notice: No imagery") == 1
+    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": "spring"})
+
+
+def test_json_has_no_nan(pipeline):
+    """Not-a-number and the numbers of numpy become what JSON knows."""
+    Path("a.laz").touch()
+    result = run("build", "--points", "a.laz", "--db", "x", "--json")
+    assert json.loads(result.stdout)["quality"] is None
+    assert json.loads(run("info", "x", "--json").stdout)["surveys"] == [{"name": "spring", "cells": 5, "density": 2.5}]
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("--db", "x"), "Give --points"),
+        (("--db", "x", "--dsm", "a.laz"), "--dsm needs --dtm"),
+        (("--db", "x", "--points", "a.laz", "--dtm", "a.laz"), "--dtm goes with --dsm"),
+        (("--db", "x", "--points", "a.laz", "--ndsm", "a.laz"), "--points and --ndsm"),
+        (("--points", "a.laz"), "--db"),
+        (("--db", "x", "--points", "missing.laz"), "missing.laz"),
+        (("--db", "x", "--points", "a.laz", "--date", "2021-13-01"), "is no date"),
+        (("--db", "x", "--points", "a.laz", "--scales", "many"), "'auto'"),
+        (("--db", "x", "--points", "a.laz", "--set", "cell=1"), "no setting"),
+    ],
+)
+def test_wrong_usage_is_told_apart(args, says, pipeline):
+    """A command line that makes no sense ends with code 2 and says what it should be; nothing is run."""
+    Path("a.laz").touch()
+    result = run("build", *args)
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert not pipeline.calls
+
+
+def test_an_unknown_parameter_is_refused(pipeline):
+    """A setting that is not declared names those that are."""
+    Path("a.laz").touch()
+    result = run("build", "--points", "a.laz", "--db", "x", "--set", "surface.sell_m=1")
+    assert result.exit_code == 1
+    assert "surface.sell_m" in result.stderr
+    assert "cell_m" in result.stderr
+
+
+def test_an_error_is_one_line(pipeline):
+    """An expected error ends with code 1 and its message alone on the standard error."""
+    pipeline.fails = DatabaseError("The database x is locked; close the program that writes to it.")
+    result = run("info", "x")
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr.strip() == "Error: The database x is locked; close the program that writes to it."
+
+
+def test_debug_shows_the_traceback(pipeline):
+    """The traceback comes with --debug, and the message still closes the output."""
+    pipeline.fails = DatabaseError("No.")
+    result = run("info", "x", "--debug")
+    assert result.exit_code == 1
+    assert "Traceback (most recent call last)" in result.stderr
+    assert result.stderr.strip().endswith("Error: No.")
+
+
+def test_a_bug_is_called_a_bug(pipeline):
+    """An unexpected exception is one line that says whose fault it is and how to see more."""
+    pipeline.fails = ZeroDivisionError("division by zero")
+    result = run("info", "x")
+    assert result.exit_code == 1
+    assert "bug in msbdb" in result.stderr
+    assert "ZeroDivisionError: division by zero" in result.stderr
+    assert "--debug" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("failure", "says"),
+    [
+        (OSError(28, "No space left on device", "x.sqlite"), "No space left on device: x.sqlite"),
+        (MemoryError(), "memory"),
+    ],
+)
+def test_the_machine_s_limits_are_no_bugs(failure, says, pipeline):
+    """A full disk or memory is named as such."""
+    pipeline.fails = failure
+    result = run("info", "x")
+    assert result.exit_code == 1
+    assert says in result.stderr
+    assert "bug" not in result.stderr
+
+
+def test_interruption_ends_with_130(pipeline):
+    """Ctrl-C says that the database is whole, and ends as shells expect."""
+    pipeline.fails = KeyboardInterrupt()
+    result = run("info", "x")
+    assert result.exit_code == 130
+    assert "Interrupted" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.filterwarnings("default::UserWarning")
+def test_notices_come_once_and_other_warnings_on_demand(pipeline):
+    """A notice is told once, though it is warned of and reported; other libraries' warnings need -v."""
+    Path("a.laz").touch()
+    pipeline.warns = (MsbdbWarning("No imagery: classes come from height texture."), UserWarning("chatter"))
+    quiet = run("build", "--points", "a.laz", "--db", "x")
+    assert quiet.stderr.count("No imagery") == 1
+    assert "chatter" not in quiet.stderr
+    assert "chatter" in run("build", "--points", "a.laz", "--db", "x", "-v").stderr
+
+
+def test_v_shows_the_stages(pipeline):
+    """Log records of the stages come with -v only, and logging is left as it was."""
+    package = logging.getLogger("msbdb")
+    before = (list(package.handlers), package.level)
+    assert "a stage was done" not in run("info", "x").stderr
+    assert "a stage was done" in run("info", "x", "-v").stderr
+    assert (list(package.handlers), package.level) == before
+
+
+def test_progress_is_drawn_on_terminals(pipeline, monkeypatch):
+    """On a terminal the pipeline gets a callback, and the stage appears on the standard error."""
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=100)
+    monkeypatch.setattr(output, "stderr_console", lambda: console)
+    monkeypatch.setattr(command, "stderr_console", lambda: console)
+    Path("a.laz").touch()
+    result = run("build", "--points", "a.laz", "--db", "x")
+    assert result.exit_code == 0
+    assert pipeline.calls[0][1]["progress"] is not None
+    assert "surface" in screen.getvalue()
+    assert "surface" not in result.stdout
+
+
+def test_start_up_is_quick():
+    """Importing the program loads none of the heavy libraries, so that help and mistakes answer at once."""
+    heavy = [
+        "numpy",
+        "pandas",
+        "geopandas",
+        "numba",
+        "rasterio",
+        "laspy",
+        "sqlalchemy",
+        "matplotlib",
+        "sklearn",
+        "scipy",
+    ]
+    code = f"import sys, msbdb.cli.main; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_classes_lists_and_relabels(pipeline):
+    """Without --set the classes are listed; with it they are labelled anew first."""
+    listed = run("classes", "x")
+    assert [name for name, _ in pipeline.calls] == ["classes"]
+    assert "building" in listed.stdout
+    pipeline.calls.clear()
+    result = run("classes", "x", "--set", "3=vegetation", "--set", "7=building", "--survey", "spring", "--json")
+    assert [name for name, _ in pipeline.calls] == ["relabel", "classes"]
+    values = pipeline.calls[0][1]
+    assert (values["db"], values["labels"], values["survey"]) == ("x", {3: "vegetation", 7: "building"}, "spring")
+    printed = json.loads(result.stdout)
+    assert printed["build"]["buildings"] == 3
+    assert printed["classes"][1] == {"speindex": 2, "label": "other", "ndvi": None}
+
+
+@pytest.mark.parametrize("wrong", ["3=tree", "three=water", "3"])
+def test_a_wrong_label_is_refused(wrong, pipeline):
+    """A label that does not exist names those that do."""
+    result = run("classes", "x", "--set", wrong)
+    assert result.exit_code == 2
+    assert "building, vegetation, shadow, water, other" in " ".join(result.stderr.split())
+    assert not pipeline.calls
+
+
+def test_export_view_and_evaluate_pass_their_options(pipeline):
+    """The thin commands hand over what they are given."""
+    Path("r.gpkg").touch()
+    assert run("export", "x", "o.gpkg", "--overwrite", "--survey", "s").exit_code == 0
+    assert run("view", "x", "--out", "f.png").exit_code == 0
+    result = run("evaluate", "x", "--reference", "r.gpkg", "--layer", "b", "--overlap", "0.3", "--cell", "1")
+    assert result.exit_code == 0
+    assert pipeline.calls[0] == ("export", {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True})
+    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": None})
+    values = pipeline.calls[2][1]
+    assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
+    assert "0.912" in result.stdout
+
+
+def test_params_lists_every_parameter():
+    """The table names every declared parameter with its default; a profile shows its own value beside it."""
+    printed = run("params").stdout
+    for section, item, _ in declared.declared():
+        assert f"{section}.{item.name} " in printed
+    row = next(line for line in run("params", "--profile", "vu2009").stdout.splitlines() if "ground_filter" in line)
+    assert '"auto"' in row
+    assert '"wavelet"' in row
+
+
+@pytest.mark.parametrize("name", list(declared.PROFILES))
+def test_a_printed_parameter_file_reads_back(name, tmp_path):
+    """'params --toml' is a file that 'build --params' takes and that gives the same values."""
+    printed = run("params", "--toml", "--profile", name).stdout
+    assert tomllib.loads(printed)
+    path = tmp_path / "p.toml"
+    path.write_text(printed, encoding="utf-8")
+    assert declared.read_params(path, declared.Params()) == declared.profile(name)
+
+
+def test_params_json_is_complete():
+    """Each parameter comes with its value, default, unit, bounds, meaning and source."""
+    rows = json.loads(run("params", "--json").stdout)
+    assert len(rows) == len(list(declared.declared()))
+    for row in rows:
+        assert set(row) == {"name", "value", "default", "unit", "bounds", "doc", "source"}
+        assert row["doc"]
+        assert row["source"]
+
+
+def test_results_are_legible(capsys):
+    """Nested results print as sections and tables, and nothing is cut where the output is no terminal."""
+    emit({"name": "x" * 150, "area": {"quality": 0.5, "deep": {"n": 1}}, "rows": [{"a": 1, "b": None}], "none": []})
+    printed = capsys.readouterr().out
+    for expected in ("x" * 150, "0.500", "area · deep", "rows"):
+        assert expected in printed
+    assert text(True) == "yes"
