@@ -126,14 +126,20 @@ class ScaleParams:
         True,
         unit="-",
         source="ours: closing at coarse scales covers courtyards that the finest scale shows as ground",
-        doc="Cut every part to the support of the finest scale.",
+        doc="Cut every cluster of every scale to the cells that are above ground on the finest scale.",
+    )
+    merge_slivers: bool = param(
+        True,
+        unit="-",
+        source="ours: an opening leaves the narrow zones between ground and roof; V7 wants objects of at least s",
+        doc="Give flat zones smaller than the finest scale to their larger neighbours before clusters are formed.",
     )
     fake_father_ratio: float = param(
-        0.5,
+        0.4,
         unit="1",
         low=0.0,
         high=10.0,
-        source="ours: V46 gives no threshold; relative by A7",
+        source="ours: V46 gives no threshold; by A7: a row of 3 to 5 squares gives 0.44 to 0.59, a disc 0.24",
         doc="A father whose StdDis over sqrt(area/pi) exceeds this is fake.",
     )
     fake_father_m: float = param(
@@ -151,6 +157,14 @@ class ScaleParams:
         high=1000,
         source="V46: more than two children",
         doc="Fathers with fewer children are never fake.",
+    )
+    fake_father_coverage: float = param(
+        0.5,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: StdDis alone would destroy a large roof with small parts far apart on it (A7)",
+        doc="A father of whose area the children cover a smaller share is not fake.",
     )
 
 
@@ -224,7 +238,12 @@ PROFILES: dict[str, dict[str, dict[str, Any]]] = {
     "vu2009": {
         "surface": {"cell_m": 1.0},
         "ground": {"ground_filter": "wavelet"},
-        "scale": {"scales_m2": (50.0, 100.0, 200.0, 500.0, 1000.0), "keep_courtyards": False},
+        "scale": {
+            "scales_m2": (50.0, 100.0, 200.0, 500.0, 1000.0),
+            "keep_courtyards": False,
+            "merge_slivers": False,
+            "fake_father_coverage": 0.0,
+        },
     },
 }
 """What each profile sets otherwise than the defaults."""
