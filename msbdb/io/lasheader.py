@@ -1,0 +1,230 @@
+"""A check of a LAS or LAZ file's own claims, before any library trusts them.
+
+The readers below this one allocate what a header promises and loop as often as it says. So every count and offset is
+held against the size of the file first; a file that passes is read in bounded time and memory.
+"""
+
+import math
+import os
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import laspy
+import lazrs
+
+from msbdb.errors import FileError, NodataError
+from msbdb.grid import Bounds
+
+HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
+"""Smallest header of LAS 1.0 to 1.4, bytes."""
+
+RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
+"""Smallest record of the point formats 0 to 10, bytes."""
+
+COLOURED_FORMATS = (2, 3, 5, 7, 8, 10)
+INFRARED_FORMATS = (8, 10)
+
+VLR_HEADER, EVLR_HEADER = 54, 60
+ANY_CHUNK_SIZE = 0xFFFFFFFF
+"""A LAZ chunk size that says that every chunk has its own, as in COPC."""
+
+
+@dataclass(frozen=True, slots=True)
+class LasInfo:
+    """What the header of a sound file says.
+
+    ``bounds`` are west, south, east and north in the file's units, as the header states them (which may be wrong).
+    ``projection`` holds the bodies of the 'LASF_Projection' records by record number (the last one of a number).
+    """
+
+    path: Path
+    version: tuple[int, int]
+    point_format: int
+    record_size: int
+    points: int
+    compressed: bool
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    bounds: Bounds
+    projection: dict[int, bytes] = field(default_factory=dict)
+
+
+def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
+    """Return the header of a LAS, LAZ or COPC file, after checking it against the file.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be opened, is not LAS, or does not hold what its header promises.
+    NodataError
+        If it holds no points.
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            return _Checker(path, size, file).run()
+    except FileNotFoundError as error:
+        msg = f"{path} does not exist. Check the path."
+        raise FileError(msg) from error
+    except IsADirectoryError as error:
+        msg = f"{path} is a folder; name the LAS or LAZ files in it, for instance {path}/*.laz."
+        raise FileError(msg) from error
+    except PermissionError as error:
+        msg = f"{path} may not be read. Check its permissions."
+        raise FileError(msg) from error
+
+
+@contextmanager
+def decoding(path: Path) -> Iterator[None]:
+    """Turn every failure of the LAS libraries into a ``FileError``.
+
+    The decompressor's panics are no ``Exception``; they are told by their module, so that an interrupt passes.
+    """
+    try:
+        yield
+    except BaseException as error:
+        panic = type(error).__module__ == "pyo3_runtime"
+        if not panic and not isinstance(error, lazrs.LazrsError | laspy.LaspyException | ValueError | OSError):
+            raise
+        msg = f"{path} cannot be decoded, it is damaged ({error}). Fetch or export it again."
+        raise FileError(msg) from error
+
+
+class _Checker:
+    """One file under check; every method raises ``FileError`` for what it finds wrong."""
+
+    def __init__(self, path: Path, size: int, file: BinaryIO) -> None:
+        self.path, self.size, self.file = path, size, file
+
+    def require(self, holds: bool, otherwise: str) -> None:  # noqa: FBT001  (reads as a sentence)
+        """Raise for a damaged file unless the condition holds."""
+        if not holds:
+            msg = f"{self.path} is not a sound LAS or LAZ file: {otherwise}. Fetch or export it again."
+            raise FileError(msg)
+
+    def read(self, offset: int, count: int) -> bytes:
+        """Return exactly ``count`` bytes from an offset."""
+        inside = 0 <= offset <= offset + count <= self.size
+        self.require(inside, f"bytes {offset} to {offset + count} are needed, but the file has {self.size}")
+        self.file.seek(offset)
+        return self.file.read(count)
+
+    def run(self) -> LasInfo:
+        """Check everything, and return the header."""
+        self.require(self.size > 0, "it is empty, 0 bytes")
+        las = self.size >= 4 and self.read(0, 4) == b"LASF"
+        self.require(las, "it does not begin with 'LASF', so it is some other kind of file")
+        major, minor = self.read(24, 2)
+        self.require(major == 1 and minor in HEADER_SIZES, f"its version is {major}.{minor}; 1.0 to 1.4 are read")
+        head = self.read(0, HEADER_SIZES[minor])
+        header_size, start, vlrs = struct.unpack_from("<HII", head, 94)
+        in_order = len(head) <= header_size <= start <= self.size
+        self.require(in_order, f"the header has {header_size} bytes and the points begin at {start} of {self.size}")
+        point_format, record_size, points = self._points(head, minor)
+        records = dict(self._records(header_size, vlrs, start, VLR_HEADER))
+        if minor == 4:
+            evlr_start, evlrs = struct.unpack_from("<QI", head, 235)
+            records.update(self._records(evlr_start, evlrs, self.size, EVLR_HEADER) if evlrs else ())
+        compressed = bool(head[104] & 0xC0)
+        if points == 0:
+            msg = f"{self.path} holds no points. Leave it out."
+            raise NodataError(msg)
+        if compressed:
+            self._check_compressed(start, points, record_size, records)
+        else:
+            there = (self.size - start) // record_size
+            self.require(points <= there, f"the header promises {points} points, but {there} are there: truncated")
+        scales, offsets, bounds = self._geometry(head)
+        projection = {number: body for (user, number), body in records.items() if user == "LASF_Projection"}
+        return LasInfo(
+            self.path,
+            (major, minor),
+            point_format,
+            record_size,
+            points,
+            compressed,
+            scales,
+            offsets,
+            bounds,
+            projection,
+        )
+
+    def _points(self, head: bytes, minor: int) -> tuple[int, int, int]:
+        """Return point format, record size and number of points."""
+        point_format, record_size, points = struct.unpack_from("<BHI", head, 104)
+        point_format &= 0x3F
+        known = point_format < len(RECORD_SIZES)
+        self.require(known, f"its point format is {point_format}; 0 to 10 are read")
+        needed = RECORD_SIZES[point_format]
+        self.require(record_size >= needed, f"a point needs {needed} bytes or more, but the header says {record_size}")
+        if minor == 4:
+            legacy, points = points, struct.unpack_from("<Q", head, 247)[0]
+            self.require(points != 0 or legacy == 0, f"the header counts both {legacy} points and none")
+        return point_format, record_size, points
+
+    def _geometry(
+        self, head: bytes
+    ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float, float]]:
+        """Return scales, offsets and bounds."""
+        numbers = struct.unpack_from("<12d", head, 131)
+        scales, offsets = numbers[0:3], numbers[3:6]
+        sound = all(map(math.isfinite, scales + offsets)) and 0.0 not in scales
+        self.require(sound, f"the coordinates' scales {scales} and offsets {offsets} are not finite, or a scale is 0")
+        east, west, north, south = numbers[6:10]
+        return scales, offsets, (west, south, east, north)
+
+    def _records(self, start: int, count: int, end: int, header_size: int) -> Iterator[tuple[tuple[str, int], bytes]]:
+        """Yield (user, number) and body of the variable length records."""
+        room = max(end - start, 0)
+        self.require(count * header_size <= room, f"{count} variable length records do not fit in {room} bytes")
+        offset = start
+        for _ in range(count):
+            self.require(offset + header_size <= end, f"the variable length records run past byte {end}")
+            layout = "<16sHQ" if header_size == EVLR_HEADER else "<16sHH"
+            user, number, length = struct.unpack_from(layout, self.read(offset + 2, header_size - 2))
+            offset += header_size
+            self.require(offset + length <= end, f"the variable length records run past byte {end}")
+            yield (user.split(b"\0")[0].decode("ascii", "replace"), number), self.read(offset, length)
+            offset += length
+
+    def _check_compressed(
+        self, start: int, points: int, record_size: int, records: dict[tuple[str, int], bytes]
+    ) -> None:
+        """Check the LAZ record and the table of chunks against the points and the file."""
+        laz = records.get(("laszip encoded", 22204), b"")
+        self.require(len(laz) >= 34, "the points are compressed, but the record that says how is missing")
+        compressor, coder = struct.unpack_from("<HH", laz, 0)
+        chunk_size, items = struct.unpack_from("<I", laz, 12)[0], struct.unpack_from("<H", laz, 32)[0]
+        if compressor not in (2, 3) or coder != 0:
+            what = f"it was compressed by a LASzip before 2.0 or after 3 (compressor {compressor}, coder {coder})"
+            msg = f"{self.path} cannot be read: {what}. Write it again with a current LASzip, for instance laszip64."
+            raise FileError(msg)
+        self.require(len(laz) >= 34 + 6 * items, f"its LAZ record is too short for {items} items")
+        packed = sum(struct.unpack_from("<HHH", laz, 34 + 6 * i)[1] for i in range(items))
+        self.require(packed == record_size, f"a compressed point has {packed} bytes, but the header says {record_size}")
+        table = struct.unpack("<q", self.read(start, 8))[0]
+        if table == -1:
+            table = struct.unpack("<q", self.read(self.size - 8, 8))[0]
+        inside = start + 8 <= table <= self.size - 8
+        self.require(inside, f"the table of chunks should be at byte {table} of {self.size}: truncated")
+        chunks = struct.unpack("<I", self.read(table + 4, 4))[0]
+        # A chunk begins with one whole point, so the number of chunks is bounded by the bytes that there are.
+        possible = 1 <= chunks <= (table - start - 8) // record_size
+        self.require(possible, f"{chunks} chunks of points cannot be in {table - start - 8} bytes")
+        self._check_chunks(start, table, points, chunk_size, laz)
+
+    def _check_chunks(self, start: int, table: int, points: int, chunk_size: int, laz: bytes) -> None:
+        """Check that the chunks hold all points, and fill the space before their table."""
+        self.file.seek(start)
+        with decoding(self.path):
+            chunks = lazrs.read_chunk_table(self.file, lazrs.LazVlr(laz))
+        room, stored = sum(count for count, _ in chunks), sum(length for _, length in chunks)
+        missing = room - points
+        self.require(stored == table - start - 8, f"its chunks should have {stored} bytes: truncated or damaged")
+        full = missing == 0 if chunk_size == ANY_CHUNK_SIZE else 0 <= missing < chunk_size
+        self.require(full, f"the header promises {points} points, but the chunks hold {room}")
