@@ -1,0 +1,1 @@
+"""From raster labels to polygons with shared edges, and back."""

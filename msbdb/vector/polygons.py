@@ -1,0 +1,134 @@
+"""Polygons of labelled cells, with shared edges, and the labels of polygons."""
+
+from collections.abc import Iterable
+from itertools import chain
+
+import numpy as np
+import rasterio.features
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.errors import GridMismatchError, InputError
+from msbdb.grid import GridSpec
+
+Geometries = NDArray[np.object_]
+"""An array of shapely geometries."""
+
+
+def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometries:
+    """Return the outline of every label, exactly along the cells' edges (V47, V49).
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        1 to ``count``; 0 where there is no object. A label may occur in several places.
+    spec : GridSpec
+        The lattice of the labels.
+    count : int
+        Number of labels, those that do not occur included.
+
+    Returns
+    -------
+    (count,) ndarray of MultiPolygon
+        The outline of the label i + 1 at index i, empty where it does not occur. Shells run counter-clockwise.
+
+    Raises
+    ------
+    GridMismatchError
+        When the labels do not have the lattice's shape.
+    InputError
+        When a label lies outside of 0 to ``count``.
+
+    Notes
+    -----
+    Cells that touch only at a corner are polygons of their own within the MultiPolygon, so that every outline is
+    valid; holes are kept. A vertex lies at each corner, and wherever three labels meet (0 counts as one), so that
+    neighbours share whole edges. Cells at the border of the array are outlined along the border.
+    """
+    if labels.shape != spec.shape:
+        msg = f"The labels have the shape {labels.shape}; the lattice has {spec.shape}."
+        raise GridMismatchError(msg)
+    if labels.min() < 0 or labels.max() > count:
+        msg = f"Labels must lie between 0 and {count}; got {labels.min()} to {labels.max()}."
+        raise InputError(msg)
+    owner, rings, ring_sizes, corners = _traced(np.ascontiguousarray(labels, dtype=np.int32))
+    vertices, ring_sizes = _with_nodes(corners, ring_sizes, _nodes(labels))
+    world = np.column_stack(
+        (spec.transform.c + vertices[:, 0] * spec.cell_m, spec.transform.f - vertices[:, 1] * spec.cell_m)
+    )
+    offsets = (_offsets(ring_sizes), _offsets(rings), _offsets(np.bincount(owner, minlength=count + 1)[1:]))
+    outlines = shapely.from_ragged_array(shapely.GeometryType.MULTIPOLYGON, world, offsets)
+    return np.asarray(shapely.orient_polygons(outlines), dtype=np.object_)
+
+
+def rasterise(geometries: Iterable[shapely.Geometry], spec: GridSpec) -> NDArray[np.int32]:
+    """Return the cells whose centre lies in a geometry: its index + 1, or 0; the later one wins a cell.
+
+    Parameters
+    ----------
+    geometries : iterable of polygonal geometries
+        In the CRS of the lattice; empty ones cover nothing, and what lies outside of the lattice is cut off.
+    spec : GridSpec
+        The lattice.
+
+    Returns
+    -------
+    (H, W) ndarray of int32
+    """
+    shapes = [(geometry, index + 1) for index, geometry in enumerate(geometries) if not shapely.is_empty(geometry)]
+    labels = np.zeros(spec.shape, dtype=np.int32)
+    if shapes:
+        rasterio.features.rasterize(shapes, out=labels, transform=spec.transform)
+    return labels
+
+
+def _traced(
+    labels: NDArray[np.int32],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Trace the 4-connected components.
+
+    Returns the label and the number of rings of each component, in order of the label; the number of vertices of
+    each ring; and all vertices as (column, row) of the lattice.
+    """
+    shapes = sorted(
+        ((int(value), shape["coordinates"]) for shape, value in rasterio.features.shapes(labels, labels > 0)),
+        key=lambda found: found[0],
+    )
+    owner = np.array([value for value, _ in shapes], dtype=np.int64)
+    rings = np.array([len(rings) for _, rings in shapes], dtype=np.int64)
+    flat = list(chain.from_iterable(rings for _, rings in shapes))
+    sizes = np.array([len(ring) for ring in flat], dtype=np.int64)
+    numbers = chain.from_iterable(chain.from_iterable(flat))
+    vertices = np.fromiter(numbers, dtype=np.float64, count=2 * int(sizes.sum()))
+    return owner, rings, sizes, np.rint(vertices).astype(np.int64).reshape(-1, 2)
+
+
+def _nodes(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return the (H + 1, W + 1) lattice vertices at which three labels or more meet."""
+    padded = np.pad(labels, 1)
+    a, b, c, d = padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]
+    distinct = (b != a).astype(np.int8)
+    distinct += (c != a) & (c != b)
+    distinct += (d != a) & (d != b) & (d != c)
+    return np.asarray(distinct >= 2, dtype=np.bool_)
+
+
+def _with_nodes(
+    corners: NDArray[np.int64], sizes: NDArray[np.int64], nodes: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Add the nodes that lie on the rings' edges as vertices; the rings are closed and run along the lattice."""
+    ring = np.repeat(np.arange(len(sizes)), sizes)
+    step = np.zeros_like(corners)
+    step[:-1] = np.where((ring[1:] == ring[:-1])[:, None], corners[1:] - corners[:-1], 0)
+    # The last vertex of a ring has no step; it still stands for itself.
+    length = np.maximum(np.abs(step).sum(axis=1), 1)
+    index = np.repeat(np.arange(len(corners)), length)
+    along = np.arange(len(index)) - np.repeat(np.cumsum(length) - length, length)
+    dense = corners[index] + np.sign(step)[index] * along[:, None]
+    keep = (along == 0) | nodes[dense[:, 1], dense[:, 0]]
+    return dense[keep], np.bincount(ring[index[keep]], minlength=len(sizes))
+
+
+def _offsets(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where each group starts, and the end of the last."""
+    return np.concatenate(([0], np.cumsum(sizes)))
