@@ -1,0 +1,43 @@
+"""GeoJSON by RFC 7946: the parts in longitude and latitude, for the web."""
+
+from pathlib import Path
+
+import geopandas as gpd
+
+from msbdb.io.vectorwrite import write_layers
+
+IDS = ("part_id", "supid", "root_id")
+"""Columns written as strings."""
+
+
+def write(parts: gpd.GeoDataFrame, buildings: gpd.GeoDataFrame, path: Path) -> None:  # noqa: ARG001 (one signature for all formats)
+    """Write the parts as one FeatureCollection; the footprints are those with ``supid`` "0" (V49).
+
+    Parameters
+    ----------
+    parts : GeoDataFrame
+        Table ``PART`` with geometry and CRS.
+    buildings : GeoDataFrame
+        Not written: GeoJSON holds one layer, and the roots are in it.
+    path : Path
+        The file to write or replace.
+
+    Notes
+    -----
+    Coordinates are WGS 84 longitude and latitude with 7 decimals (about 1 cm), shells counter-clockwise; all other
+    columns keep their metric units. The ids are strings, and so is each feature's ``id``: they exceed 2^53, above
+    which JSON numbers are rounded in browsers.
+    """
+    frame = parts.copy()
+    for column in IDS:
+        frame[column] = frame[column].astype("str")
+    frame["id"] = frame["part_id"]  # the driver takes the field of the id out of the properties
+    write_layers(
+        path,
+        {path.stem: frame},
+        "GeoJSON",
+        geometry_type="MultiPolygon",
+        RFC7946="YES",
+        ID_FIELD="id",
+        ID_TYPE="String",
+    )
