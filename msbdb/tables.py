@@ -11,12 +11,16 @@ from msbdb.errors import TableError
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name, pandas dtype, unit and meaning. Upper-case names in the meaning are the paper's."""
+    """A column: its name, pandas dtype, unit and meaning. Upper-case names in the meaning are the paper's.
+
+    A ``nullable`` column may hold NaN, which the database stores as NULL.
+    """
 
     name: str
     dtype: str
     unit: str
     doc: str
+    nullable: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +70,11 @@ PART = Table(
         Column("area_px", "int64", "cells", "number of cells"),
         Column("area_m2", "float64", "m2", "AREA: area of the cells"),
         Column(
-            "stddis", "float64", "m", "STDDIS: std of the children's distances to the centre; null without children"
+            "stddis",
+            "float64",
+            "m",
+            "STDDIS: std of the children's distances to the centre; null without children",
+            nullable=True,
         ),
         Column("h_max", "float64", "m", "largest height above ground inside"),
         Column("h_mean", "float64", "m", "mean height above ground inside"),
@@ -87,9 +95,17 @@ SPECTRAL_CLASS = Table(
         Column("source", "str", "-", "spectral: k-means on the bands; structure: height texture and echoes"),
         Column("cells", "int64", "cells", "number of cells of the class"),
         Column("share", "float64", "1", "share of all classified cells"),
-        Column("ndvi", "float64", "1", "mean of (NIR - red) / (NIR + red), or of its stand-in; null without"),
-        Column("brightness", "float64", "1", "mean over the bands of the bands' 0 to 1 values; null without imagery"),
-        Column("roughness_m", "float64", "m", "mean local roughness of the surface"),
+        Column(
+            "ndvi", "float64", "1", "mean of (NIR - red) / (NIR + red), or of its stand-in; null without", nullable=True
+        ),
+        Column(
+            "brightness",
+            "float64",
+            "1",
+            "mean over the bands of the bands' 0 to 1 values; null without imagery",
+            nullable=True,
+        ),
+        Column("roughness_m", "float64", "m", "median local roughness of the surface; null without", nullable=True),
         Column("height_m", "float64", "m", "mean height above ground"),
     ),
 )
