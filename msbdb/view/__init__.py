@@ -1,0 +1,1 @@
+"""Pictures of the results: the only home of matplotlib."""

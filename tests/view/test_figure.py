@@ -1,0 +1,207 @@
+"""The map: what it shows, and that it is written whole or not at all."""
+
+import subprocess
+import sys
+import time
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from affine import Affine
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from pyproj import CRS
+
+from msbdb.errors import FileError, InputError
+from msbdb.grid import Grid, GridSpec
+from msbdb.view.figure import draw_map, shading
+from msbdb.view.furniture import round_length, scale_bar
+from msbdb.view.outlines import outlines
+
+LAMBERT = CRS.from_epsg(2154)
+WEST, NORTH = 800_000.0, 6_300_100.0
+
+
+def relief(rows: int = 100, cols: int = 160, *, hole: bool = False) -> Grid:
+    """Return a level surface with one tower of 20 by 20 cells, 1 m each."""
+    heights = np.zeros((rows, cols), dtype=np.float32)
+    heights[20:40, 30:50] = 30.0
+    valid = np.ones((rows, cols), dtype=np.bool_)
+    valid[: rows // 4, cols // 2 :] = not hole
+    return Grid(np.where(valid, heights, 0), valid, GridSpec((rows, cols), Affine(1, 0, WEST, 0, -1, NORTH), LAMBERT))
+
+
+def city(n: int = 3) -> tuple[gpd.GeoDataFrame, gpd.GeoDataFrame]:
+    """Return n by n podiums with a courtyard, each with a tower part, and their footprints."""
+    side = 90 / n
+    parts, roots = [], []
+    for index in range(n * n):
+        west, south = WEST + 5 + side * (index % n), NORTH - 95 + side * (index // n)
+        shell = shapely.box(west, south, west + 0.8 * side, south + 0.8 * side)
+        court = shapely.box(west + 0.3 * side, south + 0.3 * side, west + 0.5 * side, south + 0.5 * side)
+        podium = shapely.MultiPolygon([shapely.difference(shell, court)])
+        tower = shapely.MultiPolygon([shapely.box(west, south, west + 0.2 * side, south + 0.2 * side)])
+        parts += [(1, 6.0, podium), (3, 6.0 + index % 25, tower)]
+        roots.append(podium)
+    frame = gpd.GeoDataFrame(
+        {"scale": [part[0] for part in parts], "h_p90": [part[1] for part in parts]},
+        geometry=[part[2] for part in parts],
+        crs=LAMBERT,
+    )
+    return frame, gpd.GeoDataFrame(geometry=roots, crs=LAMBERT)
+
+
+def draw(path, parts, buildings, grid, **more):
+    """Draw with a title."""
+    draw_map(parts, buildings, grid, path, title="town", **more)
+    return imread(path)
+
+
+def test_the_map_shows_fills_and_outlines(tmp_path):
+    """Parts are filled in the colours of heights, and a picture with parts differs from one without."""
+    parts, buildings = city()
+    picture = draw(tmp_path / "full.png", parts, buildings, relief(), subtitle="EPSG:2154", thresholds_m2={1: 1000.0})
+    empty = draw(tmp_path / "empty.png", parts.iloc[:0], buildings.iloc[:0], relief())
+
+    def warm(image):
+        return ((image[..., 0] - image[..., 2]) > 0.25).mean()
+
+    assert warm(picture) > 0.1
+    assert warm(empty) < 0.001
+    blue = (picture[..., 2] - picture[..., 0]) > 0.2
+    assert blue.any(), "the scales' outlines are blue"
+
+
+def test_a_courtyard_stays_open():
+    """A hole is no part of the path's inside, whichever way its ring turns."""
+    shell = [(0, 0), (10, 0), (10, 10), (0, 10)]
+    for hole in ([(4, 4), (6, 4), (6, 6), (4, 6)], [(4, 4), (4, 6), (6, 6), (6, 4)]):
+        geometries = np.array([shapely.Polygon(shell, [hole]), shapely.MultiPolygon()], dtype=object)
+        path, nothing = outlines(geometries)
+        figure = Figure(figsize=(1, 1), dpi=100)
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.axis([0, 10, 0, 10])
+        from matplotlib.patches import PathPatch
+
+        axes.add_patch(PathPatch(path, facecolor="black"))
+        canvas.draw()
+        image = np.asarray(canvas.buffer_rgba())
+        assert image[50, 50, 0] == 255
+        assert image[20, 50, 0] == 0
+        assert len(nothing.vertices) == 0
+    assert outlines(np.array([], dtype=object)) == []
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path):
+    """Nothing of the clock or the machine's state is in the picture."""
+    parts, buildings = city()
+    first, second = tmp_path / "a.png", tmp_path / "b.png"
+    for path in (first, second):
+        draw(path, parts, buildings, relief(hole=True))
+    assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 400), (400, 20), (60, 60)])
+def test_any_shape_of_tile_is_drawn(rows, cols, tmp_path):
+    """Narrow, tall and single-cell tiles give a picture with the map inside."""
+    valid = np.ones((rows, cols), dtype=np.bool_)
+    grid = Grid(
+        np.zeros((rows, cols), dtype=np.float32),
+        valid,
+        GridSpec((rows, cols), Affine(1, 0, WEST, 0, -1, NORTH), LAMBERT),
+    )
+    parts, buildings = city()
+    picture = draw(tmp_path / "x.png", parts, buildings, grid)
+    assert min(picture.shape[:2]) > 500
+
+
+def test_a_tile_without_data_is_drawn(tmp_path):
+    """A grid with no valid cell and no parts gives a picture all the same."""
+    grid = relief()
+    void = Grid(np.zeros(grid.spec.shape, np.float32), np.zeros(grid.spec.shape, np.bool_), grid.spec)
+    parts, buildings = city()
+    assert draw(tmp_path / "x.png", parts.iloc[:0], buildings.iloc[:0], void).size
+
+
+def test_missing_heights_are_drawn(tmp_path):
+    """A part without a height takes the lowest colour, and does not blank the others."""
+    parts, buildings = city()
+    parts.loc[0, "h_p90"] = np.nan
+    assert draw(tmp_path / "x.png", parts, buildings, relief()).size
+
+
+def test_light_comes_from_the_north_west():
+    """A slope to the north-west is lit white, one to the south-east black, the level clear."""
+    row, col = np.mgrid[0:40, 0:40].astype(np.float64)
+    valid = np.ones((40, 40), dtype=np.bool_)
+    lit = shading(0.3 * (row + col), valid, 1.0)
+    dark = shading(-0.3 * (row + col), valid, 1.0)
+    level = shading(np.zeros((40, 40)), valid, 1.0)
+    assert lit[20, 20, 0] == 1
+    assert lit[20, 20, 3] > 0.05
+    assert dark[20, 20, 0] == 0
+    assert dark[20, 20, 3] > 0.1
+    assert level[..., 3].max() < 1e-6
+
+
+def test_an_old_picture_survives_a_failure(tmp_path, monkeypatch):
+    """When writing fails the old file stays, nothing is left beside it, and the error says what to do."""
+    parts, buildings = city()
+    path = tmp_path / "x.png"
+    path.write_bytes(b"old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.replace", full)
+    with pytest.raises(FileError, match="No space left"):
+        draw_map(parts, buildings, relief(), path, title="town")
+    assert path.read_bytes() == b"old"
+    assert [file.name for file in tmp_path.iterdir()] == ["x.png"]
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path):
+    """A folder that is a file gives a clear error."""
+    (tmp_path / "file").touch()
+    parts, buildings = city()
+    with pytest.raises(FileError, match="cannot be written"):
+        draw_map(parts, buildings, relief(), tmp_path / "file" / "x.png", title="town")
+
+
+def test_only_png_is_written(tmp_path):
+    """Another ending is refused before anything is drawn."""
+    parts, buildings = city()
+    with pytest.raises(InputError, match="PNG"):
+        draw_map(parts, buildings, relief(), tmp_path / "x.jpg", title="town")
+
+
+def test_the_scale_bar_has_a_round_length():
+    """The bar's label is 1, 2 or 5 times a power of ten, and fits its share of the map."""
+    for longest in (0.7, 3.0, 49.0, 51.0, 999.0, 12_345.0):
+        length = round_length(longest)
+        assert length <= longest < 2.5 * length
+        assert f"{length:.0e}"[0] in "125"
+    axes = Figure(figsize=(5, 5)).add_axes((0, 0, 1, 1))
+    axes.axis([0, 10_000, 0, 10_000])
+    scale_bar(axes)
+    assert {text.get_text() for text in axes.texts} == {"0", "2 km"}
+
+
+def test_no_global_state_of_matplotlib_is_touched():
+    """Drawing never imports pyplot, so that it is safe in threads, servers and notebooks."""
+    code = "import sys, msbdb.view.figure; print('matplotlib.pyplot' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+@pytest.mark.slow
+def test_fifty_thousand_parts_are_drawn_quickly(tmp_path):
+    """A large town takes seconds, not minutes."""
+    parts, buildings = city(160)
+    start = time.perf_counter()
+    draw_map(parts, buildings, relief(), tmp_path / "x.png", title="town")
+    assert len(parts) > 50_000
+    assert time.perf_counter() - start < 60
