@@ -166,7 +166,7 @@ def settle(found: CRS | None, stated: CrsLike | None, where: str) -> CRS:
     CRSError
         If there is none, or the two differ.
     """
-    usable = found is not None and any((found.is_projected, found.is_geographic, found.is_compound, found.is_bound))
+    usable = found is not None and not split_crs(found)[0].is_engineering
     own = canonical(found) if found is not None and usable else None
     if stated is None:
         if own is None:

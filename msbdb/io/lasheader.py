@@ -16,7 +16,7 @@ from typing import BinaryIO
 import laspy
 import lazrs
 
-from msbdb.errors import FileError, NodataError
+from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.grid import Bounds
 
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
@@ -29,6 +29,7 @@ COLOURED_FORMATS = (2, 3, 5, 7, 8, 10)
 INFRARED_FORMATS = (8, 10)
 
 VLR_HEADER, EVLR_HEADER = 54, 60
+RECORD_OWNERS = ("LASF_Projection", "laszip encoded")
 ANY_CHUNK_SIZE = 0xFFFFFFFF
 """A LAZ chunk size that says that every chunk has its own, as in COPC."""
 
@@ -87,6 +88,8 @@ def decoding(path: Path) -> Iterator[None]:
     """
     try:
         yield
+    except MsbdbError:
+        raise
     except BaseException as error:
         panic = type(error).__module__ == "pyo3_runtime"
         if not panic and not isinstance(error, lazrs.LazrsError | laspy.LaspyException | ValueError | OSError):
@@ -101,7 +104,7 @@ class _Checker:
     def __init__(self, path: Path, size: int, file: BinaryIO) -> None:
         self.path, self.size, self.file = path, size, file
 
-    def require(self, holds: bool, otherwise: str) -> None:  # noqa: FBT001  (reads as a sentence)
+    def require(self, holds: bool, otherwise: str) -> None:
         """Raise for a damaged file unless the condition holds."""
         if not holds:
             msg = f"{self.path} is not a sound LAS or LAZ file: {otherwise}. Fetch or export it again."
@@ -179,7 +182,7 @@ class _Checker:
         return scales, offsets, (west, south, east, north)
 
     def _records(self, start: int, count: int, end: int, header_size: int) -> Iterator[tuple[tuple[str, int], bytes]]:
-        """Yield (user, number) and body of the variable length records."""
+        """Yield (owner, number) and body of the variable length records that matter here, walking over all."""
         room = max(end - start, 0)
         self.require(count * header_size <= room, f"{count} variable length records do not fit in {room} bytes")
         offset = start
@@ -189,7 +192,9 @@ class _Checker:
             user, number, length = struct.unpack_from(layout, self.read(offset + 2, header_size - 2))
             offset += header_size
             self.require(offset + length <= end, f"the variable length records run past byte {end}")
-            yield (user.split(b"\0")[0].decode("ascii", "replace"), number), self.read(offset, length)
+            owner = user.split(b"\0")[0].decode("ascii", "replace")
+            if owner in RECORD_OWNERS:
+                yield (owner, number), self.read(offset, length)
             offset += length
 
     def _check_compressed(

@@ -1,0 +1,331 @@
+"""Reading points from LAS, LAZ and COPC files of any point format, in chunks, on all cores.
+
+Points are dropped that are withheld, noise (classes 7 and 18), or absurd in their coordinates; the notices count
+them. Class 17 stays: by the book it is a bridge deck, but some surveys mark strip overlap with it, roofs included.
+"""
+
+import logging
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import laspy
+import numpy as np
+from laspy import DecompressionSelection as Fields
+from numpy.typing import NDArray
+
+from msbdb.errors import CRSError, InputError, NodataError
+from msbdb.grid import Bounds
+from msbdb.io.crs import CrsLike, Reference, name_of, reference, same_crs, settle
+from msbdb.io.geokeys import header_crs, vertical_unit
+from msbdb.io.lasheader import COLOURED_FORMATS, INFRARED_FORMATS, LasInfo, decoding, read_las_header
+from msbdb.pointcloud import PointCloud
+
+logger = logging.getLogger(__name__)
+# laspy logs what it then raises; without a handler, Python would also write it to the terminal.
+logging.getLogger("laspy").addHandler(logging.NullHandler())
+
+CHUNK_POINTS = 1_000_000
+"""Points in memory in their raw form at a time."""
+
+NOISE_CLASSES = (7, 18)
+"""ASPRS low and high noise."""
+
+MAX_EASTING_M = 1e8
+"""Beyond it no projected CRS has a point: the largest false origins, with a zone's number in front, end at 6.1e7."""
+
+MAX_HEIGHT_M = 2e4
+"""Beyond it, up or down, there is no ground, building or aircraft."""
+
+LONE_GAP_Z_M, LONE_GAP_XY_M = 500.0, 50_000.0
+"""Points are lone if so wide a gap without any point parts them from the main body, in height or in position."""
+
+LONE_SHARE = 0.01
+"""Lone points are dropped if they are at most this share of all (one point always may be)."""
+
+COLOURS = ("red", "green", "blue", "nir")
+EXTRA_NAMES = {"red": "red", "green": "green", "blue": "blue", "nir": "nir", "infrared": "nir", "near_infrared": "nir"}
+"""Names of extra bytes, in lower case, that hold a colour."""
+
+Progress = Callable[[str, int, int], None]
+
+
+DTYPES = {
+    "x": np.float64,
+    "y": np.float64,
+    "z": np.float64,
+    "classification": np.uint8,
+    "return_number": np.uint8,
+    "number_of_returns": np.uint8,
+    "intensity": np.uint16,
+}
+
+
+class _Columns:
+    """The columns of all points, filled file by file; ``filled`` counts the rows in use."""
+
+    def __init__(self, points: int, colour_names: tuple[str, ...]) -> None:
+        """Make room for that many points."""
+        self.arrays: dict[str, NDArray[Any]] = {name: np.empty(points, dtype) for name, dtype in DTYPES.items()}
+        self.arrays["colours"] = np.empty((points, len(colour_names)), dtype=np.uint16)
+        self.colour_names = colour_names
+        self.filled = 0
+        self.dropped: Counter[str] = Counter()
+        self.notices: list[str] = []
+
+    def append(self, values: Mapping[str, NDArray[Any]], keep: NDArray[np.bool_]) -> None:
+        """Append the kept rows of a chunk."""
+        begin, end = self.filled, self.filled + int(keep.sum())
+        every = end - begin == len(keep)
+        for name, column in values.items():
+            target = self.arrays["colours"][:, self.colour_names.index(name)] if name in COLOURS else self.arrays[name]
+            target[begin:end] = column if every else column[keep]
+        self.filled = end
+
+
+def read_points(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    crs: CrsLike | None = None,
+    z_unit: str = "auto",
+    progress: Progress | None = None,
+) -> tuple[PointCloud, list[str]]:
+    """Read the points of one or many files of one survey, in metres.
+
+    Parameters
+    ----------
+    paths : path or sequence of paths
+        LAS 1.0 to 1.4, LAZ or COPC files, of point formats 0 to 10.
+    crs : int, str or CRS, optional
+        The CRS of files whose headers have none; where a header has one, it must be the same.
+    z_unit : {'auto', 'm', 'ft', 'us-ft'}
+        Unit of the heights; see ``msbdb.io.crs.reference``.
+    progress : callable, optional
+        Called with ('read', points done, points in all).
+
+    Returns
+    -------
+    cloud : PointCloud
+        All points that were kept, in the files' order. 8-bit colours in the 16-bit fields (no value of a file above
+        255) are multiplied by 257. Echoes are None where all are zero; intensity and colours where one value is everywhere.
+        Colours are kept if every file has them.
+    notices : list of str
+        What was dropped, converted or assumed, with counts.
+
+    Raises
+    ------
+    FileError
+        If a file is missing, damaged or truncated: a part of a file is never returned.
+    CRSError
+        If the CRS is missing, geographic, in conflict with ``crs``, or not the same in all files.
+    NodataError
+        If no points are left.
+    """
+    chosen = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not chosen:
+        msg = "No point files were given; name at least one LAS, LAZ or COPC file."
+        raise InputError(msg)
+    files = [read_las_header(path) for path in chosen]
+    references = _references(files, crs, z_unit)
+    colours = [set(_colour_fields(info)) for info in files]
+    total = sum(info.points for info in files)
+    columns = _Columns(total, tuple(name for name in COLOURS if name in set.intersection(*colours)))
+    columns.notices += [notice for each in references for notice in each.notices]
+    partly = set.union(*colours).difference(columns.colour_names)
+    if partly:
+        columns.notices.append(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
+    echoes: list[bool] = []
+    done = 0
+    for info, each in zip(files, references, strict=True):
+        begin = columns.filled
+        for part in _fill_from(info, each, columns):
+            done += part
+            if progress is not None:
+                progress("read", done, total)
+        if columns.filled > begin:
+            own = {name: column[begin : columns.filled] for name, column in columns.arrays.items()}
+            _widen_colours(own["colours"], info, columns)
+            echoes.append(_settle_echoes(own))
+    cloud = _finish(columns, references, has_echoes=any(echoes))
+    if any(echoes) and not all(echoes):
+        columns.notices.append("points of files without echo information count as single echoes.")
+    return cloud, columns.notices
+
+
+def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str) -> list[Reference]:
+    """Return how each file's coordinates become metric, checking that all files have one CRS."""
+    bounds = _union([info.bounds for info in files])
+    found = []
+    for info in files:
+        where = info.path.name
+        own = settle(header_crs(info.projection), crs, where)
+        hint = vertical_unit(info.projection)
+        found.append(reference(own, bounds=bounds, where=where, z_unit=z_unit, z_hint=hint))
+    for info, each in zip(files, found, strict=True):
+        if not same_crs(each.source, found[0].source):
+            msg = (
+                f"{files[0].path.name} has the CRS {name_of(found[0].source)}, but {info.path.name} has "
+                f"{name_of(each.source)}. Reproject one of them, for instance with 'pdal translate'."
+            )
+            raise CRSError(msg)
+    verticals = {each.vertical_crs for each in found} - {None}
+    if len(verticals) > 1:
+        names = " and ".join(sorted(f"'{vertical.name}'" for vertical in verticals if vertical is not None))
+        msg = f"The files' heights have different vertical CRSs, {names}. Transform one of them first."
+        raise CRSError(msg)
+    return found
+
+
+def _union(bounds: Sequence[Bounds]) -> Bounds:
+    """Return the bounds of all bounds."""
+    west, south, east, north = zip(*bounds, strict=True)
+    return (min(west), min(south), max(east), max(north))
+
+
+def _colour_fields(info: LasInfo) -> dict[str, str]:
+    """Return the fields that hold colours, by colour: those of the point format, else extra bytes so named."""
+    if info.point_format in COLOURED_FORMATS:
+        return {name: name for name in COLOURS if name != "nir" or info.point_format in INFRARED_FORMATS}
+    with decoding(info.path), laspy.open(info.path, read_evlrs=False) as reader:
+        extra = list(reader.header.point_format.extra_dimensions)
+    named = {EXTRA_NAMES.get(dim.name.lower()): dim.name for dim in extra if dim.dtype.kind in "ui"}
+    if {"red", "green", "blue"} <= named.keys():
+        return {name: named[name] for name in COLOURS if name in named}
+    return {}
+
+
+def _fill_from(info: LasInfo, how: Reference, columns: _Columns) -> Iterator[int]:
+    """Append a file's points to the columns, yielding the number of points read after each chunk."""
+    fields = _colour_fields(info)
+    wanted = Fields.XY_RETURNS_CHANNEL | Fields.Z | Fields.CLASSIFICATION | Fields.FLAGS | Fields.INTENSITY
+    if columns.colour_names:
+        wanted |= Fields.RGB | Fields.NIR | Fields.ALL_EXTRA_BYTES
+    with (
+        decoding(info.path),
+        laspy.open(
+            info.path,
+            laz_backend=laspy.LazBackend.LazrsParallel,
+            read_evlrs=False,
+            decompression_selection=wanted,
+        ) as reader,
+    ):
+        read = 0
+        for chunk in reader.chunk_iterator(CHUNK_POINTS):
+            _append(chunk, info, how, columns, {name: fields[name] for name in columns.colour_names})
+            read += len(chunk)
+            yield len(chunk)
+        if read != info.points:
+            msg = f"only {read} of {info.points} points could be read"
+            raise OSError(msg)
+
+
+def _append(
+    chunk: laspy.ScaleAwarePointRecord, info: LasInfo, how: Reference, columns: _Columns, colour_fields: dict[str, str]
+) -> None:
+    """Append a chunk's good points to the columns."""
+    raw = (chunk.X, chunk.Y, chunk.Z)
+    with np.errstate(over="ignore"):
+        x, y, z = (a * s + o for a, s, o in zip(raw, info.scales, info.offsets, strict=True))
+        x, y, z = how.to_metres(x, y, z)
+    classes = np.asarray(chunk.classification, dtype=np.uint8)
+    withheld = np.asarray(chunk.withheld, dtype=np.bool_)
+    noise = np.isin(classes, NOISE_CLASSES)
+    # A comparison with NaN is false, so that points which are not finite are absurd as well.
+    sound = (np.abs(x) <= MAX_EASTING_M) & (np.abs(y) <= MAX_EASTING_M) & (np.abs(z) <= MAX_HEIGHT_M)
+    keep = sound & ~withheld & ~noise
+    columns.dropped["flagged as withheld"] += int(withheld.sum())
+    columns.dropped["of the noise classes 7 and 18"] += int((noise & ~withheld).sum())
+    columns.dropped["of absurd coordinates"] += int((~sound & ~withheld & ~noise).sum())
+    values: dict[str, NDArray[Any]] = {"x": x, "y": y, "z": z, "classification": classes}
+    plain = {name: name for name in ("return_number", "number_of_returns", "intensity")}
+    values |= {name: np.asarray(chunk[source]) for name, source in (plain | colour_fields).items()}
+    columns.append(values, keep)
+
+
+def _widen_colours(colours: NDArray[np.uint16], info: LasInfo, columns: _Columns) -> None:
+    """Stretch a file's 8-bit colours to 16 bits in place: 255 becomes 65535."""
+    largest = int(colours.max(initial=0))
+    if 0 < largest <= 255:
+        colours *= np.uint16(257)
+        columns.notices.append(f"{info.path.name}: colours of 8 bits (none above 255) were multiplied by 257.")
+
+
+def _settle_echoes(own: Mapping[str, NDArray[Any]]) -> bool:
+    """Return whether a file has echo information; without, its points become single echoes, in place."""
+    if own["return_number"].any():
+        return True
+    own["return_number"][:] = 1
+    own["number_of_returns"][:] = 1
+    return False
+
+
+def _finish(columns: _Columns, references: Sequence[Reference], *, has_echoes: bool) -> PointCloud:
+    """Drop lone points, leave out what says nothing, and count in the notices."""
+    used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
+    lone = lone_values(used["z"], LONE_GAP_Z_M)
+    lone |= lone_values(used["x"], LONE_GAP_XY_M) | lone_values(used["y"], LONE_GAP_XY_M)
+    columns.dropped["far from all others"] = int(lone.sum())
+    columns.notices += [f"{count} points {why} were dropped." for why, count in columns.dropped.items() if count]
+    if lone.all():
+        msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
+        raise NodataError(msg)
+    colours, intensity = used["colours"], used["intensity"]
+    kept = _telling(colours, columns.colour_names)
+    if len(kept) < len(columns.colour_names):
+        plain = ", ".join(name for i, name in enumerate(columns.colour_names) if i not in kept)
+        columns.notices.append(f"colours that are the same for all points were left out: {plain}.")
+        colours = colours[:, kept]
+    cloud = PointCloud(
+        used["x"],
+        used["y"],
+        used["z"],
+        crs=references[0].crs,
+        vertical_crs=next((each.vertical_crs for each in references if each.vertical_crs is not None), None),
+        classification=used["classification"] if used["classification"].any() else None,
+        return_number=used["return_number"] if has_echoes else None,
+        number_of_returns=used["number_of_returns"] if has_echoes else None,
+        intensity=intensity if intensity.min() != intensity.max() else None,
+        colours=colours if kept else None,
+        colour_names=tuple(columns.colour_names[i] for i in kept),
+    )
+    logger.info("read %d points, dropped %s", len(cloud), dict(columns.dropped))
+    return cloud.take(~lone) if lone.any() else cloud
+
+
+def _telling(colours: NDArray[np.uint16], names: tuple[str, ...]) -> list[int]:
+    """Return the columns of the colours that say something: not one value everywhere; red, green, blue together."""
+    varied = [bool(len(colours)) and bool(colours[:, i].min() != colours[:, i].max()) for i in range(len(names))]
+    visible = any(varies for varies, name in zip(varied, names, strict=True) if name != "nir")
+    return [i for i, name in enumerate(names) if (varied[i] if name == "nir" else visible)]
+
+
+def lone_values(values: NDArray[np.float64], gap: float) -> NDArray[np.bool_]:
+    """Return which values are lone: parted from the main body by a wide gap, and few.
+
+    Parameters
+    ----------
+    values : (N,) ndarray of float64
+        Finite.
+    gap : float
+        Width without any value that parts two groups, in the values' unit.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+        True in every group of at most ``LONE_SHARE`` of the values (or of one value) besides the largest group.
+        It depends on the values alone, not on their order.
+    """
+    lone = np.zeros(len(values), dtype=np.bool_)
+    if len(values) < 3 or values.max() - values.min() <= gap:
+        return lone
+    ordered = np.sort(values)
+    starts = np.flatnonzero(np.diff(ordered) > gap) + 1
+    edges = [0, *starts.tolist(), len(values)]
+    largest = max(end - start for start, end in pairwise(edges))
+    few = max(1, int(LONE_SHARE * len(values)))
+    for start, end in pairwise(edges):
+        if end - start <= few and end - start < largest:
+            lone |= (values >= ordered[start]) & (values <= ordered[end - 1])
+    return lone
