@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PathCollection
-from matplotlib.colors import Colormap, LightSource, LinearSegmentedColormap, Normalize, to_rgba
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -34,6 +34,8 @@ LARGEST_RELIEF = 4096
 GROUND = "#eeece6"
 NO_DATA = "#d3dfe9"
 LIGHT_DEG = 45.0
+"""Height of the light above the horizon; it comes from the north-west, as on most maps."""
+
 HEIGHTS: Colormap = LinearSegmentedColormap.from_list(
     "heights", ["#fff6d5", "#fddc8a", "#fdb35a", "#f1803c", "#d2502c", "#9c2b25"]
 )
@@ -156,9 +158,9 @@ def shading(heights: NDArray[np.float64], valid: NDArray[np.bool_], cell_m: floa
     (H, W, 4) ndarray of float64
         White on slopes to the light, black on those away from it, clear on the level.
     """
-    lowest = heights[valid].min()
-    shade = LightSource(azdeg=315, altdeg=LIGHT_DEG).hillshade(np.where(valid, heights, lowest), dx=cell_m, dy=cell_m)
-    level = math.sin(math.radians(LIGHT_DEG))
+    down, east = np.gradient(np.where(valid, heights, heights[valid].min()), cell_m)
+    level, flat = math.sin(math.radians(LIGHT_DEG)), math.cos(math.radians(LIGHT_DEG))
+    shade = (level + flat * (east + down) / math.sqrt(2)) / np.sqrt(1.0 + down**2 + east**2)  # normal times light
     shadow = np.clip((level - shade) / level, 0.0, 1.0)
     light = np.clip((shade - level) / (1.0 - level), 0.0, 1.0)
     image = np.zeros((*heights.shape, 4))
@@ -228,7 +230,7 @@ def _furnish(figure: Figure, axes: Axes, title: str, subtitle: str) -> None:
     figure.text(box.x0, box.y1 + 0.34 / height, title, fontsize=15, fontweight="bold", va="bottom")
     figure.text(box.x0, box.y1 + 0.12 / height, subtitle, fontsize=9, color="#444444", va="bottom")
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10], integer=True))
+        axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10], integer=True, prune="both"))
         axis.set_major_formatter(StrMethodFormatter("{x:.0f}"))
     axes.tick_params(labelsize=7, colors="#555555", length=3, width=0.6)
     for label in axes.get_yticklabels():
