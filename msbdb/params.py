@@ -41,12 +41,12 @@ class SurfaceParams:
         doc="Cell size; 0 takes the mean spacing of the first echoes, snapped to a ladder of round values.",
     )
     max_gap_m: float = param(
-        5.0,
+        1.0,
         unit="m",
         low=0.0,
         high=1000.0,
-        source="ours: water and canals stay holes, roofs in shadow are closed",
-        doc="Empty cells this near to a measured one take its value; farther ones stay invalid.",
+        source="ours: water and canals stay open, however far a crown leans over them",
+        doc="Empty cells this near to a measured one, or within two cells, take its value; farther ones stay invalid.",
     )
     mask_m: float = param(
         2.0,
@@ -92,6 +92,157 @@ class GroundParams:
         source="V16",
         doc="'auto' trusts class 2 where it is given, and filters by the default otherwise.",
     )
+    ground_cell_m: float = param(
+        1.0,
+        unit="m",
+        low=0.25,
+        high=20.0,
+        source="ours: fine enough for courtyards, coarse enough to see past crowns",
+        doc="Cell on which ground is told; the lattice's own where that is coarser.",
+    )
+    window_m: float = param(
+        80.0,
+        unit="m",
+        low=5.0,
+        high=500.0,
+        source="ours: half the width of the widest hall that is still a building",
+        doc="Half-width of the largest window of the progressive filter.",
+    )
+    window_growth: float = param(
+        1.4,
+        unit="1",
+        low=1.05,
+        high=4.0,
+        source="ours: finer steps change nothing on the tiles at hand",
+        doc="Factor from one window to the next.",
+    )
+    slope: float = param(
+        0.15,
+        unit="m/m",
+        low=0.0,
+        high=2.0,
+        source="Pingel et al. 2013: 0.15, the default of the SMRF filter",
+        doc="Steepest terrain that the progressive filter keeps between two windows.",
+    )
+    height_m: float = param(
+        0.3,
+        unit="m",
+        low=0.05,
+        high=5.0,
+        source="ours: Zhang et al. 2003 give 0.3 for their initial threshold",
+        doc="Height threshold of the first window, and the part that all windows share.",
+    )
+    low_outlier_m: float = param(
+        1.0,
+        unit="m",
+        low=0.1,
+        high=50.0,
+        source="ours: below any step of real terrain at the cell's size",
+        doc="A lowest point this far below the median of its 5 x 5 cells is raised to that floor.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CoverParams:
+    """Telling roofs from vegetation by texture and echoes; all calibrated together on the tiles at hand."""
+
+    window_m: float = param(
+        1.5,
+        unit="m",
+        low=0.5,
+        high=20.0,
+        source="ours: smaller than the narrowest roof plane",
+        doc="Small window of the texture.",
+    )
+    wide_window_m: float = param(
+        2.5, unit="m", low=0.5, high=20.0, source="ours: enough echoes for a share", doc="Wide window of the texture."
+    )
+    split_weight: float = param(
+        8.0, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a share of split first echoes, small window."
+    )
+    split_wide_weight: float = param(
+        3.5, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a share of split first echoes, wide window."
+    )
+    solid_weight: float = param(
+        2.0,
+        unit="1",
+        low=0.0,
+        high=100.0,
+        source="ours",
+        doc="Log-odds a share of last echoes that stop near the surface.",
+    )
+    echo_rough_weight: float = param(
+        0.15, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a factor e of roughness, beside the echoes."
+    )
+    echo_bias: float = param(-1.0, unit="1", low=-50.0, high=50.0, source="ours", doc="Log-odds without any evidence.")
+    rough_weight: float = param(
+        1.5, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a factor e of roughness, without echoes."
+    )
+    rough_m: float = param(
+        0.25, unit="m", low=0.01, high=10.0, source="ours", doc="Roughness in the small window that tells nothing."
+    )
+    rough_wide_m: float = param(
+        0.35, unit="m", low=0.01, high=10.0, source="ours", doc="Roughness in the wide window that tells nothing."
+    )
+    smooth_floor_m: float = param(
+        0.02,
+        unit="m",
+        low=0.001,
+        high=1.0,
+        source="ours: the range noise of a scanner",
+        doc="Least roughness that is told.",
+    )
+    smooth_m: float = param(1.5, unit="m", low=0.0, high=20.0, source="ours", doc="Sigma of the smoothing of the odds.")
+    neck_m: float = param(
+        1.2, unit="m", low=0.0, high=20.0, source="ours: hedges and walls are thinner", doc="Thinner roofs are cut."
+    )
+    blind_neck_m: float = param(
+        2.0,
+        unit="m",
+        low=0.0,
+        high=20.0,
+        source="ours: roughness alone mistakes more crowns",
+        doc="The same, without echoes.",
+    )
+    hole_m2: float = param(
+        20.0,
+        unit="m2",
+        low=0.0,
+        high=1e4,
+        source="ours: the finest scale",
+        doc="Smaller holes of a roof, above the mask, are filled.",
+    )
+    min_roof_m2: float = param(
+        10.0, unit="m2", low=0.0, high=1e4, source="ours: the finest scale", doc="Smaller regions are no roof."
+    )
+    smooth_m_limit: float = param(
+        0.12,
+        unit="m",
+        low=0.01,
+        high=5.0,
+        source="ours: three times a scanner's range noise",
+        doc="Cells below it are smooth.",
+    )
+    min_smooth_share: float = param(
+        0.3, unit="1", low=0.0, high=1.0, source="ours", doc="Least smooth share of a roof, without echoes."
+    )
+    smooth_per_split: float = param(
+        3.0, unit="1", low=0.0, high=100.0, source="ours", doc="Smooth share that a roof needs a share of split echoes."
+    )
+    free_split_share: float = param(
+        0.05,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: what edges and chimneys split",
+        doc="Split share that needs no smooth cells.",
+    )
+    grow_m: float = param(
+        1.0, unit="m", low=0.0, high=20.0, source="ours", doc="Width of the edge that is given back to roofs."
+    )
+    grow_step_m: float = param(
+        1.0, unit="m", low=0.0, high=20.0, source="ours", doc="Largest step in height to a cell that is given back."
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +250,11 @@ class ScaleParams:
     """The area open-close scale-space and the tree of parts."""
 
     scales_m2: tuple[float, ...] = param(
-        (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0),
+        (10.0, 50.0, 100.0, 200.0, 500.0, 1000.0),
         unit="m2",
         low=0.0,
         high=1e7,
-        source="V53: 50, 100, 200, 500, 1000; ours: 20, the smallest building of a survey denser than the paper's",
+        source="V53: 50, 100, 200, 500, 1000; ours: 10, the smallest building of surveys denser than the paper's",
         doc="Area thresholds s of the scale-space, ascending; empty finds them by granulometry (V8).",
     )
     connectivity: int = param(
@@ -190,6 +341,93 @@ class SpectralParams:
         source="V34: 'a bit smaller than the smallest building'",
         doc="Area of the bands' open-close filter as a share of the finest scale.",
     )
+    tail_percent: float = param(
+        2.0,
+        unit="%",
+        low=0.0,
+        high=40.0,
+        source="ours: V21, the paper states no normalisation; a glint must not squeeze all other values together",
+        doc="Percentile of each band that becomes 0; that of 100 less it becomes 1.",
+    )
+    vegetation_index: str = param(
+        "auto",
+        unit="-",
+        choices=("auto", "ndvi", "pseudo-ndvi", "green-red"),
+        source="V20, V36; ours: on real surveys green-red tells crowns from roofs far better than pulse intensity",
+        doc="Evidence of leaves; 'auto' takes NDVI where near infrared exists, else green-red, else pseudo-NDVI.",
+    )
+    ndvi_bounds: tuple[float, ...] = param(
+        (0.0, 0.2),
+        unit="1",
+        low=-1.0,
+        high=1.0,
+        source="ours: roofs lie below the first in every orthophoto seen, lit crowns above the second",
+        doc="Lowest and highest threshold of NDVI; Otsu's method finds the value between them.",
+    )
+    green_red_bounds: tuple[float, ...] = param(
+        (0.0, 0.1),
+        unit="1",
+        low=-1.0,
+        high=1.0,
+        source="ours: as for NDVI, wide enough for the colour balance of different cameras",
+        doc="Lowest and highest threshold of (green - red) / (green + red).",
+    )
+    pseudo_ndvi_bounds: tuple[float, ...] = param(
+        (0.0, 0.4),
+        unit="1",
+        low=-1.0,
+        high=1.0,
+        source="ours: the index of the scaled bands spreads about twice as wide as NDVI",
+        doc="Lowest and highest threshold of the index of intensity and red, both scaled to 0 to 1.",
+    )
+    smooth_m: float = param(
+        0.15,
+        unit="m",
+        low=0.0,
+        high=10.0,
+        source="ours: roofs show 0.02 to 0.13 m, hedges and crowns from 0.2 m",
+        doc="A green class smoother than this is a planted roof, not a crown.",
+    )
+    rough_m: float = param(
+        1.2,
+        unit="m",
+        low=0.0,
+        high=100.0,
+        source="ours: rougher than any roof class seen; finds bare crowns and crowns in shadow",
+        doc="A class rougher than this is no roof, whatever its colour.",
+    )
+    leafless_margin: float = param(
+        0.1,
+        unit="1",
+        low=0.0,
+        high=2.0,
+        source="ours: bare crowns are a little less green than the threshold, masts and clutter much less",
+        doc="A rough class is vegetation while its index is no farther than this below the threshold.",
+    )
+    shadow_brightness: float = param(
+        0.15,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: V36 leaves it to the operator",
+        doc="A class darker than this may be shadow.",
+    )
+    shadow_rough_m: float = param(
+        0.5,
+        unit="m",
+        low=0.0,
+        high=100.0,
+        source="ours: a dark class that is smooth is a roof, in shadow or of dark material (V43)",
+        doc="A dark class at least this rough is shadow.",
+    )
+    water_ndvi: float = param(
+        -0.3,
+        unit="1",
+        low=-1.0,
+        high=1.0,
+        source="ours: roofs lie above, open water below",
+        doc="A smooth class whose NDVI is below this is water; needs a near-infrared band.",
+    )
     min_building_share: float = param(
         0.3,
         unit="1",
@@ -228,6 +466,7 @@ class Params:
 
     surface: SurfaceParams = field(default_factory=SurfaceParams)
     ground: GroundParams = field(default_factory=GroundParams)
+    cover: CoverParams = field(default_factory=CoverParams)
     scale: ScaleParams = field(default_factory=ScaleParams)
     spectral: SpectralParams = field(default_factory=SpectralParams)
     vector: VectorParams = field(default_factory=VectorParams)

@@ -427,7 +427,7 @@ def large_building(seed: int = 0, density: float = 2.0, **options: object) -> Sc
 
 
 def city(seed: int = 0, density: float = 4.0, **options: object) -> Scene:
-    """Scan a quarter with all of it: tower, perimeter block, gabled rows, turned houses, green roof, trees, wall, deck."""
+    """Scan a quarter with all of it: tower, perimeter block, gabled rows, turned villas, trees, wall and deck."""
     rng = np.random.default_rng(20_090_617)
 
     def relief(x: Array, y: Array) -> Array:

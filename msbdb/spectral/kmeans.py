@@ -1,0 +1,186 @@
+"""K-means of the bands (V35): one seeded fit on a sample of cells, the same for any tiling, then prediction."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import KMeans
+from threadpoolctl import threadpool_limits
+
+from msbdb.bands import Bands
+from msbdb.spectral.bands import Scaling, fit_scaling
+
+STARTS = 4
+"""Fits from different first centres, of which the tightest is kept."""
+
+ITERATIONS = 100
+"""Largest number of Lloyd's iterations of a fit."""
+
+CHUNK = 2**18
+"""Cells that are predicted at a time, to bound the memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Cells on which the classes are fitted and described, in the order of their keys.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The bands.
+    keys : (N,) ndarray of uint64
+        Hash of seed and absolute lattice position, ascending.
+    filtered : (N, B) ndarray of float64
+        The bands after the area filter, which are clustered.
+    bands : (N, B) ndarray of float64
+        The bands as they came.
+    roughness : (N,) ndarray of float64, metres
+        NaN where unknown.
+    height : (N,) ndarray of float64, metres
+        Above ground.
+    """
+
+    names: tuple[str, ...]
+    keys: NDArray[np.uint64]
+    filtered: NDArray[np.float64]
+    bands: NDArray[np.float64]
+    roughness: NDArray[np.float64]
+    height: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        """Return the number of cells."""
+        return len(self.keys)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Centres:
+    """The centres of the classes, and the scaling that they were fitted with.
+
+    ``values`` is (K, B) float64, scaled; class k of a class map, from 1, is row k - 1.
+    """
+
+    scaling: Scaling
+    values: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        """Return the number of classes."""
+        return len(self.values)
+
+
+def lattice_keys(row: NDArray[np.integer], col: NDArray[np.integer], seed: int) -> NDArray[np.uint64]:
+    """Hash seed and absolute lattice position to 64 bits: a random order that no tiling can change."""
+    packed = (row.astype(np.uint64) << np.uint64(32)) ^ (col.astype(np.uint64) & np.uint64(0xFFFFFFFF))
+    return _mix(packed ^ _mix(np.full(1, seed, dtype=np.uint64)))
+
+
+def _mix(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return SplitMix64 of the values (Steele et al. 2014, doi:10.1145/2660193.2660195); the sums wrap on purpose."""
+    value = value + np.uint64(0x9E3779B97F4A7C15)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))
+
+
+def draw_sample(
+    filtered: Bands,
+    bands: Bands,
+    heights: NDArray[np.generic],
+    roughness: NDArray[np.floating] | None,
+    *,
+    count: int,
+    seed: int,
+) -> Sample:
+    """Draw the ``count`` valid cells of the filtered bands with the smallest keys; all, when there are fewer."""
+    row, col = np.nonzero(filtered.valid)
+    first_row, first_col = bands.spec.origin
+    keys = lattice_keys(row + first_row, col + first_col, seed)
+    kept = _smallest(keys, count)
+    row, col = row[kept], col[kept]
+    rough = np.full(row.size, np.nan) if roughness is None else roughness[row, col].astype(np.float64)
+    return Sample(
+        bands.names,
+        keys[kept],
+        filtered.values[:, row, col].T.astype(np.float64),
+        bands.values[:, row, col].T.astype(np.float64),
+        rough,
+        heights[row, col].astype(np.float64),
+    )
+
+
+def merge_samples(samples: Sequence[Sample], *, count: int) -> Sample:
+    """Return the sample that one draw over all tiles would have given; a cell that tiles share counts once."""
+    keys, first = np.unique(np.concatenate([s.keys for s in samples]), return_index=True)
+    kept = first[_smallest(keys, count)]
+    filtered, bands, roughness, height = (
+        np.concatenate([getattr(s, name) for s in samples])[kept]
+        for name in ("filtered", "bands", "roughness", "height")
+    )
+    return Sample(samples[0].names, keys[:count], filtered, bands, roughness, height)
+
+
+def _smallest(keys: NDArray[np.uint64], count: int) -> NDArray[np.intp]:
+    """Index of the smallest keys, in their order."""
+    chosen = np.argpartition(keys, count)[:count] if keys.size > count else np.arange(keys.size)
+    return chosen[np.argsort(keys[chosen], kind="stable")]
+
+
+def fit_centres(sample: Sample, *, classes: int, seed: int, tail_percent: float) -> Centres:
+    """Scale the bands by the sample's percentiles (V21) and fit k-means on it (V35).
+
+    Parameters
+    ----------
+    sample : Sample
+        At least one cell.
+    classes : int
+        K; fewer when the sample has fewer distinct cells.
+    seed : int
+        Of the first centres.
+    tail_percent : float
+        Percentile that becomes 0; that of 100 less it becomes 1.
+
+    Returns
+    -------
+    Centres
+        In the lexical order of their values.
+
+    Notes
+    -----
+    One thread, and a fixed number of starts and iterations: the same sample gives the same centres everywhere.
+    """
+    scaling = fit_scaling(sample.filtered, sample.names, tail_percent)
+    scaled = scaling.apply(sample.filtered)
+    distinct = np.unique(scaled, axis=0)
+    if len(distinct) <= classes:
+        return Centres(scaling, distinct)
+    model = KMeans(classes, n_init=STARTS, max_iter=ITERATIONS, algorithm="lloyd", random_state=seed)
+    with threadpool_limits(limits=1):
+        model.fit(scaled)
+    return Centres(scaling, np.unique(model.cluster_centers_, axis=0))
+
+
+def nearest_class(filtered: NDArray[np.floating], centres: Centres) -> NDArray[np.uint8]:
+    """Return the class, from 1, of the nearest centre to each row (N, B) of filtered bands; ties go to the lower.
+
+    Distances are summed a band at a time, never by a matrix product, so that they are the same on every machine.
+    """
+    scaled = centres.scaling.apply(filtered)
+    best = np.full(len(scaled), np.inf)
+    nearest = np.zeros(len(scaled), dtype=np.uint8)
+    for number, centre in enumerate(centres.values, start=1):
+        distance = np.zeros(len(scaled))
+        for band, value in enumerate(centre):
+            distance += (scaled[:, band] - value) ** 2
+        closer = distance < best
+        best[closer], nearest[closer] = distance[closer], number
+    return nearest
+
+
+def predict(filtered: Bands, centres: Centres) -> NDArray[np.uint8]:
+    """Return the (H, W) classes of the valid cells, from 1; 0 elsewhere."""
+    index = np.zeros(filtered.spec.shape, dtype=np.uint8)
+    row, col = np.nonzero(filtered.valid)
+    for start in range(0, row.size, CHUNK):
+        part = slice(start, start + CHUNK)
+        index[row[part], col[part]] = nearest_class(filtered.values[:, row[part], col[part]].T, centres)
+    return index

@@ -1,0 +1,97 @@
+"""The fitted classes: centres in canonical order, what is known of each, and the suggested labels (V34 to V36)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.bands import Bands
+from msbdb.errors import ParameterError
+from msbdb.grid import Grid
+from msbdb.params import Params, SpectralParams
+from msbdb.spectral.filtering import filter_bands
+from msbdb.spectral.kmeans import Centres, Sample, fit_centres, nearest_class
+from msbdb.spectral.suggest import (
+    ClassFacts,
+    brightness,
+    choose_index,
+    index_threshold,
+    suggest_labels,
+    vegetation_index,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassModel:
+    """Fitted classes: with it, any tile of the survey is classified as the whole would be.
+
+    Parameters
+    ----------
+    centres : Centres
+        In canonical order: by mean vegetation index, then brightness.
+    facts : ClassFacts
+        What the sample tells of each class.
+    band_means : (K, B) ndarray of float64
+        Mean of each band as it came, in the source's units.
+    suggested : tuple of str
+        The automatic label of each class.
+    index : str or None
+        The vegetation index in use.
+    threshold : float
+        Of the vegetation index; NaN for none.
+    """
+
+    centres: Centres
+    facts: ClassFacts
+    band_means: NDArray[np.float64]
+    suggested: tuple[str, ...]
+    index: str | None
+    threshold: float
+
+
+def filter_to_classify(bands: Bands, ndsm: Grid, params: Params, *, finest_m2: float | None = None) -> Bands:
+    """Return the bands after the area filter (V34), valid just where cells are clustered: above the mask (V35)."""
+    if finest_m2 is None:
+        if not params.scale.scales_m2:
+            msg = "The finest scale is needed to filter the bands; scale.scales_m2 is empty. Pass finest_m2."
+            raise ParameterError(msg)
+        finest_m2 = min(params.scale.scales_m2)
+    heights = np.asarray(ndsm.values, dtype=np.float64)
+    inside = ndsm.valid & (heights >= params.surface.mask_m)
+    area_m2 = params.spectral.filter_share * finest_m2
+    return filter_bands(bands, inside, area_m2, connectivity=params.scale.connectivity)
+
+
+def fit_model(sample: Sample, params: SpectralParams) -> ClassModel:
+    """Fit the classes on a sample of at least one cell, put them in canonical order and suggest their labels."""
+    centres = fit_centres(sample, classes=params.classes, seed=params.seed, tail_percent=params.tail_percent)
+    index = choose_index(sample.names, params.vegetation_index)
+    greenness = vegetation_index(sample, centres.scaling, index)
+    bright = brightness(sample, centres.scaling)
+    member = nearest_class(sample.filtered, centres)
+    rank = [_by_class(np.nan_to_num(values), member, len(centres)) for values in (bright, greenness)]
+    centres = Centres(centres.scaling, centres.values[np.lexsort(rank)])
+    member = nearest_class(sample.filtered, centres)
+    facts = ClassFacts(
+        _by_class(greenness, member, len(centres)),
+        _by_class(bright, member, len(centres)),
+        np.array([_median(sample.roughness[member == k]) for k in range(1, len(centres) + 1)]),
+        _by_class(sample.height, member, len(centres)),
+    )
+    threshold = index_threshold(greenness, index, params)
+    means = np.stack([_by_class(band, member, len(centres)) for band in sample.bands.T], axis=1)
+    suggested = tuple(suggest_labels(facts, threshold, index, params))
+    return ClassModel(centres, facts, means, suggested, index, threshold)
+
+
+def _by_class(values: NDArray[np.float64], member: NDArray[np.uint8], classes: int) -> NDArray[np.float64]:
+    """Mean of the values in each class; NaN for a class without cells."""
+    count = np.bincount(member, minlength=classes + 1)[1:]
+    total = np.bincount(member, weights=values, minlength=classes + 1)[1:]
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """Median of the known values; NaN without any."""
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if known.size else float("nan")

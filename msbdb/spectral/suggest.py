@@ -1,0 +1,136 @@
+"""What each spectral class is (V36): a suggestion from colour, brightness and roughness, for an operator to correct.
+
+The paper leaves this step to an operator. Our rules look at whole classes, never at single cells, and each threshold
+is a parameter marked as ours. The one adaptive threshold, of the vegetation index, stays within stated bounds.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.filters import threshold_otsu
+
+from msbdb.params import SpectralParams
+from msbdb.spectral.bands import Scaling
+from msbdb.spectral.kmeans import Sample
+
+INDEX_BANDS = {"ndvi": ("nir", "red"), "green-red": ("green", "red"), "pseudo-ndvi": ("intensity", "red")}
+"""The two bands a and b of each vegetation index (a - b) / (a + b), in order of preference."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassFacts:
+    """What is known of each class, from its cells in the sample; arrays of one value a class, NaN for unknown.
+
+    Parameters
+    ----------
+    index : (K,) ndarray of float64
+        Mean vegetation index.
+    brightness : (K,) ndarray of float64
+        Mean over the image bands, scaled to 0 to 1; the pulse intensity is no image band.
+    roughness : (K,) ndarray of float64, metres
+        Median, which edges of roofs do not sway.
+    height : (K,) ndarray of float64, metres
+        Mean height above ground.
+    """
+
+    index: NDArray[np.float64]
+    brightness: NDArray[np.float64]
+    roughness: NDArray[np.float64]
+    height: NDArray[np.float64]
+
+
+def choose_index(names: tuple[str, ...], wanted: str) -> str | None:
+    """Choose the vegetation index that the bands allow: the one wanted, or the best; None when there is none.
+
+    NDVI needs ``nir`` and ``red``; ``green-red`` needs ``green`` and ``red``; ``pseudo-ndvi`` needs ``intensity`` and
+    ``red`` (V20). An index that is wanted but not possible gives way to the best that is.
+    """
+    possible = [index for index, bands in INDEX_BANDS.items() if set(bands) <= set(names)]
+    if wanted in possible:
+        return wanted
+    return possible[0] if possible else None
+
+
+def vegetation_index(sample: Sample, scaling: Scaling, index: str | None) -> NDArray[np.float64]:
+    """Return the (N,) vegetation index of the sample's cells; NaN without an index, 0 for black.
+
+    Intensity and colour have different units, so the pseudo-NDVI is taken from scaled values (V21).
+    """
+    if index is None:
+        return np.full(len(sample), np.nan)
+    values = scaling.apply(sample.bands) if index == "pseudo-ndvi" else sample.bands
+    first, second = (values[:, sample.names.index(name)] for name in INDEX_BANDS[index])
+    total = first + second
+    return np.asarray((first - second) / np.where(total > 0, total, 1.0))
+
+
+def brightness(sample: Sample, scaling: Scaling) -> NDArray[np.float64]:
+    """Return the (N,) mean of the scaled image bands; NaN when there is no band but intensity."""
+    image = [number for number, name in enumerate(sample.names) if name != "intensity"]
+    if not image:
+        return np.full(len(sample), np.nan)
+    return np.asarray(scaling.apply(sample.bands)[:, image].mean(axis=1))
+
+
+def index_threshold(values: NDArray[np.float64], index: str | None, params: SpectralParams) -> float:
+    """Find the vegetation index above which a class is green: Otsu's threshold, kept within the index's bounds.
+
+    The bounds hold where Otsu's method has no meaning: in a quarter without trees, or in a forest.
+    """
+    if index is None or values.size == 0:
+        return float("nan")
+    bounds = {
+        "ndvi": params.ndvi_bounds,
+        "green-red": params.green_red_bounds,
+        "pseudo-ndvi": params.pseudo_ndvi_bounds,
+    }[index]
+    otsu = threshold_otsu(values)  # type: ignore[no-untyped-call]  # scikit-image is untyped
+    return float(np.clip(otsu, min(bounds), max(bounds)))
+
+
+def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, params: SpectralParams) -> list[str]:
+    """Suggest the information class of each class (V36): one of ``msbdb.classmap.LABELS``.
+
+    Parameters
+    ----------
+    facts : ClassFacts
+        The classes.
+    threshold : float
+        Vegetation index above which a class is green; NaN for none.
+    index : str or None
+        Name of the vegetation index.
+    params : SpectralParams
+        The thresholds.
+
+    Returns
+    -------
+    list of str
+        One a class.
+
+    Notes
+    -----
+    In this order: very rough is vegetation, or other when it is far from green; green is vegetation, unless it is as
+    smooth as a roof; smooth with a very low NDVI is water; dark is shadow, unless it is smooth, when it is a roof in
+    shadow or of dark material; all else that stands above the ground is building. Unknown facts prove nothing.
+    """
+    return [
+        _label(*values, threshold=threshold, index=index, params=params)
+        for values in zip(facts.index, facts.brightness, facts.roughness, strict=True)
+    ]
+
+
+def _label(
+    greenness: float, bright: float, rough: float, *, threshold: float, index: str | None, params: SpectralParams
+) -> str:
+    """Suggest the label of one class; comparisons with NaN are false."""
+    if rough >= params.rough_m:
+        return "other" if greenness < threshold - params.leafless_margin else "vegetation"
+    smooth = rough < params.smooth_m
+    if greenness > threshold and not smooth:
+        return "vegetation"
+    if index == "ndvi" and greenness < params.water_ndvi and smooth:
+        return "water"
+    if bright < params.shadow_brightness and not rough < params.shadow_rough_m:
+        return "shadow"
+    return "building"

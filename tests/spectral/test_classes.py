@@ -1,0 +1,179 @@
+"""Classification from bands to class map and tables, on scenes with known cover (V34 to V36)."""
+
+import numpy as np
+import pytest
+import scenes
+from scipy import ndimage
+
+from msbdb.bands import Bands
+from msbdb.errors import GridMismatchError, InputError, ParameterError
+from msbdb.grid import Grid
+from msbdb.params import Params, with_values
+from msbdb.spectral import classify, spectral_bands
+from msbdb.spectral.kmeans import draw_sample, merge_samples, predict
+from msbdb.spectral.model import filter_to_classify, fit_model
+from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate
+
+PARAMS = Params()
+
+
+class Case:
+    """A scene's bands, nDSM and roughness, made by the shortest means."""
+
+    def __init__(self, name, names=("red", "green", "blue", "nir")):
+        self.scene = scenes.SCENES[name]()
+        spec, points = self.scene.spec, self.scene.points
+        first = points.take(points.first_echo)
+        row, col = spec.rowcol(first.x, first.y)
+        top = np.full(spec.shape, -np.inf)
+        np.maximum.at(top, (row, col), first.z - self.scene.ground(first.x, first.y))
+        empty = np.isinf(top)
+        near = ndimage.distance_transform_edt(empty, return_indices=True)[1]
+        top = top[tuple(near)]
+        self.ndsm = Grid(top.astype(np.float32), np.ones(spec.shape, dtype=bool), spec)
+        mean = ndimage.uniform_filter(top, 3)
+        self.roughness = np.sqrt(np.maximum(ndimage.uniform_filter(top**2, 3) - mean**2, 0))
+        ortho = self.scene.ortho(spec)
+        chosen = [("red", "green", "blue", "nir").index(n) for n in names]
+        self.bands = Bands(ortho[chosen], names, np.ones(spec.shape, dtype=bool), spec)
+
+    def shares(self, classes):
+        """Share of clustered crown cells called vegetation, and of roof cells called building."""
+        seen = classes.index > 0
+        crown = seen & (self.scene.cover == scenes.VEGETATION)
+        roof = seen & (self.scene.cover == scenes.BUILDING)
+        return classes.labelled("vegetation")[crown].mean(), classes.labelled("building")[roof].mean()
+
+
+@pytest.fixture(scope="module")
+def city():
+    """Scan the city, with its four-band orthophoto."""
+    return Case("city")
+
+
+@pytest.fixture(scope="module")
+def classified(city):
+    """Classify the city by the defaults."""
+    return classify(city.bands, city.ndsm, city.roughness, PARAMS)
+
+
+def test_crowns_are_told_from_roofs(city, classified):
+    """Nearly all crown cells are vegetation and nearly all roof cells building."""
+    crowns, roofs = city.shares(classified[0])
+    assert crowns > 0.9
+    assert roofs > 0.9
+
+
+def test_colours_without_infrared_tell_crowns_from_roofs():
+    """Green against red stands in for NDVI."""
+    case = Case("under_trees", ("red", "green", "blue"))
+    crowns, roofs = case.shares(classify(case.bands, case.ndsm, case.roughness, PARAMS)[0])
+    assert crowns > 0.85
+    assert roofs > 0.85
+
+
+def test_only_cells_of_at_least_one_storey_are_classified(city, classified):
+    """Cells below the mask are 0, all others have a class (V35)."""
+    np.testing.assert_array_equal(classified[0].index > 0, city.ndsm.values >= PARAMS.surface.mask_m)
+
+
+def test_tables_are_as_declared_and_add_up(city, classified):
+    """Counts, shares and means describe the map."""
+    classes, frame, means = classified
+    validate(frame, SPECTRAL_CLASS)
+    validate(means, SPECTRAL_CLASS_BAND)
+    assert frame["speindex"].tolist() == list(range(1, 16))
+    assert frame["cells"].tolist() == np.bincount(classes.index.ravel(), minlength=16)[1:].tolist()
+    assert frame["share"].sum() == pytest.approx(1)
+    assert set(frame["labelled_by"]) == {"automatic"}
+    assert dict(zip(frame["speindex"], frame["label"], strict=True)) == dict(classes.labels)
+    row = means[(means["speindex"] == 3) & (means["band"] == "nir")]
+    assert row["mean"].item() == pytest.approx(city.bands.band("nir")[classes.index == 3].mean(), rel=1e-5)
+    heights = city.ndsm.values[classes.index == 3]
+    assert frame["height_m"][2] == pytest.approx(heights.mean(), rel=1e-5)
+
+
+def test_classes_come_in_canonical_order(classified):
+    """Numbers rise with the vegetation index, whatever k-means called them."""
+    assert (np.diff(classified[1]["ndvi"]) >= 0).all()
+
+
+def test_operator_overrules(city, classified):
+    """Labels given by class replace the suggestion, and say so; the map of indices stays."""
+    classes, frame, _ = classify(city.bands, city.ndsm, city.roughness, PARAMS, {1: "water", 15: "building"})
+    assert classes.labels[1] == "water"
+    assert classes.labels[15] == "building"
+    assert frame.set_index("speindex").loc[[1, 15], "labelled_by"].tolist() == ["operator", "operator"]
+    assert (frame["labelled_by"] == "operator").sum() == 2
+    np.testing.assert_array_equal(classes.index, classified[0].index)
+
+
+@pytest.mark.parametrize("labels", [{16: "building"}, {0: "building"}, {2: "roof"}])
+def test_labels_of_nothing_are_refused(city, labels):
+    """An unknown class or label is an error that names what exists."""
+    with pytest.raises(InputError, match="classes 1 to 15"):
+        classify(city.bands, city.ndsm, city.roughness, PARAMS, labels)
+
+
+def test_tiles_classified_by_one_model_give_the_whole(city, classified):
+    """Samples of tiles merged, one fit, and prediction by tile equal the classification at once.
+
+    The tiles' border runs where no island is cut, as islands are what is handed out.
+    """
+    params = with_values(PARAMS, {"spectral": {"sample": 5000, "filter_share": 0.0}})
+    whole = classify(city.bands, city.ndsm, city.roughness, params)[0]
+    samples, filtered = [], []
+    for rows in (slice(0, 170), slice(170, 400)):
+        cols = slice(0, 400)
+        spec = city.bands.spec.crop(rows, cols)
+        bands = Bands(city.bands.values[:, rows].copy(), city.bands.names, city.bands.valid[rows].copy(), spec)
+        ndsm = Grid(city.ndsm.values[rows].copy(), city.ndsm.valid[rows].copy(), spec)
+        filtered.append(filter_to_classify(bands, ndsm, params))
+        samples.append(draw_sample(filtered[-1], bands, ndsm.values, city.roughness[rows], count=5000, seed=0))
+    model = fit_model(merge_samples(samples[::-1], count=5000), params.spectral)
+    assert dict(enumerate(model.suggested, start=1)) == dict(whole.labels)
+    np.testing.assert_array_equal(np.vstack([predict(part, model.centres) for part in filtered]), whole.index)
+
+
+def test_a_planted_roof_stays_a_building():
+    """A lawn on a hall is green but smooth; the tree apart is vegetation."""
+    case = Case("green_roof")
+    crowns, roofs = case.shares(classify(case.bands, case.ndsm, case.roughness, PARAMS)[0])
+    assert roofs > 0.9
+    assert crowns > 0.8
+
+
+def test_nothing_above_the_mask_gives_an_empty_map():
+    """A bare field has no class, and the tables have no rows but all columns."""
+    case = Case("flat_field")
+    classes, frame, means = classify(case.bands, case.ndsm, case.roughness, PARAMS)
+    assert not classes.index.any()
+    assert dict(classes.labels) == {}
+    validate(frame, SPECTRAL_CLASS)
+    validate(means, SPECTRAL_CLASS_BAND)
+    assert len(frame) == len(means) == 0
+
+
+def test_intensity_alone_still_gives_classes(city):
+    """Without image bands brightness and index are unknown, and only very rough classes are vegetation."""
+    bands = spectral_bands(None, city.scene.points, city.scene.spec, max_gap_m=5.0)
+    only = Bands(bands.values[4:].copy(), ("intensity",), bands.valid.copy(), bands.spec)
+    _, frame, _ = classify(only, city.ndsm, None, PARAMS)
+    assert frame["ndvi"].isna().all()
+    assert frame["brightness"].isna().all()
+    assert frame["roughness_m"].isna().all()
+    assert set(frame["label"]) == {"building"}
+
+
+def test_other_lattices_and_an_unknown_finest_scale_are_refused(city):
+    """The messages say what to do next."""
+    spec = city.bands.spec.crop(slice(0, 10), slice(0, 10))
+    small = Grid(np.zeros((10, 10), dtype=np.float32), np.ones((10, 10), dtype=bool), spec)
+    with pytest.raises(GridMismatchError, match="resample"):
+        classify(city.bands, small, None, PARAMS)
+    with pytest.raises(GridMismatchError, match="roughness"):
+        classify(city.bands, city.ndsm, np.zeros((3, 3)), PARAMS)
+    empty = with_values(PARAMS, {"scale": {"scales_m2": ()}})
+    with pytest.raises(ParameterError, match="finest_m2"):
+        classify(city.bands, city.ndsm, None, empty)
+    classify(city.bands, city.ndsm, None, empty, finest_m2=20.0)

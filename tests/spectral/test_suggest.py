@@ -1,0 +1,100 @@
+"""The automatic suggestion of what a class is (V36)."""
+
+import numpy as np
+import pytest
+
+from msbdb.params import SpectralParams
+from msbdb.spectral.bands import fit_scaling
+from msbdb.spectral.kmeans import Sample
+from msbdb.spectral.suggest import (
+    ClassFacts,
+    brightness,
+    choose_index,
+    index_threshold,
+    suggest_labels,
+    vegetation_index,
+)
+
+NAN = float("nan")
+PARAMS = SpectralParams()
+
+
+def _label(index, bright, rough, *, threshold=0.1, name="ndvi"):
+    """Label of one class."""
+    facts = ClassFacts(*(np.array([value]) for value in (index, bright, rough, 5.0)))
+    return suggest_labels(facts, threshold, name, PARAMS)[0]
+
+
+@pytest.mark.parametrize(
+    ("index", "bright", "rough", "label"),
+    [
+        (0.4, 0.3, 0.6, "vegetation"),
+        (0.4, 0.3, NAN, "vegetation"),
+        (0.4, 0.3, 0.05, "building"),
+        (-0.1, 0.6, 0.05, "building"),
+        (-0.1, 0.6, NAN, "building"),
+        (0.05, 0.4, 2.0, "vegetation"),
+        (-0.3, 0.4, 2.0, "other"),
+        (-0.1, 0.05, 0.8, "shadow"),
+        (-0.1, 0.05, NAN, "shadow"),
+        (-0.1, 0.05, 0.05, "building"),
+        (-0.5, 0.1, 0.02, "water"),
+        (NAN, NAN, 2.0, "vegetation"),
+        (NAN, NAN, 0.05, "building"),
+        (NAN, NAN, NAN, "building"),
+    ],
+)
+def test_rules(index, bright, rough, label):
+    """Crown, planted roof, roof, bare crown, clutter, shadow, dark roof, water, and facts that are not known."""
+    assert _label(index, bright, rough) == label
+
+
+def test_water_needs_a_near_infrared_band():
+    """A red roof has a low green-red index and is no water."""
+    assert _label(-0.5, 0.4, 0.02, name="green-red") == "building"
+
+
+def test_best_index_is_chosen_and_a_wish_is_granted_where_possible():
+    """Near infrared first, then green and red, then intensity (V20)."""
+    assert choose_index(("red", "green", "nir", "intensity"), "auto") == "ndvi"
+    assert choose_index(("red", "green", "intensity"), "auto") == "green-red"
+    assert choose_index(("red", "green", "intensity"), "pseudo-ndvi") == "pseudo-ndvi"
+    assert choose_index(("red", "intensity"), "ndvi") == "pseudo-ndvi"
+    assert choose_index(("intensity",), "auto") is None
+
+
+def _sample(names, *rows):
+    """Make a sample of given band values."""
+    values = np.array(rows, dtype=float)
+    unknown = np.full(len(values), NAN)
+    return Sample(names, np.arange(len(values), dtype=np.uint64), values, values, unknown, unknown)
+
+
+def test_indices_by_their_formula():
+    """NDVI and green-red take the source's values; pseudo-NDVI the scaled ones; black is 0."""
+    sample = _sample(("red", "green", "nir", "intensity"), (50, 100, 150, 4000), (0, 0, 0, 0))
+    scaling = fit_scaling(sample.bands, sample.names, 0.0)
+    np.testing.assert_allclose(vegetation_index(sample, scaling, "ndvi"), [0.5, 0])
+    np.testing.assert_allclose(vegetation_index(sample, scaling, "green-red"), [1 / 3, 0])
+    np.testing.assert_allclose(vegetation_index(sample, scaling, "pseudo-ndvi"), [0, 0])
+    assert np.isnan(vegetation_index(sample, scaling, None)).all()
+
+
+def test_intensity_is_no_brightness():
+    """A strong echo does not make a dark roof bright."""
+    sample = _sample(("red", "intensity"), (0, 0), (0, 100), (100, 100))
+    scaling = fit_scaling(sample.bands, sample.names, 0.0)
+    np.testing.assert_allclose(brightness(sample, scaling), [0, 0, 1])
+    alone = _sample(("intensity",), (0,), (9,))
+    assert np.isnan(brightness(alone, fit_scaling(alone.bands, alone.names, 0.0))).all()
+
+
+def test_threshold_lies_between_roofs_and_crowns_and_within_its_bounds():
+    """Otsu's value where both are there; the nearer bound where there is only one kind."""
+    rng = np.random.default_rng(0)
+    roofs, crowns = rng.normal(-0.1, 0.06, 5000), rng.normal(0.35, 0.08, 5000)
+    both = index_threshold(np.append(roofs, crowns), "ndvi", PARAMS)
+    assert 0.0 < both < 0.2
+    assert index_threshold(roofs, "ndvi", PARAMS) == 0.0
+    assert index_threshold(crowns, "ndvi", PARAMS) == 0.2
+    assert np.isnan(index_threshold(roofs, None, PARAMS))
