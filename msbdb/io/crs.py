@@ -28,6 +28,9 @@ Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": 1200 / 3937}
 PARAMETER_TOLERANCE = 1e-6
 """Largest misfit, in metres or degrees, at which two projection parameters still count as the same."""
 
+AREA_MARGIN_DEG = 1.0
+"""How far beyond a CRS's area of use data may lie without a notice."""
+
 CrsLike = CRS | str | int
 
 
@@ -359,3 +362,16 @@ def _centres(crs: CRS, bounds: Bounds) -> Iterator[tuple[float, float]]:
     area = crs.area_of_use
     if area is not None:
         yield (area.west + area.east) / 2, (area.south + area.north) / 2
+
+
+def misplaced(crs: CRS, bounds: Bounds) -> str | None:
+    """Return a notice if metric bounds lie where their CRS is not meant to be used, which hints at a wrong CRS."""
+    area = crs.area_of_use
+    if area is None or crs.geodetic_crs is None:
+        return None
+    x, y = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
+    longitude, latitude = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
+    across = (longitude - area.west + AREA_MARGIN_DEG) % 360 <= (area.east - area.west) % 360 + 2 * AREA_MARGIN_DEG
+    if (area.south - AREA_MARGIN_DEG <= latitude <= area.north + AREA_MARGIN_DEG) and across:
+        return None
+    return f"the data lie outside of the area of use of {name_of(crs)}, {area.name}; check the CRS."

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.grid import Bounds
-from msbdb.io.crs import CrsLike, Reference, name_of, reference, same_crs, settle
+from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
 from msbdb.io.geokeys import header_crs, vertical_unit
 from msbdb.io.lasheader import COLOURED_FORMATS, INFRARED_FORMATS, LasInfo, decoding, read_las_header
 from msbdb.pointcloud import PointCloud
@@ -109,8 +109,8 @@ def read_points(
     -------
     cloud : PointCloud
         All points that were kept, in the files' order. 8-bit colours in the 16-bit fields (no value of a file above
-        255) are multiplied by 257. Echoes are None where all are zero; intensity and colours where one value is everywhere.
-        Colours are kept if every file has them.
+        255) are multiplied by 257. Echoes are None where all are zero; intensity and colours where one value is
+        everywhere. Colours are kept if every file has them.
     notices : list of str
         What was dropped, converted or assumed, with counts.
 
@@ -148,7 +148,11 @@ def read_points(
             own = {name: column[begin : columns.filled] for name, column in columns.arrays.items()}
             _widen_colours(own["colours"], info, columns)
             echoes.append(_settle_echoes(own))
+            columns.notices += _strays(info, each, own)
     cloud = _finish(columns, references, has_echoes=any(echoes))
+    wrong_place = misplaced(cloud.crs, cloud.bounds)
+    if wrong_place is not None:
+        columns.notices.append(wrong_place)
     if any(echoes) and not all(echoes):
         columns.notices.append("points of files without echo information count as single echoes.")
     return cloud, columns.notices
@@ -259,6 +263,18 @@ def _settle_echoes(own: Mapping[str, NDArray[Any]]) -> bool:
     own["return_number"][:] = 1
     own["number_of_returns"][:] = 1
     return False
+
+
+def _strays(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Return a notice if a file's points leave the bounds that its header states; the points are trusted."""
+    west, south, east, north = info.bounds
+    xs, ys, _ = how.to_metres(np.array([west, east]), np.array([south, north]), np.zeros(2))
+    beyond = 0
+    for values, (low, high) in ((own["x"], xs), (own["y"], ys)):
+        beyond = max(beyond, int(np.count_nonzero(~((values >= low - 1.0) & (values <= high + 1.0)))))
+    if not beyond or how.transformer is not None:
+        return []
+    return [f"{info.path.name}: {beyond} points lie outside of the bounds in the header, which were not trusted."]
 
 
 def _finish(columns: _Columns, references: Sequence[Reference], *, has_echoes: bool) -> PointCloud:

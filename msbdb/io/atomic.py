@@ -1,0 +1,52 @@
+"""Writing files that appear whole or not at all."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from msbdb.errors import FileError
+
+
+@contextmanager
+def write_atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a path to write to; on success all files written beside it take their places, on failure none does.
+
+    The file is written under its own name in a hidden folder beside the target, so that formats of several files
+    (a shapefile's .shp, .shx and .dbf) work and every move is a rename within one file system. The main file is
+    moved last.
+
+    Raises
+    ------
+    FileError
+        If the folder is missing or not writable, or nothing was written.
+    """
+    target = Path(path)
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    except OSError as error:
+        msg = f"{target} cannot be written: {error.strerror} ({target.parent}). Name a folder that exists and is yours."
+        raise FileError(msg) from error
+    try:
+        yield folder / target.name
+        written = sorted(folder.iterdir(), key=lambda file: (file.name == target.name, file.name))
+        if not written or written[-1].name != target.name:
+            msg = f"{target} was not written."
+            raise FileError(msg)
+        for file in written:
+            _flush(file)
+        for file in written:
+            file.replace(target.parent / file.name)
+    except (IsADirectoryError, PermissionError) as error:
+        msg = f"{target} cannot be written: {error.strerror}. Name another file."
+        raise FileError(msg) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _flush(path: Path) -> None:
+    """Have the system put a file's content on the disk before it is renamed."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())

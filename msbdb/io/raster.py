@@ -1,0 +1,220 @@
+"""Reading and writing heights as rasters: nodata and units end here, a ``Grid`` knows only validity and metres."""
+
+import logging
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+from numpy.typing import NDArray
+from rasterio.errors import RasterioError
+
+from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbWarning, NodataError
+from msbdb.grid import Grid, GridSpec
+from msbdb.io.atomic import write_atomic
+from msbdb.io.crs import CrsLike, reference
+from msbdb.io.rasterfile import open_raster, raster_crs, warp
+
+logger = logging.getLogger(__name__)
+
+SENTINELS = (-9999.0, -99999.0, -999999.0, -32768.0, -32767.0)
+"""Heights that stand for 'no value' even where the file does not say so; no place on earth is that low."""
+
+LARGEST_HEIGHT_M = 1e5
+"""Heights beyond it, such as float32's lowest number, stand for 'no value' as well."""
+
+BAND_UNITS = {
+    "m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m",
+    "ft": "ft", "foot": "ft", "feet": "ft", "international foot": "ft",
+    "us-ft": "us-ft", "ftus": "us-ft", "us survey foot": "us-ft", "us survey feet": "us-ft",
+}  # fmt: skip
+"""Names of units in a band's unit tag."""
+
+WRITTEN_NODATA = -9999.0
+
+
+def read_grid(
+    path: str | os.PathLike[str], *, crs: CrsLike | None = None, role: str = "DSM", z_unit: str = "auto"
+) -> Grid:
+    """Read a raster of heights, in metres.
+
+    Parameters
+    ----------
+    path : path
+        A raster of one band, north-up, of square cells, in a projected CRS.
+    crs : int, str or CRS, optional
+        The CRS of a file that has none; where the file has one, it must be the same.
+    role : str
+        What the heights are, for messages.
+    z_unit : {'auto', 'm', 'ft', 'us-ft'}
+        Unit of the heights. 'auto' takes that of the vertical CRS, else of the band, else that of a CRS in feet,
+        else metres.
+
+    Returns
+    -------
+    Grid
+        (H, W) float32, metres. A cell is not valid where the file masks it (nodata tag, mask or alpha band), where
+        it is not finite, one of ``SENTINELS`` or beyond ``LARGEST_HEIGHT_M``.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    InputError
+        If it has several bands, is rotated, or its cells are not square.
+    CRSError
+        If the CRS is missing, in conflict with ``crs``, geographic, or in feet without a metric twin.
+    NodataError
+        If no cell is valid.
+
+    Warns
+    -----
+    MsbdbWarning
+        If units were converted.
+    """
+    name = Path(path).name
+    with open_raster(path) as dataset:
+        if dataset.count != 1:
+            msg = (
+                f"The {role} {name} has {dataset.count} bands; heights are one band. "
+                "Take it out, for instance with 'gdal_translate -b 1'."
+            )
+            raise InputError(msg)
+        own = raster_crs(dataset, crs)
+        transform, shape = dataset.transform, dataset.shape
+        _require_square(transform, f"The {role} {name}")
+        unit = BAND_UNITS.get((dataset.units[0] or "").strip().lower())
+        values, valid = _heights(dataset)
+    rows, cols = shape
+    corner, opposite = transform * (0, rows), transform * (cols, 0)
+    how = reference(
+        own, bounds=(*corner, *opposite), where=name, z_unit=z_unit, z_hint=unit, what=f"cells of the {role}"
+    )
+    if how.transformer is not None:
+        msg = (
+            f"The {role} {name} is in feet, '{how.source.name}', for which EPSG has no metric CRS of the same "
+            f"projection. Warp it first: gdalwarp -t_srs EPSG:{how.crs.to_epsg()} -r bilinear {name} metric.tif"
+        )
+        raise CRSError(msg)
+    for notice in how.notices:
+        warnings.warn(notice, MsbdbWarning, stacklevel=2)
+    side = (transform.a - transform.e) / 2 * how.xy_factor
+    metric = Affine(side, 0.0, transform.c * how.xy_factor, 0.0, -side, transform.f * how.xy_factor)
+    if not valid.any():
+        msg = f"The {role} {name} has no valid cell. Check its nodata value."
+        raise NodataError(msg)
+    heights = values if how.z_factor == 1.0 else (values * how.z_factor).astype(np.float32)
+    logger.info("read %s: %s cells, %.1f %% valid", name, shape, 100 * valid.mean())
+    return Grid(heights, valid, GridSpec(shape, metric, how.crs))
+
+
+def _require_square(transform: Affine, what: str) -> None:
+    """Refuse rotated or south-up rasters and cells that are not square."""
+    side = max(abs(transform.a), abs(transform.e))
+    if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
+        msg = f"{what} is rotated, or not north-up. Warp it first, for instance with 'gdalwarp -r bilinear'."
+        raise InputError(msg)
+    if abs(transform.a + transform.e) > 1e-6 * side:
+        msg = (
+            f"{what} has cells of {transform.a:.6g} by {-transform.e:.6g}, which must be square. "
+            f"Warp it first: gdalwarp -tr {transform.a:.6g} {transform.a:.6g} -r bilinear."
+        )
+        raise InputError(msg)
+
+
+def _heights(dataset: rasterio.DatasetReader) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the band's values, scaled by its own tags, and where they are valid."""
+    raw = dataset.read(1)
+    if np.iscomplexobj(raw):
+        msg = f"{Path(dataset.name).name} holds complex numbers; heights are real."
+        raise InputError(msg)
+    valid = (dataset.read_masks(1) != 0) & np.isfinite(raw)
+    values = np.where(valid, raw, 0).astype(np.float64)
+    valid &= ~np.isin(values, SENTINELS) & (np.abs(values) < LARGEST_HEIGHT_M)
+    values = values * dataset.scales[0] + dataset.offsets[0]
+    return np.where(valid, values, 0.0).astype(np.float32), valid
+
+
+def align_grid(grid: Grid, onto: GridSpec, *, role: str = "DTM", resampling: str = "bilinear") -> Grid:
+    """Bring heights onto another lattice, for instance a DTM onto that of its DSM.
+
+    Parameters
+    ----------
+    grid : Grid
+        Heights on any lattice and CRS.
+    onto : GridSpec
+        The lattice wanted. A grid that is on it already is returned as it is.
+    role : str
+        What the heights are, for messages.
+    resampling : {'bilinear', 'nearest', 'average'}
+        Bilinear and average use valid cells alone; a cell without any stays invalid.
+
+    Raises
+    ------
+    GridMismatchError
+        If no valid cell falls onto the lattice.
+
+    Warns
+    -----
+    MsbdbWarning
+        If some of the lattice is not covered.
+    """
+    if grid.spec.same_lattice(onto):
+        return grid
+    source = np.where(grid.valid, grid.values, np.nan).astype(np.float32)
+    values = warp(source, grid.spec.transform, grid.spec.crs, onto, resampling)
+    valid = np.isfinite(values)
+    if not valid.any():
+        msg = (
+            f"The {role} covers {tuple(round(b, 1) for b in grid.spec.bounds)} in '{grid.spec.crs.name}', and no valid "
+            f"cell of it lies in {tuple(round(b, 1) for b in onto.bounds)} in '{onto.crs.name}'. Give a {role} of "
+            "the same place."
+        )
+        raise GridMismatchError(msg)
+    if not valid.all():
+        missing = 100.0 * float(np.mean(~valid))
+        warnings.warn(f"The {role} leaves {missing:.1f} % of the lattice without a value.", MsbdbWarning, stacklevel=2)
+    return Grid(np.where(valid, values, np.float32(0)), valid, onto)
+
+
+def write_grid(path: str | os.PathLike[str], grid: Grid) -> None:
+    """Write a grid as a GeoTIFF, tiled and compressed; the file appears whole or not at all.
+
+    Floating-point values get the nodata value -9999 where not valid; whole numbers and masks are written as they
+    are, with a mask of their own where a cell is not valid.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    values = grid.values.astype(np.uint8) if grid.values.dtype == np.bool_ else grid.values
+    floating = bool(np.issubdtype(values.dtype, np.floating))
+    profile = {
+        "driver": "GTiff",
+        "width": grid.spec.shape[1],
+        "height": grid.spec.shape[0],
+        "count": 1,
+        "dtype": values.dtype.name,
+        "crs": grid.spec.crs.to_wkt(),
+        "transform": grid.spec.transform,
+        "tiled": True,
+        "blockxsize": 256,
+        "blockysize": 256,
+        "compress": "deflate",
+        "predictor": 3 if floating else 2,
+    }
+    if floating:
+        profile["nodata"] = WRITTEN_NODATA
+        values = np.where(grid.valid, values, np.asarray(WRITTEN_NODATA, dtype=values.dtype))
+    with write_atomic(path) as temporary:
+        try:
+            with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(temporary, "w", **profile) as dataset:
+                dataset.write(values, 1)
+                if not floating and not grid.valid.all():
+                    dataset.write_mask(grid.valid)
+        except RasterioError as error:
+            msg = f"{path} cannot be written ({error}). Check the folder and the free space."
+            raise FileError(msg) from error
