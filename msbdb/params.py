@@ -320,6 +320,52 @@ class ScaleParams:
 
 
 @dataclass(frozen=True, slots=True)
+class GranulometryParams:
+    """Finding the scales in the image itself, when none are given (V8)."""
+
+    smallest_m2: float = param(
+        20.0,
+        unit="m2",
+        low=0.01,
+        high=1e6,
+        source="ours: the finest of the default scales",
+        doc="Sizes below this are trees and noise, and give no scale.",
+    )
+    largest_m2: float = param(
+        10_000.0,
+        unit="m2",
+        low=0.02,
+        high=1e7,
+        source="ours: larger than most halls; what is larger are blocks joined by trees",
+        doc="Sizes above this give no scale.",
+    )
+    most: int = param(
+        6,
+        unit="count",
+        low=2,
+        high=50,
+        source="ours: as many as the default scales",
+        doc="Largest number of scales: the finest, the coarsest and the highest peaks of the spectrum between.",
+    )
+    extreme_share: float = param(
+        0.05,
+        unit="1",
+        low=0.0,
+        high=0.49,
+        source="ours: the paper takes the smallest and the biggest building, which one stray cell could set",
+        doc="Share of the built cells of sizes below the finest scale, and of sizes above the coarsest.",
+    )
+    peak_share: float = param(
+        0.02,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: lower peaks are single buildings",
+        doc="Share of the built cells that a bin of the smoothed spectrum must hold to be a peak.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class SpectralParams:
     """Classes of land cover, and what they remove."""
 
@@ -468,6 +514,7 @@ class Params:
     ground: GroundParams = field(default_factory=GroundParams)
     cover: CoverParams = field(default_factory=CoverParams)
     scale: ScaleParams = field(default_factory=ScaleParams)
+    granulometry: GranulometryParams = field(default_factory=GranulometryParams)
     spectral: SpectralParams = field(default_factory=SpectralParams)
     vector: VectorParams = field(default_factory=VectorParams)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
 from msbdb.morphology.kernels import kernel
-from msbdb.morphology.runs import Runs, find_runs
+from msbdb.morphology.runs import Layout, find_runs
 
 T = TypeVar("T", bound=np.generic)
 
@@ -120,7 +120,7 @@ def _filter(values: NDArray[T], threshold_px: int, connectivity: int, *, from_to
         order = order[::-1]
     # A threshold beyond the array acts like one of a cell more than it has, and keeps the areas within 32 bits.
     threshold = min(int(threshold_px), values.size + 1)
-    source = _absorb(order, runs.starts, runs.first, runs.shape[1], runs.reach, threshold)
+    source = _absorb(order, runs.layout, threshold)
     return runs.paint(runs.values[source])
 
 
@@ -138,14 +138,7 @@ def _ascending(values: NDArray[Any]) -> NDArray[np.intp]:
 
 
 @kernel
-def _absorb(
-    order: NDArray[np.intp],
-    starts: NDArray[np.int32],
-    first: NDArray[np.int32],
-    width: int,
-    reach: int,
-    threshold: int,
-) -> NDArray[np.int32]:
+def _absorb(order: NDArray[np.intp], layout: Layout, threshold: int) -> NDArray[np.int32]:
     """Return for each run the run whose value it takes.
 
     Runs enter in the order given. Each absorbs the components that it touches and that are still too small: these
@@ -155,6 +148,7 @@ def _absorb(
     One array holds all there is to know of a run, to spare the cache: for the root of a component minus the
     component's area, up to the threshold; for any other run its parent; ``NOT_ENTERED`` before its turn.
     """
+    starts, first, width, reach = layout
     count = order.size
     cells = starts[count]
     node = np.full(count, NOT_ENTERED, dtype=np.int32)

@@ -10,17 +10,14 @@ from numpy.typing import NDArray
 from msbdb.errors import ParameterError
 from msbdb.morphology.kernels import kernel
 from msbdb.morphology.runs import require_image
+from msbdb.params import GranulometryParams
 
 logger = logging.getLogger(__name__)
 
 BINS_PER_OCTAVE = 2
 """Bins of the spectrum for each doubling of the area: two peaks differ by a factor of about two at least."""
 
-EXTREME_SHARE = 0.05
-"""Share of the built cells below the finest scale, and above the coarsest."""
-
-PEAK_SHARE = 0.02
-"""Share of the built cells that a bin, smoothed, needs to be a peak."""
+DEFAULTS = GranulometryParams()
 
 
 def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:
@@ -62,12 +59,7 @@ def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def find_scales(
-    mask_or_level: NDArray[Any],
-    cell_area_m2: float,
-    *,
-    smallest_m2: float = 20.0,
-    largest_m2: float = 10_000.0,
-    most: int = 6,
+    mask_or_level: NDArray[Any], cell_area_m2: float, params: GranulometryParams = DEFAULTS
 ) -> tuple[float, ...]:
     """Find the area thresholds of the scale-space from the sizes that the image contains (V8).
 
@@ -77,11 +69,8 @@ def find_scales(
         Buildings or off-ground cells: a mask, or storeys or heights with 0 for the background. Not modified.
     cell_area_m2 : float
         Area of a cell, square metres.
-    smallest_m2, largest_m2 : float
-        Bounds of the scales, square metres. Smaller sizes are trees and noise, larger ones joined blocks; neither
-        takes part in the rule.
-    most : int
-        The largest number of scales, from 2.
+    params : GranulometryParams
+        The bounds of the scales, their largest number, and the shares of the rule.
 
     Returns
     -------
@@ -93,71 +82,70 @@ def find_scales(
     InputError
         When the array is no image.
     ParameterError
-        When the cell area or the bounds are not positive and ascending, or fewer than two scales are allowed.
+        When the cell area is not positive, or the bounds do not ascend.
 
     Notes
     -----
-    The paper names the method (Vincent, 1994) [1]_ and no rule; the rule is ours:
+    The paper names the method [1]_ and no rule; the rule is ours:
 
     1. Each cell above 0 has a size: the area of the linear openings that it survives (`opening_areas`). Sizes
-       outside of the bounds are left out.
-    2. Finest scale, the smallest building: the size that 5 % of these cells do not exceed. Coarsest scale, the
-       biggest building: the size that 95 % do not exceed.
-    3. Between them lie the peaks of the pattern spectrum: the number of cells by size in half-octave bins, smoothed by
-       (1, 2, 1) / 4. A peak is higher than the bin before, no lower than the one after, and holds at least 2 % of the
-       cells; its scale is the mean size in its bin. A peak within half an octave of the finest or coarsest scale is that scale.
-    4. If these are too many, the highest peaks stay; of equal ones, the smaller size.
+       outside of the bounds are left out of all that follows.
+    2. The finest scale, the smallest building, is the size that ``extreme_share`` of these cells do not exceed. The
+       coarsest, the biggest building, is the size that all but ``extreme_share`` of them do not exceed.
+    3. Between the two lie the peaks of the pattern spectrum: the number of cells by size, in half-octave bins,
+       smoothed by (1, 2, 1) / 4. A peak is higher than the bin before, no lower than the one after, and holds at
+       least ``peak_share`` of the cells; its scale is the mean size in its bin. It is left out within half an octave
+       of the finest or the coarsest scale.
+    4. When these are more than ``most``, the highest peaks stay; of equal ones that of the smaller size.
 
-    Without any cell in the bounds the one scale is ``smallest_m2``: the scale-space of an empty field is empty at
-    any scale.
+    Without any cell in the bounds the one scale is ``smallest_m2``: an empty field is empty on every scale.
 
     Border and complexity are those of `opening_areas`.
 
     References
     ----------
     .. [1] Vincent, L., 1994. Fast grayscale granulometry algorithms. Mathematical Morphology and its Applications to
-       Image Processing (ISMM'94), 265-272. doi:10.1007/978-94-011-1040-2_34.
+       Image Processing (ISMM'94), Fontainebleau, 265-272.
     """
-    _require_bounds(cell_area_m2, smallest_m2, largest_m2, most)
+    _require_bounds(cell_area_m2, params)
     sizes = opening_areas(mask_or_level)[mask_or_level > 0] * float(cell_area_m2)
-    sizes = sizes[(sizes >= smallest_m2) & (sizes <= largest_m2)]
+    sizes = sizes[(sizes >= params.smallest_m2) & (sizes <= params.largest_m2)]
     if sizes.size == 0:
-        logger.info("Granulometry: no size between %g and %g m2; one scale at the smallest", smallest_m2, largest_m2)
-        return (float(smallest_m2),)
-    extremes = np.quantile(sizes, [EXTREME_SHARE, 1 - EXTREME_SHARE], method="inverted_cdf")
+        logger.info("No cell has a size of %g to %g m2; one scale", params.smallest_m2, params.largest_m2)
+        return (params.smallest_m2,)
+    extremes = np.quantile(sizes, [params.extreme_share, 1 - params.extreme_share], method="inverted_cdf")
     finest, coarsest = (float(size) for size in extremes)
     near = 2 ** (1 / BINS_PER_OCTAVE)
-    between = [size for size in _peaks(sizes, smallest_m2, largest_m2) if finest * near < size < coarsest / near]
-    scales = tuple(sorted({finest, coarsest, *between[: most - 2]}))
-    logger.info("Granulometry: %d cells, scales %s m2", sizes.size, ", ".join(f"{scale:g}" for scale in scales))
+    between = [size for size in _peaks(sizes, params) if finest * near < size < coarsest / near]
+    scales = tuple(sorted({finest, coarsest, *between[: params.most - 2]}))
+    logger.info("Scales from the sizes of %d cells: %s m2", sizes.size, ", ".join(f"{scale:g}" for scale in scales))
     return scales
 
 
-def _require_bounds(cell_area_m2: float, smallest_m2: float, largest_m2: float, most: int) -> None:
+def _require_bounds(cell_area_m2: float, params: GranulometryParams) -> None:
     """Refuse a cell area or bounds that leave no scale."""
     if not 0 < cell_area_m2 < math.inf:
         msg = f"The area of a cell must be positive and finite; got {cell_area_m2} m2."
         raise ParameterError(msg)
-    if not 0 < smallest_m2 < largest_m2 < math.inf:
-        msg = f"The scales' bounds must be positive and ascending; got {smallest_m2} and {largest_m2} m2."
-        raise ParameterError(msg)
-    if most < 2:
-        msg = f"At least two scales must be allowed, the finest and the coarsest; got {most}."
+    if not 0 < params.smallest_m2 < params.largest_m2 < math.inf:
+        msg = (
+            "The bounds of the scales must be positive and ascend; "
+            f"got granulometry.smallest_m2 = {params.smallest_m2} and granulometry.largest_m2 = {params.largest_m2}."
+        )
         raise ParameterError(msg)
 
 
-def _peaks(sizes: NDArray[np.float64], smallest_m2: float, largest_m2: float) -> list[float]:
+def _peaks(sizes: NDArray[np.floating], params: GranulometryParams) -> list[float]:
     """Return the mean sizes in the peaks of the pattern spectrum, the highest peak first."""
-    count = math.floor(math.log2(largest_m2 / smallest_m2) * BINS_PER_OCTAVE) + 1
-    index = np.floor(np.log2(sizes / smallest_m2) * BINS_PER_OCTAVE).astype(np.intp)
-    cells = np.bincount(index, minlength=count).astype(np.float64)
-    sums = np.bincount(index, weights=sizes, minlength=count)
-    padded = np.pad(cells, 2)
-    smooth = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
+    index = np.floor(np.log2(sizes / params.smallest_m2) * BINS_PER_OCTAVE).astype(np.intp)
+    cells = np.bincount(index).astype(np.float64)
+    smooth = np.convolve(cells, [0.25, 0.5, 0.25])
+    # The convolution is longer by a bin on either side; beyond it there is nothing.
     here, before, after = smooth[1:-1], smooth[:-2], smooth[2:]
-    # A peak's own bin is never empty: between two filled bins the smoothed spectrum rises towards the higher one.
-    found = np.flatnonzero((here > before) & (here >= after) & (here >= PEAK_SHARE * sizes.size) & (cells > 0))
-    highest_first = found[np.argsort(-here[found], kind="stable")]
+    # An empty bin between two others is never a peak: the smoothed spectrum rises there towards the higher of them.
+    peaks = np.flatnonzero((here > before) & (here >= after) & (here >= params.peak_share * sizes.size) & (cells > 0))
+    highest_first = peaks[np.argsort(-here[peaks], kind="stable")]
+    sums = np.bincount(index, weights=sizes)
     return [float(size) for size in sums[highest_first] / cells[highest_first]]
 
 

@@ -16,4 +16,3 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     every machine.
     """
     return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True))
-

@@ -5,7 +5,7 @@ scale of the scale-space has fewer runs than the one before.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,34 +17,38 @@ MAX_CELLS = 2**31 - 2**16
 """Cells and runs are counted in 32 bits, which halves the memory."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Runs:
-    """The maximal row runs of an array, in row-major order; they tile it without a gap.
+class Layout(NamedTuple):
+    """Where the maximal row runs of an array lie, in row-major order; they tile it without a gap.
 
     Parameters
     ----------
     starts : (n + 1,) ndarray of int32
         Flat index of each run's first cell, and the number of cells at the end: run i ends where run i + 1 starts.
-    values : (n,) ndarray
-        Value of each run.
     first : (2, n) ndarray of int32
         For each run the first run that touches it in the row above, and in the row below. The others follow it.
         Without meaning in the first and last row, respectively.
-    shape : tuple of int
-        Rows and columns of the array.
+    width : int
+        Columns of the array.
     reach : int
         How far beyond its ends a run touches the next row's runs: 0 for 4-connectivity, 1 for 8.
     """
 
     starts: NDArray[np.int32]
-    values: NDArray[Any]
     first: NDArray[np.int32]
-    shape: tuple[int, int]
+    width: int
     reach: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Runs:
+    """The maximal row runs of an array: their layout, and the value of each."""
+
+    layout: Layout
+    values: NDArray[Any]
 
     def paint(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the array in which each run has the value given."""
-        return np.repeat(values, np.diff(self.starts)).reshape(self.shape)
+        return np.repeat(values, np.diff(self.layout.starts)).reshape(-1, self.layout.width)
 
 
 def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
@@ -68,15 +72,14 @@ def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
     if connectivity not in (4, 8):
         msg = f"The connectivity must be 4 or 8; got {connectivity!r}."
         raise ParameterError(msg)
-    rows, cols = values.shape
-    changes = np.ones((rows, cols), dtype=np.bool_)
+    changes = np.ones(values.shape, dtype=np.bool_)
     np.not_equal(values[:, 1:], values[:, :-1], out=changes[:, 1:])
     starts = np.empty(np.count_nonzero(changes) + 1, dtype=np.int32)
     starts[:-1] = np.flatnonzero(changes)
     starts[-1] = values.size
     reach = 1 if connectivity == 8 else 0
-    first = _first_touching(starts, cols, reach)
-    return Runs(starts, values[changes], first, (rows, cols), reach)
+    width = values.shape[1]
+    return Runs(Layout(starts, _first_touching(starts, width, reach), width, reach), values[changes])
 
 
 def require_image(values: NDArray[Any]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,7 @@ def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, conn
     thresholds = tuple(thresholds_px)
     for threshold in thresholds:
         require_threshold(threshold)
-    if not thresholds or any(a >= b for a, b in zip(thresholds, thresholds[1:], strict=False)):
+    if not thresholds or any(a >= b for a, b in pairwise(thresholds)):
         msg = f"The area thresholds must be one or more ascending numbers of cells; got {thresholds}."
         raise ParameterError(msg)
     levels = np.empty((len(thresholds), *level.shape), dtype=level.dtype)

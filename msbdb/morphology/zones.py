@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.morphology.kernels import kernel
-from msbdb.morphology.runs import find_runs
+from msbdb.morphology.runs import Layout, find_runs
 
 
 def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[NDArray[np.int32], int]:
-    """Number the flat zones of an image; cells of value 0 are background and belong to none (V25).
+    """Label the flat zones of an image; cells of value 0 are background and belong to none (V25).
 
     Parameters
     ----------
@@ -48,21 +48,20 @@ def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[NDArray
     runs = find_runs(values, connectivity)
     wide = np.float64 if values.dtype.kind == "f" else np.int64
     # Widening keeps the values apart (also beyond the largest int64, where they wrap), and spares compiling by dtype.
-    labels, count = _number(runs.values.astype(wide), runs.starts, runs.first[0], runs.shape[1], runs.reach)
+    labels, count = _number(runs.values.astype(wide), runs.layout)
     return runs.paint(labels), int(count)
 
 
 @kernel
-def _number(
-    values: NDArray[Any], starts: NDArray[np.int32], above: NDArray[np.int32], width: int, reach: int
-) -> tuple[NDArray[np.int32], int]:
+def _number(values: NDArray[Any], layout: Layout) -> tuple[NDArray[np.int32], int]:
     """Join each run to those of its value above it, under the earliest one; then number them."""
+    starts, first, width, reach = layout
     count = values.size
     parent = np.arange(count).astype(np.int32)
     for run in range(count):
         row_end = starts[run] // width * width + width
         stop = min(starts[run + 1] + reach, row_end) - width
-        other = above[run]
+        other = first[0, run]
         while starts[other] < stop:
             if values[other] == values[run]:
                 one, two = _root(parent, run), _root(parent, other)

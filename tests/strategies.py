@@ -1,0 +1,38 @@
+"""What the property tests draw: small images with plateaus, and the parameters of area filters."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+CONNECTIVITIES = st.sampled_from([4, 8])
+THRESHOLDS = st.integers(1, 30)
+
+INTEGERS = st.sampled_from([np.int16, np.int32, np.int64])
+FLOATS = st.sampled_from([np.float32, np.float64])
+FLOAT_LEVELS = np.array([-1e30, -1.5, 0.0, 0.1, 0.1 + 2**-50, 0.2, 1.0, 3.0, 1e30])
+"""Levels from tiny to huge steps: a filter that computes instead of choosing would round some of them."""
+
+
+@st.composite
+def images(draw, dtypes=INTEGERS | FLOATS, low=-3, high=5, largest=14):
+    """Draw an image: 1 to 14 cells a side, also a single row or column, of random cells or of blocks."""
+    rows, cols = draw(st.sampled_from([(1, 0), (0, 1), (0, 0), (0, 0)]).flatmap(lambda one: _shape(one, largest)))
+    dtype = np.dtype(draw(dtypes))
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    values = random.integers(low, draw(st.integers(low + 1, high)), size=(rows, cols), endpoint=True)
+    block_rows, block_cols = draw(st.integers(1, 4)), draw(st.integers(1, 4))
+    values = np.kron(values, np.ones((block_rows, block_cols), dtype=int))[:rows, :cols]
+    noisy = random.random((rows, cols)) < draw(st.sampled_from([0.0, 0.1]))
+    values[noisy] = random.integers(low, high, size=noisy.sum(), endpoint=True)
+    if dtype.kind == "f":
+        return FLOAT_LEVELS.astype(dtype)[values - low]
+    return values.astype(dtype)
+
+
+def integer_images(low=-3, high=5, largest=14):
+    """Draw images of integers only."""
+    return images(INTEGERS, low, high, largest)
+
+
+def _shape(one, largest):
+    """Draw rows and columns; a 1 in the pair fixes that side to one cell."""
+    return st.tuples(*(st.just(1) if side else st.integers(1, largest) for side in one))
