@@ -98,6 +98,10 @@ def decoding(path: Path) -> Iterator[None]:
         raise FileError(msg) from error
 
 
+LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of the items of LAZ 1.4: point, RGB, RGB with NIR, wave packet; extra bytes have one a byte."""
+
+
 class _Checker:
     """One file under check; every method raises ``FileError`` for what it finds wrong."""
 
@@ -210,7 +214,8 @@ class _Checker:
             msg = f"{self.path} cannot be read: {what}. Write it again with a current LASzip, for instance laszip64."
             raise FileError(msg)
         self.require(len(laz) >= 34 + 6 * items, f"its LAZ record is too short for {items} items")
-        packed = sum(struct.unpack_from("<HHH", laz, 34 + 6 * i)[1] for i in range(items))
+        kinds = [struct.unpack_from("<HHH", laz, 34 + 6 * i)[:2] for i in range(items)]
+        packed = sum(size for _, size in kinds)
         self.require(packed == record_size, f"a compressed point has {packed} bytes, but the header says {record_size}")
         table = struct.unpack("<q", self.read(start, 8))[0]
         if table == -1:
@@ -221,10 +226,12 @@ class _Checker:
         # A chunk begins with one whole point, so the number of chunks is bounded by the bytes that there are.
         possible = 1 <= chunks <= (table - start - 8) // record_size
         self.require(possible, f"{chunks} chunks of points cannot be in {table - start - 8} bytes")
-        self._check_chunks(start, table, points, chunk_size, laz)
+        lengths = self._check_chunks(start, table, points, chunk_size, laz)
+        if compressor == 3:
+            self._check_layers(start + 8, lengths, record_size, kinds)
 
-    def _check_chunks(self, start: int, table: int, points: int, chunk_size: int, laz: bytes) -> None:
-        """Check that the chunks hold all points, and fill the space before their table."""
+    def _check_chunks(self, start: int, table: int, points: int, chunk_size: int, laz: bytes) -> list[int]:
+        """Check that the chunks hold all points and fill the space before their table; return their lengths."""
         self.file.seek(start)
         with decoding(self.path):
             chunks = lazrs.read_chunk_table(self.file, lazrs.LazVlr(laz))
@@ -233,3 +240,13 @@ class _Checker:
         self.require(stored == table - start - 8, f"its chunks should have {stored} bytes: truncated or damaged")
         full = missing == 0 if chunk_size == ANY_CHUNK_SIZE else 0 <= missing < chunk_size
         self.require(full, f"the header promises {points} points, but the chunks hold {room}")
+        return [length for _, length in chunks]
+
+    def _check_layers(self, offset: int, lengths: list[int], record_size: int, kinds: list[tuple[int, int]]) -> None:
+        """Check that every chunk's layers fill the chunk, as the decompressor allocates what they claim."""
+        layers = sum(LAYERS.get(kind, size) for kind, size in kinds)
+        for length in lengths:
+            sizes = struct.unpack(f"<{layers}I", self.read(offset + record_size + 4, 4 * layers))
+            whole = record_size + 4 + 4 * layers + sum(sizes) == length
+            self.require(whole, f"the layers of the chunk at byte {offset} do not fill its {length} bytes")
+            offset += length

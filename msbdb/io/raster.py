@@ -83,15 +83,11 @@ def read_grid(
             )
             raise InputError(msg)
         own = raster_crs(dataset, crs)
-        transform, shape = dataset.transform, dataset.shape
+        transform, shape, bounds = dataset.transform, dataset.shape, tuple(dataset.bounds)
         _require_square(transform, f"The {role} {name}")
         unit = BAND_UNITS.get((dataset.units[0] or "").strip().lower())
         values, valid = _heights(dataset)
-    rows, cols = shape
-    corner, opposite = transform * (0, rows), transform * (cols, 0)
-    how = reference(
-        own, bounds=(*corner, *opposite), where=name, z_unit=z_unit, z_hint=unit, what=f"cells of the {role}"
-    )
+    how = reference(own, bounds=bounds, where=name, z_unit=z_unit, z_hint=unit, what=f"cells of the {role}")
     if how.transformer is not None:
         msg = (
             f"The {role} {name} is in feet, '{how.source.name}', for which EPSG has no metric CRS of the same "

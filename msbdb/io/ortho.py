@@ -1,0 +1,214 @@
+"""Reading image bands onto a lattice: any number of bands from any number of files, each on its own grid."""
+
+import logging
+import math
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS
+from rasterio.enums import ColorInterp
+from rasterio.transform import rowcol
+from rasterio.warp import transform_bounds
+from rasterio.windows import Window
+
+from msbdb.bands import Bands
+from msbdb.errors import GridMismatchError, InputError
+from msbdb.grid import Bounds, GridSpec
+from msbdb.io.crs import CrsLike, same_crs, split_crs
+from msbdb.io.rasterfile import open_raster, raster_crs, warp
+
+logger = logging.getLogger(__name__)
+
+BAND_WORDS = {
+    "red": "red", "rouge": "red", "green": "green", "vert": "green", "blue": "blue", "bleu": "blue",
+    "nir": "nir", "near infrared": "nir", "infrared": "nir", "pir": "nir", "proche infrarouge": "nir",
+    "intensity": "intensity",
+}  # fmt: skip
+"""Words for a band, in a description or a file's name."""
+
+COMPOSITES = {
+    "irc": ("nir", "red", "green"),
+    "cir": ("nir", "red", "green"),
+    "irrg": ("nir", "red", "green"),
+    "nrg": ("nir", "red", "green"),
+    "rgb": ("red", "green", "blue"),
+    "rvb": ("red", "green", "blue"),
+    "rgbn": ("red", "green", "blue", "nir"),
+    "rgbi": ("red", "green", "blue", "nir"),
+    "rgbnir": ("red", "green", "blue", "nir"),
+}
+"""Words in a file's name that tell its bands in order; false-colour files often claim to be red, green and blue."""
+
+INTERPRETED = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
+
+
+def read_bands(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    spec: GridSpec,
+    *,
+    resampling: str = "auto",
+    band_names: Sequence[str] | None = None,
+    crs: CrsLike | None = None,
+) -> Bands:
+    """Read the bands of one or many images onto a lattice (V20).
+
+    Bands of the same name are mosaicked, bands of other names are added: tiles of an RGB and of an infrared image
+    can be given together. Where several files hold a cell of a band, the first by file name gives it.
+
+    Parameters
+    ----------
+    paths : path or sequence of paths
+        Images of any number of bands, grids and CRSs.
+    spec : GridSpec
+        The lattice, usually that of the DSM.
+    resampling : {'auto', 'average', 'bilinear', 'nearest'}
+        'auto' averages the pixels in a cell where the image is finer than the lattice, else interpolates.
+    band_names : sequence of str, optional
+        Names of every file's bands in order, without any alpha band. By default they come from, in this order: the
+        bands' descriptions, a word in the file's name (such as irc or rgb), the colour interpretation, the position.
+    crs : int, str or CRS, optional
+        The CRS of images that have none; where a file has one, it must be the same.
+
+    Returns
+    -------
+    Bands
+        (B, H, W) float32 in the source's units. A cell is valid where every band has a value. A pixel has a value
+        unless all bands of its file are nodata there, or its alpha is 0: a white roof in an image whose nodata is
+        255 in every band thus needs to be white in all of them to be lost.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read.
+    InputError
+        If the names do not fit the bands.
+    CRSError
+        If a CRS is missing, or in conflict with ``crs``.
+    GridMismatchError
+        If no pixel of any file, or of some band, falls onto the lattice.
+    """
+    chosen = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not chosen:
+        msg = "No images were given; name at least one."
+        raise InputError(msg)
+    mosaic: dict[str, NDArray[np.float32]] = {}
+    apart: list[str] = []
+    for path in sorted((Path(p) for p in chosen), key=lambda p: (p.name, str(p))):
+        with open_raster(path) as dataset:
+            own = split_crs(raster_crs(dataset, crs))[0]
+            names = _names(dataset, band_names)
+            overlapping = _add(dataset, own, spec, resampling=resampling, names=names, mosaic=mosaic)
+        if not overlapping:
+            apart.append(f"{path.name} ({', '.join(f'{b:.1f}' for b in _bounds_on(dataset, own, spec))})")
+    seen = {name: bool(np.isfinite(values).any()) for name, values in mosaic.items()}
+    if not all(seen.values()) or len(apart) == len(chosen):
+        empty = ", ".join(name for name, any_seen in seen.items() if not any_seen) or "any band"
+        msg = (
+            f"No pixel of {empty} falls onto the lattice {tuple(round(b, 1) for b in spec.bounds)} in "
+            f"'{spec.crs.name}'; apart from it lie {'; '.join(apart) or 'none'}. Give images of the same place."
+        )
+        raise GridMismatchError(msg)
+    values = np.stack(list(mosaic.values()))
+    valid: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=0))
+    logger.info("read the bands %s, %.1f %% valid", ", ".join(mosaic), 100 * valid.mean())
+    return Bands(np.where(valid, values, np.float32(0)), tuple(mosaic), valid, spec)
+
+
+def _add(
+    dataset: rasterio.DatasetReader,
+    own: CRS,
+    spec: GridSpec,
+    *,
+    resampling: str,
+    names: dict[int, str],
+    mosaic: dict[str, NDArray[np.float32]],
+) -> bool:
+    """Resample a file's bands into the gaps of the mosaic; return whether the file overlaps the lattice."""
+    for name in names.values():
+        mosaic.setdefault(name, np.full(spec.shape, np.nan, dtype=np.float32))
+    window = _window(dataset, _bounds_in(spec, own))
+    if window is None:
+        return False
+    transform = dataset.transform @ Affine.translation(window.col_off, window.row_off)
+    seen = dataset.dataset_mask(window=window) != 0
+    side = math.sqrt(abs(transform.determinant)) * own.axis_info[0].unit_conversion_factor
+    finer = not own.is_projected or side < spec.cell_m
+    method = ("average" if finer else "bilinear") if resampling == "auto" else resampling
+    for index, name in names.items():
+        pixels = dataset.read(index, window=window).astype(np.float32)
+        pixels[~(seen & np.isfinite(pixels))] = np.nan
+        values = warp(pixels, transform, own, spec, method)
+        gaps = np.isnan(mosaic[name])
+        mosaic[name][gaps] = values[gaps]
+    return True
+
+
+def _bounds_in(spec: GridSpec, crs: CRS) -> Bounds:
+    """Return the lattice's bounds in another CRS."""
+    if same_crs(crs, spec.crs):
+        return spec.bounds
+    bounds: Bounds = transform_bounds(spec.crs.to_wkt(), crs.to_wkt(), *spec.bounds)
+    return bounds
+
+
+def _bounds_on(dataset: rasterio.DatasetReader, crs: CRS, spec: GridSpec) -> Bounds:
+    """Return a raster's bounds in the lattice's CRS."""
+    own: Bounds = tuple(dataset.bounds)
+    if same_crs(crs, spec.crs):
+        return own
+    bounds: Bounds = transform_bounds(crs.to_wkt(), spec.crs.to_wkt(), *own)
+    return bounds
+
+
+def _window(dataset: rasterio.DatasetReader, bounds: Bounds) -> Window | None:
+    """Return the part of a raster around bounds, with two pixels to interpolate from, or None if they are apart."""
+    west, south, east, north = bounds
+    corners = [(x, y) for x in (west, east) for y in (south, north)]
+    rows, cols = rowcol(dataset.transform, *zip(*corners, strict=True), op=np.asarray)
+    col0, col1 = max(math.floor(min(cols)) - 2, 0), min(math.ceil(max(cols)) + 2, dataset.width)
+    row0, row1 = max(math.floor(min(rows)) - 2, 0), min(math.ceil(max(rows)) + 2, dataset.height)
+    if col0 >= col1 or row0 >= row1:
+        return None
+    return Window(col0, row0, col1 - col0, row1 - row0)
+
+
+def _names(dataset: rasterio.DatasetReader, given: Sequence[str] | None) -> dict[int, str]:
+    """Return the name of every band by its number; alpha bands have none."""
+    file = Path(dataset.name)
+    colours = dataset.colorinterp
+    indexes = [i for i in dataset.indexes if colours[i - 1] != ColorInterp.alpha]
+    if given is not None:
+        if len(given) != len(indexes):
+            msg = f"{file.name} has {len(indexes)} bands, but {len(given)} names were given: {', '.join(given)}."
+            raise InputError(msg)
+        found: list[str | None] = list(given)
+    else:
+        words = re.split(r"[^a-z]+", file.stem.lower())
+        found = [BAND_WORDS.get((dataset.descriptions[i - 1] or "").strip().lower()) for i in indexes]
+        if None in found:
+            found = _from_words(words, len(indexes)) or [INTERPRETED.get(colours[i - 1]) for i in indexes]
+        if len(indexes) == 4 and found == ["red", "green", "blue", None]:
+            found[3] = "nir"
+        if len(indexes) == 1 and found == [None]:
+            found = [file.stem]
+    names = {i: name or f"band_{i}" for i, name in zip(indexes, found, strict=True)}
+    if not names or len(set(names.values())) != len(names):
+        msg = f"The bands of {file.name} need different names; got {', '.join(names.values())}. State them."
+        raise InputError(msg)
+    return names
+
+
+def _from_words(words: Sequence[str], count: int) -> list[str | None] | None:
+    """Return band names from the words of a file's name, or None."""
+    for word in words:
+        if len(COMPOSITES.get(word, ())) == count:
+            return list(COMPOSITES[word])
+        if count == 1 and word in BAND_WORDS:
+            return [BAND_WORDS[word]]
+    return None

@@ -1,0 +1,132 @@
+"""Reading polygons, such as reference footprints, from any vector format; writing one layer."""
+
+import logging
+import os
+import warnings
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pyogrio
+import shapely
+from pyogrio.errors import DataLayerError, DataSourceError
+from pyproj import CRS
+
+from msbdb.errors import FileError, InputError, MsbdbWarning, NodataError
+from msbdb.io.crs import CrsLike, parse_crs, settle
+from msbdb.io.vectorwrite import write_layers
+
+logger = logging.getLogger(__name__)
+
+POLYGON, MULTIPOLYGON, COLLECTION = 3, 6, 7
+"""Shapely's type numbers of the geometries that hold areas."""
+
+
+def read_polygons(
+    path: str | os.PathLike[str], *, layer: str | None = None, crs: CrsLike | None = None, to: CrsLike | None = None
+) -> gpd.GeoDataFrame:
+    """Read the polygons of a layer, valid and two-dimensional, with their attributes.
+
+    Parameters
+    ----------
+    path : path
+        A file of any vector format that GDAL reads.
+    layer : str, optional
+        Its layer; needed if there are several.
+    crs : int, str or CRS, optional
+        The CRS of a file that has none; where the file has one, it must be the same.
+    to : int, str or CRS, optional
+        The CRS to reproject the polygons to.
+
+    Returns
+    -------
+    GeoDataFrame
+        Polygons and multipolygons in the file's order, the index from 0.
+
+    Raises
+    ------
+    FileError
+        If the file or the layer cannot be read.
+    InputError
+        If the layer must be named.
+    CRSError
+        If the CRS is missing, or in conflict with ``crs``.
+    NodataError
+        If there are no polygons.
+
+    Warns
+    -----
+    MsbdbWarning
+        If geometries were repaired (OGC validity, keeping their areas) or left out (no area).
+    """
+    path = Path(path)
+    frame = _read(path, layer)
+    found = None if frame.crs is None else CRS.from_user_input(frame.crs)
+    frame = frame.set_crs(settle(found, crs, path.name), allow_override=True)
+    geometry = shapely.force_2d(np.asarray(frame.geometry.array))
+    broken = ~shapely.is_missing(geometry) & ~shapely.is_valid(geometry)
+    geometry[broken] = shapely.make_valid(geometry[broken])
+    geometry = np.array([_areas_of(each) for each in geometry], dtype=object)
+    kept = ~shapely.is_missing(geometry) & ~shapely.is_empty(geometry)
+    for count, what in ((int(broken.sum()), "repaired"), (int((~kept).sum()), "left out, being no polygons")):
+        if count:
+            warnings.warn(f"{path.name}: {count} geometries were {what}.", MsbdbWarning, stacklevel=2)
+    if not kept.any():
+        msg = f"{path} holds no polygons. Give a layer of polygons."
+        raise NodataError(msg)
+    frame = frame.set_geometry(gpd.GeoSeries(geometry, index=frame.index, crs=frame.crs))
+    frame = frame[kept].reset_index(drop=True)
+    logger.info("read %d polygons from %s", len(frame), path)
+    return frame if to is None else frame.to_crs(parse_crs(to))
+
+
+def _read(path: Path, layer: str | None) -> gpd.GeoDataFrame:
+    """Return a layer of a file, whatever its geometries."""
+    if not path.exists():
+        msg = f"{path} does not exist. Check the path."
+        raise FileError(msg)
+    try:
+        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+        if layer is None and len(layers) > 1:
+            msg = f"{path} has the layers {', '.join(layers)}; name the one to read."
+            raise InputError(msg)
+        frame = pyogrio.read_dataframe(path, layer=layer if layer is not None or not layers else layers[0])
+    except (DataSourceError, DataLayerError) as error:
+        msg = f"{path} cannot be read ({error}). Check that it is a vector file, and the layer's name."
+        raise FileError(msg) from error
+    if not isinstance(frame, gpd.GeoDataFrame):
+        msg = f"{path} has no geometries. Give a layer of polygons."
+        raise NodataError(msg)
+    return frame
+
+
+def _areas_of(geometry: shapely.Geometry | None) -> shapely.Geometry | None:
+    """Return the polygonal part of a geometry; None if it has no area."""
+    kind = shapely.get_type_id(geometry)
+    if kind in (POLYGON, MULTIPOLYGON):
+        return geometry
+    if kind != COLLECTION:
+        return None
+    parts = shapely.get_parts(geometry)
+    areas = parts[np.isin(shapely.get_type_id(parts), (POLYGON, MULTIPOLYGON))]
+    return shapely.union_all(areas) if len(areas) else None
+
+
+def write_layer(
+    frame: gpd.GeoDataFrame, path: str | os.PathLike[str], layer: str | None = None, driver: str = "GPKG"
+) -> None:
+    """Write one layer into a new file of any vector format, which takes the place of an old one, whole or not at all.
+
+    Parameters
+    ----------
+    frame : GeoDataFrame
+        With a CRS.
+    path : path
+        The file.
+    layer : str, optional
+        The layer's name; by default the file's without its ending.
+    driver : str
+        OGR's name of the format.
+    """
+    path = Path(path)
+    write_layers(path, {layer or path.stem: frame}, driver)
