@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msbdb.cli.command import command, notice
-from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, iso_date, scales_m2, setting, shared
+from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, crs_name, iso_date, scales_m2, setting, shared
 from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 from msbdb.params import PROFILES, Params
 
 if TYPE_CHECKING:
     from msbdb.pipeline import BuildReport
 
-Z_UNITS = ("auto", "metre", "foot", "us-foot")
+Z_UNITS = ("auto", "m", "ft", "us-ft")
 
 
 @command(
@@ -38,7 +38,9 @@ Z_UNITS = ("auto", "metre", "foot", "us-foot")
 @click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL.")
 @click.option("--survey", metavar="NAME", help="Name of the survey. [default: the first file's name]")
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
-@click.option("--crs", metavar="EPSG", help="The data's CRS where the files do not state it, like EPSG:2154.")
+@click.option(
+    "--crs", type=crs_name, metavar="EPSG", help="The data's CRS where the files do not state it, like EPSG:2154."
+)
 @click.option(
     "--z-unit",
     type=click.Choice(Z_UNITS),

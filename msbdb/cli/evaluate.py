@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from msbdb.cli.command import command
-from msbdb.cli.options import INPUT_FILE, shared
+from msbdb.cli.options import INPUT_FILE, crs_name, shared
 from msbdb.cli.output import emit, emit_json
 
 
@@ -27,7 +27,7 @@ from msbdb.cli.output import emit, emit_json
 )
 @click.option("--layer", metavar="NAME", help="Layer of the reference. [default: its only one]")
 @click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons within which to compare. [default: all]")
-@click.option("--crs", metavar="EPSG", help="The reference's CRS where it does not state it.")
+@click.option("--crs", type=crs_name, metavar="EPSG", help="The reference's CRS where it does not state it.")
 @click.option(
     "--overlap",
     type=click.FloatRange(0, 1, min_open=True),

@@ -28,6 +28,17 @@ def iso_date(text: str) -> str:
     raise click.BadParameter(msg)
 
 
+def crs_name(text: str) -> str:
+    """Return the name of a CRS; a bare number is an EPSG code.
+
+    Examples
+    --------
+    >>> crs_name("2154"), crs_name("EPSG:28992")
+    ('EPSG:2154', 'EPSG:28992')
+    """
+    return f"EPSG:{text}" if text.isdecimal() else text
+
+
 def scales_m2(text: str) -> tuple[float, ...]:
     """Return area thresholds, square metres, in rising order; none for 'auto' (V8).
 

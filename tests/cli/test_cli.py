@@ -186,7 +186,7 @@ def test_build_hands_everything_over(pipeline):
         Path(name).touch()
     result = run(
         *("build", "--points", "a.laz", "b.laz", "--ortho", "o.tif", "--db", "x.sqlite", "--survey", "spring"),
-        *("--date", "2021-05", "--crs", "EPSG:2154", "--z-unit", "foot"),
+        *("--date", "2021-05", "--crs", "EPSG:2154", "--z-unit", "us-ft"),
     )
     assert result.exit_code == 0, result.stderr
     name, values = pipeline.calls[0]
@@ -194,8 +194,16 @@ def test_build_hands_everything_over(pipeline):
     assert tuple(values["points"]) == (Path("a.laz"), Path("b.laz"))
     assert tuple(values["ortho"]) == (Path("o.tif"),)
     assert (values["db"], values["survey"], values["date"]) == ("x.sqlite", "spring", "2021-05")
-    assert (values["crs"], values["z_unit"], values["profile"]) == ("EPSG:2154", "foot", "default")
+    assert (values["crs"], values["z_unit"], values["profile"]) == ("EPSG:2154", "us-ft", "default")
     assert values["progress"] is None, "no bars where the standard error is no terminal"
+
+
+def test_units_are_those_of_the_reader():
+    """The units that the command offers are the ones that reading knows."""
+    from msbdb.cli.build import Z_UNITS
+    from msbdb.io import crs
+
+    assert ("auto", *crs.Z_UNITS) == Z_UNITS
 
 
 def test_the_nearest_word_on_a_parameter_wins(pipeline):

@@ -1,0 +1,130 @@
+"""The documents tell the truth: generated pages are current, links lead somewhere, names exist."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from msbdb.cli.main import cli
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+
+
+def read(name: str) -> str:
+    """Return the text of a page."""
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """Return the words of every command line of msbdb in a page's shell blocks and inline code."""
+    blocks = re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines()]
+    lines += re.findall(r"`((?:msbdb) [^`]*)`", text)
+    words = [shlex.split(line, comments=True) for line in lines if re.match(r"(\.venv/bin/)?msbdb ", line)]
+    return [line[1:] for line in words]
+
+
+def test_generated_pages_are_current():
+    """docs/cli.md and docs/parameters.md are what scripts/generate_docs writes today."""
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts/generate_docs"), "--check"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(cli.commands))
+def test_every_command_has_its_place(name):
+    """A command has a section in docs/cli.md that names all its options, and is mentioned in the README."""
+    section = read("docs/cli.md").split(f"## msbdb {name}\n", 1)[1].split("\n## ", 1)[0]
+    for param in cli.commands[name].params:
+        if param.param_type_name == "option":
+            assert param.opts[-1] in section
+    assert f"msbdb {name}" in read("README.md")
+
+
+def test_every_room_is_in_the_architecture():
+    """ARCHITECTURE.md lists each package and module of msbdb, and none that does not exist."""
+    listed = set(re.findall(r"^\| \d+ \| `(\w+)` \|", read("ARCHITECTURE.md"), flags=re.MULTILINE))
+    packages = {path.parent.name for path in ROOT.glob("msbdb/*/__init__.py")}
+    modules = {path.stem for path in ROOT.glob("msbdb/*.py")} - {"__init__", "__main__"}
+    assert listed == packages | modules
+
+
+def test_the_architecture_keeps_the_layers_of_the_linter():
+    """The levels of ARCHITECTURE.md are in the order of the import-linter contract."""
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \|", read("ARCHITECTURE.md"), flags=re.MULTILINE)
+    level = {room: int(number) for number, room in rows}
+    contract = re.search(r"layers = \[(.*?)\n\]", read("pyproject.toml"), flags=re.DOTALL)
+    assert contract is not None
+    order = [re.findall(r"msbdb\.(\w+)", line) for line in contract[1].splitlines() if "msbdb." in line]
+    levels = [[level[room] for room in rooms if room in level] for rooms in order]
+    assert all(len(set(numbers)) <= 1 for numbers in levels)
+    flat = [numbers[0] for numbers in levels if numbers]
+    assert flat == sorted(flat, reverse=True)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    """Every relative link of a page leads to a file, and every anchor to a heading."""
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("http:", "https:")):
+            continue
+        path, _, anchor = target.partition("#")
+        found = (page.parent / path) if path else page
+        assert found.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", found.read_text(encoding="utf-8"), flags=re.MULTILINE)
+            assert anchor in {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_decision_is_listed():
+    """The list of decisions holds every page beside it, numbered without gaps."""
+    pages = sorted(path.name for path in ROOT.glob("docs/decisions/0*.md"))
+    assert re.findall(r"\]\((0[^)]*)\)", read("docs/decisions/README.md")) == pages
+    assert [int(name[:4]) for name in pages] == list(range(1, len(pages) + 1))
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/inputs.md", "docs/decisions/0005-state-in-the-database.md"])
+def test_command_lines_of_the_docs_exist(page):
+    """Each command line names a command and options that exist."""
+    found = commands_in(read(page))
+    assert found
+    for words in found:
+        command = cli.commands[words[0]]
+        known = {opt for param in command.params for opt in param.opts}
+        assert {word for word in words if word.startswith("-")} <= known, words
+
+
+def test_scripts_that_the_docs_name_exist():
+    """Every script of the README is there and can be run."""
+    for name in set(re.findall(r"\bscripts/\w+", read("README.md"))):
+        assert (ROOT / name).stat().st_mode & 0o111, name
+
+
+def test_python_of_the_readme_compiles():
+    """The Python of the README is Python."""
+    blocks = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
+    assert blocks
+    for block in blocks:
+        compile(block, "README.md", "exec")
+
+
+def test_paper_names_of_the_glossary_are_those_of_the_export():
+    """The glossary's columns and paper names are the ones that the Shapefile has."""
+    from msbdb.export.shapefile import FIELDS
+
+    text = read("docs/glossary.md")
+    for column, name in FIELDS.items():
+        if column != "part_id":
+            assert name in text
+            assert f"`{column}`" in text
