@@ -116,6 +116,20 @@ def test_a_single_cell_survives_a_coarse_tolerance():
     assert simplify_coverage(raw, 50.0)[0].area == 1.0
 
 
+def test_one_fault_does_not_bring_back_the_whole_outline():
+    """A courtyard one cell behind a slanting wall is drawn finely where it would cross it; the walls stay simple."""
+    truth = affinity.translate(affinity.rotate(shapely.box(-30, -30, 30, 30), 20), 85_050, 446_950)
+    spec = GridSpec((100, 100), Affine(1, 0, 85_000.0, 0, -1, 447_000.0), RD)
+    labels = rasterise([truth], spec)
+    wall = np.flatnonzero(labels[50])[0]
+    labels[50, wall + 1 : wall + 4] = 0
+    raw = polygonise(labels, spec, 1)
+    (simple,) = simplify_coverage(raw, 4.0)
+    assert simple.is_valid
+    assert len(simple.geoms[0].interiors) == 1
+    assert shapely.get_num_coordinates(simple) < 0.25 * shapely.get_num_coordinates(raw[0])
+
+
 def test_order_of_the_parts_does_not_matter():
     """Each part gets the same outline wherever it stands in the array."""
     _, labels, spec = rotated_row(30)
