@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
 from msbdb.morphology.kernels import kernel
-from msbdb.morphology.runs import require_image
+from msbdb.morphology.runs import require_image, widen
 from msbdb.params import GranulometryParams
 
 logger = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:
     Parameters
     ----------
     level : (H, W) ndarray
-        A mask, storeys or heights, without NaN. Not modified.
+        A mask, storeys or heights, without NaN, integers up to the largest int64. Not modified.
 
     Returns
     -------
@@ -53,8 +53,8 @@ def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:
            [8, 8, 8, 8]])
     """
     require_image(level)
-    horizontal = _row_openings(np.ascontiguousarray(level))
-    vertical = _row_openings(np.ascontiguousarray(level.T))
+    horizontal = _row_openings(widen(level))
+    vertical = _row_openings(widen(level.T))
     return horizontal.astype(np.int64) * vertical.T
 
 
@@ -75,7 +75,8 @@ def find_scales(
     Returns
     -------
     tuple of float
-        Square metres, ascending, each within the bounds; at least one.
+        Square metres, ascending, each within the bounds and, unless the image is empty, a whole number of cells; at
+        least one.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def find_scales(
        coarsest, the biggest building, is the size that all but ``extreme_share`` of them do not exceed.
     3. Between the two lie the peaks of the pattern spectrum: the number of cells by size, in half-octave bins,
        smoothed by (1, 2, 1) / 4. A peak is higher than the bin before, no lower than the one after, and holds at
-       least ``peak_share`` of the cells; its scale is the mean size in its bin. It is left out within half an octave
+       least ``peak_share`` of the cells; its scale is the median size in its bin. It is left out within half an octave
        of the finest or the coarsest scale.
     4. When these are more than ``most``, the highest peaks stay; of equal ones that of the smaller size.
 
@@ -136,17 +137,15 @@ def _require_bounds(cell_area_m2: float, params: GranulometryParams) -> None:
 
 
 def _peaks(sizes: NDArray[np.floating], params: GranulometryParams) -> list[float]:
-    """Return the mean sizes in the peaks of the pattern spectrum, the highest peak first."""
+    """Return the median sizes in the peaks of the pattern spectrum, the highest peak first."""
     index = np.floor(np.log2(sizes / params.smallest_m2) * BINS_PER_OCTAVE).astype(np.intp)
-    cells = np.bincount(index).astype(np.float64)
-    smooth = np.convolve(cells, [0.25, 0.5, 0.25])
+    smooth = np.convolve(np.bincount(index), [0.25, 0.5, 0.25])
     # The convolution is longer by a bin on either side; beyond it there is nothing.
     here, before, after = smooth[1:-1], smooth[:-2], smooth[2:]
-    # An empty bin between two others is never a peak: the smoothed spectrum rises there towards the higher of them.
-    peaks = np.flatnonzero((here > before) & (here >= after) & (here >= params.peak_share * sizes.size) & (cells > 0))
+    # A peak's own bin holds cells: over an empty bin the smoothed spectrum rises towards the higher neighbour.
+    peaks = np.flatnonzero((here > before) & (here >= after) & (here >= params.peak_share * sizes.size))
     highest_first = peaks[np.argsort(-here[peaks], kind="stable")]
-    sums = np.bincount(index, weights=sizes)
-    return [float(size) for size in sums[highest_first] / cells[highest_first]]
+    return [float(np.quantile(sizes[index == peak], 0.5, method="inverted_cdf")) for peak in highest_first]
 
 
 @kernel

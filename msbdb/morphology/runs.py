@@ -95,6 +95,14 @@ def require_image(values: NDArray[Any]) -> None:
         raise InputError(msg)
 
 
+def widen(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the values as float64 or int64, for which alone kernels that compare values are compiled.
+
+    Values that differ stay different; unsigned ones beyond the largest int64 wrap and lose their order.
+    """
+    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64, order="C")
+
+
 @kernel
 def _first_touching(starts: NDArray[np.int32], width: int, reach: int) -> NDArray[np.int32]:
     """Find the first touching run above and below each run by two pointers that only move on."""

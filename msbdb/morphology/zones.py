@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.morphology.kernels import kernel
-from msbdb.morphology.runs import Layout, find_runs
+from msbdb.morphology.runs import Layout, find_runs, widen
 
 
 def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[NDArray[np.int32], int]:
@@ -46,9 +46,7 @@ def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[NDArray
            [0, 1, 2]], dtype=int32), 2)
     """
     runs = find_runs(values, connectivity)
-    wide = np.float64 if values.dtype.kind == "f" else np.int64
-    # Widening keeps the values apart (also beyond the largest int64, where they wrap), and spares compiling by dtype.
-    labels, count = _number(runs.values.astype(wide), runs.layout)
+    labels, count = _number(widen(runs.values), runs.layout)
     return runs.paint(labels), int(count)
 
 

@@ -189,6 +189,15 @@ def test_integers_of_every_kind_and_range_are_ordered_right(dtype):
         np.testing.assert_array_equal(area_closing(image, 5), oracles.area_closing(image, 5, 8))
 
 
+@pytest.mark.parametrize("dtype", ["?", ">i2", "<u4", "f2", ">f4"])
+def test_every_dtype_stays_itself(dtype):
+    """Width and byte order of the numbers do not matter, and come out as they went in."""
+    image = np.array([[0, 1, 0, 1, 1]], dtype=dtype)
+    result = area_opening(image, 2)
+    assert result.dtype == image.dtype
+    np.testing.assert_array_equal(result, np.array([[0, 0, 0, 1, 1]], dtype=dtype))
+
+
 def test_infinite_floats_have_an_order():
     """Infinities are the lowest and the highest value."""
     image = np.array([[1.0, np.inf, 1.0, -np.inf, -np.inf]])

@@ -46,6 +46,13 @@ def test_a_rectangle_along_the_lattice_has_its_own_area():
     assert (areas[level == 2] == 240).all()
 
 
+@pytest.mark.parametrize("dtype", ["?", "u1", ">i2", "<u4", "f2", ">f4", "f8"])
+def test_every_dtype_gives_the_same_areas(dtype):
+    """Width, sign and byte order of the numbers do not matter."""
+    level = field((2, 3, 4, 5, 1), shape=(9, 9)).astype(dtype)
+    assert (opening_areas(level)[level > 0] == 20).all()
+
+
 def test_two_sizes_of_buildings_are_two_scales():
     """Houses give the finest scale, halls the coarsest."""
     level = field(*houses(9, 8, 4, 2), *houses(3, 30, 12, 40))
@@ -108,6 +115,9 @@ def test_scales_ascend_within_their_bounds(image, cell_area_m2, most):
     assert list(scales) == sorted(set(scales))
     assert scales[0] >= 3.0
     assert scales[-1] <= 700.0
+    if scales != (3.0,):
+        cells = np.array(scales) / cell_area_m2
+        np.testing.assert_allclose(cells, np.round(cells), rtol=1e-12)
 
 
 @given(images(low=-1, largest=30))

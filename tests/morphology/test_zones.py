@@ -67,6 +67,13 @@ def test_the_smallest_difference_parts_zones(values):
     assert label_zones(np.array([values], dtype=dtype))[1] == 2
 
 
+@pytest.mark.parametrize("dtype", ["?", "u1", ">i2", "<u4", "f2", ">f4", "f8"])
+def test_every_dtype_gives_the_same_zones(dtype):
+    """Width, sign and byte order of the numbers do not matter."""
+    image = np.array([[1, 1, 0, 1], [0, 0, 1, 0]], dtype=dtype)
+    np.testing.assert_array_equal(label_zones(image, connectivity=4)[0], [[1, 1, 0, 2], [0, 0, 3, 0]])
+
+
 def test_what_is_no_image_is_refused():
     """The checks are those of the area filters."""
     with pytest.raises(InputError, match="NaN"):
