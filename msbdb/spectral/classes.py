@@ -34,7 +34,7 @@ def classify(
     ndsm : Grid
         Height above ground, metres, on the bands' lattice. Cells below the mask stay unclassified (V35, V17).
     roughness : (H, W) ndarray of float, metres, optional
-        Local roughness of the surface: standard deviation about a plane within a few cells. Labels are surer with it.
+        Local roughness of the surface, as `msbdb.surface.texture.roughness` gives it. Labels are surer with it.
     params : Params
         Sections ``spectral``, ``surface`` (the mask) and ``scale`` (finest scale, connectivity).
     operator_labels : mapping of int to str, optional

@@ -80,13 +80,19 @@ def index_threshold(values: NDArray[np.float64], index: str | None, params: Spec
     """
     if index is None or values.size == 0:
         return float("nan")
+    low, high = index_bounds(index, params)
+    otsu = threshold_otsu(values)  # type: ignore[no-untyped-call]  # scikit-image is untyped
+    return float(np.clip(otsu, low, high))
+
+
+def index_bounds(index: str, params: SpectralParams) -> tuple[float, float]:
+    """Return the lowest and highest threshold of a vegetation index."""
     bounds = {
         "ndvi": params.ndvi_bounds,
         "green-red": params.green_red_bounds,
         "pseudo-ndvi": params.pseudo_ndvi_bounds,
     }[index]
-    otsu = threshold_otsu(values)  # type: ignore[no-untyped-call]  # scikit-image is untyped
-    return float(np.clip(otsu, min(bounds), max(bounds)))
+    return min(bounds), max(bounds)
 
 
 def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, params: SpectralParams) -> list[str]:
@@ -110,9 +116,11 @@ def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, param
 
     Notes
     -----
-    In this order: very rough is vegetation, or other when it is far from green; green is vegetation, unless it is as
-    smooth as a roof; smooth with a very low NDVI is water; dark is shadow, unless it is smooth, when it is a roof in
-    shadow or of dark material; all else that stands above the ground is building. Unknown facts prove nothing.
+    In this order. Vegetation is what is green, and not as smooth as a roof: the index must exceed its threshold, or,
+    the rougher the class, one up to a share of its bounds' width lower, for bare crowns and those in shadow. What is
+    rougher than any roof is other. A smooth class with a very low NDVI is water. A dark class is shadow, unless
+    it is smooth: then it is a roof, in shadow or of dark material. All else that stands above the ground is building.
+    Unknown facts prove nothing.
     """
     return [
         _label(*values, threshold=threshold, index=index, params=params)
@@ -124,13 +132,16 @@ def _label(
     greenness: float, bright: float, rough: float, *, threshold: float, index: str | None, params: SpectralParams
 ) -> str:
     """Suggest the label of one class; comparisons with NaN are false."""
-    if rough >= params.rough_m:
-        return "other" if greenness < threshold - params.leafless_margin else "vegetation"
     smooth = rough < params.smooth_m
-    if greenness > threshold and not smooth:
+    crown = np.interp(rough, [params.smooth_m, max(params.rough_m, params.smooth_m)], [0.0, 1.0])
+    low, high = index_bounds(index, params) if index else (0.0, 0.0)
+    needed = threshold - params.leafless_share * (high - low) * float(np.nan_to_num(crown))
+    if (greenness > needed and not smooth) or (np.isnan(greenness) and rough >= params.rough_m):
         return "vegetation"
+    if rough >= params.clutter_m:
+        return "other"
     if index == "ndvi" and greenness < params.water_ndvi and smooth:
         return "water"
-    if bright < params.shadow_brightness and not rough < params.shadow_rough_m:
+    if bright < params.shadow_brightness and not rough < params.rough_m:
         return "shadow"
     return "building"
