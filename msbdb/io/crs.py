@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,7 @@ def split_crs(crs: CRS) -> tuple[CRS, CRS | None]:
     return (crs.to_2d() if len(crs.axis_info) == 3 else crs), None
 
 
+@lru_cache(maxsize=256)
 def canonical(crs: CRS) -> CRS:
     """Return EPSG's own form of a CRS where it has one, so that equal CRSs compare as equal; else the CRS itself.
 
@@ -283,6 +285,7 @@ def _height_factor(
     return factor
 
 
+@lru_cache(maxsize=256)
 def metric_twin(crs: CRS) -> CRS | None:
     """Return EPSG's CRS in metres with the same datum, method and projection parameters, or None.
 

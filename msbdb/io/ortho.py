@@ -45,6 +45,8 @@ COMPOSITES = {
 }
 """Words in a file's name that tell its bands in order; false-colour files often claim to be red, green and blue."""
 
+ORDER = ("red", "green", "blue", "nir", "intensity")
+
 INTERPRETED = {ColorInterp.red: "red", ColorInterp.green: "green", ColorInterp.blue: "blue"}
 
 
@@ -78,9 +80,9 @@ def read_bands(
     Returns
     -------
     Bands
-        (B, H, W) float32 in the source's units. A cell is valid where every band has a value. A pixel has a value
-        unless all bands of its file are nodata there, or its alpha is 0: a white roof in an image whose nodata is
-        255 in every band thus needs to be white in all of them to be lost.
+        (B, H, W) float32 in the source's units; red, green, blue, nir and intensity first, others by name. A cell is
+        valid where every band has a value. A pixel has a value unless all bands of its file are nodata there, or its
+        alpha is 0: where nodata is 255, a pixel needs to be white in every band to be lost.
 
     Raises
     ------
@@ -102,8 +104,8 @@ def read_bands(
     for path in sorted((Path(p) for p in chosen), key=lambda p: (p.name, str(p))):
         with open_raster(path) as dataset:
             own = split_crs(raster_crs(dataset, crs))[0]
-            names = _names(dataset, band_names)
-            overlapping = _add(dataset, own, spec, resampling=resampling, names=names, mosaic=mosaic)
+            of_band = _names(dataset, band_names)
+            overlapping = _add(dataset, own, spec, resampling=resampling, names=of_band, mosaic=mosaic)
         if not overlapping:
             apart.append(f"{path.name} ({', '.join(f'{b:.1f}' for b in _bounds_on(dataset, own, spec))})")
     seen = {name: bool(np.isfinite(values).any()) for name, values in mosaic.items()}
@@ -114,10 +116,11 @@ def read_bands(
             f"'{spec.crs.name}'; apart from it lie {'; '.join(apart) or 'none'}. Give images of the same place."
         )
         raise GridMismatchError(msg)
-    values = np.stack(list(mosaic.values()))
+    names = tuple(sorted(mosaic, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name)))
+    values = np.stack([mosaic[name] for name in names])
     valid: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=0))
-    logger.info("read the bands %s, %.1f %% valid", ", ".join(mosaic), 100 * valid.mean())
-    return Bands(np.where(valid, values, np.float32(0)), tuple(mosaic), valid, spec)
+    logger.info("read the bands %s, %.1f %% valid", ", ".join(names), 100 * valid.mean())
+    return Bands(np.where(valid, values, np.float32(0)), names, valid, spec)
 
 
 def _add(

@@ -15,7 +15,10 @@ from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, Msb
 from msbdb.grid import Grid, GridSpec
 from msbdb.io.atomic import write_atomic
 from msbdb.io.crs import CrsLike, reference
+from msbdb.io.ortho import read_bands
 from msbdb.io.rasterfile import open_raster, raster_crs, warp
+
+__all__ = ["align_grid", "read_bands", "read_grid", "write_grid"]
 
 logger = logging.getLogger(__name__)
 
