@@ -140,6 +140,38 @@ class GroundParams:
         source="ours: below any step of real terrain at the cell's size",
         doc="A lowest point this far below the median of its 5 x 5 cells is raised to that floor.",
     )
+    wavelet_cluster_m: float = param(
+        0.5,
+        unit="m",
+        low=0.0,
+        high=10.0,
+        source="ours: garden walls and kerbs; on the tiles at hand 0.3 to 0.5 give the same ground",
+        doc="Wavelet filter: nearer centres of the two clusters of a resolution are one cluster.",
+    )
+    wavelet_step_m: float = param(
+        0.6,
+        unit="m",
+        low=0.05,
+        high=10.0,
+        source="ours: steeper than banks on 1 m cells, lower than any shed; 0.4 to 1.0 differ little",
+        doc="Wavelet filter: step to the ground beside it that makes a cell of a cluster's boundary an edge.",
+    )
+    wavelet_edge_share: float = param(
+        0.5,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: the better half; 0.3 takes mounds for roofs, 0.7 loses roofs built into slopes",
+        doc="Wavelet filter: share of a cluster's boundary that must be edge for it to be off-terrain.",
+    )
+    wavelet_rounds: int = param(
+        2,
+        unit="count",
+        low=1,
+        high=100,
+        source="ours: the second pass finds low roofs beside high ones, and more passes change nothing",
+        doc="Wavelet filter: passes on each resolution.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,44 +459,44 @@ class SpectralParams:
         doc="Lowest and highest threshold of the index of intensity and red, both scaled to 0 to 1.",
     )
     smooth_m: float = param(
-        0.15,
+        0.05,
         unit="m",
         low=0.0,
         high=10.0,
-        source="ours: roofs show 0.02 to 0.13 m, hedges and crowns from 0.2 m",
+        source="ours: plain roofs show 0.003 to 0.05 m on real surveys, hedges and crowns 0.06 to 3 m",
         doc="A green class smoother than this is a planted roof, not a crown.",
     )
     rough_m: float = param(
-        1.2,
+        0.5,
         unit="m",
         low=0.0,
         high=100.0,
-        source="ours: rougher than any roof class seen; finds bare crowns and crowns in shadow",
-        doc="A class rougher than this is no roof, whatever its colour.",
+        source="ours: the roughest roof classes seen show 0.4 to 0.46 m, at cells of 0.5 and 1 m",
+        doc="Roughness of a sure crown: at it the index may lie farthest below its threshold.",
     )
-    leafless_margin: float = param(
-        0.1,
+    leafless_share: float = param(
+        0.5,
         unit="1",
         low=0.0,
         high=2.0,
-        source="ours: bare crowns are a little less green than the threshold, masts and clutter much less",
-        doc="A rough class is vegetation while its index is no farther than this below the threshold.",
+        source="ours: crowns that are bare or in shadow lie a little below the threshold on real surveys",
+        doc="From smooth_m to rough_m, the index a crown needs falls by this share of the width of its bounds.",
+    )
+    clutter_m: float = param(
+        1.0,
+        unit="m",
+        low=0.0,
+        high=100.0,
+        source="ours: twice the roughest roof class seen",
+        doc="A class rougher than this that is not green enough for a crown is neither: masts, cranes, fences.",
     )
     shadow_brightness: float = param(
         0.15,
         unit="1",
         low=0.0,
         high=1.0,
-        source="ours: V36 leaves it to the operator",
-        doc="A class darker than this may be shadow.",
-    )
-    shadow_rough_m: float = param(
-        0.5,
-        unit="m",
-        low=0.0,
-        high=100.0,
-        source="ours: a dark class that is smooth is a roof, in shadow or of dark material (V43)",
-        doc="A dark class at least this rough is shadow.",
+        source="ours: V36 leaves it to the operator; smooth dark classes are roofs in shadow or dark roofs (V43)",
+        doc="A class darker than this is shadow, unless it is known to be smoother than rough_m.",
     )
     water_ndvi: float = param(
         -0.3,
@@ -473,6 +505,13 @@ class SpectralParams:
         high=1.0,
         source="ours: roofs lie above, open water below",
         doc="A smooth class whose NDVI is below this is water; needs a near-infrared band.",
+    )
+    decides: str = param(
+        "structure",
+        unit="-",
+        choices=("structure", "spectral"),
+        source="ours: echoes and texture tell crowns better",
+        doc="What tells roofs from vegetation where there is imagery: structure, or the colours alone as in V36 to V41.",
     )
     min_building_share: float = param(
         0.3,
