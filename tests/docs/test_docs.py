@@ -72,6 +72,20 @@ def test_the_architecture_keeps_the_layers_of_the_linter():
     assert flat == sorted(flat, reverse=True)
 
 
+def test_each_library_has_one_home():
+    """A library that ARCHITECTURE.md gives one home is imported by no other room."""
+    rows = re.findall(r"^\| \d+ \| `(\w+)` \|[^|]*\| ([^|]+) \|$", read("ARCHITECTURE.md"), flags=re.MULTILINE)
+    homes = {library: room for room, names in rows for library in names.replace("scikit-learn", "sklearn").split(", ")}
+    assert {"click", "laspy", "sqlalchemy", "matplotlib"} <= set(homes)
+    exceptions = {("vector", "rasterio.features"), ("database", "rasterio"), ("database", "pyogrio")}
+    for path in ROOT.glob("msbdb/**/*.py"):
+        room = path.relative_to(ROOT / "msbdb").parts[0].removesuffix(".py")
+        imported = re.findall(r"^\s*(?:import|from) ([\w.]+)", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        for name in imported:
+            home = homes.get(name.split(".")[0], room)
+            assert room == home or (room, name) in exceptions, f"{path} imports {name}"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page):
     """Every relative link of a page leads to a file, and every anchor to a heading."""
@@ -117,6 +131,23 @@ def test_python_of_the_readme_compiles():
     assert blocks
     for block in blocks:
         compile(block, "README.md", "exec")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/inputs.md"])
+def test_sql_of_the_docs_runs(page, tmp_path):
+    """Every SQL statement of a page is understood by a database as msbdb makes it."""
+    import sqlalchemy
+
+    from msbdb.database import open_database
+
+    blocks = re.findall(r"```sql\n(.*?)```", read(page), flags=re.DOTALL)
+    statements = [statement for block in blocks for statement in block.split(";") if statement.strip()]
+    assert statements
+    engine = open_database(tmp_path / "town.sqlite", create=True, srid=2154)
+    with engine.connect() as connection:
+        for statement in statements:
+            connection.execute(sqlalchemy.text(statement), {"root": 1} if ":root" in statement else {}).all()
+    engine.dispose()
 
 
 def test_paper_names_of_the_glossary_are_those_of_the_export():
