@@ -15,11 +15,11 @@ ID_BITS = 59
 def part_ids(
     survey: str,
     cell_m: float,
+    *,
     threshold_px: ArrayLike,
     row: ArrayLike,
     col: ArrayLike,
     piece: ArrayLike,
-    *,
     bits: int = ID_BITS,
 ) -> NDArray[np.int64]:
     """Return the ids of parts, from the survey and the parts' absolute places.
@@ -83,4 +83,5 @@ def _colliding(keys: NDArray[np.int64], ids: NDArray[np.int64]) -> NDArray[np.in
     order = np.lexsort((*keys.T[::-1], ids))
     same_id = ids[order][1:] == ids[order][:-1]
     other_key = (keys[order][1:] != keys[order][:-1]).any(axis=1)
-    return order[1:][same_id & other_key]
+    late: NDArray[np.intp] = order[1:][same_id & other_key]
+    return late

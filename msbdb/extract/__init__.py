@@ -1,0 +1,1 @@
+"""Extractors: from rasters and points to building parts, flat regions and candidates."""

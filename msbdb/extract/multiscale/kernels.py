@@ -1,0 +1,155 @@
+"""The loops of this room that numpy cannot do in linear time and memory."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.morphology.kernels import kernel
+
+
+@kernel
+def grow(seeds: NDArray[np.int32], domain: NDArray[Any], connectivity: int) -> NDArray[np.int32]:
+    """Spread values to the cells without one, by rings of neighbours, inside the cells of equal domain.
+
+    Parameters
+    ----------
+    seeds : (H, W) ndarray of int32
+        Values to spread; 0 for none. Not modified.
+    domain : (H, W) ndarray of int
+        A value spreads only between cells of one and the same domain above 0.
+    connectivity : int
+        4 or 8.
+
+    Returns
+    -------
+    (H, W) ndarray of int32
+        The seeds, and for each cell that can be reached from one the value of the nearest, counted in steps inside
+        the domain; at equal distance that whose seed cell comes first in row order.
+    """
+    rows, cols = seeds.shape
+    grown = seeds.copy()
+    flat = grown.ravel()
+    area = domain.ravel()
+    queue = np.empty(flat.size, dtype=np.int32)
+    head = tail = 0
+    for cell in range(flat.size):
+        if flat[cell] != 0:
+            queue[tail] = cell
+            tail += 1
+    while head < tail:
+        cell = queue[head]
+        head += 1
+        row, col = cell // cols, cell % cols
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            for c in range(max(col - 1, 0), min(col + 2, cols)):
+                near = r * cols + c
+                if connectivity == 4 and r != row and c != col:
+                    continue
+                if flat[near] == 0 and area[near] != 0 and area[near] == area[cell]:
+                    flat[near] = flat[cell]
+                    queue[tail] = near
+                    tail += 1
+    return grown
+
+
+@kernel
+def edges(labels: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """Mark the cells of objects that have a neighbour (of eight) outside of their object.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        Objects; 0 for none.
+
+    Returns
+    -------
+    (H, W) ndarray of uint8
+        1 on boundary cells. Border: what lies outside of the array does not exist.
+    """
+    rows, cols = labels.shape
+    edge = np.zeros((rows, cols), dtype=np.uint8)
+    for row in range(rows):
+        for col in range(cols):
+            label = labels[row, col]
+            if label != 0:
+                for r in range(max(row - 1, 0), min(row + 2, rows)):
+                    for c in range(max(col - 1, 0), min(col + 2, cols)):
+                        if labels[r, c] != label:
+                            edge[row, col] = 1
+    return edge
+
+
+@kernel
+def reaching_in(
+    labels: NDArray[np.int32], edge: NDArray[np.uint8], cells: NDArray[np.int32], starts: NDArray[np.int32], count: int
+) -> NDArray[np.bool_]:
+    """Find the cells where blobs of mark 1 lie over an object (V37).
+
+    The band of an object is the dilation of its boundary cells by 3 by 3 (A6). A blob has mark 1 for an object when
+    it meets the object's band without lying in it wholly.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        Objects; 0 for none.
+    edge : (H, W) ndarray of uint8
+        The objects' boundary cells.
+    cells : (N,) ndarray of int32
+        Flat indices of the blobs' cells, blob by blob.
+    starts : (B + 1,) ndarray of int32
+        Where each blob's cells start in ``cells``, and N.
+    count : int
+        The largest label.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+        The cells of objects under their blobs of mark 1.
+    """
+    rows, cols = labels.shape
+    reached = np.zeros((rows, cols), dtype=np.bool_)
+    inside = np.zeros(count + 1, dtype=np.int32)
+    last = np.full(count + 1, -1, dtype=np.int32)
+    for blob in range(starts.size - 1):
+        blob_cells = cells[starts[blob] : starts[blob + 1]]
+        for cell in blob_cells:
+            row, col = cell // cols, cell % cols
+            for r in range(max(row - 1, 0), min(row + 2, rows)):
+                for c in range(max(col - 1, 0), min(col + 2, cols)):
+                    label = labels[r, c]
+                    if edge[r, c] and last[label] != cell:
+                        last[label] = cell
+                        inside[label] += 1
+        for cell in blob_cells:
+            row, col = cell // cols, cell % cols
+            label = labels[row, col]
+            reached[row, col] = label != 0 and 0 < inside[label] < blob_cells.size
+        for cell in blob_cells:
+            row, col = cell // cols, cell % cols
+            for r in range(max(row - 1, 0), min(row + 2, rows)):
+                for c in range(max(col - 1, 0), min(col + 2, cols)):
+                    inside[labels[r, c]] = 0
+    return reached
+
+
+@kernel
+def tally(
+    labels: NDArray[np.int32], position: NDArray[np.int64], index: NDArray[Any], counts: NDArray[np.int64]
+) -> None:
+    """Count the cells of each class in each object, into an array of counts.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        Objects; 0 for none.
+    position : (N + 1,) ndarray of int64
+        Row of ``counts`` for each label; -1 for those that do not count.
+    index : (H, W) ndarray of int
+        Class of each cell, from 0.
+    counts : (M, K + 1) ndarray of int64
+        Changed in place.
+    """
+    for label, kind in zip(labels.flat, index.flat):  # noqa: B905  (kernels know no strict)
+        if position[label] >= 0:
+            counts[position[label], kind] += 1

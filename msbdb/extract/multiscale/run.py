@@ -1,0 +1,174 @@
+"""The multi-scale extraction from end to end (Vu et al. 2009, section 3.2)."""
+
+import logging
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.classmap import ClassMap
+from msbdb.errors import GridMismatchError
+from msbdb.extract.multiscale.clusters import Clusters, Step, label_clusters, measure, merge_slivers
+from msbdb.extract.multiscale.duplicates import drop_duplicates
+from msbdb.extract.multiscale.fathers import drop_fake_fathers
+from msbdb.extract.multiscale.forest import Context, Forest, grow_forest
+from msbdb.extract.multiscale.ledger import Ledger
+from msbdb.extract.multiscale.slicing import slice_heights
+from msbdb.extract.multiscale.spectrum import drop_unlike, split_by_classes
+from msbdb.extract.multiscale.vegetation import cut_vegetation
+from msbdb.grid import Grid
+from msbdb.morphology.granulometry import find_scales
+from msbdb.morphology.scalespace import build_scale_space
+from msbdb.morphology.zones import label_zones
+from msbdb.params import Params, ScaleParams
+from msbdb.tables import SCALE
+
+logger = logging.getLogger(__name__)
+
+TOO_SMALL = "smaller than the finest scale"
+
+
+def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: Params) -> Forest:
+    """Extract the forest of building parts from heights above ground and land-cover classes.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    classes : ClassMap or None
+        Classes on the same lattice. Without them nothing is known of vegetation or roofs, and the stages that need
+        them are left out.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Of which ``surface``, ``scale`` and ``spectral`` count here.
+
+    Returns
+    -------
+    Forest
+        Possibly empty.
+
+    Raises
+    ------
+    GridMismatchError
+        When nDSM and classes do not share a lattice.
+
+    Notes
+    -----
+    Slices, scale-space, clusters, duplicates, vegetation, spectrum, fake fathers, links: the order of the paper, but
+    that fathers are looked up anew after each stage instead of once, which re-attaches children by itself (V45).
+    Complexity: linear in the cells for each scale, after one sort of the heights.
+    """
+    if classes is not None and not classes.spec.same_lattice(ndsm.spec):
+        msg = (
+            f"The classes lie on the lattice {classes.spec.shape} at {classes.spec.bounds}, the nDSM on "
+            f"{ndsm.spec.shape} at {ndsm.spec.bounds}. Classify on the nDSM's lattice."
+        )
+        raise GridMismatchError(msg)
+    ledger = Ledger()
+    sliced = slice_heights(ndsm, params.surface)
+    cell_area = ndsm.spec.cell_area_m2
+    scales = number_scales(params.scale.scales_m2 or find_scales(sliced, cell_area), cell_area)
+    thresholds = scales["threshold_px"].tolist()[::-1]
+    clusters = form_clusters(sliced, thresholds, params.scale, ledger)
+    step = drop_duplicates(clusters, params.scale.duplicate_share)
+    clusters = ledger.book("duplicates", clusters, step, lost=False)
+    if classes is not None:
+        clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
+    step = drop_fake_fathers(clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0])
+    clusters = ledger.book("fake fathers", clusters, step)
+    forest = grow_forest(clusters, Context(ndsm, classes, scales, survey, params.surface), ledger)
+    logger.info("Multi-scale extraction: %d parts, %d regions rejected", len(forest.parts), len(forest.rejections))
+    return forest
+
+
+def number_scales(scales_m2: tuple[float, ...], cell_area_m2: float) -> pd.DataFrame:
+    """Return the scales (``tables.SCALE``, coarsest first) of area thresholds in square metres.
+
+    Thresholds are rounded to whole cells, at least one; of those that fall together the largest stays.
+    """
+    cells: dict[int, float] = {}
+    for threshold_m2 in sorted(scales_m2, reverse=True):
+        cells.setdefault(max(1, round(threshold_m2 / cell_area_m2)), threshold_m2)
+    frame = pd.DataFrame(
+        {
+            "scale": range(1, len(cells) + 1),
+            "threshold_px": list(cells),
+            "threshold_m2": list(cells.values()),
+        }
+    )
+    return frame.astype({column.name: column.dtype for column in SCALE.columns})
+
+
+def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams, ledger: Ledger) -> Clusters:
+    """Build the scale-space of sliced heights, and label its clusters.
+
+    Parameters
+    ----------
+    sliced : (H, W) ndarray of int
+        Storeys or steps; 0 is background.
+    thresholds : list of int
+        s of the scales, cells, ascending.
+    scale : ScaleParams
+        Connectivity, and what is done about slivers and courtyards.
+    ledger : Ledger
+        Gets the islands that the finest opening takes away, and fragments.
+
+    Notes
+    -----
+    Slivers: see `merge_slivers`. Courtyards: a coarse closing fills each hole smaller than s, so that a yard becomes
+    roof; with ``keep_courtyards`` every scale is cut to the cells that are above ground on the finest. Clusters stay
+    nested, as all scales are cut alike. Fragments smaller than s of the finest scale, which this can leave, are
+    dropped where slivers are merged as well.
+    """
+    connectivity = scale.connectivity
+    _book_islands(sliced, thresholds[0], connectivity, ledger)
+    finest = build_scale_space(sliced, thresholds[:1], connectivity=connectivity).levels[0]
+    if scale.merge_slivers:
+        finest = merge_slivers(finest, thresholds[0], connectivity=connectivity)
+    levels = [finest]
+    if len(thresholds) > 1:
+        levels.extend(build_scale_space(finest, thresholds[1:], connectivity=connectivity).levels)
+    if scale.keep_courtyards:
+        levels = [finest, *(np.where(finest > 0, level, 0) for level in levels[1:])]
+    clusters = label_clusters(levels, connectivity=connectivity)
+    tiny = clusters.rows["area"].to_numpy() < thresholds[0]
+    small = np.flatnonzero(tiny & scale.merge_slivers)
+    return ledger.book(
+        "clusters", clusters, Step(clusters.without(small), clusters.rows.iloc[small].assign(reason=TOO_SMALL))
+    )
+
+
+def _book_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, ledger: Ledger) -> None:
+    """Book the connected areas above the mask that are too small for the finest scale."""
+    islands, count = label_zones(sliced > 0, connectivity=connectivity)
+    table = measure(islands, count)
+    lost = table[table["area"] < smallest_px]
+    ledger.count("opening", count, count - len(lost), len(lost))
+    ledger.write(
+        "opening", lost.assign(level=-1, hzone=0, origin=lost["first"], piece=0, alive=False, reason=TOO_SMALL)
+    )
+
+
+def _apply_classes(clusters: Clusters, classes: ClassMap, smallest_px: int, params: Params, ledger: Ledger) -> Clusters:
+    """Reshape, split and drop clusters by their classes (V37-V45), and drop what thereby became a duplicate."""
+    scale, spectral = params.scale, params.spectral
+    step = cut_vegetation(
+        clusters, classes.labelled("vegetation"), smallest_px=smallest_px, connectivity=scale.connectivity
+    )
+    clusters = ledger.book("vegetation", clusters, step)
+    step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
+    clusters = ledger.book("duplicates after vegetation", clusters, step, lost=False)
+    step = split_by_classes(
+        clusters,
+        classes,
+        split_share=spectral.split_share,
+        min_share=spectral.min_building_share,
+        smallest_px=smallest_px,
+        connectivity=scale.connectivity,
+    )
+    clusters = ledger.book("split", clusters, step)
+    step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
+    clusters = ledger.book("duplicates after split", clusters, step, lost=False)
+    return ledger.book("spectrum", clusters, drop_unlike(clusters, classes, spectral.min_building_share))
