@@ -34,15 +34,14 @@ def grid_colours(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Ban
     """
     if points.colours is None:
         return None
-    first = points.first_echo
-    row, col = spec.rowcol(points.x[first], points.y[first])
-    inside = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
-    cell = (row * spec.shape[1] + col)[inside]
+    row, col = spec.rowcol(points.x, points.y)
+    used = points.first_echo & (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
+    cell = (row * spec.shape[1] + col)[used]
     size = spec.shape[0] * spec.shape[1]
     count = np.bincount(cell, minlength=size)
-    colours = points.colours[first][inside]
-    sums = np.stack([np.bincount(cell, weights=colours[:, b], minlength=size) for b in range(colours.shape[1])])
-    values = (sums / np.maximum(count, 1)).reshape(-1, *spec.shape)
+    cells = np.maximum(count, 1)
+    means = [np.bincount(cell, weights=band[used], minlength=size) / cells for band in points.colours.T]
+    values = np.stack(means).reshape(-1, *spec.shape)
     return _filled(values, count.reshape(spec.shape) > 0, points.colour_names, spec, max_gap_m)
 
 
@@ -104,9 +103,13 @@ def _filled(
     """Fill the cells that were not measured from the nearest one that was, within the largest gap."""
     if not measured.any():
         return Bands(np.zeros(values.shape, dtype=np.float32), names, measured, spec)
-    distance, (row, col) = ndimage.distance_transform_edt(~measured, return_indices=True)
-    valid = distance * spec.cell_m <= max_gap_m
-    filled = np.where(valid, values[:, row, col], 0.0).astype(np.float32)
+    filled = values.astype(np.float32)
+    valid = measured
+    if not measured.all():
+        distance, nearest = ndimage.distance_transform_edt(~measured, return_indices=True)
+        valid = distance * spec.cell_m <= max_gap_m
+        gap = valid & ~measured
+        filled[:, gap] = filled[:, nearest[0][gap], nearest[1][gap]]
     return Bands(filled, names, valid, spec)
 
 

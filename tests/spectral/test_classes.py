@@ -12,6 +12,8 @@ from msbdb.params import Params, with_values
 from msbdb.spectral import classify, spectral_bands
 from msbdb.spectral.kmeans import draw_sample, merge_samples, predict
 from msbdb.spectral.model import filter_to_classify, fit_model
+from msbdb.surface.gridding import sample_nearest
+from msbdb.surface.texture import roughness
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate
 
 PARAMS = Params()
@@ -23,16 +25,11 @@ class Case:
     def __init__(self, name, names=("red", "green", "blue", "nir")):
         self.scene = scenes.SCENES[name]()
         spec, points = self.scene.spec, self.scene.points
-        first = points.take(points.first_echo)
-        row, col = spec.rowcol(first.x, first.y)
-        top = np.full(spec.shape, -np.inf)
-        np.maximum.at(top, (row, col), first.z - self.scene.ground(first.x, first.y))
-        empty = np.isinf(top)
-        near = ndimage.distance_transform_edt(empty, return_indices=True)[1]
-        top = top[tuple(near)]
+        samples = sample_nearest(points, spec)
+        top = samples.z - self.scene.ground(*spec.xy(*np.indices(spec.shape)))
+        top = top[tuple(ndimage.distance_transform_edt(np.isnan(top), return_indices=True)[1])]
         self.ndsm = Grid(top.astype(np.float32), np.ones(spec.shape, dtype=bool), spec)
-        mean = ndimage.uniform_filter(top, 3)
-        self.roughness = np.sqrt(np.maximum(ndimage.uniform_filter(top**2, 3) - mean**2, 0))
+        self.roughness = roughness(samples, 1.5)
         ortho = self.scene.ortho(spec)
         chosen = [("red", "green", "blue", "nir").index(n) for n in names]
         self.bands = Bands(ortho[chosen], names, np.ones(spec.shape, dtype=bool), spec)
