@@ -120,7 +120,10 @@ class Tree:
 
 @dataclass(frozen=True)
 class Fact:
-    """A part that the multi-scale forest must hold: its area, eaves height above ground, and father (None: root)."""
+    """A part that the multi-scale forest must hold: its area, eaves height above ground, and father (None: root).
+
+    The area counts what stands at least 2 m above the ground, as the mask hides the rest from every extractor.
+    """
 
     name: str
     building: int
@@ -356,7 +359,10 @@ def under_trees(seed: int = 0, density: float = 4.0, **options: object) -> Scene
 
 
 def attached_to_slope(seed: int = 0, density: float = 4.0, **options: object) -> Scene:
-    """Scan a bank of 8 m over 20 m, and a building whose rear roof edge is nearly level with it."""
+    """Scan a bank of 8 m over 20 m, and a building whose rear roof edge is nearly level with it.
+
+    Of its 480 m2, 396 m2 stand at least 2 m above the ground; heights fall from 7 m to 0.6 m along the bank.
+    """
 
     def relief(x: Array, y: Array) -> Array:
         return DATUM_M + 0.4 * np.clip(y - 40, 0, 20) + np.zeros(np.shape(x))
@@ -366,7 +372,7 @@ def attached_to_slope(seed: int = 0, density: float = 4.0, **options: object) ->
         "attached_to_slope",
         blocks=(house,),
         relief=relief,
-        forest=(Fact("house", 1, 480, 7.0),),
+        forest=(Fact("house", 1, 396, 7.0),),
     )
     return scan(world, seed=seed, density=density, **options)
 
