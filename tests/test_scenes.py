@@ -59,7 +59,7 @@ def test_truth_lies_where_the_points_are(scene):
 
 
 def test_forest_agrees_with_the_raster(scene):
-    """Every root's area is what its building shows above 2 m in the truth raster, and every father is itself listed and larger."""
+    """Every root shows its area above 2 m in the truth raster, and every father is itself listed and larger."""
     by_name = {fact.name: fact for fact in scene.forest}
     cell = scene.spec.cell_area_m2
     for fact in scene.forest:
