@@ -90,7 +90,7 @@ def setting(text: str) -> tuple[str, str, object]:
 
 SHARED: dict[str, Callable[[F], F]] = {
     "db": click.argument("db", metavar="DB"),
-    "survey": click.option("--survey", metavar="NAME", help="The survey to take. [default: the latest]"),
+    "survey": click.option("--survey", metavar="NAME", help="The survey to take, where the database holds several."),
     "json": click.option("as_json", "--json", is_flag=True, help="Print the result as JSON on the standard output."),
     "verbose": click.option("-v", "--verbose", count=True, help="Tell more: -v the stages, -vv the details."),
     "debug": click.option("--debug", is_flag=True, help="Show the traceback of an error."),

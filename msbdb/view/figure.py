@@ -28,7 +28,7 @@ from msbdb.view.outlines import outlines
 MAP_INCHES = 9.0
 """Longer side of the map on paper; the resolution follows the data, so that fonts keep their size."""
 
-LARGEST_RELIEF = 4096
+LARGEST_RELIEF = 2500
 """Cells a side beyond which the hillshade is thinned: more would not be seen."""
 
 GROUND = "#eeece6"
@@ -101,14 +101,14 @@ def draw_map(
 def _sheet(relief: Grid) -> tuple[Figure, Axes]:
     """Return a figure with room for a title above and a legend beside the map, and the map's axes.
 
-    The map's longer side is ``MAP_INCHES``; two dots a cell, within 150 and 500 dots an inch.
+    The map's longer side is ``MAP_INCHES``; two dots a cell, within 150 and 350 dots an inch.
     """
     rows, cols = relief.spec.shape
     longest = max(rows, cols)
     width, height = (max(MAP_INCHES * side / longest, 3.2) for side in (cols, rows))
     left, right, bottom, top = 0.75, 2.35, 0.45, 0.8
     sheet_width, sheet_height = left + width + right, bottom + max(height, 4.2) + top
-    figure = Figure(figsize=(sheet_width, sheet_height), dpi=min(max(2 * longest / MAP_INCHES, 150), 500))
+    figure = Figure(figsize=(sheet_width, sheet_height), dpi=min(max(2 * longest / MAP_INCHES, 150), 350))
     FigureCanvasAgg(figure)
     base = sheet_height - top - height
     axes = figure.add_axes(
@@ -125,7 +125,7 @@ def _sheet(relief: Grid) -> tuple[Figure, Axes]:
 def _draw_relief(axes: Axes, relief: Grid) -> None:
     """Draw the ground's colour where the relief is valid, and its light and shadow above the parts, roofs and all."""
     step = math.ceil(max(relief.spec.shape) / LARGEST_RELIEF)
-    heights = relief.values[::step, ::step].astype(np.float64)
+    heights = relief.values[::step, ::step].astype(np.float32)
     valid = relief.valid[::step, ::step]
     if min(heights.shape) < 2 or not valid.any():
         return
@@ -133,20 +133,20 @@ def _draw_relief(axes: Axes, relief: Grid) -> None:
     west, _, _, north = relief.spec.bounds
     rows, cols = heights.shape
     extent = (west, west + cols * cell, north - rows * cell, north)
-    ground = np.zeros((rows, cols, 4))
-    ground[valid] = to_rgba(GROUND)
+    ground = np.zeros((rows, cols, 4), dtype=np.uint8)
+    ground[valid] = np.round(255 * np.array(to_rgba(GROUND))).astype(np.uint8)
     limits = axes.axis()
     for image, zorder in ((ground, 1.0), (shading(heights, valid, cell), 3.0)):
         axes.imshow(image, extent=extent, aspect="auto", interpolation="antialiased", zorder=zorder)
     axes.axis(limits)  # an image sets the limits to its own
 
 
-def shading(heights: NDArray[np.float64], valid: NDArray[np.bool_], cell_m: float) -> NDArray[np.float64]:
+def shading(heights: NDArray[np.float32], valid: NDArray[np.bool_], cell_m: float) -> NDArray[np.uint8]:
     """Return light and shadow of a surface lit from the north-west, to be laid over colours.
 
     Parameters
     ----------
-    heights : (H, W) ndarray of float64, metres
+    heights : (H, W) ndarray of float32, metres
         Two rows and columns at least.
     valid : (H, W) ndarray of bool
         Where the heights hold; elsewhere the picture is clear.
@@ -155,17 +155,17 @@ def shading(heights: NDArray[np.float64], valid: NDArray[np.bool_], cell_m: floa
 
     Returns
     -------
-    (H, W, 4) ndarray of float64
+    (H, W, 4) ndarray of uint8
         White on slopes to the light, black on those away from it, clear on the level.
     """
     down, east = np.gradient(np.where(valid, heights, heights[valid].min()), cell_m)
     level, flat = math.sin(math.radians(LIGHT_DEG)), math.cos(math.radians(LIGHT_DEG))
-    shade = (level + flat * (east + down) / math.sqrt(2)) / np.sqrt(1.0 + down**2 + east**2)  # normal times light
+    shade = (level + flat / math.sqrt(2) * (east + down)) / np.sqrt(1.0 + down**2 + east**2)  # normal times light
     shadow = np.clip((level - shade) / level, 0.0, 1.0)
     light = np.clip((shade - level) / (1.0 - level), 0.0, 1.0)
-    image = np.zeros((*heights.shape, 4))
-    image[..., :3] = (light > shadow)[..., np.newaxis]
-    image[..., 3] = np.where(valid, np.maximum(0.55 * shadow, 0.4 * light), 0.0)
+    image = np.zeros((*heights.shape, 4), dtype=np.uint8)
+    image[light > shadow, :3] = 255
+    image[..., 3] = np.where(valid, np.round(255 * np.maximum(0.55 * shadow, 0.4 * light)), 0)
     return image
 
 

@@ -1,5 +1,6 @@
 """The commands: what they promise in their help, hand to the pipeline, print, and how they fail."""
 
+import inspect
 import io
 import json
 import logging
@@ -196,6 +197,15 @@ def test_build_hands_everything_over(pipeline):
     assert (values["db"], values["survey"], values["date"]) == ("x.sqlite", "spring", "2021-05")
     assert (values["crs"], values["z_unit"], values["profile"]) == ("EPSG:2154", "us-ft", "default")
     assert values["progress"] is None, "no bars where the standard error is no terminal"
+
+
+@pytest.mark.parametrize("name", ["build", "info", "relabel", "classes", "view", "export", "evaluate"])
+def test_the_fake_is_called_as_the_pipeline_is(name):
+    """The stand-in of these tests takes the arguments of the real function, by the same names."""
+    from msbdb import pipeline as real
+
+    fake = inspect.signature(getattr(FakePipeline, name)).parameters
+    assert [word for word in fake if word != "self"] == list(inspect.signature(getattr(real, name)).parameters)
 
 
 def test_units_are_those_of_the_reader():

@@ -125,12 +125,22 @@ def test_scripts_that_the_docs_name_exist():
         assert (ROOT / name).stat().st_mode & 0o111, name
 
 
-def test_python_of_the_readme_compiles():
-    """The Python of the README is Python."""
+@pytest.mark.parametrize("name", ["scripts/setup", "scripts/demo", "scripts/test", ".ci/run"])
+def test_shell_scripts_are_sound(name):
+    """Each script is bash without mistakes of grammar, and stops at the first failure."""
+    assert subprocess.run(["bash", "-n", str(ROOT / name)], check=False).returncode == 0
+    assert "set -euo pipefail" in read(name)
+
+
+def test_python_of_the_readme_exists():
+    """The Python of the README is Python, and the names of msbdb that it uses are public."""
+    import msbdb
+
     blocks = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
     assert blocks
     for block in blocks:
         compile(block, "README.md", "exec")
+        assert set(re.findall(r"\bmsbdb\.(\w+)", block)) <= set(msbdb.__all__)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/inputs.md"])
