@@ -114,10 +114,7 @@ def _repeats(param: click.Parameter) -> bool:
 @contextmanager
 def _told(verbose: int, ctx: click.Context) -> Iterator[None]:
     """Send log records and notices to the standard error while a command runs."""
-    from rich.logging import RichHandler
-
-    console = stderr_console()
-    handler = RichHandler(console=console, show_path=False, show_time=verbose > 1, markup=False)
+    handler = _ConsoleHandler()
     package = logging.getLogger("msbdb")
     level = package.level
     package.addHandler(handler)
@@ -138,6 +135,15 @@ def _told(verbose: int, ctx: click.Context) -> Iterator[None]:
     finally:
         package.removeHandler(handler)
         package.setLevel(level)
+
+
+class _ConsoleHandler(logging.Handler):
+    """Writes log records above the progress bars, a line each."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one record."""
+        line = f"{record.levelname.lower()}: {self.format(record)}"
+        stderr_console().print(line, markup=False, highlight=False, soft_wrap=True, style="dim")
 
 
 def notice(message: str, shown: set[str]) -> None:

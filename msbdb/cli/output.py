@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypeGuard
 
 import click
@@ -17,8 +18,9 @@ Progress = Callable[[str, int, int], None]
 """Called with a stage's name, the steps done and the steps in all."""
 
 
+@cache
 def stderr_console() -> "Console":
-    """Return a console on the standard error: the one place for progress, logs and notices."""
+    """Return the console on the standard error: one for progress, logs and notices, so that none spoils another."""
     from rich.console import Console
 
     return Console(stderr=True)
