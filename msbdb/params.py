@@ -164,14 +164,6 @@ class GroundParams:
         source="ours: the better half; 0.3 takes mounds for roofs, 0.7 loses roofs built into slopes",
         doc="Wavelet filter: share of a cluster's boundary that must be edge for it to be off-terrain.",
     )
-    wavelet_rounds: int = param(
-        2,
-        unit="count",
-        low=1,
-        high=100,
-        source="ours: the second pass finds low roofs beside high ones, and more passes change nothing",
-        doc="Wavelet filter: passes on each resolution.",
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +198,7 @@ class CoverParams:
     echo_rough_weight: float = param(
         0.15, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a factor e of roughness, beside the echoes."
     )
-    echo_bias: float = param(-1.0, unit="1", low=-50.0, high=50.0, source="ours", doc="Log-odds without any evidence.")
+    echo_bias: float = param(-1.2, unit="1", low=-50.0, high=50.0, source="ours", doc="Log-odds without any evidence.")
     rough_weight: float = param(
         1.5, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a factor e of roughness, without echoes."
     )
@@ -224,7 +216,7 @@ class CoverParams:
         source="ours: the range noise of a scanner",
         doc="Least roughness that is told.",
     )
-    smooth_m: float = param(1.5, unit="m", low=0.0, high=20.0, source="ours", doc="Sigma of the smoothing of the odds.")
+    smooth_m: float = param(2.0, unit="m", low=0.0, high=20.0, source="ours", doc="Sigma of the smoothing of the odds.")
     neck_m: float = param(
         1.2, unit="m", low=0.0, high=20.0, source="ours: hedges and walls are thinner", doc="Thinner roofs are cut."
     )

@@ -1,0 +1,25 @@
+"""From points to surfaces: gridding, ground, heights above ground, and the texture of the surface."""
+
+from msbdb.surface.build import Surface, build_surface, cover_from_surface, surface_from_rasters
+from msbdb.surface.cover import structural_cover
+from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
+from msbdb.surface.ground import terrain
+from msbdb.surface.heights import normalise
+from msbdb.surface.texture import Echoes, echoes, roughness
+
+__all__ = [
+    "Echoes",
+    "Samples",
+    "Surface",
+    "build_surface",
+    "cell_size",
+    "cover_from_surface",
+    "density",
+    "echoes",
+    "normalise",
+    "roughness",
+    "sample_nearest",
+    "structural_cover",
+    "surface_from_rasters",
+    "terrain",
+]

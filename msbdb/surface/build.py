@@ -1,0 +1,120 @@
+"""The stage as a whole: from points, or from rasters, to surfaces; and from surfaces to structural cover."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.classmap import ClassMap
+from msbdb.grid import Grid, lattice
+from msbdb.params import Params
+from msbdb.pointcloud import PointCloud
+from msbdb.surface.cover import structural_cover
+from msbdb.surface.gridding import Samples, cell_size, density, fill_gaps, sample_nearest
+from msbdb.surface.ground import terrain
+from msbdb.surface.heights import normalise
+from msbdb.surface.texture import echoes, grid_samples, roughness
+
+logger = logging.getLogger(__name__)
+
+LEAST_GAP_CELLS = 2.0
+"""Gaps this wide are filled at any cell size: a jittered scan leaves them within its own spacing."""
+
+GIVEN_GROUND = "given"
+"""Stands for a ground filter where the terrain was given as a raster."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The surfaces of one survey, all on one lattice.
+
+    Parameters
+    ----------
+    dsm, dtm, ndsm : Grid of float32, metres
+        Surface, terrain and height above ground.
+    samples : Samples
+        The heights as they were measured, for the texture.
+    ground_filter : str
+        Name of the filter that told the ground; ``given`` for a terrain raster.
+    density : float
+        First echoes, or cells of the source raster, a square metre.
+    """
+
+    dsm: Grid
+    dtm: Grid
+    ndsm: Grid
+    samples: Samples
+    ground_filter: str
+    density: float
+
+
+def build_surface(points: PointCloud, params: Params) -> Surface:
+    """Grid the first echoes, tell the ground, and subtract it (V13 to V16).
+
+    Parameters
+    ----------
+    points : PointCloud
+        All echoes of the survey; outliers are gone.
+    params : Params
+        Sections ``surface`` and ``ground``.
+
+    Raises
+    ------
+    NodataError
+        When there is no first echo, or no ground.
+    """
+    points_m2 = density(points)
+    cell_m = params.surface.cell_m or cell_size(points_m2)
+    spec = lattice(points.bounds, cell_m, points.crs)
+    samples = sample_nearest(points, spec)
+    gap_cells = max(LEAST_GAP_CELLS, params.surface.max_gap_m / cell_m)
+    heights, valid = fill_gaps(samples.z, samples.observed, gap_cells)
+    dsm = Grid(heights.astype(np.float32), valid, spec)
+    dtm, name = terrain(points, spec, params.ground)
+    logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)
+    return Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
+
+
+def surface_from_rasters(dsm: Grid, dtm: Grid) -> Surface:
+    """Take a surface and a terrain as they are given.
+
+    Raises
+    ------
+    GridMismatchError
+        When the lattices differ.
+    """
+    return Surface(dsm, dtm, normalise(dsm, dtm), grid_samples(dsm), GIVEN_GROUND, 1 / dsm.spec.cell_area_m2)
+
+
+def cover_from_surface(
+    surface: Surface, points: PointCloud | None, params: Params
+) -> tuple[ClassMap, NDArray[np.float32]]:
+    """Tell roofs from vegetation by texture, and by echoes where there are any.
+
+    Parameters
+    ----------
+    surface : Surface
+        What ``build_surface`` or ``surface_from_rasters`` returned.
+    points : PointCloud, optional
+        The same points; None for a raster source.
+    params : Params
+        Sections ``surface`` and ``cover``.
+
+    Returns
+    -------
+    cover : ClassMap
+        Building and vegetation above the mask.
+    roughness : (H, W) ndarray of float32, metres
+        In the small window.
+    """
+    small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
+    rough = roughness(surface.samples, small_m)
+    wide = roughness(surface.samples, wide_m)
+    found = (
+        None
+        if points is None
+        else echoes(points, surface.ndsm, surface.dtm, small_m=small_m, wide_m=wide_m, mask_m=mask_m)
+    )
+    cover = structural_cover(surface.ndsm, rough, wide, found, mask_m=mask_m, params=params.cover)
+    return cover, rough

@@ -1,0 +1,135 @@
+"""Land cover from structure alone: roofs and vegetation told by texture and echoes, without any colour.
+
+The log-odds of roof against vegetation are summed over the evidence of each cell, smoothed, cut, and then judged
+again a region at a time. All values are ours, calibrated together on tiles of four surveys and on thinned copies.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, label, maximum_filter, minimum_filter
+
+from msbdb.classmap import ClassMap
+from msbdb.grid import Grid
+from msbdb.params import CoverParams
+from msbdb.surface.texture import Echoes
+
+ROOF, VEGETATION = 1, 2
+"""Indices of the structural classes."""
+
+EIGHT = np.ones((3, 3), dtype=np.bool_)
+
+Mask = NDArray[np.bool_]
+Field = NDArray[np.float32]
+
+
+def structural_cover(
+    ndsm: Grid,
+    roughness_m: Field,
+    wide_roughness_m: Field,
+    echoes: Echoes | None,
+    *,
+    mask_m: float,
+    params: CoverParams,
+) -> ClassMap:
+    """Tell roofs from vegetation on every cell above the mask.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    roughness_m, wide_roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small and the wide windows.
+    echoes : Echoes, optional
+        What the echoes tell; without them the roughness decides alone.
+    mask_m : float
+        Height of the mask (V17), metres.
+    params : CoverParams
+        Weights and sizes.
+
+    Returns
+    -------
+    ClassMap
+        Class 1 (building) and 2 (vegetation) above the mask, 0 below it and where not valid.
+    """
+    raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
+    odds = _echo_odds(roughness_m, echoes, params) if echoes else _rough_odds(roughness_m, wide_roughness_m, params)
+    roof = smooth_share(odds, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
+    neck_m = params.neck_m if echoes else params.blind_neck_m
+    roof = _tidy(roof & raised, raised, ndsm.spec.cell_m, neck_m, params)
+    roof = _judge_regions(roof, roughness_m, echoes, params)
+    roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), ndsm.spec.cell_m, params)
+    index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
+    return ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
+
+
+def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field:
+    """Log-odds of roof from the echoes, with a little from the roughness."""
+    return (
+        params.echo_bias
+        - params.split_weight * echoes.split_best
+        - params.split_wide_weight * echoes.split_wide
+        - params.echo_rough_weight * np.log(np.maximum(roughness_m, params.smooth_floor_m))
+        + params.solid_weight * echoes.solid
+    )
+
+
+def _rough_odds(roughness_m: Field, wide_m: Field, params: CoverParams) -> Field:
+    """Log-odds of roof from the roughness alone."""
+    floor = params.smooth_floor_m
+    small = np.log(np.maximum(roughness_m, floor) / params.rough_m)
+    wide = np.log(np.maximum(wide_m, floor) / params.rough_wide_m)
+    return np.asarray(-params.rough_weight * (small + wide), dtype=np.float32)
+
+
+def smooth_share(odds: Field, raised: Mask, sigma_cells: float) -> Field:
+    """Mean probability of roof around a cell, over raised cells only (normalised Gaussian)."""
+    probability = np.where(raised, 1 / (1 + np.exp(-np.clip(odds, -30, 30))), 0).astype(np.float32)
+    sigma = max(sigma_cells, 0.7)
+    weight = gaussian_filter(raised.astype(np.float32), sigma, mode="constant", truncate=2.5)
+    share: Field = gaussian_filter(probability, sigma, mode="constant", truncate=2.5) / np.maximum(weight, 1e-3)
+    return share
+
+
+def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverParams) -> Mask:
+    """Close small holes, cut thin necks and drop small regions."""
+    roof = roof | (_small(~roof, params.hole_m2 / cell_m**2, eight=False) & raised)
+    radius = round(neck_m / 2 / cell_m)
+    if radius:
+        size = 2 * radius + 1
+        roof = maximum_filter(minimum_filter(roof, size, mode="nearest"), size, mode="nearest")
+    return roof & ~_small(roof, params.min_roof_m2 / cell_m**2, eight=True)
+
+
+def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, params: CoverParams) -> Mask:
+    """Keep the regions that are smooth enough for the share of echoes that they split."""
+    labels, count = label(roof, EIGHT)
+    cells = np.maximum(np.bincount(labels.ravel(), minlength=count + 1), 1)
+    smooth = np.bincount(labels[roughness_m < params.smooth_m_limit], minlength=count + 1) / cells
+    needed = np.full(count + 1, params.min_smooth_share)
+    if echoes:
+        split = np.bincount(labels.ravel(), weights=echoes.split.ravel(), minlength=count + 1) / cells
+        needed = params.smooth_per_split * (split - params.free_split_share)
+    keep = smooth >= needed
+    keep[0] = False
+    return np.asarray(keep[labels], dtype=np.bool_)
+
+
+def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: CoverParams) -> Mask:
+    """Give the roofs' edges back: raised neighbours of like height, a cell at a time, and then the small holes."""
+    for _ in range(round(params.grow_m / cell_m)):
+        upper = maximum_filter(np.where(roof, heights, -np.inf), 3, mode="nearest")
+        lower = minimum_filter(np.where(roof, heights, np.inf), 3, mode="nearest")
+        near = np.minimum(np.abs(heights - upper), np.abs(heights - lower)) < params.grow_step_m
+        roof = roof | (raised & near)
+    return roof | (_small(~roof, params.hole_m2 / cell_m**2, eight=False) & raised)
+
+
+def _small(mask: Mask, cells: float, *, eight: bool) -> Mask:
+    """Return the components of fewer cells than given.
+
+    Holes are 4-connected, as the background of 8-connected roofs.
+    """
+    labels, count = label(mask, EIGHT if eight else None)
+    small = np.bincount(labels.ravel(), minlength=count + 1) < cells
+    small[0] = False
+    return np.asarray(small[labels], dtype=np.bool_)

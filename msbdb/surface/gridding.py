@@ -1,0 +1,201 @@
+"""Gridding of points: the mean spacing, nearest and lowest values, and the filling of gaps.
+
+Nothing here depends on the order of the points: ties go to the lower point, and sums are of whole numbers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from msbdb.errors import NodataError
+from msbdb.grid import Grid, GridSpec, lattice
+from msbdb.morphology.kernels import kernel
+from msbdb.pointcloud import PointCloud
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Frame = tuple[float, float, float]
+"""West and north edge and cell size of a lattice, metres."""
+
+CELL_LADDER_M = (0.25, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
+"""Round cell sizes, so that surveys of like density, and tiles of one survey, share a lattice."""
+
+OCCUPANCY_CELL_M = 2.0
+"""Cell on which the covered area is counted for the density."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """The first echo nearest to each cell centre.
+
+    Parameters
+    ----------
+    z : (H, W) ndarray of float64, metres
+        Its height; NaN where the cell holds no first echo.
+    east, north : (H, W) ndarray of float32, metres
+        Its offset from the cell centre.
+    spec : GridSpec
+        The lattice.
+    """
+
+    z: NDArray[np.float64]
+    east: NDArray[np.float32]
+    north: NDArray[np.float32]
+    spec: GridSpec
+
+    @property
+    def observed(self) -> NDArray[np.bool_]:
+        """Where a cell holds a first echo."""
+        return np.isfinite(self.z)
+
+
+def frame(spec: GridSpec) -> Frame:
+    """Return what a kernel needs of a lattice to place a point."""
+    return (spec.transform.c, spec.transform.f, spec.cell_m)
+
+
+def density(points: PointCloud) -> float:
+    """First echoes a square metre of covered ground.
+
+    Covered is every 2 m cell that holds a first echo; below 0.25 points/m² the whole bounding box counts, since
+    single points would then cover more than their share.
+
+    Raises
+    ------
+    NodataError
+        When there is no first echo.
+    """
+    first = points.first_echo
+    count = int(np.count_nonzero(first))
+    if count == 0:
+        msg = "No point is a first echo (V15), so that no surface can be made; check the return numbers of the source."
+        raise NodataError(msg)
+    x, y = points.x, points.y
+    west, east = (float(f(x, where=first, initial=start)) for f, start in ((np.min, np.inf), (np.max, -np.inf)))
+    south, north = (float(f(y, where=first, initial=start)) for f, start in ((np.min, np.inf), (np.max, -np.inf)))
+    spec = lattice((west, south, east, north), OCCUPANCY_CELL_M, points.crs)
+    box_m2 = spec.shape[0] * spec.shape[1] * spec.cell_area_m2
+    if count / box_m2 < 1 / spec.cell_area_m2:
+        return count / box_m2
+    covered = np.count_nonzero(_occupied(x, y, first, frame(spec), spec.shape)) * spec.cell_area_m2
+    return float(count / covered)
+
+
+def cell_size(points_m2: float) -> float:
+    """Return the round cell size nearest to the mean point spacing, 1/sqrt(density) (V14), metres."""
+    spacing = 1.0 / np.sqrt(points_m2)
+    ladder = np.asarray(CELL_LADDER_M)
+    return float(ladder[np.argmin(np.abs(np.log(ladder / spacing)))])
+
+
+def sample_nearest(points: PointCloud, spec: GridSpec) -> Samples:
+    """Take for each cell the first echo nearest to its centre (V14, V15); ties go to the lower point."""
+    arrays = (points.x, points.y, points.z)
+    return Samples(*_nearest(arrays, points.first_echo, frame(spec), spec.shape), spec)
+
+
+def lowest(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None = None) -> Grid:
+    """Grid the lowest of the chosen points (all unless given) of each cell; cells without one are not valid."""
+    wanted = np.ones(len(points), dtype=np.bool_) if chosen is None else chosen
+    values = _lowest((points.x, points.y, points.z), wanted, frame(spec), spec.shape)
+    valid = np.isfinite(values)
+    return Grid(np.where(valid, values, 0.0).astype(np.float32), valid, spec)
+
+
+def fill_gaps(
+    values: NDArray[np.float64], observed: NDArray[np.bool_], max_gap_cells: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Fill cells with the value of the nearest observed one, up to a distance.
+
+    Parameters
+    ----------
+    values : (H, W) ndarray of float
+        Values; those not observed are ignored.
+    observed : (H, W) ndarray of bool
+        Where the values hold.
+    max_gap_cells : float
+        Largest distance between cell centres over which a value is taken, in cells.
+
+    Returns
+    -------
+    filled : (H, W) ndarray
+        The values, 0 where neither observed nor filled.
+    valid : (H, W) ndarray of bool
+        Observed or filled.
+    """
+    if observed.all():
+        return values.copy(), observed.copy()
+    distance, (rows, cols) = distance_transform_edt(~observed, return_indices=True)
+    valid = distance <= max_gap_cells
+    return np.where(valid, values[rows, cols], 0), valid
+
+
+@kernel
+def cell_of(x: float, y: float, frame: Frame, shape: tuple[int, int]) -> tuple[int, int]:
+    """Row and column of the cell that holds a point; row -1 outside of the lattice."""
+    west, north, cell = frame
+    col = int(np.floor((x - west) / cell))
+    row = int(np.floor((north - y) / cell))
+    if row < 0 or col < 0 or row >= shape[0] or col >= shape[1]:
+        return -1, -1
+    return row, col
+
+
+@kernel
+def _occupied(x: Floats, y: Floats, chosen: Mask, frame: Frame, shape: tuple[int, int]) -> Mask:
+    """Mark the cells that hold a chosen point."""
+    found = np.zeros(shape, dtype=np.bool_)
+    for i in range(x.size):
+        if chosen[i]:
+            row, col = cell_of(x[i], y[i], frame, shape)
+            if row >= 0:
+                found[row, col] = True
+    return found
+
+
+@kernel
+def _nearest(
+    xyz: tuple[Floats, Floats, Floats], chosen: Mask, frame: Frame, shape: tuple[int, int]
+) -> tuple[Floats, NDArray[np.float32], NDArray[np.float32]]:
+    """Nearest chosen point of each cell, by distance to the centre and then by height."""
+    x, y, z = xyz
+    west, north, cell = frame
+    best_z = np.full(shape, np.nan)
+    best_d = np.full(shape, np.inf, dtype=np.float32)
+    east = np.zeros(shape, dtype=np.float32)
+    up = np.zeros(shape, dtype=np.float32)
+    for i in range(x.size):
+        if not chosen[i]:
+            continue
+        row, col = cell_of(x[i], y[i], frame, shape)
+        if row < 0:
+            continue
+        de = np.float32(x[i] - (west + (col + 0.5) * cell))
+        dn = np.float32(y[i] - (north - (row + 0.5) * cell))
+        d = de * de + dn * dn
+        if d > best_d[row, col]:
+            continue
+        old = best_z[row, col]
+        tie = d == best_d[row, col]
+        if tie and (z[i] > old or (z[i] == old and (de, dn) >= (east[row, col], up[row, col]))):
+            continue
+        best_d[row, col] = d
+        best_z[row, col] = z[i]
+        east[row, col] = de
+        up[row, col] = dn
+    return best_z, east, up
+
+
+@kernel
+def _lowest(xyz: tuple[Floats, Floats, Floats], chosen: Mask, frame: Frame, shape: tuple[int, int]) -> Floats:
+    """Lowest chosen point of each cell, infinity where there is none."""
+    x, y, z = xyz
+    values = np.full(shape, np.inf)
+    for i in range(x.size):
+        if chosen[i]:
+            row, col = cell_of(x[i], y[i], frame, shape)
+            if row >= 0:
+                values[row, col] = min(values[row, col], z[i])
+    return values

@@ -1,0 +1,94 @@
+"""The one interface of the ground filters, and the choice among them."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from msbdb.errors import NodataError
+from msbdb.grid import Grid, GridSpec, lattice
+from msbdb.params import GroundParams
+from msbdb.pointcloud import PointCloud
+from msbdb.surface.gridding import lowest
+from msbdb.surface.ground.interpolate import interpolate_ground, refine
+from msbdb.surface.ground.progressive import progressive_ground
+from msbdb.surface.ground.wavelet import wavelet_ground
+
+GROUND_CLASS = 2
+MIN_GROUND_SHARE = 0.02
+"""Below this share of class 2 the given classes are not taken for a classification of the ground."""
+
+
+class GroundFilter(Protocol):
+    """Tells which cells of a grid of lowest points are ground."""
+
+    def __call__(self, surface: Grid, params: GroundParams, /) -> NDArray[np.bool_]:
+        """Return the (H, W) mask of ground cells.
+
+        Parameters
+        ----------
+        surface : Grid
+            Lowest heights, gap-free: every cell valid, metres.
+        params : GroundParams
+            The filter's parameters.
+        """
+
+
+FILTERS: dict[str, GroundFilter] = {"progressive": progressive_ground, "wavelet": wavelet_ground}
+
+
+def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[Grid, str]:
+    """Return the DTM on a lattice, and the name of the filter that told the ground.
+
+    The ground is told on cells of ``ground_cell_m`` (or of the lattice, where that is coarser), interpolated under
+    the off-ground, and refined bilinearly.
+
+    Parameters
+    ----------
+    points : PointCloud
+        All echoes.
+    spec : GridSpec
+        Lattice of the DTM.
+    params : GroundParams
+        ``ground_filter`` names the filter; ``auto`` trusts class 2 where at least 2 % of the points have it.
+
+    Raises
+    ------
+    NodataError
+        When class 2 is asked for and there is none.
+    """
+    name = _resolve(points, params.ground_filter)
+    coarse = lattice(spec.bounds, max(params.ground_cell_m, spec.cell_m), spec.crs)
+    if name == "class2":
+        given = lowest(points, coarse, _class2(points))
+        return refine(interpolate_ground(given.values, given.valid, coarse), spec), name
+    surface = lowest_surface(points, coarse, params)
+    ground = FILTERS[name](surface, params)
+    return refine(interpolate_ground(surface.values, ground, coarse), spec), name
+
+
+def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> Grid:
+    """Grid the lowest points without gaps, with isolated low outliers raised to their neighbourhood."""
+    found = lowest(points, spec)
+    filled = interpolate_ground(found.values, found.valid, spec, nearest=True).values
+    floor = median_filter(filled, size=5, mode="nearest") - np.float32(params.low_outlier_m)
+    return Grid(np.maximum(filled, floor), np.ones(spec.shape, dtype=np.bool_), spec)
+
+
+def _resolve(points: PointCloud, name: str) -> str:
+    """Turn ``auto`` into the filter that fits the points, and check that class 2 is there when asked for."""
+    share = float(np.count_nonzero(_class2(points))) / max(len(points), 1)
+    if name == "auto":
+        return "class2" if share >= MIN_GROUND_SHARE else "progressive"
+    if name == "class2" and share == 0.0:
+        msg = "The ground filter 'class2' needs points of class 2 and there are none; take 'progressive' or 'wavelet'."
+        raise NodataError(msg)
+    return name
+
+
+def _class2(points: PointCloud) -> NDArray[np.bool_]:
+    """Return which points the source calls ground."""
+    if points.classification is None:
+        return np.zeros(len(points), dtype=np.bool_)
+    return np.equal(points.classification, GROUND_CLASS)

@@ -1,0 +1,226 @@
+"""Texture of the surface: what tells smooth, solid roofs from rough, leaky crowns without any colour.
+
+Each measure is taken in a window around the cell, and then the best of all windows that hold the cell counts: at a
+roof's edge that is a window that lies on the roof, so that edges are not blurred (Kuwahara et al. 1976).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+
+from msbdb.grid import Grid
+from msbdb.morphology.kernels import kernel
+from msbdb.pointcloud import PointCloud
+from msbdb.surface.gridding import Frame, Samples, cell_of, frame
+
+NO_PLANE_M = 5.0
+"""Roughness where too few samples hold a plane, and the largest that is told, metres."""
+
+Field = NDArray[np.float32]
+Floats = NDArray[np.float64]
+Counts = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Echoes:
+    """What the echoes tell, each a share in 0..1 on the (H, W) lattice.
+
+    ``split`` is the share of first echoes that have a later echo, in the small window; ``split_best`` the least such
+    share over the small windows that hold the cell, ``split_wide`` over the wide ones; ``solid`` is the largest
+    share of last echoes that stop near the surface over the wide windows.
+    """
+
+    split: Field
+    split_best: Field
+    split_wide: Field
+    solid: Field
+
+
+def window_cells(window_m: float, cell_m: float) -> int:
+    """Return the odd number of cells nearest to a window, at least 3.
+
+    Examples
+    --------
+    >>> window_cells(1.5, 0.5), window_cells(1.5, 0.3), window_cells(1.5, 2.0)
+    (3, 5, 3)
+    """
+    return max(3, round(window_m / cell_m) | 1)
+
+
+def roughness(samples: Samples, window_m: float) -> Field:
+    """Return how far the first echoes scatter from their best plane, in the best window that holds the cell.
+
+    Parameters
+    ----------
+    samples : Samples
+        First echoes nearest to the cells' centres, with their true places.
+    window_m : float
+        Side of the square window, metres.
+
+    Returns
+    -------
+    (H, W) ndarray of float32, metres
+        At most ``NO_PLANE_M``, which also stands where no window holds four samples that span a plane.
+
+    Notes
+    -----
+    Border: windows are cut at the edge. Nodata: cells without a first echo have no weight.
+    """
+    size = window_cells(window_m, samples.spec.cell_m)
+    if not samples.observed.any():
+        return np.full(samples.spec.shape, NO_PLANE_M, dtype=np.float32)
+    # Heights are taken from the middle of their range, so that the sums of their squares keep their digits.
+    origin = float(np.nanmin(samples.z) + np.nanmax(samples.z)) / 2
+    residual = _plane_residual(samples.z, (samples.east, samples.north), origin, samples.spec.cell_m, size // 2)
+    best: Field = minimum_filter(residual, size, mode="nearest")
+    return best
+
+
+def grid_samples(surface: Grid) -> Samples:
+    """Return the cells of a DSM as samples at their centres, for the texture of a raster source."""
+    zero = np.zeros(surface.spec.shape, dtype=np.float32)
+    z = np.where(surface.valid, np.asarray(surface.values, dtype=np.float64), np.nan)
+    return Samples(z, zero, zero, surface.spec)
+
+
+def echoes(points: PointCloud, ndsm: Grid, dtm: Grid, *, small_m: float, wide_m: float, mask_m: float) -> Echoes | None:
+    """Return what the echoes tell, or None where the source holds no echo information.
+
+    Parameters
+    ----------
+    points : PointCloud
+        All echoes.
+    ndsm, dtm : Grid
+        Heights above ground and terrain on the lattice, metres.
+    small_m, wide_m : float
+        Sides of the windows, metres.
+    mask_m : float
+        Only echoes of the surface above this height count.
+    """
+    if points.return_number is None or points.number_of_returns is None or points.number_of_returns.max() < 2:
+        return None
+    spec = ndsm.spec
+    heights, ground = (np.asarray(grid.values, dtype=np.float32) for grid in (ndsm, dtm))
+    split, firsts, stopped, lasts = _echo_counts(
+        (points.x, points.y, points.z),
+        (points.return_number, points.number_of_returns),
+        (heights, ground),
+        np.float32(mask_m),
+        frame(spec),
+    )
+    small, wide = window_cells(small_m, spec.cell_m), window_cells(wide_m, spec.cell_m)
+    raised = heights > mask_m
+    share_small, share_wide = _share(split, firsts, small), _share(split, firsts, wide)
+    return Echoes(
+        split=share_small,
+        split_best=minimum_filter(np.where(raised, share_small, 1), small, mode="nearest"),
+        split_wide=minimum_filter(np.where(raised, share_wide, 1), wide, mode="nearest"),
+        solid=maximum_filter(_share(stopped, lasts, wide), wide, mode="nearest"),
+    )
+
+
+def _share(part: Counts, whole: Counts, size: int) -> Field:
+    """Share of two counts in a square window; 0 where there is nothing to count."""
+    above = uniform_filter(part.astype(np.float32), size, mode="constant")
+    below = uniform_filter(whole.astype(np.float32), size, mode="constant")
+    np.maximum(below, np.float32(0.5 / size**2), out=below)
+    np.divide(above, below, out=above)
+    shares: Field = np.clip(above, 0, 1, out=above)
+    return shares
+
+
+@kernel
+def _echo_counts(
+    xyz: tuple[Floats, Floats, Floats],
+    returns: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    surfaces: tuple[Field, Field],
+    mask_m: np.float32,
+    frame: Frame,
+) -> tuple[Counts, Counts, Counts, Counts]:
+    """Count of each cell: raised first echoes with a later echo, raised first echoes, stopped last echoes, last echoes.
+
+    Raised is above the mask; stopped is above the mask and above half of the height of the cell's surface.
+    """
+    x, y, z = xyz
+    number, of = returns
+    heights, ground = surfaces
+    split, firsts = np.zeros(heights.shape, dtype=np.int32), np.zeros(heights.shape, dtype=np.int32)
+    stopped, lasts = np.zeros(heights.shape, dtype=np.int32), np.zeros(heights.shape, dtype=np.int32)
+    for i in range(x.size):
+        row, col = cell_of(x[i], y[i], frame, heights.shape)
+        if row < 0:
+            continue
+        above = np.float32(z[i] - ground[row, col])
+        if number[i] == 1 and above > mask_m:
+            firsts[row, col] += 1
+            split[row, col] += of[i] > 1
+        if number[i] == of[i]:
+            lasts[row, col] += 1
+            stopped[row, col] += above > max(mask_m, np.float32(0.5) * heights[row, col])
+    return split, firsts, stopped, lasts
+
+
+@kernel
+def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell: float, half: int) -> Field:
+    """Residual of the least-squares plane through the samples of each window.
+
+    The moments are summed by columns and then over the columns, whose eastings are shifted to the window's centre.
+    """
+    height, width = z.shape
+    out = np.full(z.shape, np.float32(NO_PLANE_M))
+    for row in range(height):
+        columns = _column_moments(z, offsets, (origin, cell), row, half)
+        for col in range(width):
+            n = se = sn = sz = see = sen = snn = sez = snz = szz = 0.0
+            for c in range(max(col - half, 0), min(col + half + 1, width)):
+                m = columns[c]
+                shift = (c - col) * cell
+                n += m[0]
+                se += m[1] + m[0] * shift
+                sn += m[2]
+                sz += m[3]
+                see += m[4] + shift * (2 * m[1] + m[0] * shift)
+                sen += m[5] + shift * m[2]
+                snn += m[6]
+                sez += m[7] + shift * m[3]
+                snz += m[8]
+                szz += m[9]
+            if n < 4:
+                continue
+            cee, cen, cnn = see - se * se / n, sen - se * sn / n, snn - sn * sn / n
+            cez, cnz, czz = sez - se * sz / n, snz - sn * sz / n, szz - sz * sz / n
+            det = cee * cnn - cen * cen
+            if det <= 1e-4 * (n * cell * cell) ** 2:
+                continue
+            slope_e, slope_n = (cnn * cez - cen * cnz) / det, (cee * cnz - cen * cez) / det
+            residual = max(czz - slope_e * cez - slope_n * cnz, 0.0) / n
+            out[row, col] = min(np.sqrt(residual), NO_PLANE_M)
+    return out
+
+
+@kernel
+def _column_moments(z: Floats, offsets: tuple[Field, Field], scale: tuple[float, float], row: int, half: int) -> Floats:
+    """Return the count and moments (1, e, n, z, ee, en, nn, ez, nz, zz) of each column around a row."""
+    east, north = offsets
+    origin, cell = scale
+    columns = np.zeros((z.shape[1], 10))
+    for r in range(max(row - half, 0), min(row + half + 1, z.shape[0])):
+        for col in range(z.shape[1]):
+            h = z[r, col] - origin
+            if np.isnan(h):
+                continue
+            e, n = float(east[r, col]), (row - r) * cell + north[r, col]
+            m = columns[col]
+            m[0] += 1.0
+            m[1] += e
+            m[2] += n
+            m[3] += h
+            m[4] += e * e
+            m[5] += e * n
+            m[6] += n * n
+            m[7] += e * h
+            m[8] += n * h
+            m[9] += h * h
+    return columns
