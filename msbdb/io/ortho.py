@@ -21,7 +21,7 @@ from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Bounds, GridSpec
 from msbdb.io.crs import CrsLike, same_crs, split_crs
-from msbdb.io.rasterfile import open_raster, raster_crs, warp
+from msbdb.io.rasterfile import open_raster, raster_bounds, raster_crs, warp
 
 logger = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ def read_bands(
     resampling : {'auto', 'average', 'bilinear', 'nearest'}
         'auto' averages the pixels in a cell where the image is finer than the lattice, else interpolates.
     band_names : sequence of str, optional
-        Names of every file's bands in order, without any alpha band. By default they come from, in this order: the
+        Names of every file's bands in order, with or without any alpha band. By default they come from, in order: the
         bands' descriptions, a word in the file's name (such as irc or rgb), the colour interpretation, the position.
     crs : int, str or CRS, optional
         The CRS of images that have none; where a file has one, it must be the same.
@@ -139,7 +139,7 @@ def _add(
     if window is None:
         return False
     transform = dataset.transform @ Affine.translation(window.col_off, window.row_off)
-    seen = dataset.dataset_mask(window=window) != 0
+    seen = _seen(dataset, window, list(names))
     side = math.sqrt(abs(transform.determinant)) * own.axis_info[0].unit_conversion_factor
     finer = not own.is_projected or side < spec.cell_m
     method = ("average" if finer else "bilinear") if resampling == "auto" else resampling
@@ -152,6 +152,18 @@ def _add(
     return True
 
 
+def _seen(dataset: rasterio.DatasetReader, window: Window, indexes: list[int]) -> NDArray[np.bool_]:
+    """Return which pixels of a window have a value: not nodata in every band, nor transparent."""
+    if ColorInterp.alpha not in [dataset.colorinterp[i - 1] for i in indexes]:
+        return np.asarray(dataset.dataset_mask(window=window) != 0)
+    # A band that is only called alpha would mask all others: its name says that it is an image band.
+    seen = np.zeros((window.height, window.width), dtype=np.bool_)
+    for i in indexes:
+        nodata = dataset.nodatavals[i - 1]
+        seen |= True if nodata is None else dataset.read(i, window=window) != nodata
+    return seen
+
+
 def _bounds_in(spec: GridSpec, crs: CRS) -> Bounds:
     """Return the lattice's bounds in another CRS."""
     if same_crs(crs, spec.crs):
@@ -162,7 +174,7 @@ def _bounds_in(spec: GridSpec, crs: CRS) -> Bounds:
 
 def _bounds_on(dataset: rasterio.DatasetReader, crs: CRS, spec: GridSpec) -> Bounds:
     """Return a raster's bounds in the lattice's CRS."""
-    own: Bounds = tuple(dataset.bounds)
+    own = raster_bounds(dataset)
     if same_crs(crs, spec.crs):
         return own
     bounds: Bounds = transform_bounds(crs.to_wkt(), spec.crs.to_wkt(), *own)
@@ -184,15 +196,17 @@ def _window(dataset: rasterio.DatasetReader, bounds: Bounds) -> Window | None:
 def _names(dataset: rasterio.DatasetReader, given: Sequence[str] | None) -> dict[int, str]:
     """Return the name of every band by its number; alpha bands have none."""
     file = Path(dataset.name)
+    words = re.split(r"[^a-z]+", file.stem.lower())
     colours = dataset.colorinterp
-    indexes = [i for i in dataset.indexes if colours[i - 1] != ColorInterp.alpha]
+    # GDAL calls a fourth band alpha unless it is told otherwise, so that a name for every band counts for more.
+    all_named = len(given) == dataset.count if given is not None else _from_words(words, dataset.count) is not None
+    indexes = [i for i in dataset.indexes if all_named or colours[i - 1] != ColorInterp.alpha]
     if given is not None:
         if len(given) != len(indexes):
             msg = f"{file.name} has {len(indexes)} bands, but {len(given)} names were given: {', '.join(given)}."
             raise InputError(msg)
         found: list[str | None] = list(given)
     else:
-        words = re.split(r"[^a-z]+", file.stem.lower())
         found = [BAND_WORDS.get((dataset.descriptions[i - 1] or "").strip().lower()) for i in indexes]
         if None in found:
             found = _from_words(words, len(indexes)) or [INTERPRETED.get(colours[i - 1]) for i in indexes]

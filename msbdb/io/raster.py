@@ -16,7 +16,7 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.io.atomic import write_atomic
 from msbdb.io.crs import CrsLike, reference
 from msbdb.io.ortho import read_bands
-from msbdb.io.rasterfile import open_raster, raster_crs, warp
+from msbdb.io.rasterfile import open_raster, raster_bounds, raster_crs, warp
 
 __all__ = ["align_grid", "read_bands", "read_grid", "write_grid"]
 
@@ -86,7 +86,7 @@ def read_grid(
             )
             raise InputError(msg)
         own = raster_crs(dataset, crs)
-        transform, shape, bounds = dataset.transform, dataset.shape, tuple(dataset.bounds)
+        transform, shape, bounds = dataset.transform, dataset.shape, raster_bounds(dataset)
         _require_square(transform, f"The {role} {name}")
         unit = BAND_UNITS.get((dataset.units[0] or "").strip().lower())
         values, valid = _heights(dataset)

@@ -15,7 +15,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.warp import Resampling, reproject
 
 from msbdb.errors import FileError, InputError
-from msbdb.grid import GridSpec
+from msbdb.grid import Bounds, GridSpec
 from msbdb.io.crs import CrsLike, same_crs, settle
 
 
@@ -38,6 +38,14 @@ def raster_crs(dataset: rasterio.DatasetReader, stated: CrsLike | None) -> CRS:
     """Return a raster's CRS, settled with the stated one."""
     found = None if dataset.crs is None else CRS.from_wkt(dataset.crs.to_wkt())
     return settle(found, stated, Path(dataset.name).name)
+
+
+def raster_bounds(dataset: rasterio.DatasetReader) -> Bounds:
+    """Return west, south, east and north of a raster in its own units, also if it is rotated."""
+    t, rows, cols = dataset.transform, dataset.height, dataset.width
+    xs = [t.c + col * t.a + row * t.b for col in (0, cols) for row in (0, rows)]
+    ys = [t.f + col * t.d + row * t.e for col in (0, cols) for row in (0, rows)]
+    return (min(xs), min(ys), max(xs), max(ys))
 
 
 def warp(source: NDArray[np.float32], transform: Affine, crs: CRS, onto: GridSpec, method: str) -> NDArray[np.float32]:
