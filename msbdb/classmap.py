@@ -52,3 +52,45 @@ class ClassMap:
         for index, label in self.labels.items():
             wanted[index] = label in labels
         return wanted[self.index]
+
+
+def overlay(
+    structure: ClassMap, spectral: ClassMap | None, *, operator: Mapping[int, str], green_decides: bool = False
+) -> ClassMap:
+    """Put the structural cover and the spectral classes into one map: structure says what, colour says which.
+
+    Spectral classes keep their numbers 1 to K. A cell that the structure holds for roof keeps its spectral class
+    where that class is labelled building, and is of class K + 1 (roof by structure) otherwise; a cell that it holds
+    for vegetation is of class K + 2. Where the operator has labelled a spectral class, its cells keep that class:
+    the operator's word is above the structure's.
+
+    Parameters
+    ----------
+    structure : ClassMap
+        Roofs ('building') and vegetation by texture and echoes; 0 elsewhere.
+    spectral : ClassMap, optional
+        Spectral classes on the same lattice; K is 0 without.
+    operator : mapping of int to str
+        Labels by the operator, of any class up to K + 2.
+    green_decides : bool
+        Let spectral vegetation be vegetation even where the structure sees a roof.
+
+    Returns
+    -------
+    ClassMap
+    """
+    count = max(spectral.labels, default=0) if spectral else 0
+    roof, crown = count + 1, count + 2
+    labels = {**(spectral.labels if spectral else {}), roof: "building", crown: "vegetation", **operator}
+    index = np.zeros(structure.spec.shape, dtype=np.uint8)
+    is_roof, is_crown = structure.labelled("building"), structure.labelled("vegetation")
+    index[is_roof] = roof
+    index[is_crown] = crown
+    if spectral is not None:
+        kept = {k for k, label in labels.items() if k <= count and (label == "building" or k in operator)}
+        if green_decides:
+            kept |= {k for k, label in labels.items() if k <= count and label == "vegetation"}
+        colour = np.isin(spectral.index, sorted(kept))
+        told = np.isin(spectral.index, sorted(k for k in operator if k <= count))
+        index = np.where((is_roof & colour) | ((is_roof | is_crown) & told), spectral.index, index)
+    return ClassMap(index, labels, structure.spec)

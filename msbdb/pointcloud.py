@@ -79,3 +79,8 @@ class PointCloud:
         if self.return_number is None:
             return np.ones(len(self), dtype=np.bool_)
         return np.equal(self.return_number, 1)
+
+    @property
+    def has_echoes(self) -> bool:
+        """Whether some pulse gave more than one echo, so that the echoes tell something."""
+        return self.number_of_returns is not None and bool((self.number_of_returns > 1).any())

@@ -1,0 +1,7 @@
+"""The composition of the stages: building a database, and what is done with one that is there."""
+
+from msbdb.pipeline.build import BuildReport, build
+from msbdb.pipeline.inventory import Inventory, open
+from msbdb.pipeline.reports import classes, evaluate, export, info, relabel, view
+
+__all__ = ["BuildReport", "Inventory", "build", "classes", "evaluate", "export", "info", "open", "relabel", "view"]

@@ -1,0 +1,176 @@
+"""The main job, from end to end: from LiDAR and imagery to a multi-scale building database."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.database import open_database, write_build
+from msbdb.extract.multiscale.run import extract_parts
+from msbdb.grid import Grid
+from msbdb.params import Params, as_dict
+from msbdb.params import profile as named_profile
+from msbdb.pipeline.assemble import make_frames, outline_parts
+from msbdb.pipeline.cover import Cover, classify_cover
+from msbdb.pipeline.inputs import Inputs, collect_notices, make_surface, read_cloud, read_ortho, record_survey
+from msbdb.pipeline.stage import Progress, Stages
+from msbdb.pipeline.state import pack_state
+from msbdb.spectral.bands import spectral_bands
+from msbdb.surface import cover_from_surface
+from msbdb.tables import Build, Run, Survey
+from msbdb.version import __version__
+
+METHOD = "multiscale"
+NO_IMAGERY = "There is no imagery: roofs and vegetation are told by height texture and echoes alone."
+NO_ECHOES = "There is no echo information: without it roofs and vegetation are told by height texture alone."
+
+
+@dataclass(frozen=True, slots=True)
+class BuildReport:
+    """What a build did: counts, sentences for people, seconds a stage, and whether the database changed."""
+
+    survey: str
+    buildings: int
+    parts: int
+    rejected: int
+    notices: tuple[str, ...]
+    timings: dict[str, float]
+    changed: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
+def build(
+    points: Sequence[Path] = (),
+    *,
+    ortho: Sequence[Path] = (),
+    dsm: Path | None = None,
+    dtm: Path | None = None,
+    ndsm: Path | None = None,
+    db: str | Path,
+    survey: str | None = None,
+    date: str | None = None,
+    crs: str | None = None,
+    z_unit: str = "auto",
+    params: Params | None = None,
+    profile: str = "default",
+    progress: Progress | None = None,
+) -> BuildReport:
+    """Build or extend a database of buildings from one survey.
+
+    Parameters
+    ----------
+    points : sequence of path
+        LAS, LAZ or COPC files; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF.
+    ortho : sequence of path
+        Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
+    dsm, dtm, ndsm : path, optional
+        Rasters of heights.
+    db : str or path
+        A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
+    survey : str, optional
+        Name of the survey; the first file's name by default. Building it again replaces it, or changes nothing.
+    date : str, optional
+        When the data were taken, ISO 8601.
+    crs : str, optional
+        CRS of files that state none.
+    z_unit : str
+        Unit of the heights: ``auto``, ``m``, ``ft`` or ``us-ft``.
+    params : Params, optional
+        Parameters; the profile's by default.
+    profile : str
+        Name of the profile that the parameters come from.
+    progress : callable, optional
+        Called with stage, steps done and steps in all.
+
+    Returns
+    -------
+    BuildReport
+
+    Raises
+    ------
+    MsbdbError
+        One of its kinds, when the inputs or the database cannot be used. Nothing is written then.
+    """
+    params = params or named_profile(profile)
+    as_paths = [Path(path) for path in points], [Path(path) for path in ortho]
+    inputs = Inputs(tuple(as_paths[0]), tuple(as_paths[1]), dsm, dtm, ndsm, crs, z_unit)
+    stages = Stages(progress)
+    notices: list[str] = []
+    with collect_notices(notices):
+        result = run(inputs, params, stages, notices, name=survey or inputs.default_survey(), date=date or "")
+    record, cover, forest, frames, heights = result
+    counts: dict[str, object] = {
+        "regions": forest.counts,
+        "cells": _cells(heights, cover),
+        "cover": {"colours_decide": int(cover.colours_decide), "green_decides": int(cover.green_decides)},
+    }
+    values: dict[str, object] = dict(as_dict(params))
+    entry = Run(METHOD, profile, __version__, values, counts, stages.timings, tuple(notices))
+    with stages.stage("write"):
+        whole = Build(record, entry, frames, pack_state(heights, cover))
+        changed = store(whole, db)
+    return report_of(whole, stages, changed=changed)
+
+
+def run(
+    inputs: Inputs, params: Params, stages: Stages, notices: list[str], *, name: str, date: str
+) -> tuple[Survey, Cover, Any, dict[str, Any], Grid]:
+    """Take one tile through all stages, up to the tables that the database takes."""
+    with stages.stage("read"):
+        cloud = read_cloud(inputs, stages.progress, notices)
+    with stages.stage("surface"):
+        surface = make_surface(inputs, cloud, params)
+    with stages.stage("cover"):
+        structure, roughness_m = cover_from_surface(surface, cloud, params)
+        echoes = cloud is not None and cloud.has_echoes
+    with stages.stage("classes"):
+        ortho = read_ortho(inputs.ortho, surface.ndsm.spec)
+        bands = spectral_bands(ortho, cloud, surface.ndsm.spec, max_gap_m=params.surface.max_gap_m)
+        cover = classify_cover(structure, bands, surface.ndsm, roughness_m, params, echoes=echoes)
+        notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
+    record = record_survey(inputs, name=name, date=date, surface=surface, cloud=cloud)
+    del cloud, bands, ortho
+    with stages.stage("parts"):
+        forest = extract_parts(surface.ndsm, cover.classes, survey=name, params=params)
+    with stages.stage("outlines"):
+        parts = outline_parts(forest, surface.ndsm, params.vector)
+        frames = make_frames(forest, parts, cover, surface.ndsm)
+    return record, cover, forest, frames, surface.ndsm
+
+
+def store(build: Build, db: str | Path) -> bool:
+    """Write a build in one transaction; return whether the database changed."""
+    engine = open_database(db, create=True, srid=build.survey.epsg, crs_wkt=build.survey.crs_wkt)
+    try:
+        return write_build(engine, build).status != "unchanged"
+    finally:
+        engine.dispose()
+
+
+def _cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
+    """Count the cells: all, valid, and a class label each."""
+    labels = cover.classes.labels
+    found: NDArray[np.int64] = np.bincount(cover.classes.index.ravel(), minlength=256)
+    by_label: dict[str, int] = {}
+    for index, label in sorted(labels.items()):
+        by_label[label] = by_label.get(label, 0) + int(found[index])
+    return {"all": int(ndsm.valid.size), "valid": int(np.count_nonzero(ndsm.valid)), **by_label}
+
+
+def report_of(build: Build, stages: Stages, *, changed: bool) -> BuildReport:
+    """Sum up a build."""
+    return BuildReport(
+        survey=build.survey.name,
+        buildings=len(build.frames["building"]),
+        parts=len(build.frames["part"]),
+        rejected=len(build.frames["rejection"]),
+        notices=build.run.notices,
+        timings={name: round(seconds, 3) for name, seconds in stages.timings.items()},
+        changed=changed,
+    )

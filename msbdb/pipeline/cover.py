@@ -1,0 +1,124 @@
+"""Land cover of a build: structure, colours where there are any, and the operator's labels, in one class map."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.bands import Bands
+from msbdb.classmap import LABELS, ClassMap, overlay
+from msbdb.errors import InputError
+from msbdb.grid import Grid
+from msbdb.params import Params
+from msbdb.spectral.classes import classify
+from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND
+
+COLOURS = {"red", "green", "blue", "nir"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cover:
+    """The class maps of a build and the tables that describe their classes.
+
+    Parameters
+    ----------
+    structure : ClassMap
+        Roofs and vegetation by texture and echoes.
+    spectral : ClassMap, optional
+        Classes by colour, with their automatic labels; None without imagery.
+    table, bands : DataFrame
+        ``tables.SPECTRAL_CLASS`` and ``tables.SPECTRAL_CLASS_BAND``.
+    colours_decide : bool
+        Colours alone tell roofs from vegetation (V36 to V41 as written).
+    green_decides : bool
+        Spectral vegetation is vegetation even where the structure sees a roof.
+    operator : mapping of int to str
+        The operator's labels.
+    """
+
+    structure: ClassMap
+    spectral: ClassMap | None
+    table: pd.DataFrame
+    bands: pd.DataFrame
+    colours_decide: bool
+    green_decides: bool
+    operator: Mapping[int, str]
+
+    @property
+    def classes(self) -> ClassMap:
+        """The map that the extractors read."""
+        if self.spectral is not None and self.colours_decide:
+            return ClassMap(self.spectral.index, {**self.spectral.labels, **self.operator}, self.spectral.spec)
+        return overlay(self.structure, self.spectral, operator=self.operator, green_decides=self.green_decides)
+
+    def relabelled(self, labels: Mapping[int, str]) -> "Cover":
+        """Return the cover with further labels by the operator.
+
+        Raises
+        ------
+        InputError
+            For a class or a label that does not exist.
+        """
+        known = self.table["speindex"].tolist()
+        for number, label in labels.items():
+            if number not in known or label not in LABELS:
+                msg = (
+                    f"Class {number} cannot be labelled '{label}': there are the classes 1 to {max(known, default=0)} "
+                    f"and the labels {', '.join(LABELS)}."
+                )
+                raise InputError(msg)
+        chosen = self.table["speindex"].isin(list(labels))
+        table = self.table.assign(
+            label=[labels.get(k, old) for k, old in zip(known, self.table["label"], strict=True)],
+            labelled_by=np.where(chosen, "operator", self.table["labelled_by"]),
+        )
+        return replace(self, table=table, operator={**self.operator, **labels})
+
+
+def classify_cover(
+    structure: ClassMap,
+    bands: Bands | None,
+    ndsm: Grid,
+    roughness_m: NDArray[np.float32],
+    params: Params,
+    *,
+    echoes: bool,
+) -> Cover:
+    """Classify the colours where there are any, and describe all classes in one table.
+
+    One band of intensity alone is no imagery: it tells materials apart too poorly.
+    """
+    spectral, table, band_table = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty()
+    if bands is not None and COLOURS & set(bands.names):
+        spectral, table, band_table = classify(bands, ndsm, roughness_m, params)
+    colours_decide = spectral is not None and params.spectral.decides == "spectral"
+    if not colours_decide:
+        table = pd.concat([table, _structure_rows(structure, len(table), ndsm, roughness_m)], ignore_index=True)
+    green = bands is not None and "nir" in bands.names and not echoes
+    return Cover(structure, spectral, table, band_table, colours_decide, green, {})
+
+
+def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:
+    """Describe the two structural classes, which follow the spectral ones."""
+    index = structure.index.ravel()
+    cells = np.bincount(index, minlength=3)[1:3]
+    size = np.where(cells > 0, cells, np.nan)
+    heights = np.bincount(index, weights=np.asarray(ndsm.values, dtype=np.float64).ravel(), minlength=3)[1:3]
+    rough = np.bincount(index, weights=roughness_m.astype(np.float64).ravel(), minlength=3)[1:3]
+    rows = pd.DataFrame(
+        {
+            "speindex": np.array([count + 1, count + 2], dtype=np.int64),
+            "label": ["building", "vegetation"],
+            "labelled_by": "automatic",
+            "source": "structure",
+            "cells": cells.astype(np.int64),
+            "share": cells / max(int(cells.sum()), 1),
+            "ndvi": np.nan,
+            "brightness": np.nan,
+            "roughness_m": rough / size,
+            "height_m": heights / size,
+        }
+    )
+    return rows[SPECTRAL_CLASS.names]

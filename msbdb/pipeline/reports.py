@@ -1,0 +1,205 @@
+"""What is done with a database that is there: tell, re-label, draw, export, evaluate."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pyproj import CRS
+from sqlalchemy import Engine
+
+from msbdb.database import (
+    list_runs,
+    open_database,
+    read_build,
+    read_buildings,
+    read_classes,
+    read_parts,
+    read_survey,
+)
+from msbdb.evaluate import EvaluateParams, Evaluation, PointReference, PolygonReference
+from msbdb.evaluate import evaluate as score
+from msbdb.export import export as write_export
+from msbdb.extract.multiscale.run import extract_parts
+from msbdb.grid import Grid
+from msbdb.io.las import read_points
+from msbdb.io.vector import read_polygons
+from msbdb.params import Params, with_values
+from msbdb.pipeline.assemble import make_frames, outline_parts
+from msbdb.pipeline.build import BuildReport, report_of, store
+from msbdb.pipeline.stage import Progress, Stages
+from msbdb.pipeline.state import lattice_of, pack_state, unpack_cover, unpack_heights
+from msbdb.tables import Build
+from msbdb.view.figure import draw_map
+
+BUILDING_CLASS = 6
+POINT_SUFFIXES = {".las", ".laz"}
+
+
+@contextmanager
+def opened(db: str | Path) -> Iterator[Engine]:
+    """Open a database that must be there, and close it."""
+    engine = open_database(db)
+    try:
+        yield engine
+    finally:
+        engine.dispose()
+
+
+def info(db: str | Path) -> dict[str, Any]:
+    """Tell what a database holds: a record a run, with its survey, counts and notices."""
+    with opened(db) as engine:
+        runs = list_runs(engine)
+        found = []
+        for row in runs.to_dict(orient="records"):
+            build = read_build(engine, row["survey"], row["method"])
+            survey = asdict(build.survey)
+            survey.pop("crs_wkt")
+            head: dict[str, Any] = {str(name): value for name, value in row.items()}
+            found.append({**head, **_counts(build), "survey_record": survey, "notices": list(build.run.notices)})
+    return {"database": _shown(db), "runs": found}
+
+
+def classes(db: str | Path, survey: str | None = None) -> pd.DataFrame:
+    """Return the land-cover classes of a survey with their statistics."""
+    with opened(db) as engine:
+        return read_classes(engine, survey)
+
+
+def relabel(
+    db: str | Path, labels: Mapping[int, str], *, survey: str | None = None, progress: Progress | None = None
+) -> BuildReport:
+    """Give classes the operator's labels (V36), and run the build again from there on.
+
+    The source data are not needed: the heights and class maps of the run are in the database.
+
+    Raises
+    ------
+    InputError
+        When a class, a label or the survey does not exist.
+    """
+    stages = Stages(progress)
+    with stages.stage("read"), opened(db) as engine:
+        old = read_build(engine, survey)
+    spec = lattice_of(old.survey, old.state)
+    heights = unpack_heights(old.state, spec)
+    cover = unpack_cover(old, spec).relabelled(labels)
+    params = with_values(Params(), old.run.parameters)  # type: ignore[arg-type]  # plain nested values
+    with stages.stage("parts"):
+        forest = extract_parts(heights, cover.classes, survey=old.survey.name, params=params)
+    with stages.stage("outlines"):
+        parts = outline_parts(forest, heights, params.vector)
+        frames = make_frames(forest, parts, cover, heights)
+    counts = {**old.run.counts, "regions": forest.counts}
+    run = replace(old.run, counts=counts, timings={**old.run.timings, **stages.timings})
+    with stages.stage("write"):
+        build = Build(old.survey, run, frames, pack_state(heights, cover))
+        changed = store(build, db)
+    return report_of(build, stages, changed=changed)
+
+
+def view(db: str | Path, out: Path, *, survey: str | None = None) -> None:
+    """Draw footprints and parts by scale and height on a hillshade, as PNG."""
+    with opened(db) as engine:
+        build = read_build(engine, survey)
+    relief = unpack_heights(build.state, lattice_of(build.survey, build.state))
+    scales = build.frames["scale"]
+    place = CRS.from_wkt(build.survey.crs_wkt).name
+    draw_map(
+        build.frames["part"],
+        build.frames["building"],
+        relief,
+        Path(out),
+        title=f"{build.survey.name}: {len(build.frames['building'])} buildings in {len(build.frames['part'])} parts",
+        subtitle=" · ".join(word for word in (build.survey.date, place, f"cell {build.survey.cell_m:g} m") if word),
+        thresholds_m2=dict(zip(scales["scale"].tolist(), scales["threshold_m2"].tolist(), strict=True)),
+    )
+
+
+def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: bool = False) -> None:
+    """Write parts and footprints of a survey to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
+    with opened(db) as engine:
+        parts, buildings = read_parts(engine, survey), read_buildings(engine, survey)
+    write_export(parts, buildings, Path(out), overwrite=overwrite)
+
+
+def evaluate(
+    db: str | Path,
+    reference: Path,
+    *,
+    layer: str | None = None,
+    aoi: Path | None = None,
+    crs: str | None = None,
+    overlap: float = 0.5,
+    cell_m: float = 0.5,
+    survey: str | None = None,
+) -> Evaluation:
+    """Compare the footprints of a survey with a reference.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    reference : path
+        Footprints in any vector format, or LAS or LAZ points whose class 6 is the truth.
+    layer : str, optional
+        Layer of a vector reference.
+    aoi : path, optional
+        Polygons within which to compare.
+    crs : str, optional
+        The reference's CRS where it states none.
+    overlap, cell_m : float
+        Share that counts as found; cell of the grid on which areas are compared, metres.
+    survey : str, optional
+        Not needed where the database holds one.
+    """
+    with opened(db) as engine:
+        buildings = read_buildings(engine, survey)
+        record = read_survey(engine, survey)
+        shape = _shape(record.bounds, record.cell_m)
+    spec = lattice_of(record, {"valid": np.empty(shape, dtype=np.uint8)})
+    area = read_polygons(aoi, to=spec.crs) if aoi else None
+    params = EvaluateParams(overlap=overlap, cell_m=cell_m)
+    if Path(reference).suffix.lower() in POINT_SUFFIXES:
+        points, _ = read_points([reference], crs=crs)
+        if points.classification is None:
+            truth = np.zeros(len(points), dtype=np.bool_)
+        else:
+            truth = np.equal(points.classification, BUILDING_CLASS)
+        given = PointReference(points.x, points.y, truth, points.crs, points.first_echo)
+        return score(buildings, given, aoi=area, params=params)
+    footprints = read_polygons(reference, layer=layer, crs=crs, to=spec.crs)
+    surveyed = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
+    return score(buildings, PolygonReference(footprints), aoi=area, valid=surveyed, params=params)
+
+
+def _shape(bounds: tuple[float, float, float, float], cell_m: float) -> tuple[int, int]:
+    """Rows and columns of a lattice from its bounds."""
+    west, south, east, north = bounds
+    return round((north - south) / cell_m), round((east - west) / cell_m)
+
+
+def _counts(build: Build) -> dict[str, Any]:
+    """Count what a run holds."""
+    parts, buildings = build.frames["part"], build.frames["building"]
+    return {
+        "buildings": len(buildings),
+        "parts": len(parts),
+        "rejected": len(build.frames["rejection"]),
+        "footprint_m2": round(float(buildings["area_m2"].sum()), 1),
+        "volume_m3": round(float(buildings["volume_m3"].sum()), 1),
+        "highest_m": round(float(buildings["h_max"].max()), 2) if len(buildings) else None,
+        "scales_m2": build.frames["scale"].sort_values("scale")["threshold_m2"].tolist(),
+        "seconds": round(sum(build.run.timings.values()), 2),
+    }
+
+
+def _shown(db: str | Path) -> str:
+    """Return the database's name without a password."""
+    from sqlalchemy.engine import make_url
+
+    text = str(db)
+    return make_url(text).render_as_string(hide_password=True) if "://" in text else text

@@ -1,0 +1,64 @@
+"""The rasters of a run that the database keeps, so that classes can be re-labelled without the source data."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from msbdb.classmap import ClassMap
+from msbdb.grid import Grid, GridSpec
+from msbdb.pipeline.cover import Cover
+from msbdb.surface.heights import PER_METRE
+from msbdb.tables import Build, Survey
+
+State = Mapping[str, NDArray[np.generic]]
+
+
+def pack_state(ndsm: Grid, cover: Cover) -> dict[str, NDArray[np.generic]]:
+    """Return the rasters to keep: heights in whole centimetres, where they hold, and the class maps."""
+    state: dict[str, NDArray[np.generic]] = {
+        "ndsm_cm": np.round(np.asarray(ndsm.values, dtype=np.float64) * PER_METRE).astype(np.int32),
+        "valid": ndsm.valid.astype(np.uint8),
+        "structure": cover.structure.index,
+    }
+    if cover.spectral is not None:
+        state["spectral"] = cover.spectral.index
+    return state
+
+
+def lattice_of(survey: Survey, state: State) -> GridSpec:
+    """Return the lattice on which a survey's rasters lie."""
+    west, _, _, north = survey.bounds
+    transform = Affine(survey.cell_m, 0.0, west, 0.0, -survey.cell_m, north)
+    rows, cols = state["valid"].shape
+    return GridSpec((rows, cols), transform, CRS.from_wkt(survey.crs_wkt))
+
+
+def unpack_heights(state: State, spec: GridSpec) -> Grid:
+    """Return the nDSM of a kept run, to the bit."""
+    values = (np.asarray(state["ndsm_cm"], dtype=np.float64) / PER_METRE).astype(np.float32)
+    return Grid(values, state["valid"].astype(np.bool_), spec)
+
+
+def unpack_cover(build: Build, spec: GridSpec) -> Cover:
+    """Return the land cover of a kept run, with the operator's labels so far."""
+    state, table = build.state, build.frames["spectral_class"]
+    structure = ClassMap(state["structure"].astype(np.uint8), {1: "building", 2: "vegetation"}, spec)
+    labels = dict(zip(table["speindex"].tolist(), table["label"].tolist(), strict=True))
+    by_operator = set(table.loc[table["labelled_by"] == "operator", "speindex"].tolist())
+    colours = set(table.loc[table["source"] == "spectral", "speindex"].tolist())
+    spectral = None
+    if "spectral" in state:
+        spectral = ClassMap(state["spectral"].astype(np.uint8), {k: labels[k] for k in colours}, spec)
+    rule = build.run.counts["cover"]
+    return Cover(
+        structure=structure,
+        spectral=spectral,
+        table=table,
+        bands=build.frames["spectral_class_band"],
+        colours_decide=bool(rule["colours_decide"]),  # type: ignore[index]  # counts are plain nested values
+        green_decides=bool(rule["green_decides"]),  # type: ignore[index]
+        operator={k: labels[k] for k in by_operator},
+    )
