@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, the steps done and the steps in all."""
 
+WIDEST = 12
+"""Columns beyond which records are printed one below the other."""
+
 
 @cache
 def stderr_console() -> "Console":
@@ -53,16 +56,26 @@ def plain(value: object) -> Any:  # noqa: ANN401  (JSON's own types)
 
 
 def emit(result: Mapping[str, object], title: str = "") -> None:
-    """Print a result for people: its plain values as a list, its lists of records as tables, the rest in sections."""
-    tables = {key: value for key, value in result.items() if _is_records(value)}
-    sections = {key: value for key, value in result.items() if isinstance(value, Mapping) and value}
-    rest = {key: value for key, value in result.items() if key not in tables and key not in sections}
+    """Print a result for people: plain values as a list, flat records as a table, the rest in sections of their own."""
+    rest: dict[str, object] = {}
+    sections: list[tuple[str, Mapping[str, object]]] = []
+    tables: list[tuple[str, Sequence[Mapping[str, object]]]] = []
+    for key, value in result.items():
+        heading = f"{title} · {words(key)}" if title else words(key)
+        if isinstance(value, Mapping) and value:
+            sections.append((heading, value))
+        elif _is_table(value):
+            tables.append((heading, value))
+        elif _is_records(value):
+            sections += [(f"{heading} {number}", record) for number, record in enumerate(value, 1)]
+        else:
+            rest[key] = value
     if rest:
         emit_pairs(rest, title)
-    for key, value in sections.items():
-        emit(value, f"{title} · {words(key)}" if title else words(key))
-    for key, records in tables.items():
-        emit_table(records, f"{title} · {words(key)}" if title else words(key))
+    for heading, section in sections:
+        emit(section, heading)
+    for heading, records in tables:
+        emit_table(records, heading)
 
 
 def emit_pairs(pairs: Mapping[str, object], title: str = "") -> None:
@@ -103,7 +116,7 @@ def text(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         digits = 3 if abs(value) < 100 else 1
-        return f"{value:.{digits}f}"
+        return f"{value:.{digits}f}".rstrip("0").rstrip(".")
     if isinstance(value, list):
         return ", ".join(text(item) for item in value)
     return str(value)
@@ -137,10 +150,15 @@ def progress_bars() -> Iterator[Progress | None]:
 
 
 def _is_records(value: object) -> TypeGuard[Sequence[Mapping[str, object]]]:
-    """Whether a value is a list of mappings that have the same keys."""
-    if not isinstance(value, list | tuple) or not value or not all(isinstance(item, Mapping) for item in value):
+    """Whether a value is a list of mappings."""
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(item, Mapping) for item in value)
+
+
+def _is_table(value: object) -> TypeGuard[Sequence[Mapping[str, object]]]:
+    """Whether a value is a list of mappings with the same few keys and plain values."""
+    if not _is_records(value) or len(value[0]) > WIDEST or not all(list(item) == list(value[0]) for item in value):
         return False
-    return all(list(item) == list(value[0]) for item in value)
+    return not any(isinstance(cell, Mapping) or _is_records(cell) for item in value for cell in item.values())
 
 
 def _table(title: str) -> "Table":

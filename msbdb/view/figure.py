@@ -178,13 +178,13 @@ def _height_range(parts: gpd.GeoDataFrame) -> Normalize:
 
 
 def _thinness(parts: gpd.GeoDataFrame, axes: Axes) -> float:
-    """Return the factor of line widths: 1 where parts are large on paper, down to 0.35 where they are tiny."""
+    """Return the factor of line widths: 1 where parts are large on paper, down to 0.5 where they are tiny."""
     if not len(parts):
         return 1.0
     west, east = axes.get_xlim()
     inches_a_metre = axes.get_window_extent().width / axes.figure.dpi / (east - west)
     side = float(np.sqrt(np.median(parts.geometry.area))) * inches_a_metre
-    return float(np.clip(side / 0.25, 0.35, 1.0))
+    return float(np.clip(side / 0.25, 0.5, 1.0))
 
 
 def _line(scale: int, scales: list[int], thin: float) -> tuple[tuple[float, float, float], float]:

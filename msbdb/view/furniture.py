@@ -4,11 +4,14 @@ import math
 
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
-from matplotlib.patheffects import Stroke, withStroke
+from matplotlib.patheffects import Normal, Stroke, withStroke
 from matplotlib.transforms import IdentityTransform
 
 HALO = [withStroke(linewidth=3, foreground="white", alpha=0.9)]
-"""A white edge that keeps ink legible on any ground."""
+"""A white edge that keeps letters legible on any ground."""
+
+EDGE = [Stroke(linewidth=3.2, foreground="white"), Normal()]
+"""The same for shapes."""
 
 
 def round_length(longest: float) -> float:
@@ -55,7 +58,7 @@ def scale_bar(axes: Axes, *, share: float = 0.22) -> None:
                 edgecolor="black",
                 linewidth=0.8,
                 zorder=10,
-                path_effects=[Stroke(linewidth=3.2, foreground="white"), withStroke(linewidth=0, foreground="white")],
+                path_effects=EDGE,
             )
         )
     label = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
@@ -89,6 +92,7 @@ def north_arrow(axes: Axes) -> None:
                 edgecolor="black",
                 linewidth=0.8,
                 zorder=10,
+                path_effects=EDGE,
             )
         )
     axes.text(

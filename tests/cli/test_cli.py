@@ -468,8 +468,17 @@ def test_params_json_is_complete():
 
 def test_results_are_legible(capsys):
     """Nested results print as sections and tables, and nothing is cut where the output is no terminal."""
-    emit({"name": "x" * 150, "area": {"quality": 0.5, "deep": {"n": 1}}, "rows": [{"a": 1, "b": None}], "none": []})
+    emit(
+        {
+            "name": "x" * 150,
+            "area": {"quality": 0.5, "deep": {"n": 1}},
+            "rows": [{"a": 1, "b": None}],
+            "runs": [{"name": "spring", "survey": {"cell_m": 0.25}}],
+            "none": [],
+        }
+    )
     printed = capsys.readouterr().out
-    for expected in ("x" * 150, "0.500", "area · deep", "rows"):
+    for expected in ("x" * 150, "0.5", "area · deep", "rows", "runs 1 · survey", "0.25"):
         assert expected in printed
+    assert "{" not in printed
     assert text(True) == "yes"
