@@ -52,7 +52,7 @@ class Reference:
     transformer : Transformer, optional
         From ``source`` to ``crs``, where scaling does not do.
     notices : tuple of str
-        What was converted or assumed.
+        What was converted or assumed, without the file's name.
     """
 
     crs: CRS
@@ -239,7 +239,7 @@ def reference(
         xy_factor=factor if transformer is None else 1.0,
         z_factor=z_factor,
         transformer=transformer,
-        notices=tuple(f"{where}: {notice}" for notice in notices),
+        notices=tuple(notices),
     )
 
 
@@ -270,7 +270,9 @@ def _height_factor(
             msg = f"The unit of height must be auto, {', '.join(Z_UNITS)}; got {z_unit!r}."
             raise CRSError(msg)
         if named is not None and not math.isclose(named, Z_UNITS[z_unit], rel_tol=1e-9):
-            notices.append(f"heights were read in {z_unit} as stated, against the vertical CRS '{vertical}'.")
+            notices.append(
+                f"heights were read in {z_unit} as stated, against the vertical CRS '{vertical and vertical.name}'."
+            )
         factor, why = Z_UNITS[z_unit], "as stated"
     elif named is not None:
         factor, why = named, "the unit of the vertical CRS"

@@ -73,7 +73,20 @@ class _Columns:
         self.colour_names = colour_names
         self.filled = 0
         self.dropped: Counter[str] = Counter()
-        self.notices: list[str] = []
+        self._notices: dict[str, list[str]] = {}
+
+    def tell(self, notice: str, *files: str) -> None:
+        """Keep a notice, of the files or of all points."""
+        self._notices.setdefault(notice, []).extend(files)
+
+    @property
+    def notices(self) -> list[str]:
+        """The notices, each once, with the first file that it is about and the number of others."""
+        found = []
+        for notice, files in self._notices.items():
+            others = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
+            found.append(f"{files[0]}{others}: {notice}" if files else notice)
+        return found
 
     def append(self, values: Mapping[str, NDArray[Any]], keep: NDArray[np.bool_]) -> None:
         """Append the kept rows of a chunk."""
@@ -132,10 +145,12 @@ def read_points(
     colours = [set(_colour_fields(info)) for info in files]
     total = sum(info.points for info in files)
     columns = _Columns(total, tuple(name for name in COLOURS if name in set.intersection(*colours)))
-    columns.notices += [notice for each in references for notice in each.notices]
+    for info, each in zip(files, references, strict=True):
+        for notice in each.notices:
+            columns.tell(notice, info.path.name)
     partly = set.union(*colours).difference(columns.colour_names)
     if partly:
-        columns.notices.append(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
+        columns.tell(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
     echoes: list[bool] = []
     done = 0
     for info, each in zip(files, references, strict=True):
@@ -146,15 +161,17 @@ def read_points(
                 progress("read", done, total)
         if columns.filled > begin:
             own = {name: column[begin : columns.filled] for name, column in columns.arrays.items()}
-            _widen_colours(own["colours"], info, columns)
+            if _widen_colours(own["colours"]):
+                columns.tell("colours of 8 bits (none above 255) were multiplied by 257.", info.path.name)
+            if _leaves_bounds(info, each, own):
+                columns.tell("points lie outside of the bounds in the header, which is not trusted.", info.path.name)
             echoes.append(_settle_echoes(own))
-            columns.notices += _strays(info, each, own)
+            if not echoes[-1]:
+                columns.tell("no echo information, so that every point counts as a first echo.", info.path.name)
     cloud = _finish(columns, references, has_echoes=any(echoes))
     wrong_place = misplaced(cloud.crs, cloud.bounds)
     if wrong_place is not None:
-        columns.notices.append(wrong_place)
-    if any(echoes) and not all(echoes):
-        columns.notices.append("points of files without echo information count as single echoes.")
+        columns.tell(wrong_place)
     return cloud, columns.notices
 
 
@@ -248,12 +265,12 @@ def _append(
     columns.append(values, keep)
 
 
-def _widen_colours(colours: NDArray[np.uint16], info: LasInfo, columns: _Columns) -> None:
-    """Stretch a file's 8-bit colours to 16 bits in place: 255 becomes 65535."""
-    largest = int(colours.max(initial=0))
-    if 0 < largest <= 255:
+def _widen_colours(colours: NDArray[np.uint16]) -> bool:
+    """Stretch a file's 8-bit colours to 16 bits in place, so that 255 becomes 65535; return whether they were."""
+    narrow = 0 < int(colours.max(initial=0)) <= 255
+    if narrow:
         colours *= np.uint16(257)
-        columns.notices.append(f"{info.path.name}: colours of 8 bits (none above 255) were multiplied by 257.")
+    return narrow
 
 
 def _settle_echoes(own: Mapping[str, NDArray[Any]]) -> bool:
@@ -265,16 +282,15 @@ def _settle_echoes(own: Mapping[str, NDArray[Any]]) -> bool:
     return False
 
 
-def _strays(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]]) -> list[str]:
-    """Return a notice if a file's points leave the bounds that its header states; the points are trusted."""
+def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]]) -> bool:
+    """Return whether a file's points lie more than a metre outside of the bounds that its header states."""
+    if how.transformer is not None:
+        return False
     west, south, east, north = info.bounds
     xs, ys, _ = how.to_metres(np.array([west, east]), np.array([south, north]), np.zeros(2))
-    beyond = 0
-    for values, (low, high) in ((own["x"], xs), (own["y"], ys)):
-        beyond = max(beyond, int(np.count_nonzero(~((values >= low - 1.0) & (values <= high + 1.0)))))
-    if not beyond or how.transformer is not None:
-        return []
-    return [f"{info.path.name}: {beyond} points lie outside of the bounds in the header, which were not trusted."]
+    # Bounds that are no numbers fail the comparison, and count as wrong.
+    inside = (xs[0] - 1 <= own["x"].min(), own["x"].max() <= xs[1] + 1)
+    return not all((*inside, ys[0] - 1 <= own["y"].min(), own["y"].max() <= ys[1] + 1))
 
 
 def _finish(columns: _Columns, references: Sequence[Reference], *, has_echoes: bool) -> PointCloud:
@@ -283,7 +299,9 @@ def _finish(columns: _Columns, references: Sequence[Reference], *, has_echoes: b
     lone = lone_values(used["z"], LONE_GAP_Z_M)
     lone |= lone_values(used["x"], LONE_GAP_XY_M) | lone_values(used["y"], LONE_GAP_XY_M)
     columns.dropped["far from all others"] = int(lone.sum())
-    columns.notices += [f"{count} points {why} were dropped." for why, count in columns.dropped.items() if count]
+    for why, count in columns.dropped.items():
+        if count:
+            columns.tell(f"{count} points {why} were dropped.")
     if lone.all():
         msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
         raise NodataError(msg)
@@ -291,7 +309,7 @@ def _finish(columns: _Columns, references: Sequence[Reference], *, has_echoes: b
     kept = _telling(colours, columns.colour_names)
     if len(kept) < len(columns.colour_names):
         plain = ", ".join(name for i, name in enumerate(columns.colour_names) if i not in kept)
-        columns.notices.append(f"colours that are the same for all points were left out: {plain}.")
+        columns.tell(f"colours that are the same for all points were left out: {plain}.")
         colours = colours[:, kept]
     cloud = PointCloud(
         used["x"],

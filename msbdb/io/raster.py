@@ -98,7 +98,7 @@ def read_grid(
         )
         raise CRSError(msg)
     for notice in how.notices:
-        warnings.warn(notice, MsbdbWarning, stacklevel=2)
+        warnings.warn(f"{name}: {notice}", MsbdbWarning, stacklevel=2)
     side = (transform.a - transform.e) / 2 * how.xy_factor
     metric = Affine(side, 0.0, transform.c * how.xy_factor, 0.0, -side, transform.f * how.xy_factor)
     if not valid.any():

@@ -67,7 +67,7 @@ def test_every_point_format_reads_alike(tmp_path, point_format, ending):
     np.testing.assert_array_equal(cloud.return_number, echoes)
     np.testing.assert_array_equal(cloud.intensity, ramp(5, 900))
     assert cloud.crs == LAMBERT
-    assert all("colours" in notice for notice in notices)
+    assert all("colours" in notice for notice in notices), notices
 
 
 def test_many_chunks_read_as_one(tmp_path, monkeypatch):
@@ -184,7 +184,14 @@ def test_tiles_are_joined_in_order(tmp_path):
     assert cloud.colours is None
     np.testing.assert_array_equal(cloud.first_echo, np.arange(2 * COUNT) >= COUNT)
     assert any("blue, green, red" in notice for notice in notices)
-    assert any("single echoes" in notice for notice in notices)
+    assert "b.las: no echo information, so that every point counts as a first echo." in notices
+
+
+def test_the_same_notice_of_many_files_is_told_once(tmp_path):
+    """With the first file and the number of others."""
+    paths = [write(tmp_path / f"{name}.las", origin=(7e5 + i * 100, 6.6e6)) for i, name in enumerate("abc")]
+    _, notices = read_points(paths)
+    assert notices == ["a.las (and 2 more): no echo information, so that every point counts as a first echo."]
 
 
 def test_feet_become_metres(tmp_path):
@@ -196,7 +203,8 @@ def test_feet_become_metres(tmp_path):
     assert cloud.crs == CRS.from_epsg(3088)
     np.testing.assert_allclose(cloud.x, np.asarray(expected.x) * foot, rtol=1e-14)
     np.testing.assert_allclose(cloud.z, np.asarray(expected.z) * foot, rtol=1e-14)
-    assert len(notices) == 2
+    assert any("heights were multiplied by 0.3048006096" in notice for notice in notices)
+    assert any("scaled to metres, 'NAD83 / Kentucky Single Zone' (EPSG:3088)" in notice for notice in notices)
     metric, _ = read_points(path, z_unit="m")
     np.testing.assert_array_equal(metric.z, np.asarray(expected.z))
 
