@@ -119,6 +119,18 @@ def measure(labels: Labels, count: int) -> pd.DataFrame:
     return pd.DataFrame({"first": first, **exact})
 
 
+def offsets(rows: pd.DataFrame, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far the centroids of clusters lie below and right of their first cells, in cells.
+
+    From differences of whole numbers, so that the result is the same, to the bit, wherever the cluster lies in the
+    array of that width.
+    """
+    area, first = rows["area"].to_numpy().astype(np.int64), rows["first"].to_numpy().astype(np.int64)
+    row, col = np.divmod(first, width)
+    down, right = rows["row_sum"].to_numpy() - area * row, rows["col_sum"].to_numpy() - area * col
+    return down.astype(np.float64) / area, right.astype(np.float64) / area
+
+
 def _runs(labels: Labels) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return region (from 0), first cell and length of the row runs: far fewer than cells."""
     changes = np.ones(labels.shape, dtype=np.bool_)

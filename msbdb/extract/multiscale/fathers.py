@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from msbdb.extract.multiscale.clusters import Clusters, Step, measure
+from msbdb.extract.multiscale.clusters import Clusters, Step, measure, offsets
 from msbdb.extract.multiscale.links import NONE, link
 from msbdb.extract.multiscale.pieces import as_rows, joined
 from msbdb.params import ScaleParams
@@ -44,10 +44,14 @@ def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: fl
     rows = clusters.rows
     count = len(rows)
     area = rows["area"].to_numpy().astype(np.float64)
-    row, col = rows["row_sum"].to_numpy() / area, rows["col_sum"].to_numpy() / area
+    width = clusters.labels[0].shape[1]
+    row, col = np.divmod(rows["first"].to_numpy(), width)
+    down, right = offsets(rows, width)
     child = np.flatnonzero(father != NONE)
     of = father[child]
-    distance = np.hypot(row[child] - row[of], col[child] - col[of]) * cell_m
+    along_rows = (row[child] - row[of]) + (down[child] - down[of])
+    along_cols = (col[child] - col[of]) + (right[child] - right[of])
+    distance = np.hypot(along_rows, along_cols) * cell_m
     children = np.bincount(of, minlength=count)
     divisor = np.where(children > 0, children, np.nan)
     mean = np.bincount(of, distance, count) / divisor

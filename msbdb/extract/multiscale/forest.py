@@ -7,7 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.classmap import ClassMap
-from msbdb.extract.multiscale.clusters import Clusters, Labels
+from msbdb.extract.multiscale.clusters import Clusters, Labels, offsets
 from msbdb.extract.multiscale.fathers import spread_of_children
 from msbdb.extract.multiscale.heights import central_cells, height_statistics, order_heights
 from msbdb.extract.multiscale.ledger import Ledger
@@ -146,26 +146,25 @@ def _identify(rows: pd.DataFrame, context: Context) -> NDArray[np.int64]:
 def _places(clusters: Clusters, spec: GridSpec) -> dict[str, NDArray[np.generic]]:
     """Return the first cell, the centroid, a cell inside, and the area of every cluster."""
     rows = clusters.rows
-    area = rows["area"].to_numpy().astype(np.int64)
-    row, col = rows["row_sum"].to_numpy() / area, rows["col_sum"].to_numpy() / area
+    sums = {name: rows[name].to_numpy().astype(np.int64) for name in ("area", "row_sum", "col_sum")}
     inner = np.zeros(len(rows), dtype=np.int64)
     for level in range(len(clusters.labels)):
         at = _span(clusters, level)
-        inner[at] = central_cells(clusters.labels[level], at, row[at], col[at])
+        inner[at] = central_cells(clusters.labels[level], at, **{name: part[at] for name, part in sums.items()})
     first = rows["first"].to_numpy().astype(np.int64)
     xo, yo = spec.xy(*np.divmod(first, spec.shape[1]))
     xin, yin = spec.xy(*np.divmod(inner, spec.shape[1]))
     xcen, ycen = _centroid(rows, spec)
     places = {"xo": xo, "yo": yo, "xcen": xcen, "ycen": ycen, "xin": xin, "yin": yin}
-    return {**places, "area_px": area, "area_m2": area * spec.cell_area_m2}
+    return {**places, "area_px": sums["area"], "area_m2": sums["area"] * spec.cell_area_m2}
 
 
 def _centroid(rows: pd.DataFrame, spec: GridSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return easting and northing of the centroids of rows, metres."""
-    area = rows["area"].to_numpy().astype(np.float64)
-    east = spec.transform.c + (rows["col_sum"].to_numpy() / area + 0.5) * spec.cell_m
-    north = spec.transform.f - (rows["row_sum"].to_numpy() / area + 0.5) * spec.cell_m
-    return east, north
+    width = spec.shape[1]
+    down, right = offsets(rows, width)
+    east, north = spec.xy(*np.divmod(rows["first"].to_numpy().astype(np.int64), width))
+    return east + right * spec.cell_m, north - down * spec.cell_m
 
 
 def _span(clusters: Clusters, level: int) -> slice:

@@ -95,7 +95,12 @@ def _quantile(
 
 
 def central_cells(
-    labels: NDArray[np.int32], span: slice, row: NDArray[np.float64], col: NDArray[np.float64]
+    labels: NDArray[np.int32],
+    span: slice,
+    *,
+    area: NDArray[np.int64],
+    row_sum: NDArray[np.int64],
+    col_sum: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """Return for each region its cell that is nearest to its centroid; of equal ones the first in row order.
 
@@ -105,8 +110,8 @@ def central_cells(
         Regions; 0 for none.
     span : slice
         The labels are ``span.start + 1`` to ``span.stop``; each has a cell.
-    row, col : (N,) ndarray of float64
-        Centroids, in cells.
+    area, row_sum, col_sum : (N,) ndarray of int64
+        Number of cells, and the sums of their rows and columns.
 
     Returns
     -------
@@ -116,12 +121,14 @@ def central_cells(
     cells = np.flatnonzero(labels)
     member = labels.ravel()[cells] - np.int32(span.start + 1)
     at_row, at_col = np.divmod(cells, labels.shape[1])
-    distance = (at_row - row[member]) ** 2 + (at_col - col[member]) ** 2
-    table = sparse.csr_array((distance, member, np.arange(cells.size + 1)), shape=(cells.size, row.size)).tocsc()
-    if not row.size:
+    # Area times the distance, from differences of whole numbers: the same wherever the region lies.
+    down, right = area[member] * at_row - row_sum[member], area[member] * at_col - col_sum[member]
+    distance = down.astype(np.float64) ** 2 + right.astype(np.float64) ** 2
+    table = sparse.csr_array((distance, member, np.arange(cells.size + 1)), shape=(cells.size, area.size)).tocsc()
+    if not area.size:
         return np.zeros(0, dtype=np.int64)
     nearest = np.minimum.reduceat(table.data, table.indptr[:-1])
     match = np.flatnonzero(distance == nearest[member])
-    result = np.zeros(row.size, dtype=np.int64)
+    result = np.zeros(area.size, dtype=np.int64)
     result[member[match[::-1]]] = cells[match[::-1]]
     return result

@@ -486,7 +486,8 @@ class TestHeights:
         """The centroid of a ring lies in its hole; the inner point does not."""
         labels = np.ones((5, 5), dtype=np.int32)
         labels[1:4, 1:4] = 0
-        assert labels.ravel()[central_cells(labels, slice(0, 1), np.array([2.0]), np.array([2.0]))].all()
+        sums = {"area": 16, "row_sum": 32, "col_sum": 32}
+        assert labels.ravel()[central_cells(labels, slice(0, 1), **{k: np.array([v]) for k, v in sums.items()})].all()
 
 
 def test_scales_that_fall_together_become_one():
@@ -496,6 +497,6 @@ def test_scales_that_fall_together_become_one():
 
 
 def test_books_that_do_not_balance_are_refused():
-    """in = kept + dropped at each stage."""
+    """What goes in is kept or dropped, at each stage."""
     with pytest.raises(TableError, match="does not balance"):
         Ledger().count("stage", 5, 3, 1)

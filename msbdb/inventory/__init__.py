@@ -1,0 +1,1 @@
+"""The inventory: buildings from parts."""
