@@ -1,0 +1,194 @@
+"""Gridding: nearest, lowest, density, cell size and the filling of gaps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from msbdb.errors import NodataError
+from msbdb.grid import GridSpec, lattice
+from msbdb.pointcloud import PointCloud
+from msbdb.surface.gridding import (
+    CELL_LADDER_M,
+    cell_size,
+    density,
+    fill_gaps,
+    lowest,
+    sample_nearest,
+)
+
+CRS_M = CRS.from_epsg(32633)
+SPEC = lattice((0.0, 0.0, 3.9, 3.9), 1.0, CRS_M)
+
+EIGHTHS = st.integers(0, 31).map(lambda n: n / 8)
+POINTS = st.lists(
+    st.tuples(EIGHTHS, EIGHTHS, st.integers(-3, 3).map(float), st.integers(1, 2)), min_size=1, max_size=40
+)
+
+
+def cloud(rows: list[tuple[float, ...]]) -> PointCloud:
+    """Points of x, y, z and, where given, their return number of two."""
+    table = np.array([(*row, 1) if len(row) == 3 else row for row in rows], dtype=np.float64)
+    number = table[:, 3].astype(np.uint8)
+    return PointCloud(table[:, 0], table[:, 1], table[:, 2], CRS_M, None, None, number, np.full(len(table), 2, "u1"))
+
+
+def grid_points(side_m: float, spacing_m: float) -> PointCloud:
+    """Points at the centres of square cells over a square."""
+    at = np.arange(spacing_m / 2, side_m, spacing_m)
+    x, y = (a.ravel() for a in np.meshgrid(at, at))
+    return PointCloud(x, y, np.zeros(x.size), CRS_M)
+
+
+def naive_nearest(points: PointCloud, spec: GridSpec) -> NDArray[np.float64]:
+    """Sort the first echoes of each cell by distance and height, and take the first."""
+    z = np.full(spec.shape, np.nan)
+    row, col = spec.rowcol(points.x, points.y)
+    east, north = spec.xy(row, col)
+    distance = (points.x - east) ** 2 + (points.y - north) ** 2
+    for r in range(spec.shape[0]):
+        for c in range(spec.shape[1]):
+            here = [
+                (d, h)
+                for d, h, *at, n in zip(distance, points.z, row, col, points.return_number, strict=True)
+                if at == [r, c] and n == 1
+            ]
+            if here:
+                z[r, c] = min(here)[1]
+    return z
+
+
+@given(POINTS)
+def test_each_cell_takes_the_first_echo_nearest_to_its_centre(rows):
+    """The kernel agrees with a sort by distance and height; later echoes play no part."""
+    points = cloud(rows)
+    samples = sample_nearest(points, SPEC)
+    np.testing.assert_array_equal(samples.z, naive_nearest(points, SPEC))
+    np.testing.assert_array_equal(samples.observed, np.isfinite(samples.z))
+
+
+def test_ties_go_to_the_lower_point():
+    """Of two first echoes equally far from the centre the lower one counts, whichever comes first."""
+    rows = [(0.25, 0.5, 5.0), (0.75, 0.5, 3.0)]
+    for order in (rows, rows[::-1]):
+        assert sample_nearest(cloud(order), SPEC).z[3, 0] == 3.0
+
+
+def test_the_offset_leads_from_the_centre_to_the_echo():
+    """Easting and northing of the sample are those of the point."""
+    spec = lattice((0, 0.1, 0.9, 1.0), 1.0, CRS_M)
+    samples = sample_nearest(cloud([(0.75, 0.125, 1.0)]), spec)
+    row, col = spec.rowcol(np.array([0.75]), np.array([0.125]))
+    assert (samples.east[row, col], samples.north[row, col]) == (0.25, -0.375)
+
+
+@given(POINTS, st.randoms(use_true_random=False))
+def test_the_order_of_the_points_does_not_matter(rows, random):
+    """Shuffled points give the same samples, lowest heights and density, bit for bit."""
+    shuffled = rows.copy()
+    random.shuffle(shuffled)
+    one, other = cloud(rows), cloud(shuffled)
+    a, b = sample_nearest(one, SPEC), sample_nearest(other, SPEC)
+    for name in ("z", "east", "north"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    np.testing.assert_array_equal(lowest(one, SPEC).values, lowest(other, SPEC).values)
+    if one.first_echo.any():
+        assert density(one) == density(other)
+
+
+@given(POINTS)
+def test_the_lowest_point_of_a_cell_is_its_value(rows):
+    """All echoes count, or the chosen ones; cells without one are not valid and hold 0."""
+    points = cloud(rows)
+    for chosen in (None, points.z > 0):
+        found = lowest(points, SPEC, chosen)
+        expected = np.full(SPEC.shape, np.inf)
+        keep = np.ones(len(points), dtype=bool) if chosen is None else chosen
+        row, col = SPEC.rowcol(points.x[keep], points.y[keep])
+        np.minimum.at(expected, (row, col), points.z[keep])
+        np.testing.assert_array_equal(found.valid, np.isfinite(expected))
+        np.testing.assert_array_equal(found.values, np.where(found.valid, expected, 0))
+
+
+def test_points_outside_of_the_lattice_are_left_out():
+    """A smaller lattice takes its own points alone."""
+    points = cloud([(-5.0, 2.0, 1.0), (2.0, 99.0, 2.0), (1.5, 1.5, 3.0)])
+    assert np.count_nonzero(sample_nearest(points, SPEC).observed) == 1
+    assert np.count_nonzero(lowest(points, SPEC).valid) == 1
+
+
+def test_density_counts_first_echoes_on_covered_ground():
+    """Empty ground between two fields does not thin the density; later echoes do not thicken it."""
+    field = grid_points(20, 0.5)
+    x = np.concatenate([field.x, field.x + 200, field.x])
+    y = np.concatenate([field.y, field.y, field.y])
+    number = np.repeat([1, 1, 2], len(field)).astype(np.uint8)
+    points = PointCloud(x, y, np.zeros(x.size), CRS_M, None, None, number, number)
+    assert density(points) == pytest.approx(4.0)
+
+
+def test_the_density_of_sparse_points_counts_the_whole_box():
+    """Single points do not count as ground of 2 m each, which would bound the density from below."""
+    assert density(grid_points(200, 10)) == pytest.approx(1 / 100, rel=0.15)
+
+
+def test_without_first_echoes_there_is_no_surface():
+    """The message names what is missing."""
+    with pytest.raises(NodataError, match="first echo"):
+        density(cloud([(1, 1, 1, 2), (2, 2, 2, 2)]))
+
+
+@pytest.mark.parametrize(
+    ("points_m2", "cell_m"), [(1.0, 1.0), (4.0, 0.5), (11.0, 0.3), (0.25, 2.0), (400, 0.25), (1e-4, 5)]
+)
+def test_the_cell_is_the_mean_spacing_on_the_ladder(points_m2, cell_m):
+    """1/sqrt(density), snapped to the nearest round value (V14)."""
+    assert cell_size(points_m2) == cell_m
+
+
+@given(st.floats(1e-3, 1e3))
+def test_no_cell_of_the_ladder_is_nearer_to_the_spacing(points_m2):
+    """The nearest by ratio is taken."""
+    spacing = points_m2**-0.5
+    ratios = {cell: abs(np.log(cell / spacing)) for cell in CELL_LADDER_M}
+    assert ratios[cell_size(points_m2)] == pytest.approx(min(ratios.values()))
+
+
+def test_of_equally_near_cells_the_nearest_column_and_then_the_western_one_counts():
+    """The rule is fixed, so that nothing depends on how the search runs."""
+    observed = np.zeros((3, 3), dtype=bool)
+    observed[[0, 1, 1, 2], [1, 0, 2, 1]] = True
+    values = np.arange(9.0).reshape(3, 3)
+    assert fill_gaps(values, observed, 1.0)[0][1, 1] == values[0, 1]
+    observed[[0, 2], 1] = False
+    assert fill_gaps(values, observed, 1.0)[0][1, 1] == values[1, 0]
+
+
+def naive_fill(values: NDArray, observed: NDArray, reach: float) -> tuple[NDArray, NDArray]:
+    """Distance to the nearest observed cell, and the values that lie at that distance, by brute force."""
+    rows, cols = np.nonzero(observed)
+    distance = np.full(observed.shape, np.inf)
+    candidates = np.empty(observed.shape, dtype=object)
+    for at in np.ndindex(observed.shape):
+        d = np.hypot(rows - at[0], cols - at[1])
+        distance[at] = d.min(initial=np.inf)
+        candidates[at] = set(values[rows[d == distance[at]], cols[d == distance[at]]].tolist())
+    return distance <= reach, candidates
+
+
+@given(
+    st.lists(st.booleans(), min_size=42, max_size=42).map(lambda bits: np.array(bits).reshape(6, 7)),
+    st.sampled_from([1.0, 2.0, 2.5, 3.4, 100.0]),
+)
+def test_gaps_take_a_nearest_value_up_to_a_distance(observed, reach):
+    """Cells farther than the reach stay invalid and hold 0; observed cells keep their value."""
+    values = np.arange(42, dtype=np.float64).reshape(6, 7)
+    filled, valid = fill_gaps(np.where(observed, values, np.nan), observed, reach)
+    expected, candidates = naive_fill(values, observed, reach)
+    np.testing.assert_array_equal(valid, expected)
+    np.testing.assert_array_equal(filled[observed], values[observed])
+    for at in np.argwhere(valid):
+        assert filled[tuple(at)] in candidates[tuple(at)]
+    assert not filled[~valid].any()
