@@ -19,20 +19,17 @@ from msbdb.version import __version__
 
 if TYPE_CHECKING:
     from msbdb.params import Params, profile
-    from msbdb.pipeline import BuildReport, Inventory, build, evaluate, export, info, open, relabel, view
+    from msbdb.pipeline import BuildReport, Inventory, build, info, open, relabel
 
 _HOMES = {
     "BuildReport": "msbdb.pipeline",
     "Inventory": "msbdb.pipeline",
     "Params": "msbdb.params",
     "build": "msbdb.pipeline",
-    "evaluate": "msbdb.pipeline",
-    "export": "msbdb.pipeline",
     "info": "msbdb.pipeline",
     "open": "msbdb.pipeline",
     "profile": "msbdb.params",
     "relabel": "msbdb.pipeline",
-    "view": "msbdb.pipeline",
 }
 
 __all__ = [
@@ -42,13 +39,10 @@ __all__ = [
     "Params",
     "__version__",
     "build",
-    "evaluate",
-    "export",
     "info",
     "open",
     "profile",
     "relabel",
-    "view",
 ]
 
 

@@ -503,7 +503,7 @@ class SpectralParams:
         unit="-",
         choices=("structure", "spectral"),
         source="ours: echoes and texture tell crowns better",
-        doc="What tells roofs from vegetation where there is imagery: structure, or the colours alone as in V36 to V41.",
+        doc="What tells roofs from vegetation where there is imagery: structure, or colours alone (V36 to V41).",
     )
     min_building_share: float = param(
         0.3,

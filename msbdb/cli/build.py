@@ -41,6 +41,7 @@ Z_UNITS = ("auto", "m", "ft", "us-ft")
 @click.option(
     "--crs", type=crs_name, metavar="EPSG", help="The data's CRS where the files do not state it, like EPSG:2154."
 )
+@click.option("--ortho-crs", type=crs_name, metavar="EPSG", help="The orthophotos' CRS where they do not state it.")
 @click.option(
     "--z-unit",
     type=click.Choice(Z_UNITS),

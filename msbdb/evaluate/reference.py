@@ -165,29 +165,42 @@ def polygon_side(outlines: Geometries, height_m: NDArray[np.float64], spec: Grid
     return Side(outlines, labels, labels > 0, area, height_m)
 
 
-def point_side(reference: PointReference, spec: GridSpec, params: EvaluateParams) -> tuple[Side, Mask]:
-    """Put classified points on the grid, and return the side and the cells that are known.
+def point_side(reference: PointReference, spec: GridSpec, params: EvaluateParams) -> tuple[Side, Mask, Mask]:
+    """Put classified points on the grid.
 
-    A cell is building when at least half of its first echoes are (of all its points, where it has no first echo).
-    Cells without points take the class of the nearest cell with points, up to ``max_gap_m`` between their centres;
+    A cell is building when at least half of its first echoes are: what is seen from above, and no wall below an eave.
+    Cells without a first echo take the class of the nearest cell with one, up to ``max_gap_m`` between their centres;
     farther cells are not known. Objects are the 8-connected components of at least ``min_object_m2``.
+
+    Returns
+    -------
+    side : Side
+        The reference as objects.
+    known : (H, W) ndarray of bool
+        Cells with a class, in which objects are compared.
+    observed : (H, W) ndarray of bool
+        Cells that hold a first echo themselves, in which areas are compared: there no class is invented.
 
     Raises
     ------
     NodataError
-        When no point lies on the grid.
+        When no first echo lies on the grid.
     """
     row, col = spec.rowcol(reference.easting, reference.northing)
-    inside = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
-    if not inside.any():
-        msg = "No reference point lies within the compared area; check the CRS and the area of interest."
+    chosen = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
+    if reference.first_echo is not None:
+        chosen &= reference.first_echo
+    if not chosen.any():
+        msg = "No first echo of the reference lies within the compared area; check the CRS and the area of interest."
         raise NodataError(msg)
-    cell = (row * spec.shape[1] + col)[inside]
-    first = np.ones(len(cell), dtype=np.bool_) if reference.first_echo is None else reference.first_echo[inside]
-    votes, ayes = _votes(cell, reference.building[inside], first, spec)
-    distance, nearest = ndimage.distance_transform_edt(votes == 0, sampling=spec.cell_m, return_indices=True)
+    cell = (row * spec.shape[1] + col)[chosen]
+    size = spec.shape[0] * spec.shape[1]
+    votes = np.bincount(cell, minlength=size).reshape(spec.shape)
+    ayes = np.bincount(cell[reference.building[chosen]], minlength=size).reshape(spec.shape)
+    observed = votes > 0
+    distance, nearest = ndimage.distance_transform_edt(~observed, sampling=spec.cell_m, return_indices=True)
     known = np.asarray(distance <= params.max_gap_m)
-    mask = known & ((2 * ayes >= votes) & (votes > 0))[tuple(nearest)]
+    mask = known & ((2 * ayes >= votes) & observed)[tuple(nearest)]
     components, count = ndimage.label(mask, structure=np.ones((3, 3), dtype=np.int8))
     cells = np.bincount(components.ravel(), minlength=count + 1)
     large = cells * spec.cell_area_m2 >= params.min_object_m2
@@ -195,15 +208,4 @@ def point_side(reference: PointReference, spec: GridSpec, params: EvaluateParams
     labels = np.where(large, np.cumsum(large), 0).astype(np.int32)[components]
     outlines = polygonise(labels, spec, int(large.sum()))
     area = np.asarray(cells[large] * spec.cell_area_m2, dtype=np.float64)
-    return Side(outlines, labels, mask, area, np.full(len(area), np.nan)), known
-
-
-def _votes(
-    cell: NDArray[np.int64], building: Mask, first: Mask, spec: GridSpec
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Count in each cell the points that decide, and those of them that are building."""
-    size = spec.shape[0] * spec.shape[1]
-    everyone, firsts = np.bincount(cell, minlength=size), np.bincount(cell[first], minlength=size)
-    ayes, first_ayes = np.bincount(cell[building], minlength=size), np.bincount(cell[building & first], minlength=size)
-    votes = np.where(firsts > 0, firsts, everyone)
-    return votes.reshape(spec.shape), np.where(firsts > 0, first_ayes, ayes).reshape(spec.shape)
+    return Side(outlines, labels, mask, area, np.full(len(area), np.nan)), known, observed

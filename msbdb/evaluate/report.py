@@ -127,7 +127,7 @@ def evaluate(
     crs = _projected(extracted)
     outlines, height = polygons(extracted, crs, "extraction", HEIGHT if HEIGHT in extracted.columns else None)
     area = None if aoi is None else polygons(aoi, crs, "area of interest")[0]
-    truth, spec, scored = _truth(reference, outlines, area, crs, params)
+    truth, spec, scored, observed = _truth(reference, outlines, area, crs, params)
     if area is not None:
         scored &= rasterise(area, spec) > 0
     if valid is not None:
@@ -135,7 +135,7 @@ def evaluate(
     if not scored.any():
         msg = "No cell can be scored; check that the reference, the area of interest and the survey overlap."
         raise NodataError(msg)
-    return _compared(polygon_side(outlines, height, spec), truth, scored, spec, params)
+    return _compared(polygon_side(outlines, height, spec), truth, (scored, scored & observed), spec, params)
 
 
 def _projected(extracted: gpd.GeoDataFrame) -> CRS:
@@ -150,13 +150,14 @@ def _projected(extracted: gpd.GeoDataFrame) -> CRS:
 
 def _truth(
     reference: Reference, outlines: Geometries, area: Geometries | None, crs: CRS, params: EvaluateParams
-) -> tuple[Side, GridSpec, Mask]:
-    """Return the reference's side, the grid of the comparison, and the cells that the reference can judge."""
+) -> tuple[Side, GridSpec, Mask, Mask]:
+    """Return the reference's side, the grid, and the cells in which it can judge objects, and areas."""
     if isinstance(reference, PolygonReference):
         footprints, height = polygons(reference.frame, crs, "reference", reference.height)
         bounds = _bounds([outlines, footprints] if area is None else [area])
         spec = grid_over(bounds, params, crs)
-        return polygon_side(footprints, height, spec), spec, np.ones(spec.shape, dtype=np.bool_)
+        every = np.ones(spec.shape, dtype=np.bool_)
+        return polygon_side(footprints, height, spec), spec, every, every.copy()
     _check_points(reference, crs)
     if area is None:
         x, y = reference.easting, reference.northing
@@ -164,8 +165,8 @@ def _truth(
     else:
         bounds = _bounds([area])
     spec = grid_over(bounds, params, crs)
-    side, known = point_side(reference, spec, params)
-    return side, spec, known
+    side, known, observed = point_side(reference, spec, params)
+    return side, spec, known, observed
 
 
 def _check_points(reference: PointReference, crs: CRS) -> None:
@@ -209,8 +210,11 @@ def _sampled(valid: Grid, spec: GridSpec) -> Mask:
     return result
 
 
-def _compared(extracted: Side, truth: Side, scored: Mask, spec: GridSpec, params: EvaluateParams) -> Evaluation:
-    """Take all measures of two sides on a grid."""
+def _compared(
+    extracted: Side, truth: Side, judged: tuple[Mask, Mask], spec: GridSpec, params: EvaluateParams
+) -> Evaluation:
+    """Take all measures of two sides on a grid, whose cells judge objects and areas."""
+    scored, observed = judged
     labels_e, labels_r = np.where(scored, extracted.labels, 0), np.where(scored, truth.labels, 0)
     sizes = (len(extracted.outlines), len(truth.outlines))
     found = overlaps(labels_e, labels_r, sizes, spec.cell_area_m2)
@@ -229,7 +233,7 @@ def _compared(extracted: Side, truth: Side, scored: Mask, spec: GridSpec, params
     has_heights = np.isfinite(truth.height_m).any()
     return Evaluation(
         params=params,
-        area=score_area(extracted.mask, truth.mask, scored, spec.cell_area_m2),
+        area=score_area(extracted.mask, truth.mask, observed, spec.cell_area_m2),
         objects=score_objects(found, counted, covered, params.overlap),
         large_objects=score_objects(found, large, covered, params.overlap),
         shape=score_shape(found, group_e, group_r, count),

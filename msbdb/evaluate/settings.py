@@ -56,8 +56,8 @@ class EvaluateParams:
         low=0.0,
         high=100.0,
         source="ours: the spacing of a sparse survey",
-        doc="Cells without reference points take the class of the nearest cell with points within this distance; "
-        "farther ones are not scored.",
+        doc="For the objects, cells without a first echo take the class of the nearest cell with one within this "
+        "distance; areas are compared only in cells that hold one.",
     )
     min_object_m2: float = param(
         2.0,

@@ -56,6 +56,7 @@ def build(
     survey: str | None = None,
     date: str | None = None,
     crs: str | None = None,
+    ortho_crs: str | None = None,
     z_unit: str = "auto",
     params: Params | None = None,
     profile: str = "default",
@@ -78,7 +79,9 @@ def build(
     date : str, optional
         When the data were taken, ISO 8601.
     crs : str, optional
-        CRS of files that state none.
+        CRS of point files and rasters of heights that state none.
+    ortho_crs : str, optional
+        CRS of orthophotos that state none.
     z_unit : str
         Unit of the heights: ``auto``, ``m``, ``ft`` or ``us-ft``.
     params : Params, optional
@@ -99,7 +102,7 @@ def build(
     """
     params = params or named_profile(profile)
     as_paths = [Path(path) for path in points], [Path(path) for path in ortho]
-    inputs = Inputs(tuple(as_paths[0]), tuple(as_paths[1]), dsm, dtm, ndsm, crs, z_unit)
+    inputs = Inputs(tuple(as_paths[0]), tuple(as_paths[1]), dsm, dtm, ndsm, crs, ortho_crs, z_unit)
     stages = Stages(progress)
     notices: list[str] = []
     with collect_notices(notices):
@@ -130,7 +133,7 @@ def run(
         structure, roughness_m = cover_from_surface(surface, cloud, params)
         echoes = cloud is not None and cloud.has_echoes
     with stages.stage("classes"):
-        ortho = read_ortho(inputs.ortho, surface.ndsm.spec)
+        ortho = read_ortho(inputs, surface.ndsm.spec)
         bands = spectral_bands(ortho, cloud, surface.ndsm.spec, max_gap_m=params.surface.max_gap_m)
         cover = classify_cover(structure, bands, surface.ndsm, roughness_m, params, echoes=echoes)
         notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)

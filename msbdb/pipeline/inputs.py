@@ -1,7 +1,7 @@
 """What a build is made from: points or rasters, imagery, and the record of the survey."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,7 @@ class Inputs:
     dtm: Path | None = None
     ndsm: Path | None = None
     crs: str | None = None
+    ortho_crs: str | None = None
     z_unit: str = "auto"
 
     def __post_init__(self) -> None:
@@ -101,9 +102,9 @@ def flat_ground(ndsm: Grid) -> Grid:
     return Grid(np.zeros(ndsm.spec.shape, dtype=np.float32), np.ones(ndsm.spec.shape, dtype=np.bool_), ndsm.spec)
 
 
-def read_ortho(paths: Sequence[Path], spec: GridSpec) -> Bands | None:
+def read_ortho(inputs: Inputs, spec: GridSpec) -> Bands | None:
     """Bring the orthophotos onto the lattice, where there are any."""
-    return read_bands(list(paths), spec) if paths else None
+    return read_bands(list(inputs.ortho), spec, crs=inputs.ortho_crs) if inputs.ortho else None
 
 
 def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:

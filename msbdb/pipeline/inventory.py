@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import geopandas as gpd
 import pandas as pd
@@ -17,6 +17,8 @@ from msbdb.database import (
     read_rejections,
     read_scales,
 )
+from msbdb.evaluate import Evaluation
+from msbdb.pipeline import reports
 
 
 class Inventory:
@@ -31,6 +33,7 @@ class Inventory:
     """
 
     def __init__(self, db: str | Path) -> None:
+        self.db = db
         self.engine = open_database(db)
 
     def __enter__(self) -> Self:
@@ -70,6 +73,21 @@ class Inventory:
     def rejections(self, survey: str | None = None) -> gpd.GeoDataFrame:
         """Return the ledger: every region that a stage dropped, and why."""
         return read_rejections(self.engine, survey)
+
+    def view(self, out: str | Path, survey: str | None = None) -> None:
+        """Draw footprints and parts by scale and height on a hillshade, as PNG."""
+        reports.view(self.db, Path(out), survey=survey)
+
+    def export(self, out: str | Path, survey: str | None = None, *, overwrite: bool = False) -> None:
+        """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
+        reports.export(self.db, Path(out), survey=survey, overwrite=overwrite)
+
+    def evaluate(self, reference: str | Path, survey: str | None = None, **options: Any) -> Evaluation:  # noqa: ANN401
+        """Compare the footprints with a reference; the options are those of ``msbdb evaluate``.
+
+        ``layer``, ``aoi``, ``crs``, ``overlap`` and ``cell_m``; see `msbdb.pipeline.evaluate`.
+        """
+        return reports.evaluate(self.db, Path(reference), survey=survey, **options)
 
     def dump(self) -> list[str]:
         """Return the whole content as lines that are equal for equal content."""

@@ -77,6 +77,7 @@ class FakePipeline(types.ModuleType):
         survey=None,
         date=None,
         crs=None,
+        ortho_crs=None,
         z_unit="auto",
         params,
         profile="default",

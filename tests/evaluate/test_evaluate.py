@@ -182,7 +182,7 @@ def test_nothing_to_score_is_an_error():
     elsewhere = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
     with pytest.raises(NodataError, match="No cell can be scored"):
         score(house, house, valid=elsewhere)
-    with pytest.raises(NodataError, match="No reference point"):
+    with pytest.raises(NodataError, match="No first echo"):
         evaluate(frame(*house), points([box(0, 0, 10, 10)]), aoi=frame(box(500, 0, 600, 90)))
 
 
@@ -268,22 +268,27 @@ def test_cells_far_from_points_are_not_scored():
     result = evaluate(frame(box(2, 2, 12, 12), box(21, 2, 29, 12)), gappy)
     assert result.area.rates.quality == 1
     assert (result.objects.true, result.objects.false) == (1, 0)
-    # 30 m of the 40 have points; 1 m more is known on each side of the gap, and around the points.
-    assert result.area.scored_m2 == pytest.approx(32 * 20 + 1 * (2 * 40 + 2 * 20 - 20) - 2, abs=25)
+    observed = {(int(x // 0.5), int(y // 0.5)) for x, y in zip(gappy.easting, gappy.northing, strict=True)}
+    assert result.area.scored_m2 == pytest.approx(len(observed) * 0.25), (
+        "areas count where there are points, no further"
+    )
 
 
-def test_first_echoes_decide_and_others_only_without_them():
-    """A cell of a building first echo and two other ground echoes is building; without first echoes, not."""
+def test_first_echoes_alone_decide():
+    """A cell of a building first echo and two other ground echoes is building; a tie of first echoes is, too."""
     east = np.full(3, E0 + 5.1)
     north = np.full(3, N0 + 5.1)
     building = np.array([True, False, False])
     params = EvaluateParams(max_gap_m=0, min_object_m2=0)
     first = PointReference(east, north, building, RD, np.array([True, False, False]))
     assert evaluate(frame(box(0, 0, 9, 9)), first, params=params).area.reference_m2 == 0.25
-    none = PointReference(east, north, building, RD, np.zeros(3, dtype=np.bool_))
-    assert evaluate(frame(box(0, 0, 9, 9)), none, params=params).area.reference_m2 == 0
+    other = PointReference(east, north, building, RD, np.array([False, True, True]))
+    assert evaluate(frame(box(0, 0, 9, 9)), other, params=params).area.reference_m2 == 0
     half = PointReference(east[:2], north[:2], building[:2], RD)
     assert evaluate(frame(box(0, 0, 9, 9)), half, params=params).area.reference_m2 == 0.25
+    none = PointReference(east, north, building, RD, np.zeros(3, dtype=np.bool_))
+    with pytest.raises(NodataError, match="No first echo"):
+        evaluate(frame(box(0, 0, 9, 9)), none, params=params)
 
 
 def test_components_that_touch_at_a_corner_are_one_object():
