@@ -18,6 +18,7 @@ from msbdb.params import Params
 from msbdb.pipeline.stage import Progress
 from msbdb.pointcloud import PointCloud
 from msbdb.surface import Surface, build_surface, surface_from_rasters
+from msbdb.surface.ground.interpolate import interpolate_ground
 from msbdb.tables import Source, Survey
 
 
@@ -94,7 +95,18 @@ def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Su
         raise InputError(msg)
     dsm = read_grid(inputs.dsm, crs=inputs.crs, role="DSM", z_unit=inputs.z_unit)
     dtm = read_grid(inputs.dtm, crs=inputs.crs, role="DTM", z_unit=inputs.z_unit)
-    return surface_from_rasters(dsm, align_grid(dtm, dsm.spec, role="DTM"))
+    return surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm))
+
+
+def without_gaps(dtm: Grid, dsm: Grid) -> Grid:
+    """Interpolate the terrain where it has no value but the surface has one: often under the middle of buildings."""
+    gaps = int(np.count_nonzero(dsm.valid & ~dtm.valid))
+    if not gaps:
+        return dtm
+    share = 100 * gaps / np.count_nonzero(dsm.valid)
+    msg = f"The DTM has no value in {gaps} cells of the DSM ({share:.1f} %); they were interpolated."
+    warnings.warn(msg, MsbdbWarning, stacklevel=2)
+    return interpolate_ground(dtm.values, dtm.valid, dtm.spec)
 
 
 def flat_ground(ndsm: Grid) -> Grid:

@@ -56,7 +56,7 @@ def structural_cover(
     roof = smooth_share(odds, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
     neck_m = params.neck_m if echoes else params.blind_neck_m
     roof = _tidy(roof & raised, raised, ndsm.spec.cell_m, neck_m, params)
-    roof = _judge_regions(roof, roughness_m, echoes, params)
+    roof = _judge_regions(roof, roughness_m, echoes, ndsm.spec.cell_m, params)
     roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), ndsm.spec.cell_m, params)
     index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
     return ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
@@ -100,11 +100,15 @@ def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverP
     return roof & ~_small(roof, params.min_roof_m2 / cell_m**2, eight=True)
 
 
-def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, params: CoverParams) -> Mask:
-    """Keep the regions that are smooth enough for the share of echoes that they split."""
+def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m: float, params: CoverParams) -> Mask:
+    """Keep the regions that are smooth enough for the share of echoes that they split.
+
+    On cells above 1 m a window spans several planes of a roof, so that the limit of smoothness grows with the cell.
+    """
+    limit = params.smooth_m_limit * max(1.0, cell_m)
     labels, count = label(roof, EIGHT)
     cells = np.maximum(np.bincount(labels.ravel(), minlength=count + 1), 1)
-    smooth = np.bincount(labels[roughness_m < params.smooth_m_limit], minlength=count + 1) / cells
+    smooth = np.bincount(labels[roughness_m < limit], minlength=count + 1) / cells
     needed = np.full(count + 1, params.min_smooth_share)
     if echoes:
         split = np.bincount(labels.ravel(), weights=echoes.split.ravel(), minlength=count + 1) / cells
