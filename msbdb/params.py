@@ -132,6 +132,46 @@ class GroundParams:
         source="ours: Zhang et al. 2003 give 0.3 for their initial threshold",
         doc="Height threshold of the first window, and the part that all windows share.",
     )
+    steep_slope: float = param(
+        0.5,
+        unit="m/m",
+        low=0.0,
+        high=5.0,
+        source="ours: streets and gardens of towns on hills are no steeper",
+        doc="Steepest terrain that the progressive filter looks for, where it finds no edges.",
+    )
+    hill_m2: float = param(
+        100.0,
+        unit="m2",
+        low=0.0,
+        high=1e6,
+        source="ours: what is smaller than a house is judged as one",
+        doc="Smallest region without edges that the progressive filter takes for a hill.",
+    )
+    trend_m: float = param(
+        8.0,
+        unit="m",
+        low=1.0,
+        high=200.0,
+        source="ours: on towns laid over hills of 40 %, 6 to 10 m keep the ground and 12 m lose it",
+        doc="Sigma of the trend of hilly terrain that is taken off before the progressive filter runs again.",
+    )
+    edge_step_m: float = param(
+        0.6,
+        unit="m",
+        low=0.05,
+        high=10.0,
+        source="ours: steeper than banks on 1 m cells, lower than any shed; 0.4 to 1.0 differ little",
+        doc="Step to the ground beside it that makes a 1 m cell of a boundary an edge; larger cells need more.",
+    )
+    edge_share: float = param(
+        0.5,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: 0.3 takes mounds for roofs, 0.7 loses roofs built into slopes",
+        doc="Share of a region's boundary that must be edge for it to stand off the ground.",
+    )
     low_outlier_m: float = param(
         1.0,
         unit="m",
@@ -147,22 +187,6 @@ class GroundParams:
         high=10.0,
         source="ours: garden walls and kerbs; on the tiles at hand 0.3 to 0.5 give the same ground",
         doc="Wavelet filter: nearer centres of the two clusters of a resolution are one cluster.",
-    )
-    wavelet_step_m: float = param(
-        0.6,
-        unit="m",
-        low=0.05,
-        high=10.0,
-        source="ours: steeper than banks on 1 m cells, lower than any shed; 0.4 to 1.0 differ little",
-        doc="Wavelet filter: step to the ground beside it that makes a cell of a cluster's boundary an edge.",
-    )
-    wavelet_edge_share: float = param(
-        0.5,
-        unit="1",
-        low=0.0,
-        high=1.0,
-        source="ours: the better half; 0.3 takes mounds for roofs, 0.7 loses roofs built into slopes",
-        doc="Wavelet filter: share of a cluster's boundary that must be edge for it to be off-terrain.",
     )
 
 
@@ -274,11 +298,11 @@ class ScaleParams:
     """The area open-close scale-space and the tree of parts."""
 
     scales_m2: tuple[float, ...] = param(
-        (10.0, 50.0, 100.0, 200.0, 500.0, 1000.0),
+        (10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0),
         unit="m2",
         low=0.0,
         high=1e7,
-        source="V53: 50, 100, 200, 500, 1000; ours: 10, the smallest building of surveys denser than the paper's",
+        source="V53: 50, 100, 200, 500, 1000; ours: 10 and 20 for denser surveys, 2000 and 5000 for halls",
         doc="Area thresholds s of the scale-space, ascending; empty finds them by granulometry (V8).",
     )
     connectivity: int = param(

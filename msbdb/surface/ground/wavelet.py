@@ -5,17 +5,14 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label, minimum_filter
+from scipy.ndimage import label
 
 from msbdb.grid import Grid
 from msbdb.params import GroundParams
+from msbdb.surface.ground.edges import EIGHT, count_edges, edge_step
 from msbdb.surface.ground.interpolate import interpolate_ground
 
 logger = logging.getLogger(__name__)
-
-EIGHT = np.ones((3, 3), dtype=np.bool_)
-LLOYD_LIMIT = 100
-"""Most rounds of one 2-means; it converges in far fewer."""
 
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -29,7 +26,7 @@ def wavelet_ground(surface: Grid, params: GroundParams) -> Mask:
     surface : Grid
         Lowest heights, gap-free, metres.
     params : GroundParams
-        Twice ``window_m`` is the coarsest resolution; the ``wavelet_*`` values judge the clusters.
+        Twice ``window_m`` is the coarsest resolution; the ``edge_*`` and ``wavelet_cluster_m`` judge the clusters.
 
     Returns
     -------
@@ -48,14 +45,16 @@ def wavelet_ground(surface: Grid, params: GroundParams) -> Mask:
     1. the details are the heights less their B3-spline smoothing to that resolution, w_1 + ... + w_k;
     2. K-means with K = 2 parts the cells that still count as ground by their details, unless both centres lie
        nearer to each other than ``wavelet_cluster_m``;
-    3. an 8-connected cluster of the high class is off-terrain when on at least ``wavelet_edge_share`` of its
-       boundary it stands ``wavelet_step_m`` above its lowest neighbour of the ground, at the finest resolution:
+    3. an 8-connected cluster of the high class is off-terrain when on at least ``edge_share`` of its
+       boundary it stands ``edge_step_m`` above its lowest neighbour of the ground, at the finest resolution:
        this is what tells roofs from hills, whose boundaries are smooth;
     4. off-terrain cells are filled from the ground around before the next resolution.
 
     Not taken over: the median filter before the decomposition (low outliers are gone already, and step 4 keeps
     the edges), and the operator's choice of the resolutions. Like the published method it clusters all cells at
     once, so that its result depends on the extent of the data; the progressive filter does not.
+
+    On towns laid over hills it loses what the progressive filter's second look keeps: above 10 % of slope take that.
 
     Border: the outermost cell is repeated. Cost: some 7 levels, each with its smoothing, labelling and filling.
 
@@ -71,7 +70,7 @@ def wavelet_ground(surface: Grid, params: GroundParams) -> Mask:
     terrain = heights
     coarsest = max(round(math.log2(max(2 * params.window_m / surface.spec.cell_m, 2.0))), 1)
     for level in range(coarsest, 0, -1):
-        off = _off_terrain(heights, terrain, ground, level, params)
+        off = _off_terrain(surface, terrain, ground, level, params)
         if off.any():
             ground &= ~off
             terrain = np.asarray(interpolate_ground(heights, ground, surface.spec).values, dtype=np.float32)
@@ -102,51 +101,43 @@ def _spline_pass(values: Heights, spread: int, axis: int) -> Heights:
 
 
 def two_means(values: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the two centres of a 1-D K-means with K = 2, seeded by the first and the last decile.
+    """Return the two centres of a 1-D K-means with K = 2.
+
+    In one dimension the clusters are parted by a threshold, so that the best of all partitions is found by trying
+    each: there are no seeds, and no local optimum can hide a few roofs behind the noise of much ground.
 
     Examples
     --------
     >>> two_means(np.array([0.0, 0.2, 5.0, 5.2, 5.4]))
     (0.1, 5.2)
     """
-    values = np.sort(values.astype(np.float64))
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    low, high = np.quantile(values, [0.1, 0.9])
-    for _ in range(LLOYD_LIMIT):
-        cut = int(np.searchsorted(values, (low + high) / 2, side="right"))
-        if cut in (0, values.size):
-            break
-        before = (low, high)
-        low, high = total[cut] / cut, (total[-1] - total[cut]) / (values.size - cut)
-        if (low, high) == before:
-            break
-    return float(low), float(high)
+    ordered = np.sort(values.astype(np.float64))
+    if ordered[0] == ordered[-1]:
+        return float(ordered[0]), float(ordered[0])
+    ordered_sum = np.cumsum(ordered)
+    below = np.arange(1, ordered.size)
+    above = ordered.size - below
+    low, high = ordered_sum[:-1] / below, (ordered_sum[-1] - ordered_sum[:-1]) / above
+    best = int(np.argmax(below * above * (high - low) ** 2))
+    return float(low[best]), float(high[best])
 
 
-def _off_terrain(heights: Heights, terrain: Heights, ground: Mask, level: int, params: GroundParams) -> Mask:
+def _off_terrain(surface: Grid, terrain: Heights, ground: Mask, level: int, params: GroundParams) -> Mask:
     """Return the ground cells that one resolution tells to be off-terrain."""
+    heights, step_m = np.asarray(surface.values, dtype=np.float32), edge_step(params, surface.spec.cell_m)
     details = terrain - smooth_b3(terrain, level)
     low, high = two_means(details[ground])
     if high - low < params.wavelet_cluster_m:
         return np.zeros(ground.shape, dtype=np.bool_)
     raised = ground & (details > (low + high) / 2)
     labels, count = label(raised, EIGHT)
-    beside_ground = np.where(ground & ~raised, heights, np.inf)
-    beside_filled = np.where(ground, np.inf, terrain)
-    edge, steep = _boundary(labels, count, heights, beside_ground, params.wavelet_step_m)
-    inner_edge, inner_steep = _boundary(labels, count, heights, beside_filled, params.wavelet_step_m)
+    beside_ground = np.where(ground & ~raised, heights, np.float32(np.inf))
+    beside_filled = np.where(ground, np.float32(np.inf), terrain)
+    boundary, edges = count_edges(labels, count, heights, beside_ground, step_m)
+    inner_boundary, inner_edges = count_edges(labels, count, heights, beside_filled, step_m)
     # A cluster without any ground beside it, as a roof in the gap of others, is judged by the filled terrain.
-    edge, steep = np.where(edge > 0, edge, inner_edge), np.where(edge > 0, steep, inner_steep)
-    off = steep >= params.wavelet_edge_share * np.maximum(edge, 1)
+    edges = np.where(boundary > 0, edges, inner_edges)
+    boundary = np.where(boundary > 0, boundary, inner_boundary)
+    off = edges >= params.edge_share * np.maximum(boundary, 1)
     off[0] = False
     return np.asarray(off[labels], dtype=np.bool_)
-
-
-def _boundary(
-    labels: NDArray[np.int32], count: int, heights: Heights, beside: Heights, step_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Count the cells of each cluster that touch a finite neighbour, and those that stand a step above it."""
-    lowest = minimum_filter(beside, 3, mode="nearest")
-    touching = (labels > 0) & np.isfinite(lowest)
-    steep = touching & (heights - np.where(touching, lowest, 0) > step_m)
-    return np.bincount(labels[touching], minlength=count + 1), np.bincount(labels[steep], minlength=count + 1)
