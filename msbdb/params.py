@@ -285,6 +285,22 @@ class CoverParams:
         source="ours: what edges and chimneys split",
         doc="Split share that needs no smooth cells.",
     )
+    green_share: float = param(
+        0.6,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: crowns of Nîmes that stop every pulse are 90 % green, its roofs at most 20 %",
+        doc="Regions with this share of vegetation's colour are vegetation unless they are smooth.",
+    )
+    green_smooth_share: float = param(
+        0.7,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: crowns reach 60 % of smooth cells, flat and pitched roofs have 70 to 90 %",
+        doc="Share of smooth cells from which a green region is a green roof.",
+    )
     grow_m: float = param(
         1.0, unit="m", low=0.0, high=20.0, source="ours", doc="Width of the edge that is given back to roofs."
     )

@@ -13,6 +13,7 @@ from msbdb.errors import InputError
 from msbdb.grid import Grid
 from msbdb.params import Params
 from msbdb.spectral.classes import classify
+from msbdb.surface import drop_green_regions
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND
 
 COLOURS = {"red", "green", "blue", "nir"}
@@ -94,6 +95,8 @@ def classify_cover(
     if bands is not None and COLOURS & set(bands.names):
         spectral, table, band_table = classify(bands, ndsm, roughness_m, params)
     colours_decide = spectral is not None and params.spectral.decides == "spectral"
+    if spectral is not None:
+        structure = drop_green_regions(structure, spectral.labelled("vegetation"), roughness_m, params.cover)
     if not colours_decide:
         table = pd.concat([table, _structure_rows(structure, len(table), ndsm, roughness_m)], ignore_index=True)
     green = bands is not None and "nir" in bands.names and not echoes
@@ -101,7 +104,7 @@ def classify_cover(
 
 
 def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:
-    """Describe the two structural classes, which follow the spectral ones."""
+    """Describe the two structural classes, which follow the spectral ones; one without cells is 0 m high."""
     index = structure.index.ravel()
     cells = np.bincount(index, minlength=3)[1:3]
     size = np.where(cells > 0, cells, np.nan)
@@ -118,7 +121,7 @@ def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: ND
             "ndvi": np.nan,
             "brightness": np.nan,
             "roughness_m": rough / size,
-            "height_m": heights / size,
+            "height_m": heights / np.maximum(cells, 1),
         }
     )
     return rows[SPECTRAL_CLASS.names]

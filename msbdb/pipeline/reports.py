@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from pyproj import CRS
-from sqlalchemy import Engine
 
 from msbdb.database import (
+    Engine,
     list_runs,
     open_database,
     read_build,
@@ -19,6 +19,7 @@ from msbdb.database import (
     read_classes,
     read_parts,
     read_survey,
+    shown,
 )
 from msbdb.evaluate import EvaluateParams, Evaluation, PointReference, PolygonReference
 from msbdb.evaluate import evaluate as score
@@ -52,6 +53,7 @@ def opened(db: str | Path) -> Iterator[Engine]:
 def info(db: str | Path) -> dict[str, Any]:
     """Tell what a database holds: a record a run, with its survey, counts and notices."""
     with opened(db) as engine:
+        where = shown(engine.url)
         runs = list_runs(engine)
         found = []
         for row in runs.to_dict(orient="records"):
@@ -60,7 +62,7 @@ def info(db: str | Path) -> dict[str, Any]:
             survey.pop("crs_wkt")
             head: dict[str, Any] = {str(name): value for name, value in row.items()}
             found.append({**head, **_counts(build), "survey_record": survey, "notices": list(build.run.notices)})
-    return {"database": _shown(db), "runs": found}
+    return {"database": where, "runs": found}
 
 
 def classes(db: str | Path, survey: str | None = None) -> pd.DataFrame:
@@ -195,11 +197,3 @@ def _counts(build: Build) -> dict[str, Any]:
         "scales_m2": build.frames["scale"].sort_values("scale")["threshold_m2"].tolist(),
         "seconds": round(sum(build.run.timings.values()), 2),
     }
-
-
-def _shown(db: str | Path) -> str:
-    """Return the database's name without a password."""
-    from sqlalchemy.engine import make_url
-
-    text = str(db)
-    return make_url(text).render_as_string(hide_password=True) if "://" in text else text

@@ -1,7 +1,7 @@
 """From points to surfaces: gridding, ground, heights above ground, and the texture of the surface."""
 
 from msbdb.surface.build import Surface, build_surface, cover_from_surface, surface_from_rasters
-from msbdb.surface.cover import structural_cover
+from msbdb.surface.cover import drop_green_regions, structural_cover
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.ground import terrain
 from msbdb.surface.heights import normalise
@@ -15,6 +15,7 @@ __all__ = [
     "cell_size",
     "cover_from_surface",
     "density",
+    "drop_green_regions",
     "echoes",
     "normalise",
     "roughness",

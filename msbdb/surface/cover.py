@@ -118,6 +118,33 @@ def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m
     return np.asarray(keep[labels], dtype=np.bool_)
 
 
+def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params: CoverParams) -> ClassMap:
+    """Take regions for vegetation after all that are mostly green and not quite smooth: two witnesses to one.
+
+    A green roof is smooth and stays; a dense crown that stops every pulse is told by its colour.
+
+    Parameters
+    ----------
+    cover : ClassMap
+        From `structural_cover`.
+    green : (H, W) ndarray of bool
+        Cells of the colour of vegetation.
+    roughness_m : (H, W) ndarray of float32, metres
+        In the small window.
+    params : CoverParams
+        Shares and the limit of smoothness.
+    """
+    labels, count = label(cover.index == ROOF, EIGHT)
+    cells = np.maximum(np.bincount(labels.ravel(), minlength=count + 1), 1)
+    limit = params.smooth_m_limit * max(1.0, cover.spec.cell_m)
+    green_share = np.bincount(labels[green], minlength=count + 1) / cells
+    smooth_share = np.bincount(labels[roughness_m < limit], minlength=count + 1) / cells
+    crown = (green_share >= params.green_share) & (smooth_share < params.green_smooth_share)
+    crown[0] = False
+    index = np.where(crown[labels], np.uint8(VEGETATION), cover.index)
+    return ClassMap(index, cover.labels, cover.spec)
+
+
 def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: CoverParams) -> Mask:
     """Give the roofs' edges back: raised neighbours of like height, a cell at a time, and then the small holes."""
     for _ in range(round(params.grow_m / cell_m)):

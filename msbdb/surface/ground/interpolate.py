@@ -34,18 +34,25 @@ def interpolate_ground(
         raise NodataError(msg)
     known = np.asarray(values, dtype=np.float32)
     if not ground.all():
-        rows, cols = distance_transform_edt(~ground, return_distances=False, return_indices=True)
+        distance, (rows, cols) = distance_transform_edt(~ground, return_indices=True)
         filled = known[rows, cols]
-        known = filled if nearest else _relax(filled, ground)
+        known = filled if nearest else _relax(filled, distance)
     return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
 
 
-def _relax(filled: NDArray[np.float32], ground: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Smooth the filled cells by means over shrinking windows, the ground held fast."""
+def _relax(filled: NDArray[np.float32], distance: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Smooth the filled cells by means over shrinking windows, the ground held fast.
+
+    A window takes only the cells at least half its radius from the ground: nearer ones know better, and at the
+    border, where windows are cut, the large ones would pull them off a slope.
+    """
     surface = filled
     for radius in (32, 16, 8, 4, 2, 1):
+        free = distance >= max(radius / 2, 1)
+        if not free.any():
+            continue
         for _ in range(4):
-            surface = np.where(ground, filled, uniform_filter(surface, 2 * radius + 1, mode="nearest"))
+            surface = np.where(free, uniform_filter(surface, 2 * radius + 1, mode="nearest"), surface)
     return surface
 
 
