@@ -1,0 +1,299 @@
+"""Ground filters on small worlds whose terrain is known, and on a real tile."""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from msbdb.errors import NodataError
+from msbdb.grid import Grid, GridSpec, lattice
+from msbdb.io.las import read_points
+from msbdb.params import GroundParams, Params
+from msbdb.pointcloud import PointCloud
+from msbdb.surface import build_surface
+from msbdb.surface.ground import terrain
+from msbdb.surface.ground.choose import FILTERS, lowest_surface
+from msbdb.surface.ground.interpolate import interpolate_ground, refine
+from msbdb.surface.ground.progressive import window_radii
+from msbdb.surface.ground.wavelet import smooth_b3, two_means
+
+CRS_M = CRS.from_epsg(32633)
+PARAMS = GroundParams()
+Array = NDArray[np.float64]
+Box = tuple[int, int, int, int, float]
+"""First row, first column, rows, columns, and height of the roof above the terrain at its centre."""
+
+
+def world(relief: Callable[[Array, Array], Array], boxes: tuple[Box, ...], size: int = 160) -> tuple[PointCloud, Array]:
+    """Points at cell centres with noise, over a terrain with level roofs, and the terrain itself, (size, size)."""
+    row, col = np.indices((size, size))
+    ground = relief(col + 0.5, size - row - 0.5)
+    top = ground.copy()
+    for r, c, height, width, above in boxes:
+        top[r : r + height, c : c + width] = ground[r + height // 2, c + width // 2] + above
+    z = top + np.random.default_rng(0).normal(0, 0.03, top.shape)
+    points = PointCloud(col.ravel() + 0.5, size - row.ravel() - 0.5, z.ravel(), CRS_M)
+    return points, ground
+
+
+def flat(x: Array, y: Array) -> Array:
+    """Stay level."""
+    return np.full(x.shape, 20.0)
+
+
+def slope(x: Array, y: Array) -> Array:
+    """Rise by 10 % to the east."""
+    return 20 + 0.1 * x + 0.02 * y
+
+
+def hill(x: Array, y: Array) -> Array:
+    """Rise to a round hill of 12 m, at most 16 % steep."""
+    return 20 + 12 * np.exp(-((x - 80) ** 2 + (y - 80) ** 2) / (2 * 45**2))
+
+
+HOUSES: tuple[Box, ...] = ((30, 30, 12, 16, 7.0), (70, 40, 20, 14, 12.0), (100, 110, 15, 15, 5.0))
+COURTYARD: tuple[Box, ...] = (
+    (50, 50, 50, 12, 15.0),
+    (50, 88, 50, 12, 15.0),
+    (50, 62, 12, 26, 15.0),
+    (88, 62, 12, 26, 15.0),
+)
+LOW_AMONG_TALL: tuple[Box, ...] = (
+    (40, 40, 60, 25, 25.0),
+    (40, 95, 60, 25, 25.0),
+    (80, 65, 20, 30, 20.0),
+    (60, 75, 10, 10, 3.0),
+)
+HILLTOWN = tuple((r, c, 14, 14, 6.0) for r in range(10, 150, 25) for c in range(10, 150, 25))
+
+
+def ridge(x: Array, y: Array) -> Array:
+    """Rise and fall by up to 35 %."""
+    return 40 + 8 * np.sin(2 * np.pi * x / 150) * np.cos(2 * np.pi * y / 150)
+
+
+WORLDS = {
+    "flat": (flat, HOUSES),
+    "slope of 10 %": (slope, HOUSES),
+    "hill": (hill, HOUSES),
+    "courtyard": (flat, COURTYARD),
+    "low roof among tall roofs": (flat, LOW_AMONG_TALL),
+    "hall of 100 m": (flat, ((30, 30, 100, 100, 9.0),)),
+    "hall on a slope": (slope, ((40, 40, 80, 60, 9.0),)),
+    "nothing": (hill, ()),
+}
+
+
+def errors(points: PointCloud, truth: Array, name: str) -> tuple[Array, Grid]:
+    """DTM less terrain, from the named filter."""
+    spec = lattice((0.0, 0.1, truth.shape[1] - 0.1, truth.shape[0]), 1.0, CRS_M)
+    dtm, used = terrain(points, spec, replace(PARAMS, ground_filter=name))
+    assert used == name
+    return np.asarray(dtm.values) - truth, dtm
+
+
+@pytest.mark.parametrize("name", list(FILTERS))
+@pytest.mark.parametrize("case", list(WORLDS))
+def test_roofs_leave_and_the_terrain_stays(name, case):
+    """The DTM keeps within half a metre of open ground, and below every roof by all but a metre of its height."""
+    relief, boxes = WORLDS[case]
+    points, truth = world(relief, boxes)
+    error, dtm = errors(points, truth, name)
+    built = np.zeros(truth.shape, dtype=bool)
+    for r, c, height, width, above in boxes:
+        inside = (slice(r, r + height), slice(c, c + width))
+        built[inside] = True
+        assert np.abs(error[inside]).max() < min(1.5, above / 2), (r, c)
+    assert np.abs(error[~built]).max() < 0.5
+    assert dtm.valid.all()
+
+
+@pytest.mark.parametrize("name", list(FILTERS))
+def test_the_ground_of_a_courtyard_is_found(name):
+    """A yard of 26 m, walled in by roofs of 15 m, is ground and no roof."""
+    points, _ = world(flat, COURTYARD)
+    surface = lowest_surface(points, lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M), PARAMS)
+    ground = FILTERS[name](surface, PARAMS)
+    assert ground[62:88, 62:88].mean() > 0.98
+    assert not ground[51:99, 51:61].any()
+
+
+@pytest.mark.parametrize("name", list(FILTERS))
+def test_the_ground_of_turned_data_is_the_ground_turned(name):
+    """No filter prefers a direction."""
+    points, _ = world(hill, HOUSES)
+    surface = lowest_surface(points, lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M), PARAMS)
+    ground = FILTERS[name](surface, PARAMS)
+    for turn in (np.rot90, np.flipud):
+        turned = Grid(turn(surface.values).copy(), surface.valid, surface.spec)
+        assert np.mean(FILTERS[name](turned, PARAMS) != turn(ground)) < 1e-3
+
+
+@pytest.mark.parametrize("name", list(FILTERS))
+def test_low_outliers_do_not_pull_the_terrain_down(name):
+    """Echoes far below the ground, one at a time, change nothing farther than a metre around."""
+    points, truth = world(flat, HOUSES)
+    z = points.z.copy()
+    z[[5000, 12_345, 20_000]] -= 30.0
+    error, _ = errors(replace(points, z=z), truth, name)
+    assert np.abs(error).max() < 1.5
+    assert np.mean(np.abs(error) > 0.3) < 0.01
+
+
+def test_a_mound_without_walls_is_terrain():
+    """A mound of 6 m, smooth to all sides, stays; a box as wide and as high beside it goes."""
+
+    def mound(x: Array, y: Array) -> Array:
+        return 20 + 6 * np.exp(-((x - 40) ** 2 + (y - 80) ** 2) / (2 * 15**2))
+
+    points, truth = world(mound, ((65, 95, 30, 30, 6.0),))
+    for name in FILTERS:
+        error, _ = errors(points, truth, name)
+        assert np.abs(error).max() < 0.8, name
+
+
+def test_a_town_on_steep_hills_stands_on_its_ground():
+    """Slopes of up to 35 % between houses: the default keeps the streets and loses no roof."""
+    points, truth = world(ridge, HILLTOWN)
+    error, _ = errors(points, truth, "progressive")
+    built = np.zeros(truth.shape, dtype=bool)
+    for r, c, height, width, _ in HILLTOWN:
+        built[r : r + height, c : c + width] = True
+    assert np.abs(error[~built]).max() < 1.0
+    assert np.quantile(np.abs(error[built]), 0.95) < 1.5
+
+
+def classified(share: float) -> tuple[PointCloud, Array]:
+    """Houses on a slope; the given share of the ground points has class 2, all else class 1."""
+    points, truth = world(slope, HOUSES)
+    ground = np.abs(points.z - truth.ravel()) < 0.3
+    keep = np.random.default_rng(1).random(len(points)) < share
+    return replace(points, classification=np.where(ground & keep, 2, 1).astype(np.uint8)), truth
+
+
+def test_given_ground_is_trusted():
+    """Where class 2 is given, 'auto' takes it, and the terrain runs through it even where it is thin."""
+    points, truth = classified(0.1)
+    spec = lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M)
+    dtm, name = terrain(points, spec, PARAMS)
+    assert name == "class2"
+    assert np.abs(dtm.values - truth).max() < 1.0
+    assert np.sqrt(np.mean((dtm.values - truth) ** 2)) < 0.15
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.0, "progressive"), (0.01, "progressive"), (0.05, "class2")])
+def test_a_few_points_of_class_2_are_no_classification(share, expected):
+    """'auto' needs 2 % of the points."""
+    points, _ = classified(share)
+    assert terrain(points, lattice((0, 0, 20, 20), 1.0, CRS_M), PARAMS)[1] == expected
+
+
+def test_without_classes_auto_filters():
+    """A source without the attribute is filtered by the default."""
+    points, _ = world(flat, HOUSES)
+    assert terrain(points, lattice((0, 0, 20, 20), 1.0, CRS_M), PARAMS)[1] == "progressive"
+
+
+@pytest.mark.parametrize("classes", [None, 1])
+def test_class_2_asked_for_and_missing_is_an_error(classes):
+    """The message names the filters that need no classes."""
+    points, _ = world(flat, ())
+    given = None if classes is None else np.full(len(points), classes, dtype=np.uint8)
+    with pytest.raises(NodataError, match="progressive"):
+        terrain(
+            replace(points, classification=given),
+            lattice((0, 0, 20, 20), 1.0, CRS_M),
+            replace(PARAMS, ground_filter="class2"),
+        )
+
+
+def test_no_ground_at_all_is_an_error():
+    """Nothing can be interpolated from nothing."""
+    spec = lattice((0, 0, 5, 5), 1.0, CRS_M)
+    with pytest.raises(NodataError, match="No ground"):
+        interpolate_ground(np.zeros(spec.shape), np.zeros(spec.shape, dtype=bool), spec)
+
+
+def test_interpolation_keeps_the_ground_and_bridges_a_slope():
+    """Ground cells keep their heights; a gap of 30 m on a slope is filled along it."""
+    spec = lattice((0, 0, 79.9, 79.9), 1.0, CRS_M)
+    values = np.broadcast_to(0.1 * np.arange(spec.shape[1]), spec.shape).astype(np.float32)
+    ground = np.ones(spec.shape, dtype=bool)
+    ground[25:55, 25:55] = False
+    filled = np.asarray(interpolate_ground(np.where(ground, values, 99), ground, spec).values)
+    np.testing.assert_array_equal(filled[ground], values[ground])
+    assert np.abs(filled - values).max() < 0.5
+
+
+def test_refining_a_plane_gives_the_plane():
+    """Bilinear values of a plane are exact between the outermost centres, and held constant beyond."""
+    coarse = lattice((0, 0, 19.9, 19.9), 2.0, CRS_M)
+    fine = lattice((0, 0, 19.9, 19.9), 0.5, CRS_M)
+
+    def plane(spec: GridSpec) -> NDArray[np.float64]:
+        row, col = np.indices(spec.shape)
+        east, north = spec.xy(row, col)
+        return 0.3 * east - 0.2 * north
+
+    grid = Grid(plane(coarse).astype(np.float32), np.ones(coarse.shape, dtype=bool), coarse)
+    found = np.asarray(refine(grid, fine).values)
+    inner = (slice(2, -2), slice(2, -2))
+    np.testing.assert_allclose(found[inner], plane(fine)[inner], atol=1e-5)
+    assert found[0, 0] == found[1, 1] == grid.values[0, 0]
+    assert refine(grid, coarse) is grid
+
+
+def test_windows_grow_to_the_largest():
+    """Each half-width is larger than the one before, and none exceeds the largest."""
+    for largest in (0.2, 1, 7.5, 80):
+        radii = window_radii(largest, 1.05)
+        assert radii[0] == 1
+        assert all(b > a for a, b in pairwise(radii))
+        assert radii[-1] <= max(largest, 1)
+
+
+def test_the_smoothing_keeps_constants_and_spreads_a_point_as_the_spline():
+    """Weights sum to one, and a point becomes (1, 4, 6, 4, 1)/16 along both axes, then with taps twice as far."""
+    np.testing.assert_allclose(smooth_b3(np.full((9, 7), 3.5, dtype=np.float32), 3), 3.5, rtol=1e-6)
+    point = np.zeros((31, 31), dtype=np.float32)
+    point[15, 15] = 1
+    spline = np.array([1, 4, 6, 4, 1]) / 16
+    np.testing.assert_allclose(smooth_b3(point, 1)[13:18, 13:18], np.outer(spline, spline), atol=1e-7)
+    wide = np.zeros(9)
+    wide[::2] = spline
+    twice = np.convolve(spline, wide)
+    np.testing.assert_allclose(smooth_b3(point, 2)[9:22, 9:22], np.outer(twice, twice), atol=1e-7)
+
+
+def test_two_means_split_as_the_best_threshold_does():
+    """The sum of squares within the two groups is that of the best of all thresholds, on well-parted values."""
+    rng = np.random.default_rng(3)
+    values = np.concatenate([rng.normal(0, 0.3, 70), rng.normal(6, 1.0, 30)])
+    low, high = two_means(values)
+    ordered = np.sort(values)
+    best = min(range(1, 100), key=lambda n: ordered[:n].var() * n + ordered[n:].var() * (100 - n))
+    assert (low, high) == pytest.approx((ordered[:best].mean(), ordered[best:].mean()))
+    assert two_means(np.full(10, 2.0)) == (2.0, 2.0)
+
+
+@pytest.mark.data
+@pytest.mark.skipif("MSBDB_DATA" not in os.environ, reason="the real tiles are found through MSBDB_DATA")
+@pytest.mark.parametrize("name", ["progressive", "wavelet"])
+def test_accuracy_floor_on_a_dutch_old_town(name):
+    """Without its classes: at most 5 % of the roof echoes come below 2 m, at most 0.5 % of the ground is off."""
+    path = Path(os.environ["MSBDB_DATA"]) / "delft" / "delft_1.laz"
+    given, _ = read_points([path], crs=CRS.from_epsg(28992))
+    params = replace(Params(), ground=GroundParams(ground_filter=name))
+    surface = build_surface(replace(given, classification=None), params)
+    row, col = surface.dtm.spec.rowcol(given.x, given.y)
+    height = given.z - np.asarray(surface.dtm.values)[row, col]
+    roofs = (given.classification == 6) & given.first_echo
+    ground = given.classification == 2
+    assert np.mean(height[roofs] < 2) < 0.05
+    assert np.mean(np.abs(height[ground]) > 0.5) < 0.005
