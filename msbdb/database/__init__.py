@@ -1,0 +1,48 @@
+"""The database: SpatiaLite files and PostGIS, created, upgraded, loaded and read by one set of functions."""
+
+from sqlalchemy import Engine
+
+from msbdb.database.crs import srid_of
+from msbdb.database.dump import canonical_dump
+from msbdb.database.engine import check_target, open_database, shown, upgrade_database
+from msbdb.database.examples import ExampleQuery, example_queries, run_example
+from msbdb.database.load import WriteReport, write_build
+from msbdb.database.query import (
+    list_runs,
+    read_build,
+    read_buildings,
+    read_class_bands,
+    read_classes,
+    read_parts,
+    read_rejections,
+    read_run,
+    read_scales,
+    read_state,
+    read_survey,
+)
+
+__all__ = [
+    "Engine",
+    "ExampleQuery",
+    "WriteReport",
+    "canonical_dump",
+    "check_target",
+    "example_queries",
+    "list_runs",
+    "open_database",
+    "read_build",
+    "read_buildings",
+    "read_class_bands",
+    "read_classes",
+    "read_parts",
+    "read_rejections",
+    "read_run",
+    "read_scales",
+    "read_state",
+    "read_survey",
+    "run_example",
+    "shown",
+    "srid_of",
+    "upgrade_database",
+    "write_build",
+]

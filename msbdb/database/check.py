@@ -1,0 +1,99 @@
+"""Checks of a build before it is loaded, so that what is wrong is named by its row, not by a constraint."""
+
+from collections.abc import Collection
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.errors import InputError, TableError
+from msbdb.tables import TABLES, Build, Table, validate, validate_parts
+
+_SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
+_POINT = (shapely.GeometryType.POINT,)
+
+
+def check_build(build: Build) -> None:
+    """Check that a build can be stored: names, declared columns, numbers, geometries and references.
+
+    Raises
+    ------
+    InputError
+        For a survey or method without a name.
+    TableError
+        Naming the table, the column and the first rows that are wrong.
+    """
+    if not build.survey.name.strip() or not build.run.method.strip():
+        msg = f"A build needs a survey's name and a method; got '{build.survey.name}' and '{build.run.method}'."
+        raise InputError(msg)
+    expected = {table.name for table in TABLES}
+    if set(build.frames) != expected:
+        msg = f"A build needs the tables {sorted(expected)}; got {sorted(build.frames)}."
+        raise TableError(msg)
+    for table in TABLES:
+        frame = build.frames[table.name]
+        validate(frame, table)
+        _check_numbers(frame, table)
+        if table.geometry:
+            _check_geometries(frame, table)
+    validate_parts(build.frames["part"])
+    _check_references(build.frames)
+
+
+def geometries(frame: pd.DataFrame) -> NDArray[np.object_]:
+    """Return the (N,) geometries of a frame, plain or geographic."""
+    return np.asarray(frame["geometry"], dtype=object)
+
+
+def _check_numbers(frame: pd.DataFrame, table: Table) -> None:
+    """Refuse infinities everywhere, and missing values where none are declared."""
+    for column in table.columns:
+        values = frame[column.name]
+        wrong = values.isna() & (not column.nullable)
+        if column.dtype == "float64":
+            wrong |= np.isinf(values)
+        _require(~wrong, frame, table, f"{column.name} is missing or infinite")
+
+
+def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
+    """Refuse geometries that are missing, empty, of another type, or not valid."""
+    shapes = geometries(frame)
+    kind = shapely.get_type_id(shapes)
+    allowed = _SHAPES.get(str(table.geometry), _POINT)
+    _require(np.isin(kind, [int(k) for k in allowed]), frame, table, f"the geometry is no {table.geometry}")
+    _require(~shapely.is_empty(shapes), frame, table, "the geometry is empty")
+    _require(shapely.is_valid(shapes), frame, table, "the geometry is not valid")
+
+
+def _check_references(frames: dict[str, pd.DataFrame]) -> None:
+    """Refuse rows that speak of a scale, class or root that is not there."""
+    part, building = frames["part"], frames["building"]
+    roots = part.loc[part["supid"] == 0, "part_id"]
+    classes = frames["spectral_class"]["speindex"]
+    or_none = [*classes, 0]
+    for name, column, known in (
+        ("part", "scale", frames["scale"]["scale"]),
+        ("part", "speindex", or_none),
+        ("building", "root_id", roots),
+        ("building", "speindex", or_none),
+        ("spectral_class_band", "speindex", classes),
+    ):
+        table = next(t for t in TABLES if t.name == name)
+        frame = frames[name]
+        _require(frame[column].isin(list(known)), frame, table, f"{column} names nothing that exists")
+    for name, key in (("scale", "scale"), ("spectral_class", "speindex"), ("building", "building_id")):
+        table = next(t for t in TABLES if t.name == name)
+        frame = frames[name]
+        _require(~frame[key].duplicated(), frame, table, f"{key} is given twice")
+    _require(~building["root_id"].duplicated(), building, TABLES[-1], "root_id is given twice")
+
+
+def _require(holds: Collection[bool], frame: pd.DataFrame, table: Table, what: str) -> None:
+    """Raise for the rows where a condition fails, by their first column."""
+    fails = ~np.asarray(holds, dtype=bool)
+    if fails.any():
+        key = table.columns[0].name
+        rows = ", ".join(str(value) for value in frame.loc[fails, key][:5])
+        msg = f"Table {table.name} cannot be stored: {what} in {fails.sum()} rows, first at {key} {rows}."
+        raise TableError(msg)

@@ -1,0 +1,76 @@
+"""What the database room asks of a dialect; ``spatialite`` and ``postgis`` answer with the same names."""
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+from sqlalchemy import URL, Connection, Engine
+
+from msbdb.database import postgis, spatialite
+from msbdb.errors import DatabaseError, MsbdbError
+
+
+class Dialect(Protocol):
+    """The hooks of a dialect."""
+
+    def exists(self, url: URL, timeout_s: float) -> bool:
+        """Tell whether there is an msbdb database; refuse what is there but foreign."""
+
+    def require_writable(self, url: URL) -> None:
+        """Refuse a place that could not be written, as far as can be told without writing."""
+
+    def create(self, url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> None:
+        """Create a database whole or not at all; ``fill`` writes the schema inside the transaction."""
+
+    def make_engine(self, url: URL, timeout_s: float) -> Engine:
+        """Return an engine whose connections know geometries, wait for locks, and hold foreign keys."""
+
+    def geometry_ddl(self, table: str, kind: str, srid: int | str) -> list[str]:
+        """Return the statements that give a table its geometry column and spatial index."""
+
+    def view_ddl(self, view: str, key: str, base: str) -> list[str]:
+        """Return the statements that register a view's geometry, after the view's own creation."""
+
+    def database_srid(self, connection: Connection) -> int:
+        """Return the SRID of the database's geometry columns."""
+
+    def writing(self, engine: Engine) -> AbstractContextManager[Connection]:
+        """Open the one transaction of a writer: readers are not disturbed, and a kill leaves the old state."""
+
+    def encode(self, geometries: NDArray[Any], srid: int) -> list[Any]:
+        """Return geometries as ``insert_rows`` takes them."""
+
+    def insert_rows(
+        self, connection: Connection, table: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], srid: int
+    ) -> None:
+        """Insert rows in bulk; a column ``geometry`` holds what ``encode`` gave."""
+
+    def settle(self, connection: Connection) -> None:
+        """Check what was put off in the transaction so far, where it is quicker now than at the commit."""
+
+    def after_load(self, connection: Connection) -> None:
+        """Bring statistics and extents up to date."""
+
+    def explain(self, error: BaseException, where: str) -> MsbdbError:
+        """Return our error for one of the library's."""
+
+
+def dialect_of(url: URL) -> Dialect:
+    """Return the hooks for a URL.
+
+    Raises
+    ------
+    DatabaseError
+        For a kind of database that msbdb does not know.
+    """
+    backend = url.get_backend_name()
+    if backend == "sqlite":
+        return spatialite
+    if backend == "postgresql":
+        return postgis
+    msg = (
+        f"A database must be a SpatiaLite file or a PostGIS URL; got '{backend}'. "
+        "Give a path such as city.sqlite, or postgresql://user@host/name."
+    )
+    raise DatabaseError(msg)

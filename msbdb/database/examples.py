@@ -1,0 +1,74 @@
+"""The example queries of ``schema/queries``: SQL for both dialects, with parameters that have defaults."""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from sqlalchemy import Engine, text
+
+from msbdb.database.engine import guarded
+from msbdb.database.upgrade import packaged
+from msbdb.errors import ParameterError
+
+_PARAMETER = re.compile(r"^-- :(?P<name>\w+) = (?P<value>\S+)  (?P<doc>.+)$", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class ExampleQuery:
+    """A query: its name, what a reader learns from it, its SQL, and its parameters' defaults and meanings."""
+
+    name: str
+    title: str
+    sql: str
+    defaults: dict[str, Any]
+    meanings: dict[str, str]
+
+
+def example_queries() -> dict[str, ExampleQuery]:
+    """Return the example queries by name.
+
+    A file begins with a comment: a sentence of what one learns, then a line ``-- :name = default  meaning`` a
+    parameter, whose default is a JSON value.
+    """
+    files = sorted((packaged("schema") / "queries").glob("*.sql"))
+    return {path.stem: _parsed(path) for path in files}
+
+
+def run_example(engine: Engine, name: str, **values: Any) -> pd.DataFrame:  # noqa: ANN401
+    """Run an example query with its defaults, or with other values of its parameters.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown query or parameter.
+    """
+    queries = example_queries()
+    if name not in queries:
+        msg = f"There is no example query '{name}'; there are {', '.join(queries)}."
+        raise ParameterError(msg)
+    query = queries[name]
+    unknown = sorted(set(values) - set(query.defaults))
+    if unknown:
+        msg = f"The query '{name}' has no parameter {', '.join(unknown)}; it has {', '.join(query.defaults) or 'none'}."
+        raise ParameterError(msg)
+    with guarded(engine.url), engine.connect() as connection:
+        result = connection.execute(text(query.sql), query.defaults | values)
+        return pd.DataFrame([tuple(row) for row in result], columns=list(result.keys()))
+
+
+def _parsed(path: Path) -> ExampleQuery:
+    words = path.read_text(encoding="utf-8")
+    comment = [line.removeprefix("--").strip() for line in words.splitlines() if line.startswith("--")]
+    title = " ".join(line for line in comment if line and not line.startswith(":"))
+    found = list(_PARAMETER.finditer(words))
+    sql = "\n".join(line for line in words.splitlines() if not line.startswith("--")).strip().rstrip(";")
+    return ExampleQuery(
+        name=path.stem,
+        title=title,
+        sql=sql,
+        defaults={match["name"]: json.loads(match["value"]) for match in found},
+        meanings={match["name"]: match["doc"] for match in found},
+    )

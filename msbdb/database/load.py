@@ -1,0 +1,216 @@
+"""Loading a build: one transaction, the same rows for the same build, whole or not at all."""
+
+import hashlib
+import logging
+import zlib
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Engine, delete, func, insert, select, text, update
+
+from msbdb.database.canonical import plain, text_id, to_json
+from msbdb.database.check import check_build, geometries
+from msbdb.database.crs import srid_of
+from msbdb.database.dialect import Dialect, dialect_of
+from msbdb.database.engine import guarded, require_srid, shown
+from msbdb.database.models import Run, RunState, Source, Survey
+from msbdb.tables import TABLES, Build, Table
+
+logger = logging.getLogger(__name__)
+
+ORDER: dict[str, list[str]] = {
+    "scale": ["scale"],
+    "part": ["part_id"],
+    "spectral_class": ["speindex"],
+    "spectral_class_band": ["speindex", "band"],
+    "rejection": ["region_id", "stage", "reason", "scale", "area_m2", "xcen", "ycen"],
+    "building": ["building_id"],
+}
+"""The columns by which each table's rows are ordered, so that their order in the frames does not matter."""
+
+_LOADED = ("scale", "spectral_class", "spectral_class_band", "part", "building", "rejection")
+"""The tables in an order in which every row finds what it refers to."""
+
+
+@dataclass(frozen=True, slots=True)
+class WriteReport:
+    """What a load did.
+
+    ``status`` is 'created', 'replaced' or 'unchanged'; ``rows`` counts the run's rows by table.
+    """
+
+    survey: str
+    method: str
+    survey_id: int
+    run_id: int
+    status: str
+    rows: dict[str, int]
+
+
+def write_build(engine: Engine, build: Build) -> WriteReport:
+    """Write a build in one transaction.
+
+    A run is known by its survey's name and its method. Content that is there already is left alone, timings included;
+    other content replaces the run's rows. Row order in the frames is of no matter.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    build : Build
+        With one frame for each of ``tables.TABLES``. Polygons become multipolygons.
+
+    Raises
+    ------
+    InputError, TableError
+        When the build breaks its declaration; nothing was written.
+    CRSError
+        When the survey's CRS is not the database's.
+    LoadError
+        When the database refuses rows; nothing was written.
+    DatabaseError
+        When the database is locked, full or cannot be reached; nothing was written.
+    """
+    check_build(build)
+    dialect = dialect_of(engine.url)
+    frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
+    digest = content_digest(build, frames)
+    survey_id = text_id("survey", build.survey.name)
+    run_id = text_id("run", build.survey.name, build.run.method)
+    rows = {name: len(frame) for name, frame in frames.items()} | {"run_state": len(build.state)}
+    srid = srid_of(build.survey.epsg, build.survey.crs_wkt)
+    with guarded(engine.url):
+        with engine.connect() as connection:
+            require_srid(connection, dialect, srid, shown(engine.url))
+            unchanged = _is_there(connection, run_id, digest, rows)
+        status = "unchanged" if unchanged else _write(engine, dialect, build, frames, digest=digest, srid=srid)
+    logger.info("Survey %s, method %s: %s, %s", build.survey.name, build.run.method, status, rows)
+    return WriteReport(build.survey.name, build.run.method, survey_id, run_id, status, rows)
+
+
+def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
+    """Return the SHA-256 of all that a build would write, but for its timings; ``frames`` are in order."""
+    digest = hashlib.sha256()
+    run = asdict(build.run)
+    del run["timings"]
+    digest.update(to_json([_survey_row(build), _source_rows(build), run]).encode())
+    for name, frame in frames.items():
+        for column in frame.columns:
+            digest.update(f"\0{name}.{column}\0".encode())
+            digest.update(_column_bytes(frame, str(column)))
+    for name, values in sorted(build.state.items()):
+        cells = _portable(values)
+        digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
+        digest.update(cells.tobytes())
+    return digest.hexdigest()
+
+
+def _write(
+    engine: Engine, dialect: Dialect, build: Build, frames: dict[str, pd.DataFrame], *, digest: str, srid: int
+) -> str:
+    """Replace or create the run; return which."""
+    survey_id = text_id("survey", build.survey.name)
+    run_id = text_id("run", build.survey.name, build.run.method)
+    with dialect.writing(engine) as connection:
+        removed = connection.execute(delete(Run).where(Run.run_id == run_id)).rowcount
+        dialect.settle(connection)
+        _write_survey(connection, survey_id, build)
+        run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": digest}
+        connection.execute(insert(Run), [plain(run)])
+        for name in _LOADED:
+            _write_frame(connection, dialect, build, name, frames[name], run_id=run_id, srid=srid)
+        for name, values in sorted(build.state.items()):
+            cells = _portable(values)
+            state = {"dtype": cells.dtype.str, "shape": list(cells.shape), "data": zlib.compress(cells.tobytes(), 6)}
+            connection.execute(insert(RunState), [{"run_id": run_id, "name": name, **state}])
+        dialect.after_load(connection)
+    return "replaced" if removed else "created"
+
+
+def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, int]) -> bool:
+    """Tell whether the run holds this content, and all of its rows are still there."""
+    if connection.scalar(select(Run.content_sha256).where(Run.run_id == run_id)) != digest:
+        return False
+    counted = "SELECT count(*) FROM {} WHERE run_id = :run"
+    return all(connection.scalar(text(counted.format(name)), {"run": run_id}) == n for name, n in rows.items())
+
+
+def _write_survey(connection: Connection, survey_id: int, build: Build) -> None:
+    """Write the survey and its sources, or bring them up to date."""
+    row = _survey_row(build)
+    known = connection.scalar(select(func.count()).select_from(Survey).where(Survey.survey_id == survey_id))
+    if known:
+        connection.execute(update(Survey).where(Survey.survey_id == survey_id).values(**row))
+    else:
+        connection.execute(insert(Survey), [{"survey_id": survey_id, **row}])
+    connection.execute(delete(Source).where(Source.survey_id == survey_id))
+    sources = [{"survey_id": survey_id, "number": n, **row} for n, row in enumerate(_source_rows(build), start=1)]
+    if sources:
+        connection.execute(insert(Source), sources)
+
+
+def _write_frame(
+    connection: Connection, dialect: Dialect, build: Build, name: str, frame: pd.DataFrame, *, run_id: int, srid: int
+) -> None:
+    """Write one table's rows in bulk."""
+    columns: dict[str, list[Any]] = {"run_id": [run_id] * len(frame)}
+    if name == "rejection":
+        columns["rejection_id"] = _rejection_ids(build, frame)
+    for column in frame.columns:
+        if column == "geometry":
+            columns["geometry"] = dialect.encode(geometries(frame), srid)
+        else:
+            values = frame[column]
+            columns[str(column)] = values.astype(object).where(values.notna(), None).tolist()
+    dialect.insert_rows(connection, name, list(columns), list(zip(*columns.values(), strict=True)), srid)
+
+
+def _rejection_ids(build: Build, frame: pd.DataFrame) -> list[int]:
+    """Return keys of ledger rows; a region that one stage dropped twice for one reason is counted on."""
+    again = frame.groupby(["region_id", "stage", "reason"], sort=False).cumcount()
+    rows = zip(frame["region_id"], frame["stage"], frame["reason"], again, strict=True)
+    return [text_id("rejection", build.survey.name, build.run.method, *row) for row in rows]
+
+
+def _ordered(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+    """Return the rows in the table's order, with polygons as multipolygons."""
+    rows = pd.DataFrame(frame).sort_values(ORDER[table.name], kind="stable", ignore_index=True)
+    if table.geometry == "MULTIPOLYGON":
+        shapes = geometries(rows).copy()
+        simple = shapely.get_type_id(shapes) == shapely.GeometryType.POLYGON
+        shapes[simple] = shapely.multipolygons(shapes[simple], indices=np.arange(simple.sum()))
+        rows["geometry"] = pd.Series(shapes, dtype=object)
+    return rows
+
+
+def _survey_row(build: Build) -> dict[str, Any]:
+    """Return the survey's columns but its key."""
+    row = asdict(build.survey)
+    del row["sources"]
+    row["west"], row["south"], row["east"], row["north"] = row.pop("bounds")
+    return {name: plain(value) for name, value in row.items()}
+
+
+def _source_rows(build: Build) -> list[dict[str, Any]]:
+    """Return the sources in canonical order."""
+    rows = [plain(asdict(source)) for source in build.survey.sources]
+    return sorted(rows, key=lambda row: (row["role"], row["name"], row["sha256"]))
+
+
+def _column_bytes(frame: pd.DataFrame, column: str) -> bytes:
+    """Return a column's content as bytes that equal columns share."""
+    values = frame[column]
+    if column == "geometry":
+        return b"".join(shapely.to_wkb(shapely.normalize(geometries(frame)), byte_order=1))
+    if values.dtype.kind in "if":
+        return _portable(values.to_numpy()).tobytes()
+    return to_json(values.tolist()).encode()
+
+
+def _portable(values: NDArray[Any]) -> NDArray[Any]:
+    """Return an array in C order and little-endian."""
+    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))

@@ -1,0 +1,158 @@
+"""The hooks of PostGIS."""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, inspect, text
+from sqlalchemy.exc import DBAPIError
+
+from msbdb.database.canonical import to_json
+from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError
+
+logger = logging.getLogger(__name__)
+
+VERSION_TABLE = "msbdb_schema_version"
+_WRITER_LOCK = 0x6D73626462
+"""Number of the advisory lock that one writer of a database holds: 'msbdb' in ASCII."""
+_CONTENT = (
+    "survey",
+    "source",
+    "run",
+    "scale",
+    "part",
+    "spectral_class",
+    "spectral_class_band",
+    "rejection",
+    "building",
+)
+
+
+def exists(url: URL, timeout_s: float) -> bool:
+    """Tell whether the database holds msbdb's tables."""
+    with make_engine(url, timeout_s).connect() as connection:
+        return inspect(connection).has_table(VERSION_TABLE)
+
+
+def require_writable(url: URL) -> None:
+    """Do nothing: the server tells at the first statement."""
+
+
+def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> None:
+    """Create the extension and the tables in one transaction; a second creator waits and finds them there."""
+    with make_engine(url, timeout_s).begin() as connection:
+        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
+        if inspect(connection).has_table(VERSION_TABLE):
+            return
+        if not connection.scalar(text("SELECT count(*) FROM pg_extension WHERE extname = 'postgis'")):
+            connection.execute(text("CREATE EXTENSION postgis"))
+        fill(connection)
+
+
+def make_engine(url: URL, timeout_s: float) -> Engine:
+    """Return an engine that waits for locks and servers no longer than the timeout."""
+    return create_engine(
+        url,
+        poolclass=NullPool,
+        connect_args={
+            "connect_timeout": max(2, round(timeout_s)),
+            "options": f"-c lock_timeout={round(timeout_s * 1000)} -c client_min_messages=warning",
+        },
+        hide_parameters=True,
+        json_serializer=to_json,
+    )
+
+
+def geometry_ddl(table: str, kind: str, srid: int | str) -> list[str]:
+    """Return the statements that add and index the column ``geometry``."""
+    return [
+        f"ALTER TABLE {table} ADD COLUMN geometry geometry({kind}, {srid}) NOT NULL",
+        f"CREATE INDEX idx_{table}_geometry ON {table} USING gist (geometry)",
+    ]
+
+
+def view_ddl(view: str, key: str, base: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
+    """Return nothing: PostGIS reads a view's geometry type and SRID off the view itself."""
+    return []
+
+
+def database_srid(connection: Connection) -> int:
+    """Return the SRID of the parts' geometry."""
+    query = text("SELECT Find_SRID(current_schema()::text, 'part', 'geometry')")
+    return int(connection.scalars(query).one())
+
+
+@contextmanager
+def writing(engine: Engine) -> Iterator[Connection]:
+    """Open a transaction that is the only writer's; readers see the last committed state."""
+    with engine.begin() as connection:
+        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
+        yield connection
+
+
+def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
+    """Return extended WKB in hexadecimal digits, which carries the SRID."""
+    with_srid = shapely.set_srid(geometries, srid)
+    return list(np.asarray(shapely.to_wkb(with_srid, hex=True, include_srid=True, byte_order=1)))
+
+
+def insert_rows(
+    connection: Connection,
+    table: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[Any]],
+    srid: int,  # noqa: ARG001  (SpatiaLite takes it here)
+) -> None:
+    """Insert rows by COPY."""
+    statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN"
+    with connection.connection.cursor() as cursor, cursor.copy(statement) as copy:  # type: ignore[attr-defined]  # psycopg's own
+        for row in rows:
+            copy.write_row(row)
+
+
+def settle(connection: Connection) -> None:
+    """Check the deferred keys of the rows deleted so far, while the planner's figures still fit them.
+
+    Left to the commit, after the statistics of a smaller run, each deleted row would be looked up by a full scan.
+    """
+    connection.execute(text("SET CONSTRAINTS ALL IMMEDIATE"))
+    connection.execute(text("SET CONSTRAINTS ALL DEFERRED"))
+
+
+def after_load(connection: Connection) -> None:
+    """Bring the planner's statistics up to date, before the commit checks the new rows' keys by them."""
+    for table in _CONTENT:
+        connection.execute(text(f"ANALYZE {table}"))
+
+
+_LOCKED = ("{where} is locked: another program writes to it.", "Wait for it, and try again.")
+_TAKEN = ("{where} holds a table of another program: {cause}", "Give msbdb a database of its own.")
+_EXPLAINED = {
+    "55P03": _LOCKED,
+    "40P01": _LOCKED,
+    "53100": ("{where} could not be written: {cause}", "Nothing was changed; free some space and try again."),
+    "42501": ("{where} does not allow it: {cause}", "Ask its owner for the right."),
+    "42P07": _TAKEN,
+    "42710": _TAKEN,
+}
+"""What a SQLSTATE means here, and the next step."""
+
+
+def explain(error: BaseException, where: str) -> MsbdbError:
+    """Return our error for one of PostgreSQL's, told apart by its SQLSTATE."""
+    origin = error.orig if isinstance(error, DBAPIError) else error
+    state = str(getattr(origin, "sqlstate", None) or "")
+    cause = " ".join(str(origin).split())
+    if state.startswith(("22", "23")):
+        return LoadError(f"The database {where} refused the rows: {cause} Nothing was written.")
+    if state in ("0A000", "58P01") and "postgis" in cause:
+        return MissingDependencyError(
+            f"The server of {where} has no PostGIS: {cause} "
+            "Install it there, on Debian or Ubuntu by 'apt-get install postgis postgresql-15-postgis-3'."
+        )
+    what, step = _EXPLAINED.get(state, ("{where} failed: {cause}", "Check the URL, the server and the rights."))
+    return DatabaseError(f"The database {what.format(where=where, cause=cause)} {step}")

@@ -1,0 +1,196 @@
+"""Reading the tables back as frames, by plain SQL and WKB."""
+
+import zlib
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Engine, select, text
+
+from msbdb.database.crs import crs_from, horizontal
+from msbdb.database.engine import guarded, shown
+from msbdb.database.load import ORDER
+from msbdb.database.models import Run, RunState, Source, Survey
+from msbdb.errors import InputError
+from msbdb.tables import BUILDING, PART, REJECTION, SCALE, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, TABLES, Build, Table
+from msbdb.tables import Run as RunRecord
+from msbdb.tables import Source as SourceRecord
+from msbdb.tables import Survey as SurveyRecord
+
+
+def list_runs(engine: Engine) -> pd.DataFrame:
+    """Return one row a run: survey, method, profile, version, date, EPSG code, density and cell size."""
+    with guarded(engine.url), engine.connect() as connection:
+        query = (
+            select(
+                Survey.name.label("survey"),
+                Run.method,
+                Run.profile,
+                Run.version,
+                Survey.date,
+                Survey.epsg,
+                Survey.density,
+                Survey.cell_m,
+            )
+            .join_from(Run, Survey)
+            .order_by(Run.run_id)
+        )
+        result = connection.execute(query)
+        rows = pd.DataFrame([tuple(row) for row in result], columns=list(result.keys()))
+    return rows.sort_values(["survey", "method"], ignore_index=True)
+
+
+def read_build(engine: Engine, survey: str | None = None, method: str | None = None) -> Build:
+    """Return a run as the build that was written, its rows in the tables' order.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    survey, method : str, optional
+        Which run; not needed where the database holds only one.
+
+    Raises
+    ------
+    InputError
+        When there is no such run, or more than one.
+    """
+    with guarded(engine.url), engine.connect() as connection:
+        run = _find_run(connection, survey, method, shown(engine.url))
+        record = _survey_record(connection, run.survey_id)
+        return Build(
+            survey=record,
+            run=_run_record(run),
+            frames={table.name: _read_table(connection, table, run.run_id, record) for table in TABLES},
+            state=_read_state(connection, run.run_id),
+        )
+
+
+def read_survey(engine: Engine, survey: str | None = None, method: str | None = None) -> SurveyRecord:
+    """Return the survey of a run, with its sources."""
+    with guarded(engine.url), engine.connect() as connection:
+        run = _find_run(connection, survey, method, shown(engine.url))
+        return _survey_record(connection, run.survey_id)
+
+
+def read_run(engine: Engine, survey: str | None = None, method: str | None = None) -> RunRecord:
+    """Return a run: parameters, counts, timings and notices."""
+    with guarded(engine.url), engine.connect() as connection:
+        return _run_record(_find_run(connection, survey, method, shown(engine.url)))
+
+
+def read_parts(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+    """Return a run's parts, columns as ``tables.PART`` and the geometry, in order of ids."""
+    return _read(engine, PART, survey, method)
+
+
+def read_buildings(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+    """Return a run's buildings, columns as ``tables.BUILDING`` and the geometry, in order of ids."""
+    return _read(engine, BUILDING, survey, method)
+
+
+def read_rejections(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+    """Return a run's ledger, columns as ``tables.REJECTION`` and the geometry."""
+    return _read(engine, REJECTION, survey, method)
+
+
+def read_scales(engine: Engine, survey: str | None = None, method: str | None = None) -> pd.DataFrame:
+    """Return a run's scales, columns as ``tables.SCALE``."""
+    return _read_plain(engine, SCALE, survey, method)
+
+
+def read_classes(engine: Engine, survey: str | None = None, method: str | None = None) -> pd.DataFrame:
+    """Return a run's classes with their labels and who gave them, columns as ``tables.SPECTRAL_CLASS``."""
+    return _read_plain(engine, SPECTRAL_CLASS, survey, method)
+
+
+def read_class_bands(engine: Engine, survey: str | None = None, method: str | None = None) -> pd.DataFrame:
+    """Return the bands' means by class, columns as ``tables.SPECTRAL_CLASS_BAND``."""
+    return _read_plain(engine, SPECTRAL_CLASS_BAND, survey, method)
+
+
+def read_state(engine: Engine, survey: str | None = None, method: str | None = None) -> dict[str, NDArray[np.generic]]:
+    """Return a run's named rasters, from which its classes can be labelled anew without the source data."""
+    with guarded(engine.url), engine.connect() as connection:
+        return _read_state(connection, _find_run(connection, survey, method, shown(engine.url)).run_id)
+
+
+def _read_plain(engine: Engine, table: Table, survey: str | None, method: str | None) -> pd.DataFrame:
+    """Return one table without geometry of one run."""
+    frame: pd.DataFrame = _read(engine, table, survey, method)
+    return frame
+
+
+def _read(engine: Engine, table: Table, survey: str | None, method: str | None) -> Any:  # noqa: ANN401
+    """Return one table of one run, as a GeoDataFrame where it has a geometry."""
+    with guarded(engine.url), engine.connect() as connection:
+        run = _find_run(connection, survey, method, shown(engine.url))
+        return _read_table(connection, table, run.run_id, _survey_record(connection, run.survey_id))
+
+
+def _find_run(connection: Connection, survey: str | None, method: str | None, where: str) -> Any:  # noqa: ANN401
+    """Return the one run's row that the names leave."""
+    query = select(Survey.name.label("survey"), Run.__table__).join_from(Run, Survey)
+    runs = connection.execute(query.order_by(Run.run_id)).all()
+    found = [r for r in runs if survey in (None, r.survey) and method in (None, r.method)]
+    if len(found) == 1:
+        return found[0]
+    asked = f"survey {survey or 'any'}, method {method or 'any'}"
+    there = "; ".join(sorted(f"{r.survey}, {r.method}" for r in runs)) or "none"
+    msg = f"The database {where} has {len(found)} runs of {asked}. Name one of its runs (survey, method): {there}."
+    raise InputError(msg)
+
+
+def _survey_record(connection: Connection, survey_id: int) -> SurveyRecord:
+    row = connection.execute(select(Survey.__table__).where(Survey.survey_id == survey_id)).one()
+    sources = connection.execute(select(Source.__table__).where(Source.survey_id == survey_id).order_by(Source.number))
+    return SurveyRecord(
+        name=row.name,
+        date=row.date,
+        crs_wkt=row.crs_wkt,
+        epsg=row.epsg,
+        vertical_crs=row.vertical_crs,
+        density=row.density,
+        cell_m=row.cell_m,
+        bounds=(row.west, row.south, row.east, row.north),
+        sources=tuple(SourceRecord(s.name, s.role, s.sha256, s.bytes) for s in sources),
+    )
+
+
+def _run_record(row: Any) -> RunRecord:  # noqa: ANN401  (a row of run)
+    return RunRecord(
+        method=row.method,
+        profile=row.profile,
+        version=row.version,
+        parameters=row.parameters,
+        counts=row.counts,
+        timings=row.timings,
+        notices=tuple(row.notices),
+    )
+
+
+def _read_table(connection: Connection, table: Table, run_id: int, survey: SurveyRecord) -> Any:  # noqa: ANN401
+    """Return a table's rows of a run with the declared dtypes."""
+    names = table.names
+    chosen = ", ".join(names) + (", ST_AsBinary(geometry)" if table.geometry else "")
+    query = text(f"SELECT {chosen} FROM {table.name} WHERE run_id = :run")  # noqa: S608  (names are the declaration's)
+    rows = connection.execute(query, {"run": run_id}).all()
+    columns = list(zip(*rows, strict=True)) or [()] * (len(names) + 1)
+    frame = pd.DataFrame(
+        {c.name: pd.Series(values, dtype=c.dtype) for c, values in zip(table.columns, columns, strict=False)}
+    )
+    if table.geometry:
+        crs = horizontal(crs_from(survey.epsg, survey.crs_wkt))
+        shapes = shapely.from_wkb(np.array([bytes(blob) for blob in columns[-1]], dtype=object))
+        frame = gpd.GeoDataFrame(frame, geometry=shapes, crs=crs)
+    return frame.sort_values(ORDER[table.name], kind="stable", ignore_index=True)
+
+
+def _read_state(connection: Connection, run_id: int) -> dict[str, NDArray[np.generic]]:
+    rows = connection.execute(select(RunState.__table__).where(RunState.run_id == run_id).order_by(RunState.name))
+    return {
+        row.name: np.frombuffer(zlib.decompress(row.data), dtype=np.dtype(row.dtype)).reshape(row.shape) for row in rows
+    }

@@ -1,0 +1,104 @@
+"""Creating and upgrading the schema through Alembic."""
+
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, text
+
+from msbdb.database.crs import crs_from, register
+from msbdb.database.dialect import Dialect
+from msbdb.database.models import Base
+from msbdb.errors import DatabaseError, SchemaVersionError
+
+VERSION_TABLE = "msbdb_schema_version"
+
+
+def packaged(folder: str) -> Path:
+    """Return ``migrations`` or ``schema``: beside this module in an installed msbdb, at the top of a source checkout.
+
+    Raises
+    ------
+    DatabaseError
+        When the installation lacks it.
+    """
+    here = Path(__file__).resolve().parent
+    for place in (here / folder, here.parent.parent / folder):
+        if place.is_dir():
+            return place
+    msg = f"This msbdb lacks its folder '{folder}' beside {here}. Install msbdb again."
+    raise DatabaseError(msg)
+
+
+def head_version() -> str:
+    """Return the schema version that this msbdb reads and writes."""
+    return str(ScriptDirectory.from_config(_config()).get_current_head())
+
+
+def schema_version(connection: Connection) -> str:
+    """Return the schema version of a database; empty before the first migration."""
+    context = MigrationContext.configure(connection, opts={"version_table": VERSION_TABLE})
+    return context.get_current_revision() or ""
+
+
+def initialise(connection: Connection, dialect: Dialect, srid: int, crs_wkt: str) -> None:
+    """Write the CRS and the whole schema into an empty database, inside the caller's transaction."""
+    register(connection, srid, crs_from(srid, crs_wkt))
+    migrate(connection, dialect, srid)
+
+
+def migrate(connection: Connection, dialect: Dialect, srid: int) -> None:
+    """Bring the schema to the newest version, inside the caller's transaction.
+
+    Comments are documentation, not schema: they are written afresh from the models, so that no migration copies them.
+    """
+    config = _config()
+    config.attributes.update(connection=connection, dialect=dialect, srid=srid)
+    command.upgrade(config, "head")
+    if connection.dialect.supports_comments:
+        for statement in comment_ddl():
+            connection.execute(text(statement.replace(":", r"\:")))
+
+
+def require_version(connection: Connection, where: str) -> bool:
+    """Tell whether the schema is the newest.
+
+    Raises
+    ------
+    SchemaVersionError
+        When it is of a newer msbdb.
+    """
+    found = schema_version(connection)
+    known = {script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()}
+    if found and found not in known:
+        msg = (
+            f"The database {where} has the schema {found}; this msbdb knows schemas up to {head_version()}. "
+            "Use the msbdb that wrote it, or a newer one."
+        )
+        raise SchemaVersionError(msg)
+    return found == head_version()
+
+
+def comment_ddl() -> list[str]:
+    """Return the statements that comment tables and columns, for dialects that keep comments."""
+    statements = []
+    for table in Base.metadata.sorted_tables:
+        statements.append(f"COMMENT ON TABLE {table.name} IS {_quoted(table.comment or '')}")
+        statements += [
+            f"COMMENT ON COLUMN {table.name}.{column.name} IS {_quoted(column.comment or '')}"
+            for column in table.columns
+        ]
+    return statements
+
+
+def _quoted(words: str) -> str:
+    return "'" + words.replace("'", "''") + "'"
+
+
+def _config() -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(packaged("migrations")).replace("%", "%%"))
+    config.set_main_option("path_separator", "os")
+    return config

@@ -1,0 +1,483 @@
+-- The schema 0001 of msbdb for postgis.
+-- Written by scripts/generate_schema; change the models and the migrations instead.
+-- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
+
+CREATE EXTENSION IF NOT EXISTS postgis;
+
+CREATE TABLE survey (
+  survey_id BIGINT NOT NULL,
+  name TEXT NOT NULL,
+  date TEXT NOT NULL,
+  epsg INTEGER NOT NULL,
+  crs_wkt TEXT NOT NULL,
+  vertical_crs TEXT NOT NULL,
+  density DOUBLE PRECISION NOT NULL,
+  cell_m DOUBLE PRECISION NOT NULL,
+  west DOUBLE PRECISION NOT NULL,
+  south DOUBLE PRECISION NOT NULL,
+  east DOUBLE PRECISION NOT NULL,
+  north DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_survey PRIMARY KEY (survey_id),
+  CONSTRAINT uq_survey UNIQUE (name),
+  CONSTRAINT ck_survey_name CHECK (name <> ''),
+  CONSTRAINT ck_survey_density CHECK (density >= 0 AND cell_m > 0),
+  CONSTRAINT ck_survey_bounds CHECK (west < east AND south < north)
+);
+
+CREATE TABLE run (
+  run_id BIGINT NOT NULL,
+  survey_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
+  profile TEXT NOT NULL,
+  version TEXT NOT NULL,
+  parameters JSON NOT NULL,
+  counts JSON NOT NULL,
+  timings JSON NOT NULL,
+  notices JSON NOT NULL,
+  content_sha256 TEXT NOT NULL,
+  CONSTRAINT pk_run PRIMARY KEY (run_id),
+  CONSTRAINT uq_run UNIQUE (survey_id, method),
+  CONSTRAINT fk_run_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
+);
+
+CREATE TABLE source (
+  survey_id BIGINT NOT NULL,
+  number INTEGER NOT NULL,
+  name TEXT NOT NULL,
+  role TEXT NOT NULL,
+  sha256 TEXT NOT NULL,
+  bytes BIGINT NOT NULL,
+  CONSTRAINT pk_source PRIMARY KEY (survey_id, number),
+  CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
+  CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
+);
+
+CREATE TABLE rejection (
+  rejection_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  region_id BIGINT NOT NULL,
+  stage TEXT NOT NULL,
+  reason TEXT NOT NULL,
+  scale BIGINT NOT NULL,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  xcen DOUBLE PRECISION NOT NULL,
+  ycen DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_rejection PRIMARY KEY (rejection_id),
+  CONSTRAINT ck_rejection_reason CHECK (stage <> '' AND reason <> ''),
+  CONSTRAINT ck_rejection_area CHECK (scale >= 0 AND area_m2 >= 0),
+  CONSTRAINT fk_rejection_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_rejection_run_id_stage_reason ON rejection (run_id, stage, reason);
+
+CREATE TABLE run_state (
+  run_id BIGINT NOT NULL,
+  name TEXT NOT NULL,
+  dtype TEXT NOT NULL,
+  shape JSON NOT NULL,
+  data BYTEA NOT NULL,
+  CONSTRAINT pk_run_state PRIMARY KEY (run_id, name),
+  CONSTRAINT fk_run_state_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE scale (
+  run_id BIGINT NOT NULL,
+  scale BIGINT NOT NULL,
+  threshold_px BIGINT NOT NULL,
+  threshold_m2 DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_scale PRIMARY KEY (run_id, scale),
+  CONSTRAINT ck_scale_scale CHECK (scale >= 1),
+  CONSTRAINT ck_scale_threshold CHECK (threshold_px >= 1 AND threshold_m2 > 0),
+  CONSTRAINT fk_scale_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE spectral_class (
+  run_id BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  label TEXT NOT NULL,
+  labelled_by TEXT NOT NULL,
+  source TEXT NOT NULL,
+  cells BIGINT NOT NULL,
+  share DOUBLE PRECISION NOT NULL,
+  ndvi DOUBLE PRECISION,
+  brightness DOUBLE PRECISION,
+  roughness_m DOUBLE PRECISION,
+  height_m DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_spectral_class PRIMARY KEY (run_id, speindex),
+  CONSTRAINT ck_spectral_class_speindex CHECK (speindex >= 1),
+  CONSTRAINT ck_spectral_class_cells CHECK (cells >= 0 AND share >= 0),
+  CONSTRAINT ck_spectral_class_label CHECK (label IN ('building', 'vegetation', 'shadow', 'water', 'other')),
+  CONSTRAINT ck_spectral_class_labelled_by CHECK (labelled_by IN ('automatic', 'operator')),
+  CONSTRAINT ck_spectral_class_source CHECK (source IN ('spectral', 'structure')),
+  CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE part (
+  part_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  supid BIGINT NOT NULL,
+  father_id BIGINT GENERATED ALWAYS AS (nullif(supid, 0)) STORED,
+  supscale BIGINT NOT NULL,
+  root_id BIGINT NOT NULL,
+  scale BIGINT NOT NULL,
+  hindex BIGINT NOT NULL,
+  hzone BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  xo DOUBLE PRECISION NOT NULL,
+  yo DOUBLE PRECISION NOT NULL,
+  xcen DOUBLE PRECISION NOT NULL,
+  ycen DOUBLE PRECISION NOT NULL,
+  xin DOUBLE PRECISION NOT NULL,
+  yin DOUBLE PRECISION NOT NULL,
+  area_px BIGINT NOT NULL,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  stddis DOUBLE PRECISION,
+  h_max DOUBLE PRECISION NOT NULL,
+  h_mean DOUBLE PRECISION NOT NULL,
+  h_p50 DOUBLE PRECISION NOT NULL,
+  h_p90 DOUBLE PRECISION NOT NULL,
+  h_std DOUBLE PRECISION NOT NULL,
+  building_share DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_part PRIMARY KEY (part_id),
+  CONSTRAINT uq_part UNIQUE (part_id, scale, root_id, run_id),
+  CONSTRAINT fk_part_part FOREIGN KEY(father_id, supscale, root_id, run_id) REFERENCES part (part_id, scale, root_id, run_id) DEFERRABLE INITIALLY DEFERRED,
+  CONSTRAINT fk_part_scale FOREIGN KEY(run_id, scale) REFERENCES scale (run_id, scale),
+  CONSTRAINT fk_part_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
+  CONSTRAINT ck_part_part_id CHECK (part_id > 0),
+  CONSTRAINT ck_part_father CHECK ((supid = 0 AND supscale = 0 AND root_id = part_id) OR (supid > 0 AND supscale > 0 AND supscale < scale)),
+  CONSTRAINT ck_part_area CHECK (area_px > 0 AND area_m2 > 0),
+  CONSTRAINT ck_part_storeys CHECK (hindex >= 0 AND hzone >= 0),
+  CONSTRAINT ck_part_building_share CHECK (building_share >= 0 AND building_share <= 1),
+  CONSTRAINT fk_part_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_part_father_id_supscale_root_id_run_id ON part (father_id, supscale, root_id, run_id);
+
+CREATE INDEX ix_part_root_id ON part (root_id);
+
+CREATE INDEX ix_part_run_id_class_id ON part (run_id, class_id);
+
+CREATE INDEX ix_part_run_id_scale ON part (run_id, scale);
+
+CREATE TABLE spectral_class_band (
+  run_id BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  band TEXT NOT NULL,
+  mean DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_spectral_class_band PRIMARY KEY (run_id, speindex, band),
+  CONSTRAINT fk_spectral_class_band_spectral_class FOREIGN KEY(run_id, speindex) REFERENCES spectral_class (run_id, speindex) ON DELETE CASCADE
+);
+
+CREATE TABLE building (
+  building_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  root_id BIGINT NOT NULL,
+  state TEXT NOT NULL,
+  storeys BIGINT NOT NULL,
+  h_max DOUBLE PRECISION NOT NULL,
+  h_mean DOUBLE PRECISION NOT NULL,
+  h_p50 DOUBLE PRECISION NOT NULL,
+  h_p90 DOUBLE PRECISION NOT NULL,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  volume_m3 DOUBLE PRECISION NOT NULL,
+  parts BIGINT NOT NULL,
+  scales BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  CONSTRAINT pk_building PRIMARY KEY (building_id),
+  CONSTRAINT uq_building UNIQUE (root_id),
+  CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
+  CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
+  CONSTRAINT ck_building_building_id CHECK (building_id > 0),
+  CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
+  CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
+  CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
+  CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
+ALTER TABLE part ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NULL;
+
+CREATE INDEX idx_part_geometry ON part USING gist (geometry);
+
+ALTER TABLE building ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NULL;
+
+CREATE INDEX idx_building_geometry ON building USING gist (geometry);
+
+ALTER TABLE rejection ADD COLUMN geometry geometry(POINT, :srid) NOT NULL;
+
+CREATE INDEX idx_rejection_geometry ON rejection USING gist (geometry);
+
+CREATE VIEW footprint AS
+SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
+       p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
+FROM part AS p
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN building AS b ON b.root_id = p.part_id
+WHERE p.supid = 0;
+
+CREATE VIEW part_tree AS
+WITH RECURSIVE tree (part_id, depth, path) AS (
+  SELECT part_id, 0, CAST(part_id AS TEXT) FROM part WHERE supid = 0
+  UNION ALL
+  SELECT child.part_id, tree.depth + 1, tree.path || '/' || CAST(child.part_id AS TEXT)
+  FROM tree JOIN part AS child ON child.father_id = tree.part_id
+)
+SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
+       p.hindex, p.speindex, p.area_m2, p.stddis, p.h_max, p.h_p90, p.geometry
+FROM tree
+JOIN part AS p ON p.part_id = tree.part_id
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id;
+
+CREATE VIEW building_summary AS
+SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
+       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
+                               THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
+        FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
+        WHERE p.root_id = b.root_id) AS floor_area_m2,
+       b.parts, b.scales, b.speindex, c.label AS class_label, root.xcen, root.ycen, root.xin, root.yin, b.geometry
+FROM building AS b
+JOIN run AS r ON r.run_id = b.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+JOIN part AS root ON root.part_id = b.root_id
+LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id;
+
+COMMENT ON TABLE survey IS 'A survey: where and when the data were taken';
+
+COMMENT ON COLUMN survey.survey_id IS 'from the name';
+
+COMMENT ON COLUMN survey.name IS 'name of the survey';
+
+COMMENT ON COLUMN survey.date IS 'day of the survey, ISO 8601; empty where unknown';
+
+COMMENT ON COLUMN survey.epsg IS 'EPSG code of the horizontal CRS; 0 for a CRS without code';
+
+COMMENT ON COLUMN survey.crs_wkt IS 'the full CRS as WKT';
+
+COMMENT ON COLUMN survey.vertical_crs IS 'the vertical CRS; empty where unknown';
+
+COMMENT ON COLUMN survey.density IS 'first echoes a square metre; 0 for rasters [1/m2]';
+
+COMMENT ON COLUMN survey.cell_m IS 'side of a cell of the lattice [m]';
+
+COMMENT ON COLUMN survey.west IS 'western edge [m]';
+
+COMMENT ON COLUMN survey.south IS 'southern edge [m]';
+
+COMMENT ON COLUMN survey.east IS 'eastern edge [m]';
+
+COMMENT ON COLUMN survey.north IS 'northern edge [m]';
+
+COMMENT ON TABLE run IS 'A run of a method on a survey; it is written whole or not at all';
+
+COMMENT ON COLUMN run.run_id IS 'from the survey''s name and the method';
+
+COMMENT ON COLUMN run.survey_id IS 'the survey';
+
+COMMENT ON COLUMN run.method IS 'the extractor: multiscale and others';
+
+COMMENT ON COLUMN run.profile IS 'the set of parameters that it began from';
+
+COMMENT ON COLUMN run.version IS 'version of msbdb';
+
+COMMENT ON COLUMN run.parameters IS 'every parameter''s value, by section';
+
+COMMENT ON COLUMN run.counts IS 'how many regions came in, were kept and dropped';
+
+COMMENT ON COLUMN run.timings IS 'seconds a stage; no part of the content [s]';
+
+COMMENT ON COLUMN run.notices IS 'what a reader should know, in sentences';
+
+COMMENT ON COLUMN run.content_sha256 IS 'digest of all that the run wrote, but for its timings';
+
+COMMENT ON TABLE source IS 'An input file of a survey';
+
+COMMENT ON COLUMN source.survey_id IS 'the survey';
+
+COMMENT ON COLUMN source.number IS '1 to n, in the order of role, name and checksum';
+
+COMMENT ON COLUMN source.name IS 'name of the file';
+
+COMMENT ON COLUMN source.role IS 'what the file gave: points, ortho, dsm, dtm, ndsm';
+
+COMMENT ON COLUMN source.sha256 IS 'checksum of the file';
+
+COMMENT ON COLUMN source.bytes IS 'size of the file [bytes]';
+
+COMMENT ON TABLE rejection IS 'A region that a stage dropped, and why: nothing vanishes in silence';
+
+COMMENT ON COLUMN rejection.rejection_id IS 'from the run, the region, the stage and the reason';
+
+COMMENT ON COLUMN rejection.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN rejection.region_id IS 'id of the dropped region, of the same kind as a part''s';
+
+COMMENT ON COLUMN rejection.stage IS 'the stage that dropped it';
+
+COMMENT ON COLUMN rejection.reason IS 'why it was dropped';
+
+COMMENT ON COLUMN rejection.scale IS 'its scale; 0 where none applies';
+
+COMMENT ON COLUMN rejection.area_m2 IS 'its area [m2]';
+
+COMMENT ON COLUMN rejection.xcen IS 'easting of its centroid [m]';
+
+COMMENT ON COLUMN rejection.ycen IS 'northing of its centroid [m]';
+
+COMMENT ON COLUMN rejection.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON TABLE run_state IS 'A named raster of a run, from which classes can be labelled anew without the source data';
+
+COMMENT ON COLUMN run_state.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN run_state.name IS 'name of the raster';
+
+COMMENT ON COLUMN run_state.dtype IS 'numpy dtype of the cells, with byte order';
+
+COMMENT ON COLUMN run_state.shape IS 'lengths of the axes [cells]';
+
+COMMENT ON COLUMN run_state.data IS 'the cells in C order, compressed by zlib';
+
+COMMENT ON TABLE scale IS 'A scale of a run''s scale-space';
+
+COMMENT ON COLUMN scale.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN scale.scale IS 'SCALE: number of the scale, 1 = coarsest';
+
+COMMENT ON COLUMN scale.threshold_px IS 's: area threshold of opening and closing (Vu et al. 2009, Eq. 6) [cells]';
+
+COMMENT ON COLUMN scale.threshold_m2 IS 's in square metres [m2]';
+
+COMMENT ON TABLE spectral_class IS 'A class of land cover of a run';
+
+COMMENT ON COLUMN spectral_class.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN spectral_class.speindex IS 'SPE: number of the class, from 1 in canonical order';
+
+COMMENT ON COLUMN spectral_class.label IS 'building, vegetation, shadow, water or other';
+
+COMMENT ON COLUMN spectral_class.labelled_by IS 'automatic or operator';
+
+COMMENT ON COLUMN spectral_class.source IS 'spectral: k-means on the bands; structure: height texture and echoes';
+
+COMMENT ON COLUMN spectral_class.cells IS 'number of cells of the class [cells]';
+
+COMMENT ON COLUMN spectral_class.share IS 'share of all classified cells [1]';
+
+COMMENT ON COLUMN spectral_class.ndvi IS 'mean of (NIR - red) / (NIR + red), or of its stand-in; null without [1]';
+
+COMMENT ON COLUMN spectral_class.brightness IS 'mean over the bands of the bands'' 0 to 1 values; null without imagery [1]';
+
+COMMENT ON COLUMN spectral_class.roughness_m IS 'median local roughness of the surface; null without [m]';
+
+COMMENT ON COLUMN spectral_class.height_m IS 'mean height above ground [m]';
+
+COMMENT ON TABLE part IS 'A part of a building on one scale; a father holds its children (V32, V33)';
+
+COMMENT ON COLUMN part.part_id IS 'ID: from survey, scale and absolute lattice position; above 0';
+
+COMMENT ON COLUMN part.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN part.supid IS 'SUPID: the father''s ID; 0 for a root';
+
+COMMENT ON COLUMN part.father_id IS 'SUPID, but null for a root';
+
+COMMENT ON COLUMN part.supscale IS 'SUPSCALE: the father''s scale; 0 for a root';
+
+COMMENT ON COLUMN part.root_id IS 'ID of the root of its tree';
+
+COMMENT ON COLUMN part.scale IS 'SCALE: the scale on which the part exists, 1 = coarsest';
+
+COMMENT ON COLUMN part.hindex IS 'H: storeys from the upper heights (p90) inside the part (V18, V30) [storeys]';
+
+COMMENT ON COLUMN part.hzone IS 'H as written: the value of the flat zone [slices]';
+
+COMMENT ON COLUMN part.speindex IS 'SPE: the most frequent spectral class inside; 0 for none';
+
+COMMENT ON COLUMN part.class_id IS 'SPE, but null for none';
+
+COMMENT ON COLUMN part.xo IS 'XO: easting of the first cell in row order [m]';
+
+COMMENT ON COLUMN part.yo IS 'YO: northing of the first cell in row order [m]';
+
+COMMENT ON COLUMN part.xcen IS 'XCEN: easting of the centroid of its cells [m]';
+
+COMMENT ON COLUMN part.ycen IS 'YCEN: northing of the centroid of its cells [m]';
+
+COMMENT ON COLUMN part.xin IS 'easting of a point that lies on the part [m]';
+
+COMMENT ON COLUMN part.yin IS 'northing of a point that lies on the part [m]';
+
+COMMENT ON COLUMN part.area_px IS 'number of cells [cells]';
+
+COMMENT ON COLUMN part.area_m2 IS 'AREA: area of the cells [m2]';
+
+COMMENT ON COLUMN part.stddis IS 'STDDIS: std of the children''s distances to the centre; null without children [m]';
+
+COMMENT ON COLUMN part.h_max IS 'largest height above ground inside [m]';
+
+COMMENT ON COLUMN part.h_mean IS 'mean height above ground inside [m]';
+
+COMMENT ON COLUMN part.h_p50 IS 'median height above ground inside [m]';
+
+COMMENT ON COLUMN part.h_p90 IS '90th percentile of the height above ground inside [m]';
+
+COMMENT ON COLUMN part.h_std IS 'standard deviation of the heights inside [m]';
+
+COMMENT ON COLUMN part.building_share IS 'share of its cells whose class is a building class [1]';
+
+COMMENT ON COLUMN part.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON TABLE spectral_class_band IS 'The mean of a band in a class';
+
+COMMENT ON COLUMN spectral_class_band.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN spectral_class_band.speindex IS 'the class';
+
+COMMENT ON COLUMN spectral_class_band.band IS 'name of the band';
+
+COMMENT ON COLUMN spectral_class_band.mean IS 'mean value of the band in the class, in the source''s units [DN]';
+
+COMMENT ON TABLE building IS 'A building: a root part with the summary of its tree';
+
+COMMENT ON COLUMN building.building_id IS 'stable id of the building';
+
+COMMENT ON COLUMN building.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN building.root_id IS 'ID of its root part';
+
+COMMENT ON COLUMN building.state IS 'confirmed, unsure or refuted';
+
+COMMENT ON COLUMN building.storeys IS 'storeys of its tallest part [storeys]';
+
+COMMENT ON COLUMN building.h_max IS 'largest height above ground [m]';
+
+COMMENT ON COLUMN building.h_mean IS 'mean height above ground [m]';
+
+COMMENT ON COLUMN building.h_p50 IS 'median height above ground [m]';
+
+COMMENT ON COLUMN building.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN building.area_m2 IS 'area of the footprint''s cells [m2]';
+
+COMMENT ON COLUMN building.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
+
+COMMENT ON COLUMN building.parts IS 'number of parts, the root included [count]';
+
+COMMENT ON COLUMN building.scales IS 'number of scales on which it has parts [count]';
+
+COMMENT ON COLUMN building.speindex IS 'the root''s spectral class; 0 for none';
+
+COMMENT ON COLUMN building.class_id IS 'SPE, but null for none';
+
+COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
+
+CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
+
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0001');
+

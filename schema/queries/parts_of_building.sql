@@ -1,0 +1,19 @@
+-- Of which parts is a building made? Its tree, fathers before children, each part below the one that holds it.
+--
+-- :building_id = null  the building; null takes the one of most parts
+WITH RECURSIVE chosen AS (
+  SELECT root_id FROM building
+  WHERE building_id = COALESCE(
+    CAST(:building_id AS BIGINT), (SELECT building_id FROM building ORDER BY parts DESC, building_id LIMIT 1)
+  )
+), tree (part_id, depth, path) AS (
+  SELECT part_id, 0, CAST(part_id AS TEXT) FROM part WHERE part_id = (SELECT root_id FROM chosen)
+  UNION ALL
+  SELECT child.part_id, tree.depth + 1, tree.path || '/' || CAST(child.part_id AS TEXT)
+  FROM tree JOIN part AS child ON child.father_id = tree.part_id
+)
+SELECT tree.depth, p.part_id, p.supid, p.scale, s.threshold_m2, p.hindex, p.h_max, p.area_m2, p.speindex, tree.path
+FROM tree
+JOIN part AS p ON p.part_id = tree.part_id
+JOIN scale AS s ON s.run_id = p.run_id AND s.scale = p.scale
+ORDER BY tree.depth, tree.path;

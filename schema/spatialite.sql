@@ -1,0 +1,259 @@
+-- The schema 0001 of msbdb for spatialite.
+-- Written by scripts/generate_schema; change the models and the migrations instead.
+-- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
+
+SELECT InitSpatialMetaData(0, 'NONE');
+
+CREATE TABLE survey (
+  survey_id INTEGER NOT NULL,
+  name TEXT NOT NULL,
+  date TEXT NOT NULL,
+  epsg INTEGER NOT NULL,
+  crs_wkt TEXT NOT NULL,
+  vertical_crs TEXT NOT NULL,
+  density DOUBLE NOT NULL,
+  cell_m DOUBLE NOT NULL,
+  west DOUBLE NOT NULL,
+  south DOUBLE NOT NULL,
+  east DOUBLE NOT NULL,
+  north DOUBLE NOT NULL,
+  CONSTRAINT pk_survey PRIMARY KEY (survey_id),
+  CONSTRAINT uq_survey UNIQUE (name),
+  CONSTRAINT ck_survey_name CHECK (name <> ''),
+  CONSTRAINT ck_survey_density CHECK (density >= 0 AND cell_m > 0),
+  CONSTRAINT ck_survey_bounds CHECK (west < east AND south < north)
+);
+
+CREATE TABLE run (
+  run_id INTEGER NOT NULL,
+  survey_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
+  profile TEXT NOT NULL,
+  version TEXT NOT NULL,
+  parameters JSON NOT NULL,
+  counts JSON NOT NULL,
+  timings JSON NOT NULL,
+  notices JSON NOT NULL,
+  content_sha256 TEXT NOT NULL,
+  CONSTRAINT pk_run PRIMARY KEY (run_id),
+  CONSTRAINT uq_run UNIQUE (survey_id, method),
+  CONSTRAINT fk_run_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
+);
+
+CREATE TABLE source (
+  survey_id BIGINT NOT NULL,
+  number INTEGER NOT NULL,
+  name TEXT NOT NULL,
+  role TEXT NOT NULL,
+  sha256 TEXT NOT NULL,
+  bytes BIGINT NOT NULL,
+  CONSTRAINT pk_source PRIMARY KEY (survey_id, number),
+  CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
+  CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
+);
+
+CREATE TABLE rejection (
+  rejection_id INTEGER NOT NULL,
+  run_id BIGINT NOT NULL,
+  region_id BIGINT NOT NULL,
+  stage TEXT NOT NULL,
+  reason TEXT NOT NULL,
+  scale BIGINT NOT NULL,
+  area_m2 DOUBLE NOT NULL,
+  xcen DOUBLE NOT NULL,
+  ycen DOUBLE NOT NULL,
+  CONSTRAINT pk_rejection PRIMARY KEY (rejection_id),
+  CONSTRAINT ck_rejection_reason CHECK (stage <> '' AND reason <> ''),
+  CONSTRAINT ck_rejection_area CHECK (scale >= 0 AND area_m2 >= 0),
+  CONSTRAINT fk_rejection_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_rejection_run_id_stage_reason ON rejection (run_id, stage, reason);
+
+CREATE TABLE run_state (
+  run_id BIGINT NOT NULL,
+  name TEXT NOT NULL,
+  dtype TEXT NOT NULL,
+  shape JSON NOT NULL,
+  data BLOB NOT NULL,
+  CONSTRAINT pk_run_state PRIMARY KEY (run_id, name),
+  CONSTRAINT fk_run_state_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE scale (
+  run_id BIGINT NOT NULL,
+  scale BIGINT NOT NULL,
+  threshold_px BIGINT NOT NULL,
+  threshold_m2 DOUBLE NOT NULL,
+  CONSTRAINT pk_scale PRIMARY KEY (run_id, scale),
+  CONSTRAINT ck_scale_scale CHECK (scale >= 1),
+  CONSTRAINT ck_scale_threshold CHECK (threshold_px >= 1 AND threshold_m2 > 0),
+  CONSTRAINT fk_scale_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE spectral_class (
+  run_id BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  label TEXT NOT NULL,
+  labelled_by TEXT NOT NULL,
+  source TEXT NOT NULL,
+  cells BIGINT NOT NULL,
+  share DOUBLE NOT NULL,
+  ndvi DOUBLE,
+  brightness DOUBLE,
+  roughness_m DOUBLE,
+  height_m DOUBLE NOT NULL,
+  CONSTRAINT pk_spectral_class PRIMARY KEY (run_id, speindex),
+  CONSTRAINT ck_spectral_class_speindex CHECK (speindex >= 1),
+  CONSTRAINT ck_spectral_class_cells CHECK (cells >= 0 AND share >= 0),
+  CONSTRAINT ck_spectral_class_label CHECK (label IN ('building', 'vegetation', 'shadow', 'water', 'other')),
+  CONSTRAINT ck_spectral_class_labelled_by CHECK (labelled_by IN ('automatic', 'operator')),
+  CONSTRAINT ck_spectral_class_source CHECK (source IN ('spectral', 'structure')),
+  CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE part (
+  part_id INTEGER NOT NULL,
+  run_id BIGINT NOT NULL,
+  supid BIGINT NOT NULL,
+  father_id BIGINT GENERATED ALWAYS AS (nullif(supid, 0)) STORED,
+  supscale BIGINT NOT NULL,
+  root_id BIGINT NOT NULL,
+  scale BIGINT NOT NULL,
+  hindex BIGINT NOT NULL,
+  hzone BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  xo DOUBLE NOT NULL,
+  yo DOUBLE NOT NULL,
+  xcen DOUBLE NOT NULL,
+  ycen DOUBLE NOT NULL,
+  xin DOUBLE NOT NULL,
+  yin DOUBLE NOT NULL,
+  area_px BIGINT NOT NULL,
+  area_m2 DOUBLE NOT NULL,
+  stddis DOUBLE,
+  h_max DOUBLE NOT NULL,
+  h_mean DOUBLE NOT NULL,
+  h_p50 DOUBLE NOT NULL,
+  h_p90 DOUBLE NOT NULL,
+  h_std DOUBLE NOT NULL,
+  building_share DOUBLE NOT NULL,
+  CONSTRAINT pk_part PRIMARY KEY (part_id),
+  CONSTRAINT uq_part UNIQUE (part_id, scale, root_id, run_id),
+  CONSTRAINT fk_part_part FOREIGN KEY(father_id, supscale, root_id, run_id) REFERENCES part (part_id, scale, root_id, run_id) DEFERRABLE INITIALLY DEFERRED,
+  CONSTRAINT fk_part_scale FOREIGN KEY(run_id, scale) REFERENCES scale (run_id, scale),
+  CONSTRAINT fk_part_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
+  CONSTRAINT ck_part_part_id CHECK (part_id > 0),
+  CONSTRAINT ck_part_father CHECK ((supid = 0 AND supscale = 0 AND root_id = part_id) OR (supid > 0 AND supscale > 0 AND supscale < scale)),
+  CONSTRAINT ck_part_area CHECK (area_px > 0 AND area_m2 > 0),
+  CONSTRAINT ck_part_storeys CHECK (hindex >= 0 AND hzone >= 0),
+  CONSTRAINT ck_part_building_share CHECK (building_share >= 0 AND building_share <= 1),
+  CONSTRAINT fk_part_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_part_father_id_supscale_root_id_run_id ON part (father_id, supscale, root_id, run_id);
+
+CREATE INDEX ix_part_root_id ON part (root_id);
+
+CREATE INDEX ix_part_run_id_class_id ON part (run_id, class_id);
+
+CREATE INDEX ix_part_run_id_scale ON part (run_id, scale);
+
+CREATE TABLE spectral_class_band (
+  run_id BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  band TEXT NOT NULL,
+  mean DOUBLE NOT NULL,
+  CONSTRAINT pk_spectral_class_band PRIMARY KEY (run_id, speindex, band),
+  CONSTRAINT fk_spectral_class_band_spectral_class FOREIGN KEY(run_id, speindex) REFERENCES spectral_class (run_id, speindex) ON DELETE CASCADE
+);
+
+CREATE TABLE building (
+  building_id INTEGER NOT NULL,
+  run_id BIGINT NOT NULL,
+  root_id BIGINT NOT NULL,
+  state TEXT NOT NULL,
+  storeys BIGINT NOT NULL,
+  h_max DOUBLE NOT NULL,
+  h_mean DOUBLE NOT NULL,
+  h_p50 DOUBLE NOT NULL,
+  h_p90 DOUBLE NOT NULL,
+  area_m2 DOUBLE NOT NULL,
+  volume_m3 DOUBLE NOT NULL,
+  parts BIGINT NOT NULL,
+  scales BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  CONSTRAINT pk_building PRIMARY KEY (building_id),
+  CONSTRAINT uq_building UNIQUE (root_id),
+  CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
+  CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
+  CONSTRAINT ck_building_building_id CHECK (building_id > 0),
+  CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
+  CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
+  CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
+  CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
+SELECT AddGeometryColumn('part', 'geometry', :srid, 'MULTIPOLYGON', 'XY', 1);
+
+SELECT CreateSpatialIndex('part', 'geometry');
+
+SELECT AddGeometryColumn('building', 'geometry', :srid, 'MULTIPOLYGON', 'XY', 1);
+
+SELECT CreateSpatialIndex('building', 'geometry');
+
+SELECT AddGeometryColumn('rejection', 'geometry', :srid, 'POINT', 'XY', 1);
+
+SELECT CreateSpatialIndex('rejection', 'geometry');
+
+CREATE VIEW footprint AS
+SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
+       p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
+FROM part AS p
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN building AS b ON b.root_id = p.part_id
+WHERE p.supid = 0;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('footprint', 'geometry', 'part_id', 'part', 'geometry', 1);
+
+CREATE VIEW part_tree AS
+WITH RECURSIVE tree (part_id, depth, path) AS (
+  SELECT part_id, 0, CAST(part_id AS TEXT) FROM part WHERE supid = 0
+  UNION ALL
+  SELECT child.part_id, tree.depth + 1, tree.path || '/' || CAST(child.part_id AS TEXT)
+  FROM tree JOIN part AS child ON child.father_id = tree.part_id
+)
+SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
+       p.hindex, p.speindex, p.area_m2, p.stddis, p.h_max, p.h_p90, p.geometry
+FROM tree
+JOIN part AS p ON p.part_id = tree.part_id
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_tree', 'geometry', 'part_id', 'part', 'geometry', 1);
+
+CREATE VIEW building_summary AS
+SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
+       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
+                               THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
+        FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
+        WHERE p.root_id = b.root_id) AS floor_area_m2,
+       b.parts, b.scales, b.speindex, c.label AS class_label, root.xcen, root.ycen, root.xin, root.yin, b.geometry
+FROM building AS b
+JOIN run AS r ON r.run_id = b.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+JOIN part AS root ON root.part_id = b.root_id
+LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_summary', 'geometry', 'building_id', 'building', 'geometry', 1);
+
+CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
+
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0001');
+

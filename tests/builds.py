@@ -1,0 +1,218 @@
+"""Small synthetic builds for tests: four buildings with known trees, one courtyard, and one dropped tree crown.
+
+On a lattice of 1 m cells, with the origin at ``WEST``, ``SOUTH``:
+
+- A, a podium of 40 x 30 m with 3 storeys, on it a slab of 20 x 10 m with 6, on it a lift house of 4 x 5 m with 7;
+- B, a house of 10 x 10 m with 2 storeys;
+- C, a block of 30 x 30 m with 4 storeys around a courtyard of 10 x 10 m;
+- D, a shed of 6 x 5 m with 1 storey, found on the finest scale only, 300 m to the east.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from pyproj import CRS
+
+from msbdb.tables import (
+    BUILDING,
+    PART,
+    REJECTION,
+    SCALE,
+    SPECTRAL_CLASS,
+    SPECTRAL_CLASS_BAND,
+    Build,
+    Run,
+    Source,
+    Survey,
+    Table,
+)
+
+EPSG = 28992
+WEST, SOUTH = 85_000.0, 446_000.0
+BASE = 2**58
+"""First id: ids of real builds are as wide."""
+
+PODIUM, SLAB, LIFT, HOUSE, BLOCK, SHED = (BASE + n for n in range(1, 7))
+CROWN = BASE + 99
+
+
+def small_build(survey: str = "delft", method: str = "multiscale", *, shift: int = 0, **run: Any) -> Build:
+    """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database."""
+    parts = _parts(shift)
+    frames: dict[str, pd.DataFrame] = {
+        "scale": _frame(SCALE, [(1, 200, 200.0), (2, 50, 50.0), (3, 20, 20.0)]),
+        "part": parts,
+        "spectral_class": _frame(
+            SPECTRAL_CLASS,
+            [
+                (1, "vegetation", "automatic", "spectral", 500, 0.25, 0.61, 0.3, 1.2, 6.5),
+                (2, "building", "automatic", "spectral", 1000, 0.5, -0.05, 0.6, 0.1, 9.0),
+                (3, "building", "operator", "structure", 500, 0.25, np.nan, np.nan, 0.2, 5.0),
+            ],
+        ),
+        "spectral_class_band": _frame(
+            SPECTRAL_CLASS_BAND, [(k, band, 10.0 * k + n) for k in (1, 2, 3) for n, band in enumerate(("red", "nir"))]
+        ),
+        "rejection": _geo(
+            REJECTION,
+            [
+                (CROWN + shift, "spectral", "vegetation", 3, 36.0, WEST + 150, SOUTH + 20),
+                (CROWN + 1 + shift, "spectral", "vegetation", 2, 60.0, WEST + 160, SOUTH + 20),
+                (PODIUM + 50 + shift, "duplicates", "same storeys", 2, 1150.0, WEST + 20, SOUTH + 15),
+            ],
+            [shapely.Point(WEST + x, SOUTH + y) for x, y in ((150, 20), (160, 20), (20, 15))],
+        ),
+        "building": _buildings(parts),
+    }
+    values: Mapping[str, Any] = {
+        "method": method,
+        "profile": "default",
+        "version": "0.1.0",
+        "parameters": {"scale": {"scales_m2": (20.0, 50.0, 200.0)}},
+        "counts": {"duplicates": {"in": 7, "kept": 6, "dropped": 1}},
+        "timings": {"read": 0.5},
+        "notices": ("The heights were in feet.",),
+    }
+    index = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    return Build(
+        survey=Survey(
+            name=survey,
+            date="2020-04-01",
+            crs_wkt=CRS.from_epsg(EPSG).to_wkt(),
+            epsg=EPSG,
+            vertical_crs="NAP height",
+            density=10.5,
+            cell_m=1.0,
+            bounds=(WEST, SOUTH, WEST + 400, SOUTH + 100),
+            sources=(
+                Source("tile.laz", "points", "ab" * 32, 123_456_789_012),
+                Source("ortho.tif", "ortho", "cd" * 32, 1000),
+            ),
+        ),
+        run=Run(**{**values, **run}),
+        frames=frames,
+        state={"class_index": index, "ndsm": np.linspace(0, 20, 12, dtype=np.float32).reshape(3, 4)},
+    )
+
+
+def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
+    """Return a build of so many buildings, each a root with one child, for loads that take a while."""
+    base = small_build()
+    cols = int(np.ceil(np.sqrt(count)))
+    number = np.arange(count)
+    west, south = WEST + (number % cols) * 20.0, SOUTH + (number // cols) * 20.0
+    ids = BASE + number * 2
+    rows = []
+    for is_child, side in ((False, 10.0), (True, 5.0)):
+        n = np.ones(count, dtype=np.int64)
+        rows.append(
+            pd.DataFrame(
+                {
+                    "part_id": ids + is_child,
+                    "supid": ids * is_child,
+                    "supscale": n * is_child,
+                    "root_id": ids,
+                    "scale": n + is_child,
+                    "hindex": n + is_child,
+                    "hzone": n + is_child,
+                    "speindex": n * 2,
+                    "area_px": n * int(side**2),
+                    "area_m2": side**2,
+                    **dict.fromkeys(("xo", "xcen", "xin"), west + side / 2),
+                    **dict.fromkeys(("yo", "ycen", "yin"), south + side / 2),
+                    "stddis": np.nan if is_child else 0.0,
+                    **dict.fromkeys(("h_max", "h_mean", "h_p50", "h_p90"), height_m),
+                    "h_std": 0.0,
+                    "building_share": 1.0,
+                    "geometry": shapely.box(west, south, west + side, south + side),
+                }
+            )
+        )
+    parts = pd.concat(rows, ignore_index=True)[[*PART.names, "geometry"]]
+    frames = {**base.frames, "part": parts, "building": _buildings(parts)}
+    survey = Survey(**{**{f: getattr(base.survey, f) for f in base.survey.__dataclass_fields__}, "epsg": epsg})
+    return Build(survey, base.run, frames, base.state)
+
+
+def _box(west: float, south: float, width: float, height: float, hole: shapely.Polygon | None = None) -> Any:
+    shape = shapely.box(WEST + west, SOUTH + south, WEST + west + width, SOUTH + south + height)
+    return shapely.MultiPolygon([shape if hole is None else shape.difference(hole)])
+
+
+def _parts(shift: int) -> gpd.GeoDataFrame:
+    court = shapely.box(WEST + 90, SOUTH + 10, WEST + 100, SOUTH + 20)
+    described = [
+        # id, father, its scale, root, scale, storeys, class, outline
+        (PODIUM, 0, 0, PODIUM, 1, 3, 2, _box(0, 0, 40, 30)),
+        (SLAB, PODIUM, 1, PODIUM, 2, 6, 2, _box(5, 5, 20, 10)),
+        (LIFT, SLAB, 2, PODIUM, 3, 7, 3, _box(10, 6, 4, 5)),
+        (HOUSE, 0, 0, HOUSE, 2, 2, 2, _box(60, 10, 10, 10)),
+        (BLOCK, 0, 0, BLOCK, 1, 4, 3, _box(80, 0, 30, 30, court)),
+        (SHED, 0, 0, SHED, 3, 1, 0, _box(300, 40, 6, 5)),
+    ]
+    rows, shapes = [], []
+    for part, father, supscale, root, scale, storeys, speindex, shape in described:
+        moved = [i + shift if i else 0 for i in (part, father)]
+        west, south, east, north = shape.bounds
+        inside = shape.representative_point()
+        area = shape.area
+        places = (west + 0.5, north - 0.5, (west + east) / 2, (south + north) / 2, inside.x, inside.y)
+        heights = (3.0 * storeys + 0.5, 3.0 * storeys, 3.0 * storeys, 3.0 * storeys + 0.25, 0.125)
+        stddis = 0.0 if part in (PODIUM, SLAB) else np.nan
+        rows.append(
+            (
+                *moved,
+                supscale,
+                root + shift,
+                scale,
+                storeys,
+                storeys,
+                speindex,
+                *places,
+                int(area),
+                area,
+                stddis,
+                *heights,
+                0.875,
+            )
+        )
+        shapes.append(shape)
+    return _geo(PART, rows, shapes)
+
+
+def _buildings(parts: pd.DataFrame) -> gpd.GeoDataFrame:
+    """Return the roots as buildings; the footprint's mean height stands for all cells."""
+    trees = parts.groupby("root_id")
+    roots = parts[parts["supid"] == 0].set_index("root_id", drop=False)
+    made = pd.DataFrame(
+        {
+            "building_id": roots["part_id"],
+            "root_id": roots["part_id"],
+            "state": "confirmed",
+            "storeys": trees["hindex"].max(),
+            "h_max": trees["h_max"].max(),
+            "h_mean": roots["h_mean"],
+            "h_p50": roots["h_p50"],
+            "h_p90": roots["h_p90"],
+            "area_m2": roots["area_m2"],
+            "volume_m3": roots["area_m2"] * roots["h_mean"],
+            "parts": trees.size(),
+            "scales": trees["scale"].nunique(),
+            "speindex": roots["speindex"],
+        }
+    ).reset_index(drop=True)
+    made["state"] = made["state"].astype("str")
+    return gpd.GeoDataFrame(made[BUILDING.names], geometry=list(roots["geometry"]), crs=f"EPSG:{EPSG}")
+
+
+def _frame(table: Table, rows: list[tuple[Any, ...]]) -> pd.DataFrame:
+    frame = pd.DataFrame(rows, columns=table.names)
+    return frame.astype({c.name: c.dtype for c in table.columns})
+
+
+def _geo(table: Table, rows: list[tuple[Any, ...]], shapes: list[Any]) -> gpd.GeoDataFrame:
+    return gpd.GeoDataFrame(_frame(table, rows), geometry=shapes, crs=f"EPSG:{EPSG}")
