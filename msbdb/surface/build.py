@@ -69,7 +69,7 @@ def build_surface(points: PointCloud, params: Params) -> Surface:
     spec = lattice(points.bounds, cell_m, points.crs)
     samples = sample_nearest(points, spec)
     gap_cells = max(LEAST_GAP_CELLS, params.surface.max_gap_m / cell_m)
-    heights, valid = fill_gaps(samples.z, samples.observed, gap_cells)
+    heights, valid = fill_gaps(samples, gap_cells)
     dsm = Grid(heights.astype(np.float32), valid, spec)
     dtm, name = terrain(points, spec, params.ground)
     logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)

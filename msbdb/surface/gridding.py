@@ -103,34 +103,32 @@ def lowest(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None 
     return Grid(np.where(valid, values, 0.0).astype(np.float32), valid, spec)
 
 
-def fill_gaps(
-    values: NDArray[np.float64], observed: NDArray[np.bool_], max_gap_cells: float
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Fill cells with the value of the nearest observed one, up to a distance.
+def fill_gaps(samples: Samples, reach_cells: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Fill empty cells with the height of the sample nearest to their centre (V14), up to a distance.
 
     Parameters
     ----------
-    values : (H, W) ndarray of float
-        Values; those not observed are ignored.
-    observed : (H, W) ndarray of bool
-        Where the values hold.
-    max_gap_cells : float
-        Largest distance between cell centres over which a value is taken, in cells.
+    samples : Samples
+        First echoes with their true places.
+    reach_cells : float
+        Largest distance between the centres of an empty cell and of an observed one that may fill it, in cells.
 
     Returns
     -------
-    filled : (H, W) ndarray
-        The values, 0 where neither observed nor filled.
+    filled : (H, W) ndarray of float64, metres
+        The heights, 0 where neither observed nor filled.
     valid : (H, W) ndarray of bool
         Observed or filled.
 
     Notes
     -----
-    Of cells equally near, the one in the nearest column counts, then the western, then the northern. Cost: linear
-    in the cells times the distance that is searched.
+    Distances are those of the echoes, not of their cells, so that roofs neither grow nor shrink towards a side; of
+    samples equally near, as in rasters, the lower one counts. Of each column the nearest observed cells to the north
+    and the south are looked at. Cost: linear in the cells times the distance that is searched.
     """
-    rows = _nearest_rows(observed)
-    return _fill(np.asarray(values, dtype=np.float64), rows, max_gap_cells)
+    above, below = _observed_rows(samples.observed)
+    offsets = (samples.east, samples.north)
+    return _fill(samples.z, offsets, (above, below), samples.spec.cell_m, reach_cells)
 
 
 @kernel
@@ -203,47 +201,63 @@ def _lowest(xyz: tuple[Floats, Floats, Floats], chosen: Mask, frame: Frame, shap
 
 
 @kernel
-def _nearest_rows(observed: Mask) -> NDArray[np.int32]:
-    """Row of the nearest observed cell of each cell's column, the northern of two; -1 where the column has none."""
+def _observed_rows(observed: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Rows of the nearest observed cells of a column, up to and from each cell; -1 where there is none."""
     height, width = observed.shape
-    rows = np.full(observed.shape, np.int32(-1))
+    above = np.full(observed.shape, np.int32(-1))
+    below = np.full(observed.shape, np.int32(-1))
     for row in range(height):
         for col in range(width):
             if observed[row, col]:
-                rows[row, col] = row
+                above[row, col] = row
             elif row > 0:
-                rows[row, col] = rows[row - 1, col]
-    for row in range(height - 2, -1, -1):
+                above[row, col] = above[row - 1, col]
+    for row in range(height - 1, -1, -1):
         for col in range(width):
-            above, below = rows[row, col], rows[row + 1, col]
-            if below > row and (above < 0 or below - row < row - above):
-                rows[row, col] = below
-    return rows
+            if observed[row, col]:
+                below[row, col] = row
+            elif row < height - 1:
+                below[row, col] = below[row + 1, col]
+    return above, below
 
 
 @kernel
-def _fill(values: Floats, rows: NDArray[np.int32], reach: float) -> tuple[Floats, Mask]:
-    """Take for each cell the value of the nearest observed one, searched by columns farther and farther away."""
-    height, width = rows.shape
-    filled = np.zeros(rows.shape)
-    valid = np.zeros(rows.shape, dtype=np.bool_)
+def _fill(
+    z: Floats,
+    offsets: tuple[NDArray[np.float32], NDArray[np.float32]],
+    rows: tuple[NDArray[np.int32], NDArray[np.int32]],
+    cell: float,
+    reach: float,
+) -> tuple[Floats, Mask]:
+    """Take for each empty cell the nearest sample, searched by columns farther and farther away."""
+    height, width = z.shape
+    east, north = offsets
+    above, below = rows
+    filled = np.zeros(z.shape)
+    valid = np.zeros(z.shape, dtype=np.bool_)
     limit = reach * reach * (1 + 1e-12)
     for row in range(height):
         for col in range(width):
-            if rows[row, col] == row:
-                filled[row, col] = values[row, col]
+            if above[row, col] == row:
+                filled[row, col] = z[row, col]
                 valid[row, col] = True
                 continue
             best = np.inf
             for step in range(width):
-                if step * step > limit or step * step >= best:
+                # A sample lies at most half a cell nearer than the centre of its column.
+                if step * step > limit or (max(step - 0.5, 0.0) * cell) ** 2 > best:
                     break
                 for c in (col - step, col + step):
-                    if c < 0 or c >= width or rows[row, c] < 0:
+                    if c < 0 or c >= width:
                         continue
-                    d = step * step + (rows[row, c] - row) ** 2
-                    if d <= limit and d < best:
-                        best = d
-                        filled[row, col] = values[rows[row, c], c]
-                        valid[row, col] = True
+                    for r in (above[row, c], below[row, c]):
+                        if r < 0 or step * step + (r - row) ** 2 > limit:
+                            continue
+                        e = (c - col) * cell + east[r, c]
+                        n = (row - r) * cell + north[r, c]
+                        d = e * e + n * n
+                        if d < best or (d == best and z[r, c] < filled[row, col]):
+                            best = d
+                            filled[row, col] = z[r, c]
+                            valid[row, col] = True
     return filled, valid

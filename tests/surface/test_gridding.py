@@ -12,6 +12,7 @@ from msbdb.grid import GridSpec, lattice
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.gridding import (
     CELL_LADDER_M,
+    Samples,
     cell_size,
     density,
     fill_gaps,
@@ -156,39 +157,66 @@ def test_no_cell_of_the_ladder_is_nearer_to_the_spacing(points_m2):
     assert ratios[cell_size(points_m2)] == pytest.approx(min(ratios.values()))
 
 
-def test_of_equally_near_cells_the_nearest_column_and_then_the_western_one_counts():
-    """The rule is fixed, so that nothing depends on how the search runs."""
-    observed = np.zeros((3, 3), dtype=bool)
-    observed[[0, 1, 1, 2], [1, 0, 2, 1]] = True
+def samples_of(
+    values: NDArray, observed: NDArray, east: NDArray | float = 0.0, north: NDArray | float = 0.0
+) -> Samples:
+    """Return samples of 1 m cells, at their centres unless offsets are given."""
+    spec = lattice((0, 0.1, values.shape[1] - 0.1, values.shape[0]), 1.0, CRS_M)
+    zero = np.zeros(values.shape, dtype=np.float32)
+    z = np.where(observed, values, np.nan).astype(np.float64)
+    return Samples(z, (zero + east).astype("f4"), (zero + north).astype("f4"), spec)
+
+
+def test_a_gap_takes_the_echo_that_is_really_nearest():
+    """Of four cells around a gap the one whose echo leans towards it counts, in any direction."""
+    observed = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
     values = np.arange(9.0).reshape(3, 3)
-    assert fill_gaps(values, observed, 1.0)[0][1, 1] == values[0, 1]
-    observed[[0, 2], 1] = False
-    assert fill_gaps(values, observed, 1.0)[0][1, 1] == values[1, 0]
+    for at, east, north in (((0, 1), 0, -0.4), ((2, 1), 0, 0.4), ((1, 0), 0.4, 0), ((1, 2), -0.4, 0)):
+        offsets = np.zeros((2, 3, 3))
+        offsets[:, at[0], at[1]] = east, north
+        filled, _ = fill_gaps(samples_of(values, observed, *offsets), 1.0)
+        assert filled[1, 1] == values[at]
 
 
-def naive_fill(values: NDArray, observed: NDArray, reach: float) -> tuple[NDArray, NDArray]:
-    """Distance to the nearest observed cell, and the values that lie at that distance, by brute force."""
-    rows, cols = np.nonzero(observed)
-    distance = np.full(observed.shape, np.inf)
-    candidates = np.empty(observed.shape, dtype=object)
-    for at in np.ndindex(observed.shape):
-        d = np.hypot(rows - at[0], cols - at[1])
-        distance[at] = d.min(initial=np.inf)
-        candidates[at] = set(values[rows[d == distance[at]], cols[d == distance[at]]].tolist())
-    return distance <= reach, candidates
+def test_of_samples_equally_near_the_lower_one_counts():
+    """So a raster's gaps are filled alike whichever way it is turned."""
+    observed = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+    values = np.array([[0, 7, 0], [3, 0, 5], [0, 4, 0]], dtype=np.float64)
+    for turn in range(4):
+        filled, _ = fill_gaps(samples_of(np.rot90(values, turn), np.rot90(observed, turn)), 1.0)
+        assert filled[1, 1] == 3.0
+
+
+def naive_fill(samples: Samples, reach: float) -> tuple[NDArray, NDArray]:
+    """Look at every observed cell for every empty one."""
+    rows, cols = np.nonzero(samples.observed)
+    z = samples.z[rows, cols]
+    filled, valid = np.where(samples.observed, samples.z, 0.0), samples.observed.copy()
+    for row, col in np.argwhere(~samples.observed):
+        near = np.hypot(rows - row, cols - col) <= reach
+        if near.any():
+            east = cols - col + samples.east[rows, cols].astype(np.float64)
+            north = row - rows + samples.north[rows, cols].astype(np.float64)
+            order = np.lexsort((z, east**2 + north**2))
+            filled[row, col] = z[order[near[order]][0]]
+            valid[row, col] = True
+    return filled, valid
 
 
 @given(
-    st.lists(st.booleans(), min_size=42, max_size=42).map(lambda bits: np.array(bits).reshape(6, 7)),
-    st.sampled_from([1.0, 2.0, 2.5, 3.4, 100.0]),
+    st.lists(st.sampled_from([False, False, True]), min_size=42, max_size=42),
+    st.sampled_from([0.0, 1.0, 2.0, 2.5, 3.4, 100.0]),
+    st.integers(0, 1000),
 )
-def test_gaps_take_a_nearest_value_up_to_a_distance(observed, reach):
-    """Cells farther than the reach stay invalid and hold 0; observed cells keep their value."""
-    values = np.arange(42, dtype=np.float64).reshape(6, 7)
-    filled, valid = fill_gaps(np.where(observed, values, np.nan), observed, reach)
-    expected, candidates = naive_fill(values, observed, reach)
-    np.testing.assert_array_equal(valid, expected)
-    np.testing.assert_array_equal(filled[observed], values[observed])
-    for at in np.argwhere(valid):
-        assert filled[tuple(at)] in candidates[tuple(at)]
-    assert not filled[~valid].any()
+def test_gaps_agree_with_a_search_of_all_samples(bits, reach, seed):
+    """Cells farther than the reach stay invalid and hold 0; observed cells keep their value.
+
+    All echoes of a column lean alike to the east or west: of one column the kernel looks at the nearest observed cells alone.
+    """
+    rng = np.random.default_rng(seed)
+    observed = np.array(bits).reshape(6, 7)
+    samples = samples_of(rng.integers(0, 9, (6, 7)), observed, rng.integers(-3, 4, (1, 7)) / 8)
+    filled, valid = fill_gaps(samples, reach)
+    expected, reached = naive_fill(samples, reach)
+    np.testing.assert_array_equal(valid, reached)
+    np.testing.assert_array_equal(filled, expected)
