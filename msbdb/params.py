@@ -601,6 +601,7 @@ PROFILES: dict[str, dict[str, dict[str, Any]]] = {
             "merge_slivers": False,
             "fake_father_coverage": 0.0,
         },
+        "spectral": {"decides": "spectral"},
     },
 }
 """What each profile sets otherwise than the defaults."""

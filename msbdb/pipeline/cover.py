@@ -32,7 +32,7 @@ class Cover:
     table, bands : DataFrame
         ``tables.SPECTRAL_CLASS`` and ``tables.SPECTRAL_CLASS_BAND``.
     colours_decide : bool
-        Colours alone tell roofs from vegetation (V36 to V41 as written).
+        Colours alone tell roofs from vegetation (V36 to V41 as written), structure only where there is no imagery.
     green_decides : bool
         Spectral vegetation is vegetation even where the structure sees a roof.
     operator : mapping of int to str
@@ -50,9 +50,13 @@ class Cover:
     @property
     def classes(self) -> ClassMap:
         """The map that the extractors read."""
-        if self.spectral is not None and self.colours_decide:
-            return ClassMap(self.spectral.index, {**self.spectral.labels, **self.operator}, self.spectral.spec)
-        return overlay(self.structure, self.spectral, operator=self.operator, green_decides=self.green_decides)
+        if self.spectral is None or not self.colours_decide:
+            return overlay(self.structure, self.spectral, operator=self.operator, green_decides=self.green_decides)
+        count = max(self.spectral.labels, default=0)
+        beyond = (self.spectral.index == 0) & (self.structure.index > 0)
+        index = np.where(beyond, self.structure.index + count, self.spectral.index).astype(np.uint8)
+        labels = {**self.spectral.labels, count + 1: "building", count + 2: "vegetation", **self.operator}
+        return ClassMap(index, labels, self.spectral.spec)
 
     def relabelled(self, labels: Mapping[int, str]) -> "Cover":
         """Return the cover with further labels by the operator.
@@ -97,8 +101,7 @@ def classify_cover(
     colours_decide = spectral is not None and params.spectral.decides == "spectral"
     if spectral is not None:
         structure = drop_green_regions(structure, spectral.labelled("vegetation"), roughness_m, params.cover)
-    if not colours_decide:
-        table = pd.concat([table, _structure_rows(structure, len(table), ndsm, roughness_m)], ignore_index=True)
+    table = pd.concat([table, _structure_rows(structure, len(table), ndsm, roughness_m)], ignore_index=True)
     green = bands is not None and "nir" in bands.names and not echoes
     return Cover(structure, spectral, table, band_table, colours_decide, green, {})
 
