@@ -211,7 +211,7 @@ def naive_fill(samples: Samples, reach: float) -> tuple[NDArray, NDArray]:
 def test_gaps_agree_with_a_search_of_all_samples(bits, reach, seed):
     """Cells farther than the reach stay invalid and hold 0; observed cells keep their value.
 
-    All echoes of a column lean alike to the east or west: of one column the kernel looks at the nearest observed cells alone.
+    All echoes of a column lean alike, since the kernel looks at the nearest observed cells of a column alone.
     """
     rng = np.random.default_rng(seed)
     observed = np.array(bits).reshape(6, 7)

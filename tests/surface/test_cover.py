@@ -1,0 +1,138 @@
+"""Structural cover on simulated scenes: roofs and crowns, with echoes and without."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scenes
+from numpy.typing import NDArray
+
+from msbdb.errors import GridMismatchError
+from msbdb.grid import Grid, lattice
+from msbdb.params import Params, with_values
+from msbdb.pointcloud import PointCloud
+from msbdb.surface import build_surface, cover_from_surface, normalise, surface_from_rasters
+from msbdb.surface.cover import ROOF, VEGETATION, smooth_share
+
+Scene = scenes.Scene
+PARAMS = with_values(Params(), {"surface": {"cell_m": 0.5}})
+
+
+def without_echoes(points: PointCloud) -> PointCloud:
+    """Return the first echoes as a source that holds nothing else."""
+    return replace(points.take(points.first_echo), return_number=None, number_of_returns=None)
+
+
+def found_roofs(scene: Scene, points: PointCloud) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Roofs found and true, on the scene's lattice; border cells of the lattice excepted."""
+    surface = build_surface(points, PARAMS)
+    cover, _ = cover_from_surface(surface, points, PARAMS)
+    row, col = np.indices(scene.spec.shape)
+    r, c = surface.dsm.spec.rowcol(*scene.spec.xy(row, col))
+    inside = (r >= 0) & (c >= 0) & (r < cover.spec.shape[0]) & (c < cover.spec.shape[1])
+    roofs = np.zeros(scene.spec.shape, dtype=bool)
+    roofs[inside] = cover.labelled("building")[r[inside], c[inside]]
+    return roofs, scene.buildings > 0
+
+
+@pytest.mark.parametrize("echoed", [True, False])
+@pytest.mark.parametrize("name", ["podium_tower", "row_houses", "under_trees", "courtyard", "green_roof"])
+def test_roofs_are_found_with_and_without_echoes(name, echoed):
+    """Roofs and truth overlap by most of their union; crowns over a roof may take their share."""
+    scene = scenes.SCENES[name]()
+    points = scene.points if echoed else without_echoes(scene.points)
+    found, true = found_roofs(scene, points)
+    true &= scene.cover != scenes.VEGETATION
+    found &= scene.cover != scenes.VEGETATION
+    assert np.count_nonzero(found & true) / np.count_nonzero(found | true) > 0.85
+
+
+@pytest.mark.parametrize("echoed", [True, False])
+def test_crowns_are_no_roofs(echoed):
+    """Of the crowns apart from the house, next to nothing is taken for roof; they are vegetation."""
+    scene = scenes.under_trees()
+    points = scene.points if echoed else without_echoes(scene.points)
+    found, true = found_roofs(scene, points)
+    crowns = (scene.cover == scenes.VEGETATION) & ~true
+    assert np.mean(found[crowns]) < (0.05 if echoed else 0.2)
+
+
+def test_every_cell_above_the_mask_has_a_class_and_no_other():
+    """Building or vegetation above 2 m; nothing below it, nor where there is no height."""
+    scene = scenes.under_trees()
+    surface = build_surface(scene.points, PARAMS)
+    cover, rough = cover_from_surface(surface, scene.points, PARAMS)
+    raised = surface.ndsm.valid & (np.asarray(surface.ndsm.values) >= PARAMS.surface.mask_m)
+    np.testing.assert_array_equal(cover.index > 0, raised)
+    assert set(np.unique(cover.index)) <= {0, ROOF, VEGETATION}
+    assert rough.dtype == np.float32
+    assert np.isfinite(rough).all()
+
+
+def test_the_order_of_the_points_does_not_matter():
+    """Shuffled points give the same surfaces and the same cover, bit for bit."""
+    points = scenes.under_trees().points
+    shuffled = points.take(np.random.default_rng(5).permutation(len(points)))
+    one, other = build_surface(points, PARAMS), build_surface(shuffled, PARAMS)
+    for name in ("dsm", "dtm", "ndsm"):
+        np.testing.assert_array_equal(getattr(one, name).values, getattr(other, name).values)
+        np.testing.assert_array_equal(getattr(one, name).valid, getattr(other, name).valid)
+    a, rough_a = cover_from_surface(one, points, PARAMS)
+    b, rough_b = cover_from_surface(other, shuffled, PARAMS)
+    np.testing.assert_array_equal(a.index, b.index)
+    np.testing.assert_array_equal(rough_a, rough_b)
+
+
+def test_the_surfaces_are_those_of_the_scene():
+    """Roofs stand at their height above the ground, and the ground at 0, whatever their slope."""
+    scene = scenes.podium_tower()
+    surface = build_surface(scene.points, PARAMS)
+    row, col = scene.spec.rowcol(*surface.dsm.spec.xy(*np.indices(surface.dsm.spec.shape)))
+    inside = (row >= 0) & (col >= 0) & (row < scene.spec.shape[0]) & (col < scene.spec.shape[1])
+    error = np.asarray(surface.ndsm.values)[inside] - scene.heights[row[inside], col[inside]]
+    assert np.median(np.abs(error)) < 0.05
+    assert np.quantile(np.abs(error), 0.95) < 0.3
+    assert surface.ground_filter == "progressive"
+    assert surface.density == pytest.approx(4.0, rel=0.1)
+
+
+def test_the_cell_follows_the_density_unless_given():
+    """V14: 4 points a square metre make cells of 0.5 m."""
+    points = scenes.flat_field().points
+    assert build_surface(points, Params()).dsm.spec.cell_m == 0.5
+    assert build_surface(points, with_values(Params(), {"surface": {"cell_m": 1.5}})).dsm.spec.cell_m == 1.5
+
+
+def test_an_empty_field_has_no_roofs():
+    """Nothing stands above the mask, so nothing is classified."""
+    points = scenes.flat_field().points
+    assert not cover_from_surface(build_surface(points, PARAMS), points, PARAMS)[0].index.any()
+
+
+def test_rasters_make_a_surface_of_their_own():
+    """A DSM and a DTM give the heights of their difference, and roofs without echoes."""
+    scene = scenes.podium_tower()
+    given = build_surface(scene.points, PARAMS)
+    surface = surface_from_rasters(given.dsm, given.dtm)
+    np.testing.assert_array_equal(surface.ndsm.values, given.ndsm.values)
+    assert surface.ground_filter == "given"
+    assert surface.density == 4.0
+    cover, _ = cover_from_surface(surface, None, PARAMS)
+    assert np.count_nonzero(cover.labelled("building")) * 0.25 == pytest.approx(1200, rel=0.1)
+
+
+def test_heights_need_one_lattice():
+    """A DTM on other cells is refused."""
+    spec, other = lattice((0, 0, 9, 9), 1.0, scenes.UTM33), lattice((1, 0, 10, 9), 1.0, scenes.UTM33)
+    dsm, dtm = (Grid(np.zeros(s.shape, dtype="f4"), np.ones(s.shape, dtype=bool), s) for s in (spec, other))
+    with pytest.raises(GridMismatchError, match="lattice"):
+        normalise(dsm, dtm)
+
+
+def test_smoothing_counts_raised_cells_alone():
+    """The mean beside a wall is that of the roof, not of roof and ground."""
+    odds = np.full((20, 20), 4.0, dtype=np.float32)
+    raised = np.zeros((20, 20), dtype=bool)
+    raised[5:15, 5:15] = True
+    share = smooth_share(np.where(raised, odds, -9), raised, 2.0)
+    np.testing.assert_allclose(share[raised], 1 / (1 + np.exp(-4.0)), rtol=1e-4)
