@@ -146,6 +146,27 @@ def test_low_outliers_do_not_pull_the_terrain_down(name):
     assert np.mean(np.abs(error) > 0.3) < 0.01
 
 
+@pytest.mark.parametrize("name", list(FILTERS))
+def test_a_false_echo_in_a_void_is_not_the_ground_of_all_of_it(name):
+    """A pond without echoes but for one from 30 m below keeps the level of its banks."""
+    points, truth = world(flat, HOUSES)
+    row, col = np.indices(truth.shape)
+    pond = ((row - 125) ** 2 + (col - 50) ** 2 < 20**2).ravel()
+    kept = points.take(~pond | (np.arange(len(points)) == 125 * 160 + 50))
+    z = kept.z.copy()
+    z[(kept.x == 50.5) & (kept.y == 160 - 125.5)] = -10.0
+    error, _ = errors(replace(kept, z=z), truth, name)
+    assert np.abs(error).max() < 0.5
+
+
+def test_scattered_points_all_count():
+    """Where every point is alone in its surroundings, none is left out."""
+    x, y = (a.ravel() * 10 + 5.5 for a in np.indices((16, 16)))
+    points = PointCloud(x, y, np.full(x.size, 20.0), CRS_M)
+    surface = lowest_surface(points, lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M), PARAMS)
+    np.testing.assert_array_equal(surface.values, 20.0)
+
+
 def test_a_mound_without_walls_is_terrain():
     """A mound of 6 m, smooth to all sides, stays; a box as wide and as high beside it goes."""
 

@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
@@ -71,9 +71,19 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
 def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> Grid:
     """Grid the lowest points without gaps, with isolated low outliers raised to their neighbourhood."""
     found = lowest(points, spec)
-    filled = interpolate_ground(found.values, found.valid, spec, nearest=True).values
+    filled = interpolate_ground(found.values, _supported(found.valid), spec, nearest=True).values
     floor = median_filter(filled, size=5, mode="nearest") - np.float32(params.low_outlier_m)
     return Grid(np.maximum(filled, floor), np.ones(spec.shape, dtype=np.bool_), spec)
+
+
+def _supported(observed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Leave out cells alone in a void, where a single false echo would stand for all of it.
+
+    Such a cell has fewer than two observed others among the 24 around it; where that is most cells, all of them stay.
+    """
+    around = uniform_filter(observed.astype(np.float32), 5, mode="constant") * 25
+    supported = observed & (around > 2.5)
+    return supported if 2 * np.count_nonzero(supported) > np.count_nonzero(observed) else observed
 
 
 def _resolve(points: PointCloud, name: str) -> str:
