@@ -4,13 +4,14 @@ An area opening lowers each peak until its connected component holds at least s 
 pit likewise. Values in the result are values of the input: nothing is computed, so nothing is rounded.
 """
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
 from msbdb.morphology.kernels import kernel
+from msbdb.morphology.order import order_of
 from msbdb.morphology.runs import Layout, find_runs
 
 T = TypeVar("T", bound=np.generic)
@@ -52,8 +53,8 @@ def area_opening(values: NDArray[T], threshold_px: int, *, connectivity: int = 8
 
     Nodata: none; mask before. Halo: none suffices, as a component may be of any extent.
 
-    Complexity: runs of equal value are visited from the highest down and joined by union-find [2]_: O(n log n) for n
-    runs and at most linear in the cells beside. Integers of up to 65 536 levels are ordered by radix sort, in O(n).
+    Complexity: runs of equal value are visited from the highest down and joined by union-find [2]_: nearly O(n) for n
+    runs, which are ordered by radix sort where 32 bits hold the values, else O(n log n); linear in the cells beside.
 
     References
     ----------
@@ -115,30 +116,15 @@ def _filter(values: NDArray[T], threshold_px: int, connectivity: int, *, from_to
     """Open from the top or close from the bottom; both give each run the value of another run."""
     require_threshold(threshold_px)
     runs = find_runs(values, connectivity)
-    order = _ascending(runs.values)
-    if from_top:
-        order = order[::-1]
+    order = order_of(runs.values, descending=from_top)
     # A threshold beyond the array acts like one of a cell more than it has, and keeps the areas within 32 bits.
     threshold = min(int(threshold_px), values.size + 1)
     source = _absorb(order, runs.layout, threshold)
     return runs.paint(runs.values[source])
 
 
-def _ascending(values: NDArray[Any]) -> NDArray[np.intp]:
-    """Order the runs by value; ties in any order, as the result does not depend on theirs."""
-    if values.dtype.kind == "f":
-        return np.argsort(values)
-    if values.dtype.itemsize > 2:
-        low, high = values.min(), values.max()
-        if int(high) - int(low) >= 2**16:
-            return np.argsort(values)
-        values = (values - low).astype(np.uint16)
-    # NumPy sorts integers of up to 16 bits by radix when the sort must be stable.
-    return np.argsort(values, kind="stable")
-
-
 @kernel
-def _absorb(order: NDArray[np.intp], layout: Layout, threshold: int) -> NDArray[np.int32]:
+def _absorb(order: NDArray[np.int32], layout: Layout, threshold: int) -> NDArray[np.int32]:
     """Return for each run the run whose value it takes.
 
     Runs enter in the order given. Each absorbs the components that it touches and that are still too small: these

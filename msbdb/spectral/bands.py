@@ -4,15 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
 from msbdb.pointcloud import PointCloud
-
-WEIGHT_STEPS = 256
-"""Bilinear weights are whole multiples of 1/256, so that sums over points are exact in any order."""
+from msbdb.spectral.kernels import bilinear, cells_of, counts, fill_gaps, means
+from msbdb.threads import in_threads
 
 
 def grid_colours(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Bands | None:
@@ -32,17 +30,20 @@ def grid_colours(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Ban
     Bands or None
         Named as the points' colours, in their units; None when the points have no colours.
     """
-    if points.colours is None:
+    colours = points.colours
+    if colours is None:
         return None
-    row, col = spec.rowcol(points.x, points.y)
-    used = points.first_echo & (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
-    cell = (row * spec.shape[1] + col)[used]
-    size = spec.shape[0] * spec.shape[1]
-    count = np.bincount(cell, minlength=size)
-    cells = np.maximum(count, 1)
-    means = [np.bincount(cell, weights=band[used], minlength=size) / cells for band in points.colours.T]
-    values = np.stack(means).reshape(-1, *spec.shape)
-    return _filled(values, count.reshape(spec.shape) > 0, points.colour_names, spec, max_gap_m)
+    cells = cells_of(points.x, points.y, points.first_echo, _frame(spec), spec.shape)
+    count = counts(cells, spec.shape[0] * spec.shape[1])
+    values = np.empty((len(points.colour_names), count.size), dtype=np.float32)
+
+    def grid_band(band: int) -> None:
+        means(cells, colours[:, band], count, values[band])
+
+    in_threads(grid_band, range(len(values)))
+    return _filled(
+        values.reshape(-1, *spec.shape), (count > 0).reshape(spec.shape), points.colour_names, spec, max_gap_m
+    )
 
 
 def grid_intensity(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Bands | None:
@@ -67,50 +68,22 @@ def grid_intensity(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> B
     """
     if points.intensity is None:
         return None
-    first = points.first_echo
-    total = np.zeros(spec.shape)
-    weight = np.zeros(spec.shape)
-    for rows, cols, share in _corners(points.x[first], points.y[first], spec):
-        inside = (rows >= 0) & (rows < spec.shape[0]) & (cols >= 0) & (cols < spec.shape[1])
-        cell = (rows * spec.shape[1] + cols)[inside]
-        given = share[inside]
-        weighted = given * points.intensity[first][inside]
-        weight += np.bincount(cell, weights=given, minlength=weight.size).reshape(spec.shape)
-        total += np.bincount(cell, weights=weighted, minlength=total.size).reshape(spec.shape)
-    values = (total / np.maximum(weight, 1))[None]
-    return _filled(values, weight > 0, ("intensity",), spec, max_gap_m)
+    values, measured = bilinear((points.x, points.y), points.first_echo, points.intensity, _frame(spec), spec.shape)
+    return _filled(values[None], measured, ("intensity",), spec, max_gap_m)
 
 
-def _corners(
-    easting: NDArray[np.float64], northing: NDArray[np.float64], spec: GridSpec
-) -> list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]]:
-    """Rows, columns and whole-numbered bilinear weights of the four cell centres around each point."""
-    steps = WEIGHT_STEPS
-    right = np.round((easting - spec.transform.c) / spec.cell_m * steps - steps / 2).astype(np.int64)
-    down = np.round((spec.transform.f - northing) / spec.cell_m * steps - steps / 2).astype(np.int64)
-    col, east = np.divmod(right, steps)
-    row, south = np.divmod(down, steps)
-    return [
-        (row + i, col + j, ((south if i else steps - south) * (east if j else steps - east)).astype(np.float64))
-        for i in (0, 1)
-        for j in (0, 1)
-    ]
+def _frame(spec: GridSpec) -> tuple[float, float, float]:
+    """Return what a kernel needs of a lattice to place a point."""
+    return (spec.transform.c, spec.transform.f, spec.cell_m)
 
 
 def _filled(
-    values: NDArray[np.float64], measured: NDArray[np.bool_], names: tuple[str, ...], spec: GridSpec, max_gap_m: float
+    values: NDArray[np.float32], measured: NDArray[np.bool_], names: tuple[str, ...], spec: GridSpec, max_gap_m: float
 ) -> Bands:
-    """Fill the cells that were not measured from the nearest one that was, within the largest gap."""
-    if not measured.any():
-        return Bands(np.zeros(values.shape, dtype=np.float32), names, measured, spec)
-    filled = values.astype(np.float32)
-    valid = measured
-    if not measured.all():
-        distance, nearest = ndimage.distance_transform_edt(~measured, return_indices=True)
-        valid = distance * spec.cell_m <= max_gap_m
-        gap = valid & ~measured
-        filled[:, gap] = filled[:, nearest[0][gap], nearest[1][gap]]
-    return Bands(filled, names, valid, spec)
+    """Fill, in place, the cells that were not measured from the nearest one that was, within the largest gap."""
+    if measured.any() and not measured.all():
+        measured = fill_gaps(values, measured, spec.cell_m, max_gap_m)
+    return Bands(values, names, measured, spec)
 
 
 def stack(*parts: Bands) -> Bands:
@@ -138,7 +111,9 @@ def stack(*parts: Bands) -> Bands:
         for name, values in zip(part.names, part.values, strict=True):
             chosen.setdefault(name, values)
     valid = np.logical_and.reduce([part.valid for part in parts])
-    values = np.where(valid, np.stack(list(chosen.values())), np.float32(0))
+    values = np.zeros((len(chosen), *spec.shape), dtype=np.float32)
+    for target, band in zip(values, chosen.values(), strict=True):
+        np.copyto(target, band, where=valid)
     return Bands(values, tuple(chosen), valid, spec)
 
 

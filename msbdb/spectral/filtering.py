@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from msbdb.bands import Bands
 from msbdb.morphology.area import area_closing, area_opening
+from msbdb.threads import in_threads
 
 
 def filter_bands(bands: Bands, inside: NDArray[np.bool_], area_m2: float, *, connectivity: int = 8) -> Bands:
@@ -43,19 +44,28 @@ def filter_bands(bands: Bands, inside: NDArray[np.bool_], area_m2: float, *, con
     """
     valid = bands.valid & inside
     threshold = round(area_m2 / bands.spec.cell_area_m2)
-    values = np.where(valid, bands.values, np.float32(0))
-    if threshold >= 2 and valid.any():
-        values = np.stack([_filter(band, valid, threshold, connectivity) for band in values])
+    values = np.zeros(bands.values.shape, dtype=np.float32)
+
+    def write_band(number: int) -> None:
+        band = bands.values[number]
+        filtered = _filter(band, valid, threshold, connectivity) if threshold >= 2 else band
+        np.copyto(values[number], filtered, where=valid)
+
+    if valid.any():
+        in_threads(write_band, range(len(values)))
     return Bands(values, bands.names, valid, bands.spec)
 
 
 def _filter(
     band: NDArray[np.float32], valid: NDArray[np.bool_], threshold_px: int, connectivity: int
 ) -> NDArray[np.float32]:
-    """Open and close one band; outside lies below all values for the opening and above all for the closing."""
+    """Open and close one band; outside lies below all values for the opening and above all for the closing.
+
+    What is returned there has no meaning.
+    """
     below = np.float32(band[valid].min() - 1)
     above = np.float32(band[valid].max() + 1)
     opened = area_opening(np.where(valid, band, below), threshold_px, connectivity=connectivity)
-    closed = area_closing(np.where(valid & (opened > below), opened, above), threshold_px, connectivity=connectivity)
-    small = opened <= below
-    return np.where(valid, np.where(small | (closed >= above), band, closed), np.float32(0))
+    opened[opened <= below] = above  # islands that are too small, and what lies outside
+    closed = area_closing(opened, threshold_px, connectivity=connectivity)
+    return np.where(closed >= above, band, closed)

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from msbdb.bands import Bands
 from msbdb.spectral.bands import Scaling, fit_scaling
+from msbdb.spectral.kernels import nearest_centres
 
 STARTS = 4
 """Fits from different first centres, of which the tightest is kept."""
@@ -164,16 +165,9 @@ def nearest_class(filtered: NDArray[np.floating], centres: Centres) -> NDArray[n
 
     Distances are summed a band at a time, never by a matrix product, so that they are the same on every machine.
     """
-    scaled = centres.scaling.apply(filtered)
-    best = np.full(len(scaled), np.inf)
-    nearest = np.zeros(len(scaled), dtype=np.uint8)
-    for number, centre in enumerate(centres.values, start=1):
-        distance = np.zeros(len(scaled))
-        for band, value in enumerate(centre):
-            distance += (scaled[:, band] - value) ** 2
-        closer = distance < best
-        best[closer], nearest[closer] = distance[closer], number
-    return nearest
+    low, high = np.array(centres.scaling.low), np.array(centres.scaling.high)
+    span = np.where(high > low, high - low, 1.0)
+    return nearest_centres(np.ascontiguousarray(filtered, dtype=np.float64), low, span, centres.values)
 
 
 def predict(filtered: Bands, centres: Centres) -> NDArray[np.uint8]:
