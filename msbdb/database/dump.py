@@ -20,12 +20,22 @@ COORDINATE_DECIMALS = 4
 _LEFT_OUT = {"timings", "content_sha256"}
 """Timings differ between equal runs; the digest stands for more decimals than the dump shows."""
 
+_PROVENANCE = {"source", "notices"}
+"""The table and the column that tell of files: the same points in another order are another file."""
 
-def canonical_dump(engine: Engine) -> Iterator[str]:
+
+def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]:
     """Yield the content of all tables, one JSON list a row, in order of tables and keys.
 
     Numbers have six decimals, geometries are normalised WKT with four, rasters are given by their checksum. Timings,
     the schema's version and whatever a dialect keeps for itself are left out.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    provenance : bool
+        Also the names and checksums of the source files, and the notices that name them.
 
     Yields
     ------
@@ -33,12 +43,14 @@ def canonical_dump(engine: Engine) -> Iterator[str]:
         First a line of names for each table, then its rows, without line ends.
     """
     with guarded(engine.url), engine.connect() as connection:
+        left_out = _LEFT_OUT if provenance else _LEFT_OUT | _PROVENANCE
         for table in sorted(Base.metadata.tables.values(), key=lambda t: t.name):
-            yield from _table_lines(connection, table)
+            if table.name not in left_out:
+                yield from _table_lines(connection, table, left_out)
 
 
-def _table_lines(connection: Connection, table: Table) -> Iterator[str]:
-    columns = [c for c in table.columns if c.name not in _LEFT_OUT and c.computed is None]
+def _table_lines(connection: Connection, table: Table, left_out: set[str]) -> Iterator[str]:
+    columns = [c for c in table.columns if c.name not in left_out and c.computed is None]
     yield json.dumps(["table", table.name, *(c.name for c in columns)])
     plain = [c for c in columns if c.name != "geometry"]
     query = select(*plain)

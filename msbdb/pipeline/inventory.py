@@ -89,9 +89,9 @@ class Inventory:
         """
         return reports.evaluate(self.db, Path(reference), survey=survey, **options)
 
-    def dump(self) -> list[str]:
-        """Return the whole content as lines that are equal for equal content."""
-        return list(canonical_dump(self.engine))
+    def dump(self, *, provenance: bool = False) -> list[str]:
+        """Return the content as lines that are equal for equal content; see `msbdb.database.canonical_dump`."""
+        return list(canonical_dump(self.engine, provenance=provenance))
 
 
 def open(db: str | Path) -> Inventory:
