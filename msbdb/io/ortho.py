@@ -198,16 +198,19 @@ def _names(dataset: rasterio.DatasetReader, given: Sequence[str] | None) -> dict
     file = Path(dataset.name)
     words = re.split(r"[^a-z]+", file.stem.lower())
     colours = dataset.colorinterp
-    # GDAL calls a fourth band alpha unless it is told otherwise, so that a name for every band counts for more.
+    described = [BAND_WORDS.get((text or "").strip().lower()) for text in dataset.descriptions]
+    # GDAL calls a fourth band alpha unless it is told otherwise, so that a name for every band, or the band's own,
+    # counts for more.
     all_named = len(given) == dataset.count if given is not None else _from_words(words, dataset.count) is not None
-    indexes = [i for i in dataset.indexes if all_named or colours[i - 1] != ColorInterp.alpha]
+    named = [all_named or (given is None and text is not None) for text in described]
+    indexes = [i for i in dataset.indexes if named[i - 1] or colours[i - 1] != ColorInterp.alpha]
     if given is not None:
         if len(given) != len(indexes):
             msg = f"{file.name} has {len(indexes)} bands, but {len(given)} names were given: {', '.join(given)}."
             raise InputError(msg)
         found: list[str | None] = list(given)
     else:
-        found = [BAND_WORDS.get((dataset.descriptions[i - 1] or "").strip().lower()) for i in indexes]
+        found = [described[i - 1] for i in indexes]
         if None in found:
             found = _from_words(words, len(indexes)) or [INTERPRETED.get(colours[i - 1]) for i in indexes]
         if len(indexes) == 4 and found == ["red", "green", "blue", None]:

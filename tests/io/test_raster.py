@@ -255,13 +255,19 @@ def test_tiles_and_colours_are_put_together(tmp_path):
         ("city_cir_2020.tif", 3, {}, ("red", "green", "nir")),
         ("scene.tif", 4, {"photometric": "RGB", "alpha": "YES"}, ("red", "green", "blue")),
         ("scene.tif", 4, {"photometric": "RGB", "alpha": "NO"}, ("red", "green", "blue", "nir")),
+        (
+            "scene.tif",
+            4,
+            {"alpha": "YES", "descriptions": ["Red", "Green", "Blue", "NIR"]},
+            ("red", "green", "blue", "nir"),
+        ),
         ("rgbn.tif", 4, {}, ("red", "green", "blue", "nir")),
         ("B08.tif", 1, {}, ("B08",)),
         ("scene.tif", 2, {}, ("band_1", "band_2")),
     ],
 )
 def test_band_names_come_from_what_the_file_says(tmp_path, name, count, options, expected):
-    """Descriptions, then words in the file's name, then colours, then the position; alpha is no band."""
+    """Descriptions, then words in the file's name, then colours, then the position; unnamed alpha is no band."""
     bands = read_bands(write(tmp_path / name, image(*range(1, count + 1)), transform=FINE, **options), SPEC)
     assert bands.names == expected
 
