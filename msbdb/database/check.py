@@ -11,6 +11,7 @@ from msbdb.errors import InputError, TableError
 from msbdb.tables import TABLES, Build, Table, validate, validate_parts
 
 _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
+_TABLES = {table.name: table for table in TABLES}
 _POINT = (shapely.GeometryType.POINT,)
 
 
@@ -37,8 +38,9 @@ def check_build(build: Build) -> None:
         _check_numbers(frame, table)
         if table.geometry:
             _check_geometries(frame, table)
-    validate_parts(build.frames["part"])
+    _check_keys(build.frames)
     _check_references(build.frames)
+    validate_parts(build.frames["part"])
 
 
 def geometries(frame: pd.DataFrame) -> NDArray[np.object_]:
@@ -66,9 +68,17 @@ def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
     _require(shapely.is_valid(shapes), frame, table, "the geometry is not valid")
 
 
+def _check_keys(frames: dict[str, pd.DataFrame]) -> None:
+    """Refuse two rows of one key."""
+    keys = ("scale", "scale"), ("spectral_class", "speindex"), ("building", "building_id"), ("building", "root_id")
+    for name, key in keys:
+        frame = frames[name]
+        _require(~frame[key].duplicated(), frame, _TABLES[name], f"{key} is given twice")
+
+
 def _check_references(frames: dict[str, pd.DataFrame]) -> None:
     """Refuse rows that speak of a scale, class or root that is not there."""
-    part, building = frames["part"], frames["building"]
+    part = frames["part"]
     roots = part.loc[part["supid"] == 0, "part_id"]
     classes = frames["spectral_class"]["speindex"]
     or_none = [*classes, 0]
@@ -79,14 +89,8 @@ def _check_references(frames: dict[str, pd.DataFrame]) -> None:
         ("building", "speindex", or_none),
         ("spectral_class_band", "speindex", classes),
     ):
-        table = next(t for t in TABLES if t.name == name)
         frame = frames[name]
-        _require(frame[column].isin(list(known)), frame, table, f"{column} names nothing that exists")
-    for name, key in (("scale", "scale"), ("spectral_class", "speindex"), ("building", "building_id")):
-        table = next(t for t in TABLES if t.name == name)
-        frame = frames[name]
-        _require(~frame[key].duplicated(), frame, table, f"{key} is given twice")
-    _require(~building["root_id"].duplicated(), building, TABLES[-1], "root_id is given twice")
+        _require(frame[column].isin(list(known)), frame, _TABLES[name], f"{column} names nothing that exists")
 
 
 def _require(holds: Collection[bool], frame: pd.DataFrame, table: Table, what: str) -> None:

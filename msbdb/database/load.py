@@ -19,6 +19,7 @@ from msbdb.database.dialect import Dialect, dialect_of
 from msbdb.database.engine import guarded, require_srid, shown
 from msbdb.database.models import Run, RunState, Source, Survey
 from msbdb.tables import TABLES, Build, Table
+from msbdb.threads import in_threads
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +32,9 @@ ORDER: dict[str, list[str]] = {
     "building": ["building_id"],
 }
 """The columns by which each table's rows are ordered, so that their order in the frames does not matter."""
+
+PACKING = 4
+"""Level of the rasters' compression: the last before it takes four times as long for files smaller by a twentieth."""
 
 _LOADED = ("scale", "spectral_class", "spectral_class_band", "part", "building", "rejection")
 """The tables in an order in which every row finds what it refers to."""
@@ -105,7 +109,7 @@ def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
     for name, values in sorted(build.state.items()):
         cells = _portable(values)
         digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
-        digest.update(cells.tobytes())
+        digest.update(cells.ravel().view(np.uint8))
     return digest.hexdigest()
 
 
@@ -115,6 +119,7 @@ def _write(
     """Replace or create the run; return which."""
     survey_id = text_id("survey", build.survey.name)
     run_id = text_id("run", build.survey.name, build.run.method)
+    rasters = in_threads(_raster_row, sorted(build.state.items()))
     with dialect.writing(engine) as connection:
         removed = connection.execute(delete(Run).where(Run.run_id == run_id)).rowcount
         dialect.settle(connection)
@@ -123,12 +128,17 @@ def _write(
         connection.execute(insert(Run), [plain(run)])
         for name in _LOADED:
             _write_frame(connection, dialect, build, name, frames[name], run_id=run_id, srid=srid)
-        for name, values in sorted(build.state.items()):
-            cells = _portable(values)
-            state = {"dtype": cells.dtype.str, "shape": list(cells.shape), "data": zlib.compress(cells.tobytes(), 6)}
-            connection.execute(insert(RunState), [{"run_id": run_id, "name": name, **state}])
+        for raster in rasters:
+            connection.execute(insert(RunState), [{"run_id": run_id, **raster}])
         dialect.after_load(connection)
     return "replaced" if removed else "created"
+
+
+def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return a raster's columns but the run's key, packed."""
+    name, values = named
+    cells = _portable(values)
+    return {"name": name, "dtype": cells.dtype.str, "shape": list(cells.shape), "data": zlib.compress(cells, PACKING)}
 
 
 def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, int]) -> bool:

@@ -3,8 +3,10 @@
 import logging
 import os
 import sqlite3
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,6 +25,7 @@ from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, Msbdb
 logger = logging.getLogger(__name__)
 
 MAGIC = b"SQLite format 3\x00"
+EXTENSION = "mod_spatialite"
 VERSION_TABLE = "msbdb_schema_version"
 
 
@@ -87,23 +90,31 @@ def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> No
     Raises
     ------
     DatabaseError
-        When the folder cannot be written, or another process created the file meanwhile.
+        When the folder cannot be written.
+
+    Notes
+    -----
+    When another process creates the file meanwhile, that file is kept.
     """
     path = _path(url)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    growing = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         _remove_leftovers(path)
-        partial.touch()
-        engine = make_engine(url.set(database=str(partial)), timeout_s)
+        growing.touch()
+        engine = make_engine(url.set(database=str(growing)), timeout_s)
         with engine.begin() as connection:
-            connection.execute(text("SELECT InitSpatialMetaData(0, 'NONE')"))
+            if not connection.scalar(text("SELECT InitSpatialMetaData(0, 'NONE')")):
+                msg = f"The database {path} could not be created: its first tables failed; free some space, try again."
+                raise DatabaseError(msg)
             fill(connection)
-        _publish(partial, path)
+        _publish(growing, path)
+    except FileExistsError:
+        logger.info("Another process created %s meanwhile", path)
     except OSError as error:
         msg = f"The database {path} cannot be created: {error.strerror}. Choose a folder that exists and is writable."
         raise DatabaseError(msg) from error
     finally:
-        _remove(partial)
+        _remove(growing)
 
 
 def make_engine(url: URL, timeout_s: float) -> Engine:
@@ -115,11 +126,10 @@ def make_engine(url: URL, timeout_s: float) -> Engine:
         url,
         module=_driver(),
         poolclass=NullPool,
-        connect_args={"timeout": timeout_s},
         hide_parameters=True,
         json_serializer=to_json,
     )
-    event.listen(engine, "connect", _prepare)
+    event.listen(engine, "connect", partial(_prepare, timeout_s=timeout_s))
     event.listen(engine, "begin", _begin)
     return engine
 
@@ -153,7 +163,10 @@ def writing(engine: Engine) -> Iterator[Connection]:
     goes back to the rollback journal, as a write-ahead file without its companions cannot be opened on read-only media.
     A reader that stays connected may hold up the way back; then the next writer takes it.
     """
-    _journal_mode(engine, "WAL")
+    try:
+        _journal_mode(engine, "WAL")
+    except _driver().Error as error:
+        raise explain(error, str(engine.url.database)) from error
     try:
         with engine.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
             yield connection
@@ -254,8 +267,8 @@ def _driver() -> ModuleType:
     return driver  # type: ignore[no-any-return]  # the library has no type information
 
 
-def _prepare(connection: Any, _record: object) -> None:  # noqa: ANN401  (either driver's connection)
-    """Set a new connection up: transactions are ours to begin, geometry functions, foreign keys."""
+def _prepare(connection: Any, _record: object, *, timeout_s: float) -> None:  # noqa: ANN401  (either driver's)
+    """Set a new connection up: transactions are ours to begin, geometry functions, foreign keys, the wait for locks."""
     # Loading mod_spatialite first and GDAL's Python libraries afterwards ends the process; this order does not.
     import pyogrio  # noqa: F401
     import rasterio  # noqa: F401
@@ -263,9 +276,9 @@ def _prepare(connection: Any, _record: object) -> None:  # noqa: ANN401  (either
     connection.isolation_level = None
     connection.enable_load_extension(True)
     try:
-        connection.load_extension("mod_spatialite")
+        connection.load_extension(EXTENSION)
     except Exception as error:
-        if "mod_spatialite" not in str(error):
+        if EXTENSION not in str(error):
             raise
         msg = (
             f"SpatiaLite could not be loaded: {error}. "
@@ -273,6 +286,8 @@ def _prepare(connection: Any, _record: object) -> None:  # noqa: ANN401  (either
         )
         raise MissingDependencyError(msg) from error
     connection.enable_load_extension(False)
+    # SpatiaLite sets a wait of its own when it is loaded, so that ours comes after it.
+    connection.execute(f"PRAGMA busy_timeout = {round(timeout_s * 1000)}")
     connection.execute("PRAGMA foreign_keys = ON")
 
 
@@ -286,36 +301,50 @@ def _journal_mode(engine: Engine, mode: str, *, wait: bool = True) -> None:
     connection = engine.raw_connection()
     try:
         cursor = connection.cursor()
-        if not wait:
-            cursor.execute("PRAGMA busy_timeout = 0")
-        cursor.execute(f"PRAGMA journal_mode = {mode}")
-        [found] = cursor.fetchall()[0]
+        cursor.execute("PRAGMA busy_timeout")
+        [timeout_ms] = cursor.fetchall()[0]
+        deadline = time.monotonic() + (timeout_ms / 1000 if wait else 0)
+        found = _try_journal_mode(cursor, mode, deadline)
         cursor.close()
     finally:
         connection.close()
-    if str(found).upper() != mode:
+    if found.upper() != mode:
         logger.info("The journal mode is %s; %s was not possible", found, mode)
 
 
-def _publish(partial: Path, path: Path) -> None:
+def _try_journal_mode(cursor: Any, mode: str, deadline: float) -> str:  # noqa: ANN401  (either driver's cursor)
+    """Try until the deadline, as SQLite itself does not wait when it changes the journal; return the mode found."""
+    while True:
+        try:
+            cursor.execute(f"PRAGMA journal_mode = {mode}")
+        except _driver().OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() >= deadline:
+                raise
+            time.sleep(0.05)
+        else:
+            [found] = cursor.fetchall()[0]
+            return str(found)
+
+
+def _publish(growing: Path, path: Path) -> None:
     """Give a whole file its name; a file that appeared there meanwhile is not replaced."""
-    with partial.open("rb") as file:
+    with growing.open("rb") as file:
         os.fsync(file.fileno())
     if path.exists() and path.stat().st_size == 0:
-        partial.replace(path)
+        growing.replace(path)
         return
     try:
-        path.hardlink_to(partial)
+        path.hardlink_to(growing)
     except FileExistsError:
         raise
     except OSError:
         # Some file systems have no hard links.
-        partial.rename(path)
+        growing.rename(path)
 
 
-def _remove(partial: Path) -> None:
-    """Remove a partial file and its journal."""
-    for file in (partial, partial.with_name(f"{partial.name}-journal")):
+def _remove(growing: Path) -> None:
+    """Remove a growing file and its journal."""
+    for file in (growing, growing.with_name(f"{growing.name}-journal")):
         try:
             file.unlink(missing_ok=True)
         except OSError as error:
@@ -324,10 +353,10 @@ def _remove(partial: Path) -> None:
 
 def _remove_leftovers(path: Path) -> None:
     """Remove the partial files of processes that have ended."""
-    for partial in path.parent.glob(f".{_escaped(path.name)}.*.partial"):
-        number = partial.name.removesuffix(".partial").rpartition(".")[2]
+    for growing in path.parent.glob(f".{_escaped(path.name)}.*.partial"):
+        number = growing.name.removesuffix(".partial").rpartition(".")[2]
         if number.isdigit() and not _runs(int(number)):
-            _remove(partial)
+            _remove(growing)
 
 
 def _escaped(name: str) -> str:

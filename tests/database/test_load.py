@@ -1,0 +1,375 @@
+"""Loading builds and reading them back: the same content, once, whole or not at all."""
+
+from dataclasses import replace
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+from builds import BLOCK, EPSG, HOUSE, LIFT, PODIUM, SHED, SLAB, small_build
+from geopandas.testing import assert_geodataframe_equal
+from sqlalchemy import Engine, text
+from sqlalchemy.exc import IntegrityError
+
+from msbdb.database import (
+    canonical_dump,
+    list_runs,
+    open_database,
+    read_build,
+    read_buildings,
+    read_class_bands,
+    read_classes,
+    read_parts,
+    read_rejections,
+    read_run,
+    read_scales,
+    read_state,
+    read_survey,
+    write_build,
+)
+from msbdb.database.dialect import dialect_of
+from msbdb.errors import InputError, LoadError, TableError
+from msbdb.tables import TABLES, Build
+
+
+def changed(build: Build, table: str, row: int = 0, **columns: Any) -> Build:
+    """Return a build with other values in one row of a table."""
+    frame = build.frames[table].copy()
+    for name, value in columns.items():
+        if name == "geometry":
+            frame[name] = np.array([value, *frame["geometry"][1:]], dtype=object)
+        else:
+            frame.loc[frame.index[row], name] = value
+    return replace(build, frames={**build.frames, table: frame})
+
+
+def assert_same_build(found: Build, expected: Build) -> None:
+    """Check that two builds hold the same, whatever the order of rows and sources."""
+    assert replace(found.survey, sources=()) == replace(expected.survey, sources=())
+    assert set(found.survey.sources) == set(expected.survey.sources)
+    assert (found.run.method, found.run.version) == (expected.run.method, expected.run.version)
+    assert (found.run.notices, found.run.counts) == (expected.run.notices, expected.run.counts)
+    for table in TABLES:
+        key = table.names[:2]
+        one = found.frames[table.name].sort_values(key, ignore_index=True)
+        two = expected.frames[table.name].sort_values(key, ignore_index=True)
+        check = assert_geodataframe_equal if table.geometry else pd.testing.assert_frame_equal
+        check(one, two)
+    assert sorted(found.state) == sorted(expected.state)
+    for name, values in expected.state.items():
+        np.testing.assert_array_equal(found.state[name], values, strict=True)
+
+
+def test_what_is_written_is_read(engine: Engine) -> None:
+    """Survey, run, all tables with their types and geometries, and the rasters come back as they were."""
+    report = write_build(engine, small_build())
+    assert report.status == "created"
+    assert report.rows["part"] == 6
+    assert_same_build(read_build(engine), small_build())
+
+
+def test_each_table_is_read_by_itself(engine: Engine) -> None:
+    """The readers of single tables agree with the build."""
+    build = small_build()
+    write_build(engine, build)
+    assert read_survey(engine).vertical_crs == "NAP height"
+    assert read_run(engine).timings == {"read": 0.5}
+    assert read_run(engine).parameters == {"scale": {"scales_m2": [20.0, 50.0, 200.0]}}
+    assert read_parts(engine)["part_id"].tolist() == [PODIUM, SLAB, LIFT, HOUSE, BLOCK, SHED]
+    assert read_parts(engine).crs.to_epsg() == EPSG
+    assert read_buildings(engine)["building_id"].tolist() == [PODIUM, HOUSE, BLOCK, SHED]
+    assert read_rejections(engine)["reason"].tolist() == ["same storeys", "vegetation", "vegetation"]
+    assert read_scales(engine)["threshold_m2"].tolist() == [200, 50, 20]
+    assert read_classes(engine)["labelled_by"].tolist() == ["automatic", "automatic", "operator"]
+    assert read_class_bands(engine)["mean"].tolist() == [11, 10, 21, 20, 31, 30]
+    assert read_state(engine)["ndsm"].dtype == np.float32
+    assert list_runs(engine)[["survey", "method", "epsg"]].to_numpy().tolist() == [["delft", "multiscale", EPSG]]
+
+
+def test_loading_twice_changes_nothing(engine: Engine) -> None:
+    """The second load finds its content and leaves all of it alone, with the timings of the first."""
+    first = write_build(engine, small_build())
+    before = list(canonical_dump(engine))
+    second = write_build(engine, small_build(timings={"read": 99.0}))
+    assert second == replace(first, status="unchanged")
+    assert list(canonical_dump(engine)) == before
+    assert read_run(engine).timings == {"read": 0.5}
+
+
+def test_the_order_of_rows_and_sources_is_of_no_matter(engine: Engine) -> None:
+    """Shuffled rows and sources are the same content."""
+    build = small_build()
+    write_build(engine, build)
+    shuffled = {name: frame.sample(frac=1, random_state=7) for name, frame in build.frames.items()}
+    survey = replace(build.survey, sources=build.survey.sources[::-1])
+    assert write_build(engine, replace(build, frames=shuffled, survey=survey)).status == "unchanged"
+
+
+def test_where_a_ring_begins_is_of_no_matter(engine: Engine) -> None:
+    """The same outline from another corner is the same content."""
+    build = small_build()
+    write_build(engine, build)
+    turned = [shapely.reverse(shape) for shape in build.frames["part"]["geometry"]]
+    frames = {**build.frames, "part": build.frames["part"].set_geometry(turned, crs=EPSG)}
+    assert write_build(engine, replace(build, frames=frames)).status == "unchanged"
+
+
+def test_other_content_replaces_the_runs_rows(engine: Engine) -> None:
+    """After a change the database holds what a fresh one would hold."""
+    write_build(engine, small_build())
+    other = changed(small_build(version="0.2.0"), "part", h_max=50.0)
+    frames = {**other.frames, "rejection": other.frames["rejection"][:1]}
+    other = replace(other, frames=frames, survey=replace(other.survey, date="2021-01-01", sources=()))
+    assert write_build(engine, other).status == "replaced"
+    assert_same_build(read_build(engine), other)
+
+
+def test_a_changed_raster_is_a_change(engine: Engine) -> None:
+    """The state is part of the content."""
+    build = small_build()
+    write_build(engine, build)
+    state = {**build.state, "ndsm": build.state["ndsm"] + np.float32(1)}
+    assert write_build(engine, replace(build, state=state)).status == "replaced"
+    assert read_state(engine)["ndsm"][0, 0] == 1
+
+
+def test_rows_that_were_deleted_by_hand_come_back(engine: Engine) -> None:
+    """The digest alone is not believed."""
+    write_build(engine, small_build())
+    before = list(canonical_dump(engine))
+    with engine.begin() as connection:
+        connection.execute(text("DELETE FROM rejection"))
+    assert write_build(engine, small_build()).status == "replaced"
+    assert list(canonical_dump(engine)) == before
+
+
+def test_surveys_live_side_by_side(engine: Engine) -> None:
+    """Replacing one survey leaves the others alone, and the order of loading is of no matter."""
+    write_build(engine, small_build("delft"))
+    write_build(engine, small_build("leiden", shift=1000))
+    before = list(canonical_dump(engine))
+    write_build(engine, small_build("delft", version="9"))
+    assert list(canonical_dump(engine)) != before
+    assert write_build(engine, small_build("leiden", shift=1000)).status == "unchanged"
+    write_build(engine, small_build("delft"))
+    assert list(canonical_dump(engine)) == before
+    with pytest.raises(InputError, match=r"2 runs.*delft, multiscale; leiden, multiscale"):
+        read_parts(engine)
+    assert read_parts(engine, "leiden")["part_id"].min() == PODIUM + 1000
+
+
+def test_methods_live_side_by_side(engine: Engine) -> None:
+    """A survey has one run for each method."""
+    write_build(engine, small_build())
+    write_build(engine, small_build(method="flatregions", shift=1000))
+    assert list_runs(engine)["method"].tolist() == ["flatregions", "multiscale"]
+    assert len(read_parts(engine, method="multiscale")) == 6
+    with pytest.raises(InputError, match="0 runs of survey delft, method adaptive"):
+        read_parts(engine, "delft", "adaptive")
+
+
+def test_a_build_without_buildings_is_stored(engine: Engine) -> None:
+    """A flat field gives an empty but valid database."""
+    build = small_build()
+    frames = {name: frame if name == "scale" else frame[:0] for name, frame in build.frames.items()}
+    empty = replace(build, frames=frames, state={})
+    assert write_build(engine, empty).rows["part"] == 0
+    assert_same_build(read_build(engine), empty)
+    assert write_build(engine, empty).status == "unchanged"
+
+
+def test_polygons_become_multipolygons(engine: Engine) -> None:
+    """Single outlines are stored as the declared type."""
+    build = small_build()
+    parts = build.frames["part"]
+    single = parts.set_geometry([shape.geoms[0] for shape in parts["geometry"]], crs=EPSG)
+    write_build(engine, replace(build, frames={**build.frames, "part": single}))
+    assert_same_build(read_build(engine), build)
+    assert write_build(engine, build).status == "unchanged"
+
+
+def test_words_stay_words(engine: Engine) -> None:
+    """Names with quotes, SQL, wildcards and foreign letters are data."""
+    name = 'Robert\'); DROP TABLE part; -- "x" %s :run ? ø\\n日本'
+    write_build(engine, small_build(name, notices=("a 'quoted' \"sentence\"; --", "tab\tand\nline")))
+    assert list_runs(engine)["survey"].tolist() == [name]
+    assert read_build(engine, name).run.notices == ("a 'quoted' \"sentence\"; --", "tab\tand\nline")
+    with pytest.raises(InputError, match="0 runs"):
+        read_parts(engine, "' OR 1=1 --")
+
+
+BAD = {
+    "an orphan": ("part", {"row": 1, "supid": 4711}, "father that does not exist"),
+    "a missing height": ("part", {"h_max": np.nan}, "h_max is missing"),
+    "an infinite area": ("building", {"area_m2": np.inf}, "area_m2 is missing or infinite"),
+    "an unknown scale": ("part", {"scale": 9}, "scale names nothing"),
+    "an unknown class": ("building", {"speindex": 9}, "speindex names nothing"),
+    "a building without root": ("building", {"root_id": SLAB}, "root_id names nothing"),
+    "a scale given twice": ("scale", {"scale": 2}, "scale is given twice"),
+    "no geometry": ("part", {"geometry": None}, "is no MULTIPOLYGON"),
+    "a line": ("part", {"geometry": shapely.LineString([(0, 0), (1, 1)])}, "is no MULTIPOLYGON"),
+    "an empty geometry": ("building", {"geometry": shapely.MultiPolygon()}, "is empty"),
+    "a bow tie": ("part", {"geometry": shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)])}, "is not valid"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_breaks_the_declaration_is_refused_by_name(tmp_path, case: str) -> None:
+    """The error names the table, the rule and the row, before anything is written."""
+    engine = open_database(tmp_path / "city.sqlite", create=True, srid=EPSG)
+    table, columns, message = BAD[case]
+    before = list(canonical_dump(engine))
+    with pytest.raises(TableError, match=message):
+        write_build(engine, changed(small_build(), table, **columns))
+    assert list(canonical_dump(engine)) == before
+
+
+def test_missing_tables_and_names_are_refused(tmp_path) -> None:
+    """A build has all tables, a survey's name and a method."""
+    engine = open_database(tmp_path / "city.sqlite", create=True, srid=EPSG)
+    build = small_build()
+    with pytest.raises(TableError, match="needs the tables"):
+        write_build(engine, replace(build, frames={"part": build.frames["part"]}))
+    with pytest.raises(InputError, match="name"):
+        write_build(engine, small_build(" "))
+
+
+def test_refused_rows_leave_everything_as_it_was(engine: Engine) -> None:
+    """Ids that another survey holds are refused by the database, and nothing of the build stays."""
+    write_build(engine, small_build("delft"))
+    before = list(canonical_dump(engine))
+    with pytest.raises(LoadError, match="refused"):
+        write_build(engine, small_build("leiden"))
+    with pytest.raises(LoadError, match="refused"):
+        write_build(engine, changed(small_build("delft", version="2"), "building", state="perhaps"))
+    assert list(canonical_dump(engine)) == before
+
+
+FOREST = {
+    "a father that does not exist": "supid = 4711",
+    "a father of another scale": "supscale = 2, scale = 3",
+    "a father of another tree": f"root_id = {HOUSE}",
+    "a father on no coarser scale": "scale = 1",
+    "a child without SUPSCALE": "supscale = 0",
+    "a root in another's tree": "supid = 0, supscale = 0",
+    "a scale that does not exist": "scale = 9",
+    "a class that does not exist": "speindex = 9",
+    "a run that does not exist": "run_id = 1",
+    "no area": "area_m2 = 0",
+}
+
+
+@pytest.mark.parametrize("case", FOREST)
+def test_the_database_itself_holds_the_forest(engine: Engine, case: str) -> None:
+    """Keys and checks refuse a broken tree, whoever writes it."""
+    write_build(engine, small_build())
+    update = text(f"UPDATE part SET {FOREST[case]} WHERE part_id = :part")
+    with pytest.raises(IntegrityError), engine.begin() as connection:
+        connection.execute(update, {"part": SLAB})
+    assert_same_build(read_build(engine), small_build())
+
+
+def test_a_father_with_children_cannot_be_deleted(engine: Engine) -> None:
+    """Deleting a survey deletes all that it made; deleting a father alone is refused."""
+    write_build(engine, small_build())
+    with pytest.raises(IntegrityError), engine.begin() as connection:
+        connection.execute(text("DELETE FROM part WHERE part_id = :part"), {"part": SLAB})
+    with engine.begin() as connection:
+        connection.execute(text("DELETE FROM survey WHERE name = 'delft'"))
+    with engine.connect() as connection:
+        for table in ("part", "building", "rejection", "run", "run_state", "spectral_class_band", "source"):
+            assert connection.scalar(text(f"SELECT count(*) FROM {table}")) == 0
+
+
+def test_readers_see_the_old_state_until_the_commit(engine: Engine) -> None:
+    """A reader is neither disturbed by a writer nor shown half of its work."""
+    write_build(engine, small_build())
+    count = text("SELECT count(*) FROM part")
+    with dialect_of(engine.url).writing(engine) as writer:
+        writer.execute(text("DELETE FROM run"))
+        assert writer.scalar(count) == 0
+        with engine.connect() as reader:
+            assert reader.scalar(count) == 6
+    with engine.connect() as reader:
+        assert reader.scalar(count) == 0
+
+
+def test_a_reader_that_stays_keeps_its_state(engine: Engine) -> None:
+    """An open reader does not stop a writer that began, and the file is whole afterwards."""
+    write_build(engine, small_build())
+    count = text("SELECT count(*) FROM rejection")
+    with dialect_of(engine.url).writing(engine) as writer:
+        # A plain PostgreSQL reader sees each commit at once; SQLite keeps a reader's state by itself.
+        level = {"isolation_level": "REPEATABLE READ"} if engine.dialect.name == "postgresql" else {}
+        reader = engine.connect().execution_options(**level)
+        assert reader.scalar(count) == 3
+        writer.execute(text("DELETE FROM rejection"))
+    assert reader.scalar(count) == 3
+    reader.close()
+    with engine.connect() as later:
+        assert later.scalar(count) == 0
+    assert write_build(engine, small_build()).status == "replaced"
+
+
+def test_a_file_at_rest_is_one_file(tmp_path) -> None:
+    """After a load there is no journal beside the file, so that it opens on read-only media."""
+    engine = open_database(tmp_path / "city.sqlite", create=True, srid=EPSG)
+    write_build(engine, small_build())
+    assert [p.name for p in tmp_path.iterdir()] == ["city.sqlite"]
+    with engine.connect() as connection:
+        assert connection.scalar(text("PRAGMA journal_mode")) == "delete"
+
+
+def test_the_dump_is_the_content_and_nothing_else(engine: Engine) -> None:
+    """Timings stay out; a metre of height shows."""
+    write_build(engine, small_build())
+    before = list(canonical_dump(engine))
+    assert not any("timings" in line or "read" in line for line in before)
+    assert '["scale", ' in "".join(before)
+    write_build(engine, changed(small_build(), "building", h_max=22.5))
+    after = list(canonical_dump(engine))
+    assert sum(one != two for one, two in zip(before, after, strict=True)) == 1
+
+
+@pytest.mark.postgis
+def test_both_dialects_dump_the_same(tmp_path, new_postgis) -> None:
+    """The content is equal line by line, the views row by row."""
+    engines = [open_database(t, create=True, srid=EPSG) for t in (tmp_path / "city.sqlite", new_postgis())]
+    for engine in engines:
+        write_build(engine, small_build("Ävila"))
+        write_build(engine, small_build("a b", shift=1000))
+        write_build(engine, small_build("A c", shift=2000))
+    one, two = (list(canonical_dump(engine)) for engine in engines)
+    assert one == two
+    for view, key in (("footprint", "part_id"), ("part_tree", "part_id"), ("building_summary", "building_id")):
+        frames = []
+        for engine in engines:
+            with engine.connect() as connection:
+                rows = connection.execute(text(f"SELECT * FROM {view} ORDER BY {key}")).mappings().all()
+            frames.append([{name: value for name, value in row.items() if name != "geometry"} for row in rows])
+        assert frames[0] == frames[1]
+        assert len(frames[0]) > 0
+
+
+def test_views_show_the_trees(engine: Engine) -> None:
+    """Footprints are the roots, the tree has depths and paths, and the summary estimates floor areas."""
+    write_build(engine, small_build())
+    with engine.connect() as connection:
+        roots = connection.execute(text("SELECT part_id, state FROM footprint ORDER BY part_id")).all()
+        tree = connection.execute(text("SELECT part_id, depth, path FROM part_tree ORDER BY part_id")).all()
+        floors = connection.execute(text("SELECT floor_area_m2 FROM building_summary ORDER BY building_id")).all()
+    assert roots == [(part, "confirmed") for part in (PODIUM, HOUSE, BLOCK, SHED)]
+    assert tree[2] == (LIFT, 2, f"{PODIUM}/{SLAB}/{LIFT}")
+    assert [depth for _, depth, _ in tree] == [0, 1, 2, 0, 0, 0]
+    assert [area for (area,) in floors] == [3 * 1200 + 3 * 200 + 20, 200, 3200, 30]
+
+
+def test_frames_of_plain_pandas_are_taken(engine: Engine) -> None:
+    """Geometries may come in a plain frame."""
+    build = small_build()
+    plain = {name: pd.DataFrame(frame) for name, frame in build.frames.items()}
+    assert not any(isinstance(frame, gpd.GeoDataFrame) for frame in plain.values())
+    write_build(engine, replace(build, frames=plain))
+    assert_same_build(read_build(engine), build)
