@@ -109,7 +109,7 @@ def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
     for name, values in sorted(build.state.items()):
         cells = _portable(values)
         digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
-        digest.update(cells.ravel().view(np.uint8))
+        digest.update(cells.ravel().data)
     return digest.hexdigest()
 
 
@@ -138,7 +138,12 @@ def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
     """Return a raster's columns but the run's key, packed."""
     name, values = named
     cells = _portable(values)
-    return {"name": name, "dtype": cells.dtype.str, "shape": list(cells.shape), "data": zlib.compress(cells, PACKING)}
+    return {
+        "name": name,
+        "dtype": cells.dtype.str,
+        "shape": list(cells.shape),
+        "data": zlib.compress(cells.data, PACKING),
+    }
 
 
 def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, int]) -> bool:
