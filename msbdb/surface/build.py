@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from msbdb.surface.gridding import Samples, cell_size, density, fill_gaps, sampl
 from msbdb.surface.ground import terrain
 from msbdb.surface.heights import normalise
 from msbdb.surface.texture import echoes, grid_samples, roughness
+from msbdb.threads import in_threads
 
 logger = logging.getLogger(__name__)
 
@@ -109,8 +111,7 @@ def cover_from_surface(
         In the small window.
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
-    rough = roughness(surface.samples, small_m)
-    wide = roughness(surface.samples, wide_m)
+    rough, wide = in_threads(partial(roughness, surface.samples), (small_m, wide_m))
     found = (
         None
         if points is None

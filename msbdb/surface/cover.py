@@ -4,6 +4,9 @@ The log-odds of roof against vegetation are summed over the evidence of each cel
 again a region at a time. All values are ours, calibrated together on tiles of four surveys and on thinned copies.
 """
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, label, maximum_filter, minimum_filter
@@ -12,6 +15,7 @@ from msbdb.classmap import ClassMap
 from msbdb.grid import Grid
 from msbdb.params import CoverParams
 from msbdb.surface.texture import Echoes
+from msbdb.threads import in_threads
 
 ROOF, VEGETATION = 1, 2
 """Indices of the structural classes."""
@@ -85,9 +89,10 @@ def smooth_share(odds: Field, raised: Mask, sigma_cells: float) -> Field:
     """Mean probability of roof around a cell, over raised cells only (normalised Gaussian)."""
     probability = np.where(raised, 1 / (1 + np.exp(-np.clip(odds, -30, 30))), 0).astype(np.float32)
     sigma = max(sigma_cells, 0.7)
-    weight = gaussian_filter(raised.astype(np.float32), sigma, mode="constant", truncate=2.5)
-    share: Field = gaussian_filter(probability, sigma, mode="constant", truncate=2.5) / np.maximum(weight, 1e-3)
-    return share
+    blur = partial(gaussian_filter, sigma=sigma, mode="constant", truncate=2.5)
+    share, weight = in_threads(blur, (probability, raised.astype(np.float32)))
+    share /= np.maximum(weight, 1e-3)
+    return np.asarray(share)
 
 
 def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverParams) -> Mask:
@@ -148,11 +153,16 @@ def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params:
 def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: CoverParams) -> Mask:
     """Give the roofs' edges back: raised neighbours of like height, a cell at a time, and then the small holes."""
     for _ in range(round(params.grow_m / cell_m)):
-        upper = maximum_filter(np.where(roof, heights, -np.inf), 3, mode="nearest")
-        lower = minimum_filter(np.where(roof, heights, np.inf), 3, mode="nearest")
+        upper, lower = in_threads(partial(_around, roof, heights), (maximum_filter, minimum_filter))
         near = np.minimum(np.abs(heights - upper), np.abs(heights - lower)) < params.grow_step_m
         roof = roof | (raised & near)
     return roof | (_small(~roof, params.hole_m2 / cell_m**2, eight=False) & raised)
+
+
+def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
+    """Highest or lowest roof in the 3 by 3 cells around each cell; infinite where there is none."""
+    none = -np.inf if extreme is maximum_filter else np.inf
+    return extreme(np.where(roof, heights, none), 3, mode="nearest")
 
 
 def _small(mask: Mask, cells: float, *, eight: bool) -> Mask:
