@@ -377,12 +377,12 @@ def attached_to_slope(seed: int = 0, density: float = 4.0, **options: object) ->
     return scan(world, seed=seed, density=density, **options)
 
 
-def plateau(seed: int = 0, density: float = 4.0, **options: object) -> Scene:
-    """Scan an earthwork of 44 m by 44 m, 5 m high with banks of 2 m, a house on it and a house below."""
+def plateau(seed: int = 0, density: float = 4.0, bank_m: float = 2.0, **options: object) -> Scene:
+    """Scan an earthwork of 48 m by 48 m, 5 m high with banks of 2 m unless given, a house on it and one below."""
 
     def relief(x: Array, y: Array) -> Array:
         inward = np.minimum(np.minimum(x - 10, 58 - x), np.minimum(y - 40, 88 - y))
-        return DATUM_M + 5.0 * np.clip(inward / 2.0, 0, 1)
+        return DATUM_M + 5.0 * np.clip(inward / bank_m, 0, 1)
 
     blocks = (
         Block("upper", 25, 55, 14, 12, DATUM_M + 5 + 6.5, 1),

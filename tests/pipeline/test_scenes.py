@@ -227,6 +227,15 @@ def test_a_steep_earthwork_passes_for_a_building(built):
     assert lower["storeys"] == 2
 
 
+@pytest.mark.parametrize("profile_name", ["default", "vu2009"])
+def test_an_earthwork_with_common_banks_is_ground(built, profile_name):
+    """Banks of 1 in 1.5, as dykes and dams have them, are told from walls; both houses are right."""
+    outcome = built("plateau", profile_name, bank_m=7.5)
+    assert outcome.report.buildings == 2
+    assert min(outcome.overlap(number) for number in (1, 2)) > 0.95
+    assert outcome.buildings["storeys"].tolist() == [2, 2]
+
+
 def test_ground_classes_settle_the_earthwork(built):
     """With class 2 in the file the plateau is ground, and both houses are right."""
     outcome = built("plateau", classified=True)
