@@ -163,6 +163,7 @@ def writing(engine: Engine) -> Iterator[Connection]:
     goes back to the rollback journal, as a write-ahead file without its companions cannot be opened on read-only media.
     A reader that stays connected may hold up the way back; then the next writer takes it.
     """
+    _remove_leftovers(_path(engine.url))
     try:
         _journal_mode(engine, "WAL")
     except _driver().Error as error:

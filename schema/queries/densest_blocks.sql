@@ -3,10 +3,13 @@
 --
 -- :block_m = 100  side of a block, metres
 -- :count = 10  how many to list
+WITH block AS (
+  SELECT CAST(:block_m AS DOUBLE PRECISION) AS side
+)
 SELECT survey,
-       FLOOR(xcen / :block_m) * :block_m AS west, FLOOR(ycen / :block_m) * :block_m AS south,
-       COUNT(*) AS buildings, SUM(area_m2) / (:block_m * :block_m) AS built_share, MAX(storeys) AS most_storeys
-FROM building_summary
-GROUP BY survey, FLOOR(xcen / :block_m), FLOOR(ycen / :block_m)
+       FLOOR(xcen / side) * side AS west, FLOOR(ycen / side) * side AS south,
+       COUNT(*) AS buildings, SUM(area_m2) / (side * side) AS built_share, MAX(storeys) AS most_storeys
+FROM building_summary CROSS JOIN block
+GROUP BY survey, side, FLOOR(xcen / side), FLOOR(ycen / side)
 ORDER BY built_share DESC, west, south
 LIMIT :count;

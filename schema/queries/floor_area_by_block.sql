@@ -2,10 +2,13 @@
 -- which it rises above its father. The floor area ratio is the floor area over the block's area.
 --
 -- :block_m = 100  side of a block, metres
+WITH block AS (
+  SELECT CAST(:block_m AS DOUBLE PRECISION) AS side
+)
 SELECT survey,
-       FLOOR(xcen / :block_m) * :block_m AS west, FLOOR(ycen / :block_m) * :block_m AS south,
+       FLOOR(xcen / side) * side AS west, FLOOR(ycen / side) * side AS south,
        COUNT(*) AS buildings, SUM(floor_area_m2) AS floor_area_m2,
-       SUM(floor_area_m2) / (:block_m * :block_m) AS floor_area_ratio
-FROM building_summary
-GROUP BY survey, FLOOR(xcen / :block_m), FLOOR(ycen / :block_m)
+       SUM(floor_area_m2) / (side * side) AS floor_area_ratio
+FROM building_summary CROSS JOIN block
+GROUP BY survey, side, FLOOR(xcen / side), FLOOR(ycen / side)
 ORDER BY floor_area_m2 DESC, west, south;

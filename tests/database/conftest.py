@@ -6,49 +6,84 @@ from pathlib import Path
 
 import psycopg
 import pytest
-from builds import EPSG
+from builds import EPSG, small_build
 from sqlalchemy import URL, Engine, make_url
 
-from msbdb.database import open_database
+from msbdb.database import open_database, write_build
+
+EMPTY = """
+SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid();
+DROP EXTENSION IF EXISTS postgis CASCADE;
+DROP SCHEMA public CASCADE;
+CREATE SCHEMA public;
+CREATE EXTENSION postgis;
+"""
 
 
-def admin(url: URL, *statements: str) -> None:
-    """Run statements outside a transaction."""
+class Databases:
+    """Empty databases on the server, used again and again, as dropping one takes the server a while."""
+
+    def __init__(self, url: URL) -> None:
+        self.url = url
+        self.names: list[str] = []
+        self.free: list[str] = []
+
+    def acquire(self) -> str:
+        """Return the URL of an empty database with PostGIS."""
+        if not self.free:
+            self.names.append(f"msbdb_test_{os.getpid()}_{len(self.names)}")
+            run_on(self.url, f"CREATE DATABASE {self.names[-1]}")
+            self.free.append(self.names[-1])
+        url = self.url.set(database=self.free.pop())
+        run_on(url, EMPTY)
+        return url.render_as_string(hide_password=False)
+
+    def release(self, urls: list[str]) -> None:
+        """Take databases back."""
+        self.free += [str(make_url(url).database) for url in urls]
+
+    def drop(self) -> None:
+        """Leave nothing behind on the server."""
+        for name in self.names:
+            run_on(self.url, f"DROP DATABASE {name} WITH (FORCE)")
+
+
+def run_on(url: URL, statements: str) -> None:
+    """Run statements outside a transaction of ours."""
     conninfo = url.set(drivername="postgresql").render_as_string(hide_password=False)
     with psycopg.connect(conninfo, autocommit=True) as connection:
-        for statement in statements:
-            connection.execute(statement)
+        connection.execute("SET client_min_messages = warning")
+        connection.execute(statements.encode())
 
 
 @pytest.fixture(scope="session")
-def postgis_server() -> Iterator[tuple[URL, str]]:
-    """Return the server's URL and the name of an empty database with PostGIS, from which others are copied."""
+def databases() -> Iterator[Databases]:
+    """Return the server's databases."""
     words = os.environ.get("MSBDB_TEST_POSTGIS")
     if not words:
         pytest.skip("MSBDB_TEST_POSTGIS names no PostGIS server")
-    url, template = make_url(words), f"msbdb_template_{os.getpid()}"
-    admin(url, f"CREATE DATABASE {template}")
-    admin(url.set(database=template), "CREATE EXTENSION postgis")
-    yield url, template
-    admin(url, f"DROP DATABASE {template} WITH (FORCE)")
+    made = Databases(make_url(words))
+    yield made
+    made.drop()
 
 
 @pytest.fixture
-def new_postgis(postgis_server: tuple[URL, str]) -> Iterator[Callable[[], str]]:
-    """Return a maker of URLs of fresh empty databases, which are dropped in the end."""
-    url, template = postgis_server
-    made: list[str] = []
+def new_postgis(databases: Databases) -> Iterator[Callable[[], str]]:
+    """Return a maker of URLs of empty databases with PostGIS."""
+    urls: list[str] = []
 
     def make() -> str:
-        made.append(f"msbdb_test_{os.getpid()}_{len(made)}")
-        admin(url, f"CREATE DATABASE {made[-1]} TEMPLATE {template}")
-        return url.set(database=made[-1]).render_as_string(hide_password=False)
+        urls.append(databases.acquire())
+        return urls[-1]
 
     yield make
-    admin(url, *(f"DROP DATABASE {name} WITH (FORCE)" for name in made))
+    databases.release(urls)
 
 
-@pytest.fixture(params=["spatialite", pytest.param("postgis", marks=pytest.mark.postgis)])
+BOTH = ["spatialite", pytest.param("postgis", marks=pytest.mark.postgis)]
+
+
+@pytest.fixture(params=BOTH)
 def target(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """Return a path or URL where a database can be created, on each dialect."""
     if request.param == "spatialite":
@@ -60,3 +95,17 @@ def target(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def engine(target: str) -> Engine:
     """Return a new, empty database."""
     return open_database(target, create=True, srid=EPSG)
+
+
+@pytest.fixture(scope="module", params=BOTH)
+def loaded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
+    """Return a database that holds the small build, for tests that only read."""
+    if request.param == "spatialite":
+        place = str(tmp_path_factory.mktemp("loaded") / "city.sqlite")
+    else:
+        place = request.getfixturevalue("databases").acquire()
+    engine = open_database(place, create=True, srid=EPSG)
+    write_build(engine, small_build())
+    yield engine
+    if request.param == "postgis":
+        request.getfixturevalue("databases").release([place])

@@ -1,0 +1,71 @@
+"""A kill at any moment of a load leaves the last committed state readable, and the next load completes."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from builds import EPSG, big_build, small_build
+
+from msbdb.database import canonical_dump, open_database, read_parts, write_build
+
+ROOT = Path(__file__).resolve().parents[2]
+
+LOADER = """
+import sys
+from builds import big_build
+from msbdb.database import open_database, {dialect}, write_build
+
+def stop_here(original):
+    def stopped(*args, **options):
+        original(*args, **options)
+        print("here", flush=True)
+        sys.stdin.read()
+    return stopped
+
+{dialect}.{function} = stop_here({dialect}.{function})
+write_build(open_database(sys.argv[1]), big_build(3000))
+"""
+
+
+def killed_load(target: str, function: str) -> None:
+    """Load 6000 parts in another process, and kill it after a hook of the dialect was called."""
+    code = LOADER.format(dialect="postgis" if "://" in target else "spatialite", function=function)
+    env = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
+    call = [sys.executable, "-c", code, target]
+    process = subprocess.Popen(call, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdin is not None
+    assert process.stdout.readline() == "here\n"
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    process.stdin.close()
+    process.stdout.close()
+
+
+@pytest.mark.parametrize("function", ["insert_rows", "after_load"])
+def test_a_kill_during_a_load_leaves_the_old_state(target: str, function: str) -> None:
+    """Whether rows are half written or all but committed, readers see what was there before."""
+    engine = open_database(target, create=True, srid=EPSG)
+    write_build(engine, small_build())
+    before = list(canonical_dump(engine))
+    killed_load(target, function)
+    assert list(canonical_dump(open_database(target))) == before
+    assert write_build(engine, big_build(3000)).status == "replaced"
+    assert len(read_parts(engine)) == 6000
+    if engine.dialect.name == "sqlite":
+        assert [p.name for p in Path(target).parent.iterdir()] == ["city.sqlite"]
+
+
+@pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="GDAL's tools (gdal-bin) are not installed")
+def test_a_read_only_client_reads_after_a_kill(tmp_path: Path) -> None:
+    """GDAL, opening for reading alone, is first at the file after the kill, and sees the old state."""
+    target = str(tmp_path / "city.sqlite")
+    write_build(open_database(target, create=True, srid=EPSG), small_build())
+    killed_load(target, "after_load")
+    call = ["ogrinfo", "-ro", "-so", target, "part"]
+    done = subprocess.run(call, capture_output=True, text=True, check=True)
+    assert "Feature Count: 6\n" in done.stdout

@@ -1,0 +1,170 @@
+"""The models, the migrations, the generated schema and the database agree."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from builds import EPSG
+from sqlalchemy import Connection, Engine, text
+
+from msbdb.database import open_database, upgrade
+from msbdb.database.crs import crs_from, register
+from msbdb.database.dialect import dialect_of
+from msbdb.database.engine import database_url
+from msbdb.database.models import SPATIAL, Base
+from msbdb.database.schema import ddl, dictionary, statements
+from msbdb.database.views import VIEWS
+from msbdb.errors import DatabaseError
+from msbdb.tables import TABLES
+
+ROOT = Path(__file__).resolve().parents[2]
+
+POSTGIS_OBJECTS = """
+SELECT 'column', table_name || '.' || column_name, data_type || ' ' || is_nullable || ' ' || udt_name || ' '
+       || COALESCE(generation_expression, '') || ' ' || ordinal_position
+FROM information_schema.columns WHERE table_schema = 'public' AND table_name <> 'spatial_ref_sys'
+UNION ALL
+SELECT 'constraint', conname, pg_get_constraintdef(oid) FROM pg_constraint WHERE connamespace = 'public'::regnamespace
+UNION ALL
+SELECT 'index', indexname, indexdef FROM pg_indexes WHERE schemaname = 'public'
+UNION ALL
+SELECT 'view', viewname, definition FROM pg_views WHERE schemaname = 'public'
+UNION ALL
+SELECT 'comment', c.relname || '.' || d.objsubid, d.description
+FROM pg_description d JOIN pg_class c ON c.oid = d.objoid WHERE c.relnamespace = 'public'::regnamespace
+UNION ALL
+SELECT 'geometry', f_table_name, type || srid FROM geometry_columns
+"""
+
+
+def objects(connection: Connection) -> set[tuple[str, ...]]:
+    """Return all tables, constraints, indexes, views and comments of a database, as it keeps them."""
+    if connection.dialect.name == "postgresql":
+        # The version table is Alembic's own and has its own name for the primary key.
+        rows = connection.execute(text(POSTGIS_OBJECTS)).all()
+        return {tuple(map(str, row)) for row in rows if "msbdb_schema_version" not in str(row)}
+    rows = connection.execute(text("SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL")).all()
+    rows += connection.execute(
+        text("SELECT 'geometry', f_table_name, geometry_type * srid FROM geometry_columns")
+    ).all()
+    rows += connection.execute(text("SELECT 'view', view_name, view_rowid FROM views_geometry_columns"))
+    found = {tuple("".join(str(cell).split()).replace('"', "") for cell in row) for row in rows}
+    return {row for row in found if "msbdb_schema_version" not in row[1]}
+
+
+def test_migrated_database_equals_the_generated_schema(engine: Engine, request: pytest.FixtureRequest) -> None:
+    """Creating by migrations and running ``schema/*.sql`` give the same tables, keys, checks, indexes and views."""
+    is_postgis = engine.dialect.name == "postgresql"
+    if is_postgis:
+        other = database_url(request.getfixturevalue("new_postgis")())
+    else:
+        other = database_url(request.getfixturevalue("tmp_path") / "generated.sqlite")
+    generated = dialect_of(other).make_engine(other, 5)
+    with generated.begin() as connection:
+        first, *others = statements("postgis" if is_postgis else "spatialite", EPSG)
+        connection.exec_driver_sql(first)
+        register(connection, EPSG, crs_from(EPSG, ""))
+        for statement in others:
+            connection.exec_driver_sql(statement.replace("%", "%%") if is_postgis else statement)
+    with engine.connect() as one, generated.connect() as two:
+        assert objects(one) == objects(two)
+        assert len(objects(one)) > 40
+
+
+def same_type(_context: Any, _inspected: Any, _column: Any, found: Any, declared: Any) -> bool | None:
+    """Tell whether types differ; a geometry's SRID is the database's."""
+    if hasattr(declared, "geometry_type"):
+        return (found.geometry_type, found.srid) != (declared.geometry_type, EPSG)
+    return None
+
+
+def test_alembic_sees_no_difference_between_models_and_database(engine: Engine) -> None:
+    """``compare_metadata`` is empty: tables, columns, types, nulls, comments, unique constraints, indexes, keys."""
+    options = {
+        "compare_type": same_type,
+        "include_name": lambda name, kind, _parents: kind != "table" or name in Base.metadata.tables,
+        "include_object": lambda _item, name, kind, *_: not (kind == "index" and name.startswith("idx_")),
+        "version_table": upgrade.VERSION_TABLE,
+    }
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts=options)
+        assert compare_metadata(context, Base.metadata) == []
+
+
+def test_every_declared_column_is_in_the_models() -> None:
+    """The models take names, meanings and nullability from the declared tables."""
+    for table in TABLES:
+        columns = Base.metadata.tables[table.name].columns
+        for declared in table.columns:
+            column = columns[declared.name]
+            assert str(column.comment).startswith(declared.doc)
+            assert column.nullable == declared.nullable
+        assert ("geometry" in columns) == (table.geometry is not None)
+        assert SPATIAL.get(table.name) == table.geometry
+
+
+@pytest.mark.parametrize("name", ["spatialite.sql", "postgis.sql", "dictionary.md"])
+def test_generated_files_are_up_to_date(name: str) -> None:
+    """What lies in ``schema/`` is what scripts/generate_schema writes."""
+    expected = dictionary() if name == "dictionary.md" else ddl(name.removesuffix(".sql"))
+    assert (ROOT / "schema" / name).read_text(encoding="utf-8") == expected
+
+
+def test_the_generator_tells_stale_files(tmp_path: Path) -> None:
+    """``--check`` ends with 1 when a file was edited by hand, and names it."""
+    script = tmp_path / "scripts" / "generate_schema"
+    script.parent.mkdir()
+    script.write_text((ROOT / "scripts" / "generate_schema").read_text())
+    (tmp_path / "schema").mkdir()
+    for name in ("spatialite.sql", "postgis.sql"):
+        (tmp_path / "schema" / name).write_text(ddl(name.removesuffix(".sql")))
+    (tmp_path / "schema" / "dictionary.md").write_text("edited by hand")
+    call = [sys.executable, str(script), "--check"]
+    done = subprocess.run(call, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "out of date: dictionary.md; run scripts/generate_schema\n")
+
+
+def test_spatial_indexes_are_real(engine: Engine) -> None:
+    """Each geometry has an index that the database keeps by itself."""
+    with engine.connect() as connection:
+        if engine.dialect.name == "postgresql":
+            query = "SELECT tablename FROM pg_indexes WHERE indexdef LIKE '%USING gist (geometry)'"
+        else:
+            query = "SELECT f_table_name FROM geometry_columns WHERE spatial_index_enabled = 1"
+        assert set(connection.scalars(text(query))) == set(SPATIAL)
+
+
+def test_the_dictionary_names_everything() -> None:
+    """Each table, column, view and example query is in the data dictionary."""
+    words = dictionary()
+    for table in Base.metadata.tables.values():
+        assert f"## {table.name}\n" in words
+        assert all(f"| {column.name} | " in words for column in table.columns)
+    assert all(f"`{view.name}`" in words for view in VIEWS)
+
+
+def test_an_installed_msbdb_finds_its_folders_beside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wheel puts migrations and schema into the package; a checkout has them at its top."""
+    monkeypatch.setattr(upgrade, "__file__", str(tmp_path / "msbdb" / "database" / "upgrade.py"))
+    with pytest.raises(DatabaseError, match="Install msbdb again"):
+        upgrade.packaged("migrations")
+    (tmp_path / "migrations").mkdir()
+    assert upgrade.packaged("migrations") == tmp_path / "migrations"
+    (tmp_path / "msbdb" / "database" / "migrations").mkdir(parents=True)
+    assert upgrade.packaged("migrations") == tmp_path / "msbdb" / "database" / "migrations"
+
+
+@pytest.mark.postgis
+def test_the_extension_is_created_where_it_is_missing(new_postgis) -> None:
+    """An empty PostgreSQL database is enough."""
+    url = database_url(new_postgis())
+    engine = dialect_of(url).make_engine(url, 5)
+    with engine.begin() as connection:
+        connection.execute(text("DROP EXTENSION postgis"))
+    open_database(url, create=True, srid=EPSG)
+    with engine.connect() as connection:
+        assert connection.scalar(text("SELECT count(*) FROM geometry_columns WHERE f_table_name = 'part'")) == 1
