@@ -13,10 +13,10 @@ from sqlalchemy import Connection, Engine, text
 
 from msbdb.database import open_database, upgrade
 from msbdb.database.crs import crs_from, register
+from msbdb.database.ddl import ddl, dictionary, statements
 from msbdb.database.dialect import dialect_of
 from msbdb.database.engine import database_url
 from msbdb.database.models import SPATIAL, Base
-from msbdb.database.schema import ddl, dictionary, statements
 from msbdb.database.views import VIEWS
 from msbdb.errors import DatabaseError
 from msbdb.tables import TABLES
