@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.database import open_database, write_build
+from msbdb.database import check_target, open_database, write_build
 from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
 from msbdb.params import Params, as_dict
@@ -103,13 +103,14 @@ def build(
     params = params or named_profile(profile)
     as_paths = [Path(path) for path in points], [Path(path) for path in ortho]
     inputs = Inputs(tuple(as_paths[0]), tuple(as_paths[1]), dsm, dtm, ndsm, crs, ortho_crs, z_unit)
+    check_target(db)
     stages = Stages(progress)
     notices: list[str] = []
     with collect_notices(notices):
         result = run(inputs, params, stages, notices, name=survey or inputs.default_survey(), date=date or "")
-    record, cover, forest, frames, heights = result
+    record, cover, regions, frames, heights = result
     counts: dict[str, object] = {
-        "regions": forest.counts,
+        "regions": regions,
         "cells": _cells(heights, cover),
         "cover": {"colours_decide": int(cover.colours_decide), "green_decides": int(cover.green_decides)},
     }
@@ -123,8 +124,11 @@ def build(
 
 def run(
     inputs: Inputs, params: Params, stages: Stages, notices: list[str], *, name: str, date: str
-) -> tuple[Survey, Cover, Any, dict[str, Any], Grid]:
-    """Take one tile through all stages, up to the tables that the database takes."""
+) -> tuple[Survey, Cover, dict[str, dict[str, int]], dict[str, Any], Grid]:
+    """Take one tile through all stages, up to the tables that the database takes.
+
+    Points and surfaces are let go as soon as no later stage needs them, for the peak of memory.
+    """
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, notices)
     with stages.stage("surface"):
@@ -132,19 +136,22 @@ def run(
     with stages.stage("cover"):
         structure, roughness_m = cover_from_surface(surface, cloud, params)
         echoes = cloud is not None and cloud.has_echoes
-    with stages.stage("classes"):
-        ortho = read_ortho(inputs, surface.ndsm.spec)
-        bands = spectral_bands(ortho, cloud, surface.ndsm.spec, max_gap_m=params.surface.max_gap_m)
-        cover = classify_cover(structure, bands, surface.ndsm, roughness_m, params, echoes=echoes)
-        notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
     record = record_survey(inputs, name=name, date=date, surface=surface, cloud=cloud)
-    del cloud, bands, ortho
+    ndsm = surface.ndsm
+    del surface
+    with stages.stage("classes"):
+        ortho = read_ortho(inputs, ndsm.spec)
+        bands = spectral_bands(ortho, cloud, ndsm.spec, max_gap_m=params.surface.max_gap_m)
+        del cloud, ortho
+        cover = classify_cover(structure, bands, ndsm, roughness_m, params, echoes=echoes)
+        notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
+        del bands, structure, roughness_m
     with stages.stage("parts"):
-        forest = extract_parts(surface.ndsm, cover.classes, survey=name, params=params)
+        forest = extract_parts(ndsm, cover.classes, survey=name, params=params)
     with stages.stage("outlines"):
-        parts = outline_parts(forest, surface.ndsm, params.vector)
-        frames = make_frames(forest, parts, cover, surface.ndsm)
-    return record, cover, forest, frames, surface.ndsm
+        parts = outline_parts(forest, ndsm, params.vector)
+        frames = make_frames(forest, parts, cover, ndsm)
+    return record, cover, forest.counts, frames, ndsm
 
 
 def store(build: Build, db: str | Path) -> bool:
