@@ -21,7 +21,7 @@ def write_atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     FileError
-        If the folder is missing or not writable, or nothing was written.
+        If the folder is missing or not writable, the disk is full, or nothing was written.
     """
     target = Path(path)
     try:
@@ -31,19 +31,26 @@ def write_atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise FileError(msg) from error
     try:
         yield folder / target.name
-        written = sorted(folder.iterdir(), key=lambda file: (file.name == target.name, file.name))
-        if not written or written[-1].name != target.name:
-            msg = f"{target} was not written."
-            raise FileError(msg)
-        for file in written:
-            _flush(file)
-        for file in written:
-            file.replace(target.parent / file.name)
-    except (IsADirectoryError, PermissionError) as error:
-        msg = f"{target} cannot be written: {error.strerror}. Name another file."
+        _move(folder, target)
+    except FileError:
+        raise
+    except OSError as error:
+        msg = f"{target} cannot be written: {error.strerror or error}. Name another file, or free some space."
         raise FileError(msg) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _move(folder: Path, target: Path) -> None:
+    """Move all files of a folder to their places, the main one last."""
+    written = sorted(folder.iterdir(), key=lambda file: (file.name == target.name, file.name))
+    if not written or written[-1].name != target.name:
+        msg = f"{target} was not written."
+        raise FileError(msg)
+    for file in written:
+        _flush(file)
+    for file in written:
+        file.replace(target.parent / file.name)
 
 
 def _flush(path: Path) -> None:

@@ -13,6 +13,9 @@ from msbdb.errors import CRSError, FileError
 SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".shp.xml")
 """The files of a Shapefile, some of them left there by other programs."""
 
+ROOM_BYTES = 2**16
+"""More than the drivers keep in their buffers until they close a file."""
+
 _REFUSALS = (DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError, OSError)
 
 
@@ -42,6 +45,9 @@ def write_layers(path: Path, layers: dict[str, gpd.GeoDataFrame], driver: str, *
     The layers are written into a temporary folder beside the file and moved over when complete, so that a reader
     sees the old file or the new one. A Shapefile consists of several files, which are moved one by one, the .shp
     last; a crash between the moves is the one way to a mixture.
+
+    GDAL says nothing when the disk is full as it closes a file, and the last few kB are lost. So a little room must
+    be left after it.
     """
     for name, frame in layers.items():
         if frame.crs is None:
@@ -54,6 +60,7 @@ def write_layers(path: Path, layers: dict[str, gpd.GeoDataFrame], driver: str, *
                 pyogrio.write_dataframe(
                     frame, written, layer=name, driver=driver, append=written.exists(), promote_to_multi=None, **options
                 )
+            _require_room(Path(folder))
             _replace(written, path)
     except _REFUSALS as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
@@ -67,6 +74,16 @@ def existing_files(path: Path) -> list[Path]:
     if path.suffix.lower() == ".shp":
         candidates += [path.with_suffix(suffix) for suffix in SIDECARS if suffix != path.suffix]
     return [candidate for candidate in candidates if candidate.exists()]
+
+
+def _require_room(folder: Path) -> None:
+    """Raise the system's error when the disk is full, so that what was written just now may be cut off."""
+    probe = folder / "room"
+    with probe.open("wb") as file:
+        file.write(bytes(ROOM_BYTES))
+        file.flush()
+        os.fsync(file.fileno())
+    probe.unlink()
 
 
 def _replace(written: Path, path: Path) -> None:

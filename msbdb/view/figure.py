@@ -2,8 +2,6 @@
 
 import io
 import math
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import FileError, InputError
 from msbdb.grid import Grid
+from msbdb.io.atomic import write_atomic
 from msbdb.view.furniture import north_arrow, scale_bar
 from msbdb.view.outlines import outlines
 
@@ -289,23 +288,10 @@ def _write(figure: Figure, out: Path) -> None:
     """Write the picture beside its place and move it there, so that no half picture is ever seen."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", metadata={"Software": None})
-    temporary = None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}.", delete=False) as file:
-            temporary = Path(file.name)
-            file.write(picture.getvalue())
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(out)
     except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        msg = f"The map {out} cannot be written: {error.strerror}. Choose another place or free some space."
+        msg = f"The map {out} cannot be written: {error.strerror}. Choose another place."
         raise FileError(msg) from error
-
-
-def _umask() -> int:
-    """Return the process's mask of permissions, which a temporary file does not follow by itself."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    with write_atomic(out) as temporary:
+        temporary.write_bytes(picture.getvalue())

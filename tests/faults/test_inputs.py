@@ -1,0 +1,344 @@
+"""Bad input, from the command line to the database: each case ends in one clear line, or in a right result."""
+
+import json
+import os
+import struct
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from click.testing import CliRunner
+from faultfiles import moved, write_points, write_raster
+from pyproj import CRS
+from scenes import SCENES
+
+import msbdb
+from msbdb.cli.main import cli
+
+SECONDS = 10.0
+OREGON_M, OREGON_FT = CRS.from_epsg(2993), CRS.from_epsg(2994)
+FOOT_M = 0.3048
+
+
+def run(*args):
+    """Run the program inside of this process."""
+    return CliRunner().invoke(cli, [str(arg) for arg in args])
+
+
+def refuses(folder, args, *expected):
+    """Run a command that must fail: in one line that says what is expected, leaving the folder as it was."""
+    before = sorted(folder.rglob("*"))
+    result = run(*args)
+    assert isinstance(result.exception, SystemExit), result.exception
+    assert result.exit_code == 1, result.output
+    assert result.stdout == ""
+    told = result.stderr.strip().splitlines()
+    assert len(told) == 1, result.stderr
+    assert told[0].startswith("Error: ")
+    assert told[0].endswith(".")
+    assert "bug in msbdb" not in told[0]
+    for words in expected:
+        assert words in told[0]
+    assert sorted(folder.rglob("*")) == before
+    return told[0]
+
+
+def succeeds(*args):
+    """Run a build that must succeed, and return its report."""
+    result = run(*args, "--json")
+    assert result.exit_code == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.fixture(scope="module")
+def podium():
+    """Return the scene of one building with three parts."""
+    return SCENES["podium_tower"](density=1.0)
+
+
+@pytest.fixture
+def tile(tmp_path, podium):
+    """Return a sound tile of that scene."""
+    return write_points(tmp_path / "tile.laz", podium.points, crs=podium.points.crs)
+
+
+@pytest.fixture
+def heights(tmp_path, podium):
+    """Return a sound DSM and DTM of that scene, and its true heights above ground."""
+    row, col = np.indices(podium.spec.shape)
+    ground = podium.ground(*podium.spec.xy(row, col)).astype(np.float32)
+    dsm = write_raster(tmp_path / "dsm.tif", ground + podium.heights, podium.spec)
+    return dsm, write_raster(tmp_path / "dtm.tif", ground, podium.spec), ground + podium.heights
+
+
+def patched(body, layout, offset, value):
+    """Return bytes with one number written at an offset."""
+    body = bytearray(body)
+    struct.pack_into(layout, body, offset, value)
+    return bytes(body)
+
+
+DAMAGE = {
+    "empty": (lambda _: b"", "it is empty"),
+    "text": (lambda _: b"x y z\n1.0 2.0 3.0\n" * 50, "does not begin with 'LASF'"),
+    "truncated": (lambda body: body[: len(body) // 2], "truncated"),
+    "a header that hangs": (lambda body: patched(body, "<I", 100, 1_069_128_089), "variable length records"),
+    "a LAZ that panics": (
+        lambda body: patched(body, "<H", body.find(b"laszip encoded") + 52, 1),
+        "Write it again with a current LASzip",
+    ),
+    "a billion points": (lambda body: patched(body, "<Q", 247, 10**9), "promises 1000000000 points"),
+    "heights that are no numbers": (lambda body: patched(body, "<d", 171, float("nan")), "not finite"),
+    "infinite heights": (lambda body: patched(body, "<d", 147, float("inf")), "not finite"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_damaged_tiles_are_refused(tmp_path, tile, kind):
+    """At once, with the file's name and the reason, and no database."""
+    damage, expected = DAMAGE[kind]
+    tile.write_bytes(damage(tile.read_bytes()))
+    start = time.monotonic()
+    refuses(tmp_path, ["build", "--points", tile, "--db", tmp_path / "town.sqlite"], "tile.laz", expected)
+    assert time.monotonic() - start < SECONDS
+
+
+def test_a_sound_tile_is_built(tmp_path, tile):
+    """Otherwise the tests of damaged ones would show nothing."""
+    report = succeeds("build", "--points", tile, "--db", tmp_path / "town.sqlite")
+    assert (report["buildings"], report["parts"]) == (1, 3)
+
+
+def test_one_damaged_tile_of_many_stops_the_build(tmp_path, tile):
+    """A survey is built whole or not at all."""
+    second = tmp_path / "second.laz"
+    second.write_bytes(tile.read_bytes()[:-500])
+    refuses(tmp_path, ["build", "--points", tile, second, "--db", tmp_path / "town.sqlite"], "second.laz", "truncated")
+
+
+@pytest.mark.parametrize(
+    ("epsg", "stated", "expected"),
+    [
+        (None, None, ("states no CRS", "--crs EPSG:")),
+        (4326, None, ("in degrees", "Reproject them first")),
+        (None, "EPSG:4326", ("in degrees", "Reproject them first")),
+        (32633, "EPSG:28992", ("UTM zone 33N", "Amersfoort", "Leave --crs out")),
+        (32633, "EPSG:999999", ("999999",)),
+        (32633, "moon", ("moon",)),
+    ],
+)
+def test_unsuitable_crs_are_refused(tmp_path, podium, epsg, stated, expected):
+    """None, degrees, a contradiction and nonsense: each says what to do."""
+    tile = write_points(tmp_path / "tile.las", podium.points, crs=epsg and CRS.from_epsg(epsg))
+    stating = ["--crs", stated] if stated else []
+    refuses(tmp_path, ["build", "--points", tile, *stating, "--db", tmp_path / "town.sqlite"], *expected)
+
+
+def test_tiles_of_two_crs_are_refused(tmp_path, tile, podium):
+    """Both files and both CRSs are named."""
+    other = write_points(tmp_path / "other.laz", podium.points, crs=CRS.from_epsg(32632))
+    told = ("tile.laz", "zone 33N", "other.laz", "zone 32N", "Reproject one")
+    refuses(tmp_path, ["build", "--points", tile, other, "--db", tmp_path / "town.sqlite"], *told)
+
+
+def test_feet_give_the_same_buildings_as_metres(tmp_path, podium):
+    """A tile in feet is scaled, heights too: areas, heights and places agree with its metric twin."""
+    p, found = podium.points, {}
+    for crs, unit in ((OREGON_M, 1.0), (OREGON_FT, FOOT_M)):
+        cloud = replace(p, x=(p.x - 2e4) / unit, y=(p.y - 5.6e6) / unit, z=p.z / unit, crs=OREGON_M)
+        tile = write_points(tmp_path / f"{crs.to_epsg()}.laz", cloud, crs=crs)
+        db = tmp_path / f"{crs.to_epsg()}.sqlite"
+        report = succeeds("build", "--points", tile, "--db", db)
+        assert any("scaled to metres" in notice for notice in report["notices"]) == (crs == OREGON_FT)
+        with msbdb.open(db) as inventory:
+            found[crs.to_epsg()] = inventory.parts().sort_values(["scale", "area_m2"]).reset_index(drop=True)
+    metres, feet = found[2993], found[2994]
+    assert metres["hindex"].tolist() == feet["hindex"].tolist()
+    for column in ("area_m2", "h_p50", "xcen", "ycen"):
+        np.testing.assert_allclose(feet[column], metres[column], rtol=0.02 if column == "area_m2" else 0, atol=0.5)
+    assert feet.crs.axis_info[0].unit_name == "metre"
+
+
+def test_an_ortho_that_does_not_overlap_is_refused(tmp_path, tile, podium):
+    """It is named, with both extents; one that overlaps in part is used."""
+    pixels = podium.ortho(podium.spec)[:3].astype(np.uint8)
+    apart = write_raster(tmp_path / "apart.tif", pixels, moved(podium.spec, 5000.0, 0.0))
+    part = write_raster(tmp_path / "part.tif", pixels, moved(podium.spec, 20.0, 0.0))
+    build = ["build", "--points", tile, "--db", tmp_path / "town.sqlite", "--ortho"]
+    refuses(tmp_path, [*build, apart], "apart.tif")
+    assert succeeds(*build, part)["buildings"] == 1
+
+
+def test_heights_that_are_no_numbers_are_no_data(tmp_path, heights, podium):
+    """NaN, infinities and a nodata value in the middle of a roof: no part covers them, the building stands."""
+    _, dtm, values = heights
+    values[90:94, 70:75] = np.nan
+    values[100:104, 70:75] = np.inf
+    values[110:114, 70:75] = -np.inf
+    values[80:84, 70:75] = -9999.0
+    dsm = write_raster(tmp_path / "holes.tif", values, podium.spec, nodata=-9999.0)
+    db = tmp_path / "town.sqlite"
+    report = succeeds("build", "--dsm", dsm, "--dtm", dtm, "--db", db)
+    assert report["buildings"] == 1
+    with msbdb.open(db) as inventory:
+        [building] = inventory.buildings().itertuples()
+        parts = inventory.parts()
+    assert np.isfinite(parts.drop(columns=["geometry", "stddis"]).select_dtypes("number").to_numpy()).all()
+    assert building.h_max == pytest.approx(36.5, abs=0.1)
+    assert building.area_m2 == pytest.approx(1200, abs=80 * 0.25 + 1)
+
+
+@pytest.mark.parametrize("kind", ["nan", "nodata"])
+def test_heights_without_any_number_are_refused(tmp_path, heights, podium, kind):
+    """The file and its role are told."""
+    _, dtm, values = heights
+    values[:] = np.nan if kind == "nan" else -9999.0
+    dsm = write_raster(tmp_path / "void.tif", values, podium.spec)
+    args = ["build", "--dsm", dsm, "--dtm", dtm, "--db", tmp_path / "town.sqlite"]
+    refuses(tmp_path, args, "DSM", "void.tif", "no valid cell")
+
+
+RASTERS = {
+    "text": (lambda path, *_: path.write_text("0 0 0\n1 1 1\n"), ("cannot be read as a raster",)),
+    "empty": (lambda path, *_: path.write_bytes(b""), ("cannot be read as a raster",)),
+    "three bands": (lambda path, values, spec: write_raster(path, np.stack([values] * 3), spec), ("3 bands",)),
+    "degrees": (
+        lambda path, values, spec: write_raster(path, values, spec, crs=CRS.from_epsg(4326)),
+        ("degrees",),
+    ),
+    "elsewhere": (lambda path, values, spec: write_raster(path, values, moved(spec, 0.0, 9e3)), ("same place",)),
+}
+
+
+@pytest.mark.parametrize("kind", RASTERS)
+def test_unsuitable_terrain_is_refused(tmp_path, heights, podium, kind):
+    """A DTM that is no raster, no heights, in degrees, or of another place."""
+    dsm, dtm, values = heights
+    spoil, expected = RASTERS[kind]
+    dtm.unlink()
+    spoil(dtm, values, podium.spec)
+    args = ["build", "--dsm", dsm, "--dtm", dtm, "--db", tmp_path / "town.sqlite"]
+    refuses(tmp_path, args, "dtm.tif" if kind != "elsewhere" else "DTM", *expected)
+
+
+def test_a_torn_raster_is_refused(tmp_path, heights):
+    """Also where its header is whole."""
+    dsm, dtm, _ = heights
+    dsm.write_bytes(dsm.read_bytes()[:60_000])
+    refuses(tmp_path, ["build", "--dsm", dsm, "--dtm", dtm, "--db", tmp_path / "town.sqlite"], "dsm.tif")
+
+
+def test_absurd_coordinates_are_dropped_and_told(tmp_path, podium):
+    """A few points on the moon change nothing but the notices."""
+    p, far = podium.points, np.zeros(len(podium.points), dtype=bool)
+    far[[5, 500, 5000]] = True
+    sound = write_points(tmp_path / "sound.laz", p.take(~far), crs=p.crs)
+    absurd = replace(p, x=np.where(far, p.x + 1.5e6, p.x), y=np.where(far, p.y - 1.5e6, p.y), z=np.where(far, 9e5, p.z))
+    spoilt = write_points(tmp_path / "spoilt.laz", absurd, crs=p.crs)
+    reports = [succeeds("build", "--points", path, "--db", path.with_suffix(".sqlite")) for path in (sound, spoilt)]
+    assert any("3 points of absurd coordinates were dropped" in notice for notice in reports[1]["notices"])
+    assert _buildings(sound).equals(_buildings(spoilt))
+
+
+def _buildings(tile):
+    """Return the buildings of a tile's database, but for the ids, which hold the survey's name."""
+    with msbdb.open(tile.with_suffix(".sqlite")) as inventory:
+        return inventory.buildings().drop(columns=["building_id", "root_id"])
+
+
+def test_points_that_are_absurd_altogether_are_refused(tmp_path, podium):
+    """Nothing is left to build from."""
+    z = np.full(len(podium.points), 1e6)
+    tile = write_points(tmp_path / "tile.laz", podium.points, crs=podium.points.crs, z=z)
+    refuses(tmp_path, ["build", "--points", tile, "--db", tmp_path / "town.sqlite"], "No points are left", "absurd")
+
+
+def test_no_first_echo_is_refused(tmp_path, podium):
+    """Without first echoes there is no surface (V15)."""
+    second = np.full(len(podium.points), 2, dtype=np.uint8)
+    echoes = {"return_number": second, "number_of_returns": second}
+    tile = write_points(tmp_path / "tile.laz", podium.points, crs=podium.points.crs, **echoes)
+    refuses(tmp_path, ["build", "--points", tile, "--db", tmp_path / "town.sqlite"], "first echo", "return numbers")
+
+
+def test_no_echo_information_is_told(tmp_path, podium):
+    """Return numbers of zero everywhere count as first echoes, with a notice."""
+    none = np.zeros(len(podium.points), dtype=np.uint8)
+    echoes = {"return_number": none, "number_of_returns": none}
+    tile = write_points(tmp_path / "tile.laz", podium.points, crs=podium.points.crs, **echoes)
+    report = succeeds("build", "--points", tile, "--db", tmp_path / "town.sqlite")
+    assert report["buildings"] == 1
+    assert any("no echo information" in notice for notice in report["notices"])
+
+
+@pytest.mark.parametrize("scene", ["one point", "flat field"])
+def test_nothing_to_find_is_an_empty_valid_database(tmp_path, podium, scene):
+    """Every command works on it: there is a survey, and no building."""
+    points = podium.points.take(np.arange(len(podium.points)) == 7)
+    if scene == "flat field":
+        points = SCENES["flat_field"](density=1.0).points
+    tile = write_points(tmp_path / "tile.laz", points, crs=points.crs)
+    db = tmp_path / "town.sqlite"
+    picture = tmp_path / "town.png"
+    report = succeeds("build", "--points", tile, "--db", db, "--figure", picture)
+    assert (report["buildings"], report["parts"], report["changed"]) == (0, 0, True)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert not succeeds("build", "--points", tile, "--db", db)["changed"]
+    assert json.loads(run("info", db, "--json").stdout)["runs"][0]["buildings"] == 0
+    assert run("classes", db).exit_code == 0
+    for ending in ("gpkg", "shp", "geojson"):
+        result = run("export", db, tmp_path / f"town.{ending}")
+        assert result.exit_code == 0, result.stderr
+    place = podium.spec.bounds
+    truth = gpd.GeoDataFrame(geometry=[shapely.box(place[0], place[1], place[0] + 30, place[1] + 30)], crs=points.crs)
+    truth.to_file(tmp_path / "truth.gpkg")
+    result = run("evaluate", db, "--reference", tmp_path / "truth.gpkg", "--json")
+    assert result.exit_code == 0, result.stderr
+
+
+@pytest.mark.parametrize("missing", ["--points", "--ortho", "--dsm", "--ndsm"])
+def test_missing_files_are_refused(tmp_path, tile, missing):
+    """By the command line, before anything is read."""
+    sound = ["--points", tile] if missing == "--ortho" else []
+    result = run("build", *sound, missing, tmp_path / "none.tif", "--db", tmp_path / "town.sqlite")
+    assert result.exit_code == 2
+    assert "none.tif' does not exist" in result.stderr
+    assert not (tmp_path / "town.sqlite").exists()
+
+
+def test_a_traceback_is_shown_on_demand(tmp_path, tile):
+    """Above the one line, which stays the last."""
+    tile.write_bytes(b"")
+    result = run("build", "--points", tile, "--db", tmp_path / "town.sqlite", "--debug")
+    assert result.exit_code == 1
+    assert "Traceback (most recent call last)" in result.stderr
+    assert result.stderr.strip().splitlines()[-1].startswith("Error: ")
+
+
+def _hostile_files():
+    """Return the real hostile files, where they are at hand."""
+    return sorted(Path(os.environ.get("MSBDB_DATA", "none"), "hostile").glob("*.la[sz]"))
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("path", _hostile_files(), ids=lambda path: path.name)
+@pytest.mark.parametrize("crs", [None, "EPSG:2154"], ids=["own", "stated"])
+def test_real_hostile_files_end_well(tmp_path, path, crs):
+    """In 10 s there is a database that holds what was reported, or one clear line and no file."""
+    args = ["build", "--points", path, "--db", tmp_path / "town.sqlite", *(["--crs", crs] if crs else [])]
+    start = time.monotonic()
+    result = run(*args, "--json")
+    assert time.monotonic() - start < SECONDS
+    if result.exit_code != 0:
+        refuses(tmp_path, args)
+        return
+    report = json.loads(result.stdout)
+    with msbdb.open(tmp_path / "town.sqlite") as inventory:
+        buildings, parts = inventory.buildings(), inventory.parts()
+    assert (len(buildings), len(parts)) == (report["buildings"], report["parts"])
+    assert (parts["supid"] == 0).sum() == len(buildings)
+    assert parts.geometry.is_valid.all()
