@@ -153,6 +153,40 @@ BUILDING = Table(
     geometry="MULTIPOLYGON",
 )
 
+FLAT_REGION = Table(
+    "flat_region",
+    (
+        Column("region_id", "int64", "-", "id of the flat region, from survey and absolute lattice position; above 0"),
+        Column("zone", "int64", "-", "i: attribute-zone of most of its cells, from 1 (Mongus et al. 2013, Eq. 2)"),
+        Column("lambda_low_m2", "float64", "m2", "λ_{i-1}: lower threshold of the zone"),
+        Column("lambda_m2", "float64", "m2", "λ_i: upper threshold of the zone"),
+        Column("gradient_sum", "float64", "m3", "Λ: sum of second-order gradients times cell area (Eq. 11)"),
+        Column("mean_gradient", "float64", "m", "mean second-order gradient of its cells"),
+        Column("area_m2", "float64", "m2", "area of its cells"),
+        Column("perimeter_m", "float64", "m", "P: corrected length of its outlines, holes included"),
+        Column("compactness", "float64", "1", "Ψ' = P²/(4πA), 1 for a disc, larger for longer shapes (Eq. 15)"),
+        Column("h_max", "float64", "m", "largest height above ground inside"),
+        Column("h_mean", "float64", "m", "mean height above ground inside"),
+        Column("h_p50", "float64", "m", "median height above ground inside"),
+        Column("h_p90", "float64", "m", "90th percentile of the height above ground inside"),
+        Column("h_std", "float64", "m", "standard deviation of the heights inside"),
+        Column("xcen", "float64", "m", "easting of the centroid of its cells"),
+        Column("ycen", "float64", "m", "northing of the centroid of its cells"),
+    ),
+    geometry="MULTIPOLYGON",
+)
+
+PART_FLAT_REGION = Table(
+    "part_flat_region",
+    (
+        Column("part_id", "int64", "-", "the part"),
+        Column("region_id", "int64", "-", "the flat region that it shares cells with"),
+        Column("overlap_m2", "float64", "m2", "area of the cells that both cover; above 0"),
+        Column("part_share", "float64", "1", "share of the part's area that the region covers"),
+        Column("region_share", "float64", "1", "share of the region's area that the part covers"),
+    ),
+)
+
 TABLES = (SCALE, PART, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, REJECTION, BUILDING)
 
 
