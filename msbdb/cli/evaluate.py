@@ -27,6 +27,9 @@ from msbdb.cli.output import emit, emit_json
 )
 @click.option("--layer", metavar="NAME", help="Layer of the reference. [default: its only one]")
 @click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons within which to compare. [default: all]")
+@click.option(
+    "--height", metavar="COLUMN", help="Column of the reference with heights in metres. [default: one called height]"
+)
 @click.option("--crs", type=crs_name, metavar="EPSG", help="The reference's CRS where it does not state it.")
 @click.option(
     "--overlap",

@@ -25,7 +25,7 @@ from msbdb.version import __version__
 
 METHOD = "multiscale"
 NO_IMAGERY = "There is no imagery: roofs and vegetation are told by height texture and echoes alone."
-NO_ECHOES = "There is no echo information: without it roofs and vegetation are told by height texture alone."
+NO_ECHOES = "No pulse has a second echo, or the source does not tell: height texture alone tells roofs from vegetation."
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,6 +135,7 @@ def evaluate(
     layer: str | None = None,
     aoi: Path | None = None,
     crs: str | None = None,
+    height: str | None = None,
     overlap: float = 0.5,
     cell_m: float = 0.5,
     survey: str | None = None,
@@ -153,6 +154,8 @@ def evaluate(
         Polygons within which to compare.
     crs : str, optional
         The reference's CRS where it states none.
+    height : str, optional
+        Column of the reference that holds heights above ground, metres; one called ``height`` (in any case) is found.
     overlap, cell_m : float
         Share that counts as found; cell of the grid on which areas are compared, metres.
     survey : str, optional
@@ -175,7 +178,7 @@ def evaluate(
         return score(buildings, given, aoi=area, params=params)
     footprints = read_polygons(reference, layer=layer, crs=crs, to=spec.crs)
     surveyed = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
-    return score(buildings, PolygonReference(footprints), aoi=area, valid=surveyed, params=params)
+    return score(buildings, PolygonReference(footprints, height or _height_column(footprints)), aoi=area, valid=surveyed, params=params)
 
 
 def _shape(bounds: tuple[float, float, float, float], cell_m: float) -> tuple[int, int]:
@@ -197,3 +200,11 @@ def _counts(build: Build) -> dict[str, Any]:
         "scales_m2": build.frames["scale"].sort_values("scale")["threshold_m2"].tolist(),
         "seconds": round(sum(build.run.timings.values()), 2),
     }
+
+
+def _height_column(footprints: pd.DataFrame) -> str | None:
+    """Return the numeric column called height, in any case, where there is one."""
+    for name in footprints.columns:
+        if str(name).lower() == "height" and pd.api.types.is_numeric_dtype(footprints[name]):
+            return str(name)
+    return None

@@ -114,7 +114,9 @@ class FakePipeline(types.ModuleType):
         """Write nothing."""
         self._note("export", db=db, out=out, survey=survey, overwrite=overwrite)
 
-    def evaluate(self, db, reference, *, layer=None, aoi=None, crs=None, overlap=0.5, cell_m=0.5, survey=None):
+    def evaluate(
+        self, db, reference, *, layer=None, aoi=None, crs=None, height=None, overlap=0.5, cell_m=0.5, survey=None
+    ):
         """Return nested scores."""
         values = {name: value for name, value in locals().items() if name != "self"}
         self._note("evaluate", **values)
