@@ -206,31 +206,68 @@ class CoverParams:
         2.5, unit="m", low=0.5, high=20.0, source="ours: enough echoes for a share", doc="Wide window of the texture."
     )
     split_weight: float = param(
-        8.0, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a share of split first echoes, small window."
+        8.0,
+        unit="1",
+        low=0.0,
+        high=100.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Log-odds a share of split first echoes, small window.",
     )
     split_wide_weight: float = param(
-        3.5, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a share of split first echoes, wide window."
+        3.5,
+        unit="1",
+        low=0.0,
+        high=100.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Log-odds a share of split first echoes, wide window.",
     )
     solid_weight: float = param(
         2.0,
         unit="1",
         low=0.0,
         high=100.0,
-        source="ours",
+        source="ours: calibrated together, on four surveys and thinned copies",
         doc="Log-odds a share of last echoes that stop near the surface.",
     )
     echo_rough_weight: float = param(
-        0.15, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a factor e of roughness, beside the echoes."
+        0.15,
+        unit="1",
+        low=0.0,
+        high=100.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Log-odds a factor e of roughness, beside the echoes.",
     )
-    echo_bias: float = param(-1.2, unit="1", low=-50.0, high=50.0, source="ours", doc="Log-odds without any evidence.")
+    echo_bias: float = param(
+        -1.2,
+        unit="1",
+        low=-50.0,
+        high=50.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Log-odds without any evidence.",
+    )
     rough_weight: float = param(
-        1.5, unit="1", low=0.0, high=100.0, source="ours", doc="Log-odds a factor e of roughness, without echoes."
+        1.5,
+        unit="1",
+        low=0.0,
+        high=100.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Log-odds a factor e of roughness, without echoes.",
     )
     rough_m: float = param(
-        0.25, unit="m", low=0.01, high=10.0, source="ours", doc="Roughness in the small window that tells nothing."
+        0.25,
+        unit="m",
+        low=0.01,
+        high=10.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Roughness in the small window that tells nothing.",
     )
     rough_wide_m: float = param(
-        0.35, unit="m", low=0.01, high=10.0, source="ours", doc="Roughness in the wide window that tells nothing."
+        0.35,
+        unit="m",
+        low=0.01,
+        high=10.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Roughness in the wide window that tells nothing.",
     )
     smooth_floor_m: float = param(
         0.02,
@@ -240,7 +277,14 @@ class CoverParams:
         source="ours: the range noise of a scanner",
         doc="Least roughness that is told.",
     )
-    smooth_m: float = param(2.0, unit="m", low=0.0, high=20.0, source="ours", doc="Sigma of the smoothing of the odds.")
+    smooth_m: float = param(
+        2.0,
+        unit="m",
+        low=0.0,
+        high=20.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Sigma of the smoothing of the odds.",
+    )
     neck_m: float = param(
         1.2, unit="m", low=0.0, high=20.0, source="ours: hedges and walls are thinner", doc="Thinner roofs are cut."
     )
@@ -272,10 +316,20 @@ class CoverParams:
         doc="Cells below it are smooth.",
     )
     min_smooth_share: float = param(
-        0.3, unit="1", low=0.0, high=1.0, source="ours", doc="Least smooth share of a roof, without echoes."
+        0.3,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Least smooth share of a roof, without echoes.",
     )
     smooth_per_split: float = param(
-        3.0, unit="1", low=0.0, high=100.0, source="ours", doc="Smooth share that a roof needs a share of split echoes."
+        3.0,
+        unit="1",
+        low=0.0,
+        high=100.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Smooth share that a roof needs a share of split echoes.",
     )
     free_split_share: float = param(
         0.05,
@@ -302,10 +356,20 @@ class CoverParams:
         doc="Share of smooth cells from which a green region is a green roof.",
     )
     grow_m: float = param(
-        1.0, unit="m", low=0.0, high=20.0, source="ours", doc="Width of the edge that is given back to roofs."
+        1.0,
+        unit="m",
+        low=0.0,
+        high=20.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Width of the edge that is given back to roofs.",
     )
     grow_step_m: float = param(
-        1.0, unit="m", low=0.0, high=20.0, source="ours", doc="Largest step in height to a cell that is given back."
+        1.0,
+        unit="m",
+        low=0.0,
+        high=20.0,
+        source="ours: calibrated together, on four surveys and thinned copies",
+        doc="Largest step in height to a cell that is given back.",
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from pyproj import CRS
+from shapely import box
 
 from msbdb.database import (
     Engine,
@@ -21,6 +22,7 @@ from msbdb.database import (
     read_survey,
     shown,
 )
+from msbdb.errors import InputError
 from msbdb.evaluate import EvaluateParams, Evaluation, PointReference, PolygonReference
 from msbdb.evaluate import evaluate as score
 from msbdb.export import export as write_export
@@ -177,8 +179,21 @@ def evaluate(
         given = PointReference(points.x, points.y, truth, points.crs, points.first_echo)
         return score(buildings, given, aoi=area, params=params)
     footprints = read_polygons(reference, layer=layer, crs=crs, to=spec.crs)
+    footprints = footprints[footprints.intersects(box(*spec.bounds))]
+    if footprints.empty:
+        msg = (
+            f"No footprint of {Path(reference).name} lies within the survey '{record.name}', {spec.bounds} in "
+            f"'{spec.crs.name}'. Check that both are of one place, and the reference's CRS."
+        )
+        raise InputError(msg)
     surveyed = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
-    return score(buildings, PolygonReference(footprints, height or _height_column(footprints)), aoi=area, valid=surveyed, params=params)
+    return score(
+        buildings,
+        PolygonReference(footprints, height or _height_column(footprints)),
+        aoi=area,
+        valid=surveyed,
+        params=params,
+    )
 
 
 def _shape(bounds: tuple[float, float, float, float], cell_m: float) -> tuple[int, int]:

@@ -2,10 +2,11 @@
 
 import geopandas as gpd
 import pytest
+from files import write_points
 from scenes import SCENES
 
 import msbdb
-from files import write_points
+from msbdb.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -40,3 +41,11 @@ def test_a_reference_without_heights_has_no_height_score(town):
     buildings[["geometry"]].to_file(folder / "flat.gpkg")
     with msbdb.open(folder / "town.sqlite") as opened:
         assert opened.evaluate(folder / "flat.gpkg").heights is None
+
+
+def test_a_reference_of_another_place_is_refused(town):
+    """The message names the file and the survey, instead of scoring nothing."""
+    folder, buildings = town
+    buildings[["geometry"]].translate(50_000, 0).to_frame("geometry").to_file(folder / "away.gpkg")
+    with msbdb.open(folder / "town.sqlite") as opened, pytest.raises(InputError, match=r"away.gpkg .* survey 'town'"):
+        opened.evaluate(folder / "away.gpkg")
