@@ -68,3 +68,57 @@ def _highest_level(values, binary_filter):
     for level in levels:
         result[binary_filter(values >= level)] = level
     return result
+
+
+def components(values, valid, connectivity):
+    """Return the mask and level of every component of every threshold set of the valid cells, each once."""
+    found = {}
+    for level in np.unique(values[valid]):
+        labels, count = ndimage.label(valid & (values >= level), STRUCTURES[connectivity])
+        for label in range(1, count + 1):
+            mask = labels == label
+            found[mask.tobytes()] = (mask, values[mask].min())
+    return list(found.values())
+
+
+def attribute_opening(values, valid, connectivity, attribute, threshold):
+    """Give each valid cell the highest level of a component around it with enough; else its area's lowest; 0 beside."""
+    result = np.zeros_like(values)
+    areas, count = ndimage.label(valid, STRUCTURES[connectivity])
+    for area in range(1, count + 1):
+        result[areas == area] = values[areas == area].min()
+    for mask, level in components(values, valid, connectivity):
+        if attribute(mask) >= threshold:
+            result[mask] = np.maximum(result[mask], level)
+    return result
+
+
+def theta(zones):
+    """Return the highest response of each cell, and the largest zone that has it; 0 where none responds (M5)."""
+    response = np.max(zones, axis=0)
+    largest = np.zeros(response.shape, dtype=int)
+    for i, zone in enumerate(zones, start=1):
+        largest[(zone == response) & (zone > 0)] = i
+    return response, largest
+
+
+def window_opening(values, valid, window_px):
+    """Give each valid cell the highest minimum, over valid cells, of all windows on the lattice that hold it."""
+    half = window_px // 2
+    result = np.full(values.shape, -np.inf)
+    for row, col in np.ndindex(values.shape):
+        window = np.s_[max(row - half, 0) : row + half + 1, max(col - half, 0) : col + half + 1]
+        lowest = np.min(values[window], where=valid[window], initial=np.inf)
+        result[window] = np.maximum(result[window], lowest)
+    return np.where(valid, result, 0)
+
+
+def window_extremes(values, valid, window_px):
+    """Return the lowest and the highest valid value around each valid cell, 0 in others."""
+    half = window_px // 2
+    lowest, highest = np.zeros(values.shape), np.zeros(values.shape)
+    for row, col in zip(*np.nonzero(valid), strict=True):
+        window = np.s_[max(row - half, 0) : row + half + 1, max(col - half, 0) : col + half + 1]
+        lowest[row, col] = values[window][valid[window]].min()
+        highest[row, col] = values[window][valid[window]].max()
+    return lowest, highest

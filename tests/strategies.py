@@ -36,3 +36,25 @@ def integer_images(low=-3, high=5, largest=14):
 def _shape(one, largest):
     """Draw rows and columns; a 1 in the pair fixes that side to one cell."""
     return st.tuples(*(st.just(1) if side else st.integers(1, largest) for side in one))
+
+
+@st.composite
+def surfaces(draw, largest=12):
+    """Draw an image and a mask of its valid cells: all, none, half of them, or a random share; NaN in the others."""
+    image = draw(images(low=-3, high=3, largest=largest))
+    if image.dtype.kind == "f":
+        # Of a unit, as measured heights are: their differences have no rounding in 64 bits.
+        image = np.round(np.clip(image, -4, 4) * 64).astype(image.dtype) / image.dtype.type(64)
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    valid = random.random(image.shape) < draw(st.sampled_from([1.0, 1.0, 0.9, 0.5, 0.0]))
+    if draw(st.booleans()):
+        valid[:, image.shape[1] // 2 :] = True
+    if image.dtype.kind == "f":
+        image[~valid] = np.nan
+    return image, valid
+
+
+def fields(shape, seed):
+    """Return a field that is nowhere negative, whose sums have no rounding."""
+    random = np.random.default_rng(seed)
+    return random.integers(0, 9, shape) * 0.25 * random.integers(0, 2, shape)

@@ -1,17 +1,48 @@
-"""Area morphology: openings, closings, the scale-space that they build, flat zones and granulometry."""
+"""Area morphology: openings, closings, the scale-space that they build, flat zones and granulometry.
+
+Beside it the component tree, and the differential profiles and gradients that find flat regions.
+"""
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening
+from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, maxima, minima, sums
+from msbdb.morphology.gradients import external_gradient, internal_gradient, second_order_gradient
 from msbdb.morphology.granulometry import find_scales, opening_areas
+from msbdb.morphology.profiles import (
+    AttributeProfile,
+    Theta,
+    attribute_filter,
+    attribute_opening,
+    build_profile,
+    zone_thresholds,
+)
 from msbdb.morphology.scalespace import ScaleSpace, build_scale_space
+from msbdb.morphology.windowprofile import window_profile
 from msbdb.morphology.zones import label_zones
 
 __all__ = [
+    "AttributeProfile",
+    "ComponentTree",
     "ScaleSpace",
+    "Theta",
     "area_closing",
     "area_open_close",
     "area_opening",
+    "areas",
+    "attribute_filter",
+    "attribute_opening",
+    "build_profile",
     "build_scale_space",
+    "build_tree",
+    "external_gradient",
     "find_scales",
+    "internal_gradient",
+    "is_increasing",
     "label_zones",
+    "maxima",
+    "minima",
     "opening_areas",
+    "second_order_gradient",
+    "sums",
+    "window_profile",
+    "zone_thresholds",
 ]

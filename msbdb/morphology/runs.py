@@ -69,9 +69,7 @@ def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
         When the connectivity is neither 4 nor 8.
     """
     require_image(values)
-    if connectivity not in (4, 8):
-        msg = f"The connectivity must be 4 or 8; got {connectivity!r}."
-        raise ParameterError(msg)
+    require_connectivity(connectivity)
     changes = np.ones(values.shape, dtype=np.bool_)
     np.not_equal(values[:, 1:], values[:, :-1], out=changes[:, 1:])
     starts = np.empty(np.count_nonzero(changes) + 1, dtype=np.int32)
@@ -80,6 +78,13 @@ def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
     reach = 1 if connectivity == 8 else 0
     width = values.shape[1]
     return Runs(Layout(starts, _first_touching(starts, width, reach), width, reach), values[changes])
+
+
+def require_connectivity(connectivity: int) -> None:
+    """Refuse a neighbourhood other than the two of the square lattice."""
+    if connectivity not in (4, 8):
+        msg = f"The connectivity must be 4 or 8; got {connectivity!r}."
+        raise ParameterError(msg)
 
 
 def require_image(values: NDArray[Any]) -> None:
@@ -93,6 +98,21 @@ def require_image(values: NDArray[Any]) -> None:
     if values.dtype.kind == "f" and np.isnan(values).any():
         msg = f"The image holds {np.isnan(values).sum()} NaN, which have no order. Fill them and keep a validity mask."
         raise InputError(msg)
+
+
+def require_valid(values: NDArray[Any], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    """Refuse what is no image in its valid cells, or no mask of it; return the mask, or none where all are valid."""
+    if valid is not None and (valid.shape != values.shape or valid.dtype != np.bool_):
+        msg = (
+            f"The mask of valid cells must be of booleans and of the image's shape {values.shape}; "
+            f"got {valid.dtype} of {valid.shape}."
+        )
+        raise InputError(msg)
+    if valid is None or valid.all():
+        require_image(values)
+        return None
+    require_image(np.where(valid, values, values.dtype.type(0)))
+    return valid
 
 
 def widen(values: NDArray[Any]) -> NDArray[Any]:

@@ -1,0 +1,345 @@
+"""Differential attribute profiles: all zones of one tree equal one opening and one filter a zone."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import CONNECTIVITIES, fields, integer_images, surfaces
+
+from msbdb.errors import InputError, ParameterError
+from msbdb.morphology import (
+    area_opening,
+    areas,
+    attribute_filter,
+    attribute_opening,
+    build_profile,
+    build_tree,
+    maxima,
+    second_order_gradient,
+    sums,
+    zone_thresholds,
+)
+
+SEEDS = st.integers(0, 2**32 - 1)
+THRESHOLDS = st.lists(st.integers(1, 120), min_size=1, max_size=6, unique=True).map(
+    lambda quarters: np.array([0, *sorted(quarters)]) * 0.25
+)
+RATIO = 1.5
+
+
+class Drawn:
+    """A surface with the sum of a field as its attribute: the profile, and the naive definitions of the same."""
+
+    def __init__(self, surface, connectivity, seed, thresholds):
+        self.values, self.valid = surface
+        self.connectivity = connectivity
+        self.field = fields(self.values.shape, seed)
+        self.tree = build_tree(self.values, self.valid, connectivity=connectivity)
+        self.attribute = sums(self.tree, self.field)
+        self.thresholds = thresholds
+        self.profile = build_profile(self.tree, self.attribute, thresholds)
+
+    def opening(self, threshold):
+        """Open by threshold decomposition."""
+        return oracles.attribute_opening(
+            np.where(self.valid, self.values, self.values.dtype.type(0)),
+            self.valid,
+            self.connectivity,
+            lambda mask: self.field[mask].sum(),
+            threshold,
+        )
+
+    def zones(self):
+        """Return the responses of all zones, by an opening for each."""
+        opened = [self.opening(threshold).astype(float) for threshold in self.thresholds]
+        return [finer - coarser for finer, coarser in pairwise(opened)]
+
+
+DRAWN = st.builds(Drawn, surfaces(), CONNECTIVITIES, SEEDS, THRESHOLDS)
+
+
+@given(DRAWN)
+def test_openings_are_the_naive_definition(drawn):
+    """Each opening of the profile is what threshold decomposition gives, bit by bit and of the same dtype."""
+    for i, threshold in enumerate(drawn.thresholds):
+        expected = drawn.opening(threshold)
+        for opened in (drawn.profile.opening(i), attribute_opening(drawn.tree, drawn.attribute, threshold)):
+            assert opened.dtype == drawn.values.dtype
+            np.testing.assert_array_equal(opened, expected)
+
+
+@given(DRAWN)
+def test_responses_are_the_differences_of_openings(drawn):
+    """δ_i is γ of λ_{i-1} less γ of λ_i (Eq. 2), and nowhere negative."""
+    for i, zone in enumerate(drawn.zones(), start=1):
+        np.testing.assert_array_equal(drawn.profile.response(i), zone)
+        assert (zone >= 0).all()
+
+
+@given(DRAWN)
+def test_the_zones_and_the_residual_sum_up_to_the_surface(drawn):
+    """The profile telescopes: exactly, not nearly."""
+    profile = drawn.profile
+    total = profile.opening(profile.zones).astype(float)
+    for i in range(profile.zones, 0, -1):
+        total += profile.response(i)
+    np.testing.assert_array_equal(total[drawn.valid], drawn.values[drawn.valid])
+    assert not total[~drawn.valid].any()
+
+
+@given(DRAWN)
+def test_theta_is_the_largest_response_and_the_largest_zone_that_has_it(drawn):
+    """Both of all zones at once equal those of the stacked zones (Eq. 4, 5; M5); no response has zone 0."""
+    response, zone = drawn.profile.theta()
+    expected, largest = oracles.theta(drawn.zones())
+    np.testing.assert_array_equal(response, expected)
+    np.testing.assert_array_equal(zone, largest)
+
+
+@given(DRAWN)
+def test_supports_filtered_by_area_equal_one_binary_opening_a_zone(drawn):
+    """The nodes kept are the area opening of each {δ_i > 0} (M16, M17), and their union is G (Eq. 14; M18)."""
+    profile = drawn.profile
+    least = RATIO * drawn.thresholds
+    kept = profile.filter_supports(areas(drawn.tree), least)
+    union = np.zeros(drawn.values.shape, dtype=bool)
+    for i, zone in enumerate(drawn.zones(), start=1):
+        np.testing.assert_array_equal(profile.support(i), zone > 0)
+        expected = oracles.binary_area_opening(zone > 0, least[i], drawn.connectivity)
+        np.testing.assert_array_equal(profile.support(i, kept), expected)
+        union |= expected
+    np.testing.assert_array_equal(profile.union(kept) != -1, union)
+
+
+@given(DRAWN)
+def test_each_component_of_the_union_is_one_node(drawn):
+    """Cells of the union have the same node when they are connected in it, and else not."""
+    least = RATIO * drawn.thresholds
+    nodes = drawn.profile.union(drawn.profile.filter_supports(areas(drawn.tree), least))
+    zones = oracles.flat_zones(nodes != -1, drawn.connectivity)
+    pairs = {pair for pair in zip(zones.ravel().tolist(), nodes.ravel().tolist(), strict=True) if pair[0]}
+    assert len(pairs) == len({zone for zone, _ in pairs}) == len({node for _, node in pairs})
+    for zone, node in pairs:
+        assert areas(drawn.tree)[node] == (zones == zone).sum()
+        assert drawn.attribute[node] == drawn.field[zones == zone].sum()
+
+
+@given(DRAWN)
+def test_the_components_are_those_of_the_supports(drawn):
+    """Each zone's support has as many components as nodes that are marked for it."""
+    marked = drawn.profile.components()
+    for i, zone in enumerate(drawn.zones(), start=1):
+        count = oracles.flat_zones(zone > 0, drawn.connectivity).max()
+        assert (marked & (drawn.profile.zone == i)).sum() == count
+
+
+@given(DRAWN)
+def test_the_spectrum_is_the_volume_of_each_zone(drawn):
+    """The sum of δ_i over all cells, read from the nodes."""
+    expected = [math.fsum(zone.ravel()) for zone in drawn.zones()]
+    np.testing.assert_allclose(drawn.profile.spectrum(), expected, rtol=1e-12, atol=1e-12)
+
+
+@given(DRAWN, st.integers(0, 40), st.integers(0, 40))
+def test_attribute_openings_lower_are_idempotent_and_absorb(drawn, one, other):
+    """γ_a ≤ g, γ_a γ_a = γ_a, and γ_a γ_b = γ_max(a, b) for any two thresholds (M28)."""
+
+    def opened(values, threshold):
+        tree = build_tree(values, drawn.valid, connectivity=drawn.connectivity)
+        return attribute_opening(tree, sums(tree, drawn.field), threshold)
+
+    first = opened(drawn.values, one)
+    assert (first[drawn.valid] <= drawn.values[drawn.valid]).all()
+    np.testing.assert_array_equal(opened(first, one), first)
+    np.testing.assert_array_equal(opened(first, other), opened(drawn.values, max(one, other)))
+
+
+@given(integer_images(), CONNECTIVITIES, st.integers(0, 40), SEEDS)
+def test_a_higher_surface_has_a_higher_opening(image, connectivity, threshold, seed):
+    """With the field as it is, the opening is increasing (M28)."""
+    field = fields(image.shape, seed)
+    raised = (image + np.random.default_rng(seed).integers(0, 3, image.shape)).astype(image.dtype)
+
+    def opened(values):
+        tree = build_tree(values, connectivity=connectivity)
+        return attribute_opening(tree, sums(tree, field), threshold)
+
+    # Flat at the minimum where nothing is large enough, which a raise of the minimum alone raises too.
+    assert (opened(image) <= opened(raised)).all()
+
+
+@given(surfaces(), CONNECTIVITIES)
+def test_the_sum_of_second_order_gradients_makes_a_profile(surface, connectivity):
+    """Λ of the paper (Eq. 11; M14) is increasing on any surface; its zones telescope."""
+    values, valid = surface
+    tree = build_tree(values, valid, connectivity=connectivity)
+    attribute = sums(tree, second_order_gradient(values, valid))
+    profile = build_profile(tree, attribute, [0, 0.5, 2, 9])
+    total = profile.opening(3) + sum(profile.response(i) for i in (3, 2, 1))
+    np.testing.assert_array_equal(total[valid], values[valid])
+
+
+@given(surfaces(), CONNECTIVITIES, SEEDS)
+def test_a_filter_of_any_criterion_takes_the_nearest_kept_node(surface, connectivity, seed):
+    """The direct rule: the highest level of a kept component around each cell, or its area's lowest value."""
+    values, valid = surface
+    tree = build_tree(values, valid, connectivity=connectivity)
+    keep = (areas(tree) + tree.level.astype(float) * 8).astype(int) % 2 == seed % 2
+    expected = oracles.attribute_opening(
+        np.where(valid, values, values.dtype.type(0)),
+        valid,
+        connectivity,
+        lambda mask: int(mask.sum() + float(values[mask].min()) * 8) % 2 == seed % 2,
+        True,
+    )
+    np.testing.assert_array_equal(attribute_filter(tree, keep), expected)
+
+
+def test_a_flat_roof_is_kept_and_a_rough_crown_is_not():
+    """Both have a large sum of gradients at their edge; a crown has one on its top also, in much less area for it."""
+    surface = np.zeros((40, 60))
+    surface[5:30, 5:30] = 6.0
+    crown = np.random.default_rng(0).uniform(4, 16, (10, 10))
+    surface[10:20, 45:55] = crown
+    tree = build_tree(surface)
+    gradient = second_order_gradient(surface)
+    profile = build_profile(tree, sums(tree, gradient), zone_thresholds(30, 2000, 250))
+    kept = profile.filter_supports(areas(tree), RATIO * profile.thresholds)
+    union = profile.union(kept)
+    assert (union[5:30, 5:30] >= 0).all()
+    assert (union[:, 40:] == -1).all()
+    node = union[10, 10]
+    assert areas(tree)[node] == 625
+    assert tree.level[node] == maxima(tree, surface)[node] == 6
+
+
+def test_ties_go_to_the_larger_zone():
+    """Two storeys of equal height: q is the zone of the larger one on both (M5)."""
+    image = np.zeros((9, 9), dtype=np.int16)
+    image[1:8, 1:8] = 3
+    image[3:5, 3:5] = 6
+    profile = build_profile(build_tree(image), areas(build_tree(image)), [0, 10, 60])
+    response, zone = profile.theta()
+    np.testing.assert_array_equal(response, np.where(image > 0, 3, 0))
+    np.testing.assert_array_equal(zone, np.where(image > 0, 2, 0))
+
+
+def test_the_profile_by_area_agrees_with_area_openings():
+    """On an image of thousands of cells, each zone equals the difference of two openings by the other kernel."""
+    image = np.random.default_rng(7).normal(size=(90, 80)).astype(np.float32).cumsum(axis=0).cumsum(axis=1)
+    thresholds = zone_thresholds(5, 2000, 60)
+    tree = build_tree(image)
+    profile = build_profile(tree, areas(tree), thresholds)
+    openings = [area_opening(image, max(int(threshold), 1)).astype(float) for threshold in thresholds]
+    zones = [finer - coarser for finer, coarser in pairwise(openings)]
+    response, zone = profile.theta()
+    expected, largest = oracles.theta(zones)
+    np.testing.assert_array_equal(response, expected)
+    np.testing.assert_array_equal(zone, largest)
+
+
+@pytest.mark.parametrize("image", [np.full((5, 6), 2.5, dtype=np.float32), np.array([[-9]], dtype=np.int16)])
+def test_a_surface_of_one_value_has_no_response(image):
+    """One plateau, or one pixel: no zone responds, and the residual is all there is."""
+    tree = build_tree(image)
+    profile = build_profile(tree, areas(tree), [0, 3, 99])
+    response, zone = profile.theta()
+    assert not response.any()
+    assert not zone.any()
+    assert not profile.components().any()
+    assert (profile.union(profile.components()) == -1).all()
+    assert not profile.spectrum().any()
+    np.testing.assert_array_equal(profile.opening(2), image)
+
+
+def test_without_any_valid_cell_the_profile_is_empty():
+    """No node, no response, no component."""
+    tree = build_tree(np.full((3, 4), np.nan), np.zeros((3, 4), dtype=bool))
+    profile = build_profile(tree, areas(tree), [0, 5])
+    assert not profile.theta().response.any()
+    assert (profile.union(profile.filter_supports(areas(tree), np.array([0.0, 1.0]))) == -1).all()
+    np.testing.assert_array_equal(profile.spectrum(), [0])
+
+
+def test_each_connected_area_of_valid_cells_is_a_surface_of_its_own():
+    """An island in a gap is never a response for its being an island, nor does it change the others."""
+    image = np.zeros((5, 9), dtype=np.int16)
+    image[1:4, 1:3] = 4
+    valid = np.ones(image.shape, dtype=bool)
+    valid[:, 5] = False
+    image[:, 6:] = 9
+    tree = build_tree(image, valid)
+    response, _ = build_profile(tree, areas(tree), [0, 7, 100]).theta()
+    np.testing.assert_array_equal(response, np.where(image == 4, 4, 0))
+
+
+def test_the_extremes_of_16_bits_differ_without_overflow():
+    """The response of 16-bit integers may exceed 16 bits."""
+    image = np.full((4, 4), -32768, dtype=np.int16)
+    image[1, 1] = 32767
+    tree = build_tree(image)
+    profile = build_profile(tree, areas(tree), [0, 2])
+    assert profile.theta().response.max() == profile.response(1).max() == profile.spectrum()[0] == 65535
+
+
+def test_thresholds_are_those_of_the_paper():
+    """Eq. 12 with the values of Fig. 2 and Table 1 (M15, M23); the last one is always λ_max."""
+    np.testing.assert_array_equal(zone_thresholds(50, 25000, 50), np.arange(0, 25001, 50))
+    data_set_3 = zone_thresholds(20, 40000, 300)
+    assert data_set_3.size == 136
+    np.testing.assert_array_equal(data_set_3[[0, 1, 2, -2, -1]], [0, 20, 320, 39920, 40000])
+    np.testing.assert_array_equal(zone_thresholds(30, 30, 250), [0, 30])
+    assert zone_thresholds(0.1, 0.7, 0.2).size == 5
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "step"), [(0, 9, 1), (30, 20, 5), (30, 90, 0), (30, 90, -5), (1, np.inf, 1), (np.nan, 9, 1)]
+)
+def test_zones_that_cannot_be_are_refused(least, most, step):
+    """λ_Δ of zero, λ_max below λ_min, and what is not finite."""
+    with pytest.raises(ParameterError, match="need 0 < λ_min ≤ λ_max and a step λ_Δ above 0"):
+        zone_thresholds(least, most, step)
+
+
+def test_too_many_zones_are_refused():
+    """Zones are counted in 16 bits."""
+    with pytest.raises(ParameterError, match="at most 32766 zones"):
+        zone_thresholds(1, 1e9, 1e-3)
+
+
+@pytest.mark.parametrize("thresholds", [[], [0], [1, 2], [0, 2, 2], [0, 3, 1], [0, np.nan], [[0, 1]]])
+def test_thresholds_that_make_no_zones_are_refused(thresholds):
+    """They start at 0 and increase."""
+    tree = build_tree(np.eye(3))
+    with pytest.raises(ParameterError, match="from 0 up"):
+        build_profile(tree, areas(tree), thresholds)
+
+
+def test_an_attribute_that_cannot_make_a_profile_is_refused():
+    """A mean is not increasing (M4); an attribute needs a value a node, none below 0, and levels to be finite."""
+    tree = build_tree(np.eye(3))
+    with pytest.raises(InputError, match="must be increasing"):
+        attribute_opening(tree, tree.level, 1)
+    with pytest.raises(InputError, match="must not be negative; got -9"):
+        build_profile(tree, areas(tree) - 12, [0, 1])
+    with pytest.raises(InputError, match="one value a node, of 2"):
+        build_profile(tree, np.ones(3), [0, 1])
+    infinite = build_tree(np.array([[0.0, np.inf]]))
+    with pytest.raises(InputError, match="infinite"):
+        build_profile(infinite, areas(infinite), [0, 1])
+
+
+def test_zones_out_of_reach_are_refused():
+    """Zones are counted from 1, openings from 0; a filter has a value for each."""
+    tree = build_tree(np.eye(3))
+    profile = build_profile(tree, areas(tree), [0, 1, 5])
+    with pytest.raises(ParameterError, match="zones 1 to 2; got 0"):
+        profile.response(0)
+    with pytest.raises(ParameterError, match="zones 0 to 2; got 3"):
+        profile.opening(3)
+    with pytest.raises(InputError, match="each of 2 zones"):
+        profile.filter_supports(areas(tree), np.ones(2))
