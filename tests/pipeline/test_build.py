@@ -247,7 +247,7 @@ def test_rasters_serve_instead_of_points(tower, tmp_path, kind):
         given = {"dsm": tmp_path / "dsm.tif", "dtm": tmp_path / "dtm.tif"}
     report = msbdb.build(**given, db=tmp_path / "raster.sqlite")
     assert report.buildings == 1
-    assert any("no echo information" in notice for notice in report.notices)
+    assert any("height texture alone" in notice for notice in report.notices)
     with msbdb.open(tmp_path / "raster.sqlite") as opened:
         parts = opened.parts().sort_values("area_m2")
         footprint = rasterise(opened.buildings().geometry, tower.spec) > 0
@@ -286,8 +286,7 @@ def test_an_ortho_on_another_grid_and_crs_serves(scene, tmp_path):
     rasterio.warp.reproject(scene.ortho(fine), image, **places)
     names = ("red", "green", "blue", "nir")
     ortho = write_image(tmp_path / "ortho.tif", image, over, names)
-    whole = with_values(profile(), {"spectral": {"split_share": 0}})
-    report = msbdb.build([points], ortho=[ortho], db=tmp_path / "ortho.sqlite", params=whole)
+    report = msbdb.build([points], ortho=[ortho], db=tmp_path / "ortho.sqlite")
     assert report.buildings == 1
     assert not any("no imagery" in notice for notice in report.notices)
     with msbdb.open(tmp_path / "ortho.sqlite") as opened:

@@ -293,10 +293,14 @@ def test_a_large_hall_is_one_building_with_an_office_on_it(built):
 
 
 def test_more_classes_than_materials_split_a_roof(built):
-    """Known limit: 15 classes of two roof materials differ by noise alone, and V44 splits the office by them."""
-    many = built("large_building").parts
-    fewer = built("large_building", params=with_values(profile(), {"spectral": {"classes": 4}})).parts
+    """Known limit of V44: 15 classes of two materials differ by noise, and split the office; default never splits."""
+    split = {"spectral": {"split_share": 0.4}}
+    many = built("large_building", params=with_values(profile(), split)).parts
+    fewer = built(
+        "large_building", params=with_values(profile(), {"spectral": {"split_share": 0.4, "classes": 4}})
+    ).parts
     assert len(many) > len(fewer) == 2
+    assert len(built("large_building").parts) == 2
 
 
 def test_the_city_is_found_whole(built):
