@@ -272,7 +272,7 @@ def test_no_echo_information_is_told(tmp_path, podium):
     tile = write_points(tmp_path / "tile.laz", podium.points, crs=podium.points.crs, **echoes)
     report = succeeds("build", "--points", tile, "--db", tmp_path / "town.sqlite")
     assert report["buildings"] == 1
-    assert any("no echo information" in notice for notice in report["notices"])
+    assert any("height texture alone" in notice for notice in report["notices"])
 
 
 @pytest.mark.parametrize("scene", ["one point", "flat field"])
