@@ -1,0 +1,147 @@
+"""Flat regions as rows: ids, attributes, and the ledger of what was rejected."""
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.errors import TableError
+from msbdb.extract.flatregions.binarise import Binarised
+from msbdb.extract.flatregions.recognise import Labels, measure_shapes
+from msbdb.extract.multiscale.clusters import measure, offsets
+from msbdb.extract.multiscale.heights import height_statistics, order_heights
+from msbdb.grid import Grid, GridSpec
+from msbdb.identity import part_ids
+from msbdb.morphology import label_zones
+from msbdb.tables import FLAT_REGION, REJECTION, Table
+
+KIND = "\0flat region"
+"""Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
+
+STAGES = ("flat denoising", "flat ratio", "flat opening", "flat compactness")
+"""The stages that reject regions, in order; their names differ from those of the multi-scale extraction."""
+
+
+class Books:
+    """What the stages took in, kept and dropped; and the regions that were lost, to become ``tables.REJECTION``."""
+
+    def __init__(self, spec: GridSpec, survey: str) -> None:
+        self.spec = spec
+        self.survey = survey
+        self.counts: dict[str, dict[str, int]] = {}
+        self._lost: list[pd.DataFrame] = [_typed(REJECTION.empty(), REJECTION)]
+
+    def count(self, stage: str, entered: int, kept: int, dropped: int, pieces: int = 0) -> None:
+        """Note the numbers of a stage, which cut so many pieces itself; negative where it joined regions.
+
+        Raises
+        ------
+        TableError
+            When in = kept + dropped does not hold.
+        """
+        if entered + pieces != kept + dropped:
+            msg = (
+                f"The stage '{stage}' does not balance: {entered} regions in and {pieces} pieces cut, "
+                f"but {kept} kept and {dropped} dropped. This is a fault of msbdb; please report it."
+            )
+            raise TableError(msg)
+        self.counts[stage] = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped}
+
+    def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
+        """Write the 8-connected regions of a mask, or those of labels, into the ledger; return how many."""
+        labels, count = label_zones(regions.astype(np.int32))
+        table = measure(labels, count)
+        xcen, ycen = centroids(table, self.spec)
+        rows = pd.DataFrame(
+            {
+                "region_id": region_ids(table, self.spec, self.survey, stage=1 + STAGES.index(stage)),
+                "stage": stage,
+                "reason": reason,
+                "scale": 0,
+                "area_m2": table["area"] * self.spec.cell_area_m2,
+                "xcen": xcen,
+                "ycen": ycen,
+            }
+        )
+        self._lost.append(_typed(rows, REJECTION))
+        return count
+
+    def rejections(self) -> pd.DataFrame:
+        """Return all lost regions in the order of the stages."""
+        return pd.concat([rows for rows in self._lost if len(rows)] or self._lost, ignore_index=True)
+
+
+def describe(labels: Labels, binarised: Binarised, heights: Grid, survey: str) -> pd.DataFrame:
+    """Return the rows of labelled flat regions (``tables.FLAT_REGION``, without geometry).
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        1 to N without a gap; 0 for none.
+    binarised : Binarised
+        Zones and gradients of the cells.
+    heights : Grid
+        Heights above ground, metres.
+    survey : str
+        Name of the survey; part of the ids.
+
+    Notes
+    -----
+    Closing and growth add cells that are in no flat component, and joined components may be of several zones: the
+    zone of a region is that of most of its cells that have one, the larger of equal ones.
+    """
+    spec = heights.spec
+    count = int(labels.max(initial=0))
+    table = measure(labels, count)
+    inside = labels > 0
+    gradient_sum = np.bincount(labels[inside] - 1, binarised.gradient[inside].astype(np.float64), count)
+    zone = most_frequent_zone(labels, binarised.zones, count)
+    shapes = measure_shapes(labels, spec.cell_m)
+    statistics = height_statistics(labels, slice(0, count), order_heights(heights, inside))
+    xcen, ycen = centroids(table, spec)
+    rows = pd.DataFrame(
+        {
+            "region_id": region_ids(table, spec, survey),
+            "zone": zone,
+            "lambda_low_m2": binarised.thresholds[np.maximum(zone - 1, 0)],
+            "lambda_m2": binarised.thresholds[zone],
+            "gradient_sum": gradient_sum * spec.cell_area_m2,
+            "mean_gradient": gradient_sum / np.maximum(table["area"].to_numpy(), 1),
+            **{name: shapes[name].to_numpy() for name in shapes.columns},
+            **{name: statistics[name].to_numpy() for name in statistics.columns},
+            "xcen": xcen,
+            "ycen": ycen,
+        }
+    )
+    return _typed(rows, FLAT_REGION)
+
+
+def most_frequent_zone(labels: Labels, zones: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+    """Return the zone of most of the cells of each region that have one, the larger of equal ones; 0 without any."""
+    inside = (labels > 0) & (zones > 0)
+    width = int(zones.max(initial=0)) + 1
+    pairs, cells = np.unique(labels[inside].astype(np.int64) * width + zones[inside], return_counts=True)
+    label, zone = np.divmod(pairs, width)
+    order = np.lexsort((zone, cells, label))
+    found = np.zeros(count + 1, dtype=np.int64)
+    found[label[order]] = zone[order]  # the last of each label is its most frequent one
+    return found[1:]
+
+
+def centroids(table: pd.DataFrame, spec: GridSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return easting and northing of the centroids of measured regions, metres."""
+    width = spec.shape[1]
+    down, right = offsets(table, width)
+    east, north = spec.xy(*np.divmod(table["first"].to_numpy().astype(np.int64), width))
+    return east + right * spec.cell_m, north - down * spec.cell_m
+
+
+def region_ids(table: pd.DataFrame, spec: GridSpec, survey: str, *, stage: int = 0) -> NDArray[np.int64]:
+    """Return ids of measured regions from their first cells; those that a stage rejected have ids of their own."""
+    row, col = np.divmod(table["first"].to_numpy().astype(np.int64), spec.shape[1])
+    row, col = row + spec.origin[0], col + spec.origin[1]
+    return part_ids(survey + KIND, spec.cell_m, threshold_px=0, row=row, col=col, piece=np.full(row.size, stage))
+
+
+def _typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+    """Return the declared columns in order and of their dtypes."""
+    return frame[table.names].astype({column.name: column.dtype for column in table.columns})

@@ -1,0 +1,153 @@
+"""The extraction of flat regions from end to end (Mongus et al. 2013, section 3)."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.errors import GridMismatchError, NodataError
+from msbdb.extract.flatregions.binarise import Binarised, binarise
+from msbdb.extract.flatregions.denoise import Denoised, denoise
+from msbdb.extract.flatregions.recognise import Labels, clean, grow, measure_shapes
+from msbdb.extract.flatregions.regions import Books, describe
+from msbdb.grid import Grid
+from msbdb.morphology import label_zones
+from msbdb.params import FlatRegionParams, Params
+
+logger = logging.getLogger(__name__)
+
+PEAK = "sharp peak"
+VALLEY = "steep valley"
+ROUGH = "too rough for its size in every zone"
+THIN = "thinner than the opening"
+LONG = "too long and thin"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatRegions:
+    """What the extraction of flat regions gives.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        0 for none, otherwise row number + 1 in ``regions``, in row order of the regions' first cells.
+    regions : DataFrame
+        The columns of ``tables.FLAT_REGION``, without geometry.
+    rejections : DataFrame
+        The columns of ``tables.REJECTION``, without geometry.
+    counts : dict
+        By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
+        ``dropped``.
+    zones : (H, W) ndarray of int32
+        i of the largest flat component that holds a cell, 0 for none: the set G of Eq. 14, as in the paper's Fig. 2.
+    denoised : Grid
+        The surface without outliers, as in the paper's Fig. 1.
+    """
+
+    labels: Labels
+    regions: pd.DataFrame
+    rejections: pd.DataFrame
+    counts: dict[str, dict[str, int]]
+    zones: NDArray[np.int32]
+    denoised: Grid
+
+
+def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params) -> FlatRegions:
+    """Extract the flat regions that may be buildings.
+
+    Parameters
+    ----------
+    g : Grid
+        What `initialise` made, metres: elevations with ``params.flatregions.on`` 'surface'; with 'ndsm', the same
+        less the terrain. Where the source is a raster, that raster.
+    heights : Grid
+        Heights above ground on the same lattice, metres, for the regions' statistics; with 'ndsm', regions get their
+        edges back from it, too.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Sections ``flatregions`` and, of ``surface``, the mask.
+
+    Returns
+    -------
+    FlatRegions
+        Possibly without regions.
+
+    Raises
+    ------
+    GridMismatchError
+        When the grids do not share a lattice.
+    NodataError
+        When the surface has no valid cell.
+    ParameterError
+        When λ_max is below λ_min, or λ_Δ is 0.
+
+    Notes
+    -----
+    Initialisation (M7, M8) comes before; denoising, binarisation and recognition are here. With 'ndsm' heights below
+    the mask become ground, which is level, so nothing is attached to a slope and no plateau rises (M27).
+    """
+    if not g.spec.same_lattice(heights.spec):
+        msg = (
+            f"The surface {g.spec.shape} at {g.spec.bounds} and the heights {heights.spec.shape} at "
+            f"{heights.spec.bounds} must share one lattice."
+        )
+        raise GridMismatchError(msg)
+    if not g.valid.any():
+        msg = "The surface has no valid cell in which flat regions could be sought."
+        raise NodataError(msg)
+    own, mask_m = params.flatregions, params.surface.mask_m
+    books = Books(g.spec, survey)
+    denoised = denoise(g, own)
+    _book_outliers(denoised, books)
+    if own.on == "ndsm":
+        found = binarise(level_ground(denoised.grid, mask_m), level_ground(g, mask_m), own)
+    else:
+        found = binarise(denoised.grid, g, own)
+    rough = books.reject("flat ratio", ROUGH, found.risen & ~found.flat)
+    _, candidates = label_zones(found.flat.astype(np.int32))
+    books.count("flat ratio", candidates + rough, candidates, rough)
+    labels = recognise(found, candidates, heights, params, books)
+    regions = describe(labels, found, heights, survey)
+    logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
+    return FlatRegions(labels, regions, books.rejections(), books.counts, found.zones, denoised.grid)
+
+
+def level_ground(heights: Grid, mask_m: float) -> Grid:
+    """Return heights above ground with all that is below the mask at 0."""
+    values = np.asarray(heights.values)
+    return heights.with_values(np.where(values < mask_m, 0, values).astype(np.float32))
+
+
+def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, books: Books) -> Labels:
+    """Turn the set G into labelled regions: G_B = Γ^Ψ(Φ_w(Γ_w(G))) (Eq. 17; M22)."""
+    own, cell_m = params.flatregions, heights.spec.cell_m
+    cleaned = clean(found.flat, own.opening_m, cell_m)
+    labels, count = label_zones(cleaned.astype(np.int32))
+    before, _ = label_zones(found.flat.astype(np.int32))
+    vanished = ~np.isin(before, np.unique(before[cleaned])) & found.flat
+    thin = books.reject("flat opening", THIN, vanished)
+    books.count("flat opening", candidates, count, thin, pieces=count + thin - candidates)
+    if own.on == "ndsm":
+        steps = int(own.grow_m / cell_m + 0.5)
+        labels = grow(labels, heights, steps=steps, step_m=own.grow_step_m, least_m=params.surface.mask_m)
+    return _drop_long(labels, count, own, cell_m, books)
+
+
+def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, books: Books) -> Labels:
+    """Keep the regions of Ψ' < ψ (Eq. 16; A9) and number them anew, by their first cells."""
+    compact = measure_shapes(labels, cell_m)["compactness"].to_numpy() < own.max_compactness
+    keep = np.concatenate([[False], compact])
+    long = books.reject("flat compactness", LONG, np.where(keep[labels], 0, labels))
+    kept, left = label_zones(np.where(keep[labels], labels, 0))
+    books.count("flat compactness", count, left, long)
+    return kept
+
+
+def _book_outliers(denoised: Denoised, books: Books) -> None:
+    """Write peaks and valleys into the ledger."""
+    dropped = books.reject("flat denoising", PEAK, denoised.peaks)
+    dropped += books.reject("flat denoising", VALLEY, denoised.valleys)
+    books.count("flat denoising", dropped, 0, dropped)
