@@ -4,7 +4,21 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from msbdb.morphology import area_closing, area_opening, label_zones
+from msbdb.morphology import (
+    area_closing,
+    area_opening,
+    areas,
+    attribute_filter,
+    attribute_opening,
+    build_profile,
+    build_tree,
+    label_zones,
+    maxima,
+    minima,
+    second_order_gradient,
+    sums,
+    window_profile,
+)
 
 THRESHOLDS = [2, 9, 60, 700]
 
@@ -76,3 +90,110 @@ def test_flat_zones_are_those_of_scikit_image(connectivity):
     expected, number = measure.label(image, background=0, return_num=True, connectivity=connectivity // 4)
     assert count == number
     np.testing.assert_array_equal(labels, expected)
+
+
+def town(seed):
+    """Blocks and rough crowns on smooth ground: floats with plateaus and ties."""
+    return (relief(seed) * 4 + storeys(seed) * np.float32(0.5)).round(2).astype(np.float32)
+
+
+SURFACES = pytest.mark.parametrize("image", [storeys(5), relief(6), town(7)], ids=["storeys", "relief", "town"])
+
+
+def higra_tree(image, connectivity):
+    """Return Higra, its max-tree of an image, and the level of each node."""
+    higra = pytest.importorskip("higra")
+    graphs = {4: higra.get_4_adjacency_graph, 8: higra.get_8_adjacency_graph}
+    return higra, *higra.component_tree_max_tree(graphs[connectivity](image.shape), image)
+
+
+@SURFACES
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_the_component_tree_is_that_of_higra(image, connectivity):
+    """Nodes have the same levels, areas, sums, extremes, and levels of their parents, whatever their numbers."""
+    field = np.random.default_rng(8).integers(0, 50, image.shape)
+    higra, tree, altitudes = higra_tree(image, connectivity)
+    inner = np.arange(tree.num_leaves(), tree.num_vertices())
+
+    def accumulated(accumulator):
+        return higra.accumulate_sequential(tree, field, accumulator)[inner]
+
+    expected = [
+        altitudes[inner],
+        altitudes[tree.parents()[inner]],
+        higra.attribute_area(tree)[inner],
+        accumulated(higra.Accumulators.sum),
+        accumulated(higra.Accumulators.max),
+        accumulated(higra.Accumulators.min),
+    ]
+    own = build_tree(image, connectivity=connectivity)
+    found = [own.level, own.around(own.level), areas(own), sums(own, field), maxima(own, field), minima(own, field)]
+    assert own.size == inner.size
+    np.testing.assert_array_equal(in_order(found), in_order(expected))
+
+
+def in_order(columns):
+    """Return rows of attributes, sorted."""
+    rows = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
+    return rows[np.lexsort(rows.T)]
+
+
+@SURFACES
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_profiles_are_differences_of_higras_attribute_openings(image, connectivity):
+    """Each zone of the sum of gradients equals the difference of two openings read from Higra's tree."""
+    higra, tree, altitudes = higra_tree(image, connectivity)
+    # Whole numbers, so that the order of adding them does not matter.
+    gradient = np.round(second_order_gradient(image) * 64)
+    attribute = higra.accumulate_sequential(tree, gradient.astype(np.float64), higra.Accumulators.sum)
+    thresholds = [0, 40, 400, 4000, 40000]
+    openings = [higra.reconstruct_leaf_data(tree, altitudes, attribute < threshold) for threshold in thresholds]
+    own = build_tree(image, connectivity=connectivity)
+    profile = build_profile(own, sums(own, gradient), thresholds)
+    for i, threshold in enumerate(thresholds):
+        np.testing.assert_array_equal(profile.opening(i), openings[i])
+        np.testing.assert_array_equal(attribute_opening(own, sums(own, gradient), threshold), openings[i])
+    zones = -np.diff(np.array(openings, dtype=np.float64), axis=0)
+    np.testing.assert_array_equal(profile.theta().response, zones.max(axis=0))
+    for i, zone in enumerate(zones, start=1):
+        np.testing.assert_array_equal(profile.response(i), zone)
+
+
+@SURFACES
+@pytest.mark.parametrize("threshold", THRESHOLDS)
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_area_openings_of_the_tree_are_those_of_diplib(image, threshold, connectivity):
+    """One tree gives the openings of all areas, bit by bit."""
+    dip = pytest.importorskip("diplib")
+    expected = dip.AreaOpening(dip.Image(image), filterSize=threshold, connectivity={4: 1, 8: 2}[connectivity])
+    tree = build_tree(image, connectivity=connectivity)
+    np.testing.assert_array_equal(attribute_filter(tree, areas(tree) >= threshold), np.asarray(expected))
+
+
+@SURFACES
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_supports_filtered_by_area_are_labels_filtered_by_size(image, connectivity):
+    """The nodes kept are the large regions that scikit-image labels in each {δ_i > 0}."""
+    measure = pytest.importorskip("skimage.measure")
+    tree = build_tree(image, connectivity=connectivity)
+    profile = build_profile(tree, sums(tree, second_order_gradient(image)), [0, 5, 20, 80, 400])
+    least = 1.5 * profile.thresholds
+    kept = profile.filter_supports(areas(tree), least)
+    union = np.zeros(image.shape, dtype=bool)
+    for i in range(1, profile.zones + 1):
+        labels = measure.label(profile.response(i) > 0, connectivity=connectivity // 4)
+        large = (np.bincount(labels.ravel()) >= least[i])[labels] & (labels > 0)
+        np.testing.assert_array_equal(profile.support(i, kept), large)
+        union |= large
+    np.testing.assert_array_equal(profile.union(kept) >= 0, union)
+
+
+@SURFACES
+@pytest.mark.parametrize("window", [3, 9])
+def test_openings_by_windows_are_those_of_scipy_within_the_edges(image, window):
+    """Away from the edge, where the libraries' border rules cannot matter, the first zone is g less scipy's opening."""
+    response, zone = window_profile(image, [window])
+    expected = image.astype(np.float64) - ndimage.grey_opening(image, size=(window, window))
+    inside = np.s_[window:-window, window:-window]
+    np.testing.assert_array_equal(response[inside], expected[inside])
+    np.testing.assert_array_equal(zone[inside], expected[inside] > 0)
