@@ -78,11 +78,9 @@ def draw_map(
     FileError
         When it cannot be written.
     """
-    if out.suffix.lower() != ".png":
-        msg = f"A map is written as PNG; got the name {out.name}. Give it the ending .png."
-        raise InputError(msg)
-    figure, axes = _sheet(relief)
-    _draw_relief(axes, relief)
+    require_png(out)
+    figure, axes = sheet(relief)
+    draw_relief(axes, relief)
     norm = _height_range(parts)
     scales = sorted(int(scale) for scale in parts["scale"].unique())
     thin = _thinness(parts, axes)
@@ -90,14 +88,14 @@ def draw_map(
         chosen = parts[parts["scale"] == scale]
         _draw_parts(axes, chosen, norm, order, _line(scale, scales, thin))
     _draw_footprints(axes, buildings, 1.5 * thin)
-    _furnish(figure, axes, title, subtitle)
+    furnish(figure, axes, title, subtitle)
     _legend(figure, axes, scales, thresholds_m2=thresholds_m2 or {}, thin=thin, no_data=not bool(relief.valid.all()))
     if len(parts):
         _height_bar(figure, axes, norm)
-    _write(figure, out)
+    write_picture(figure, out)
 
 
-def _sheet(relief: Grid) -> tuple[Figure, Axes]:
+def sheet(relief: Grid) -> tuple[Figure, Axes]:
     """Return a figure with room for a title above and a legend beside the map, and the map's axes.
 
     The map's longer side is ``MAP_INCHES``; two dots a cell, within 150 and 350 dots an inch.
@@ -121,7 +119,7 @@ def _sheet(relief: Grid) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _draw_relief(axes: Axes, relief: Grid) -> None:
+def draw_relief(axes: Axes, relief: Grid) -> None:
     """Draw the ground's colour where the relief is valid, and its light and shadow above the parts, roofs and all."""
     step = math.ceil(max(relief.spec.shape) / LARGEST_RELIEF)
     heights = relief.values[::step, ::step].astype(np.float32)
@@ -222,7 +220,7 @@ def _draw_footprints(axes: Axes, buildings: gpd.GeoDataFrame, width: float) -> N
     axes.add_collection(edges, autolim=False)
 
 
-def _furnish(figure: Figure, axes: Axes, title: str, subtitle: str) -> None:
+def furnish(figure: Figure, axes: Axes, title: str, subtitle: str) -> None:
     """Write the title and coordinates, and draw scale bar and north arrow."""
     box = axes.get_position()
     height = figure.get_figheight()
@@ -284,7 +282,14 @@ def _height_bar(figure: Figure, axes: Axes, norm: Normalize) -> None:
     bar.set_title("Height, m", fontsize=9, loc="left", pad=8)
 
 
-def _write(figure: Figure, out: Path) -> None:
+def require_png(out: Path) -> None:
+    """Refuse a picture of another format."""
+    if out.suffix.lower() != ".png":
+        msg = f"A map is written as PNG; got the name {out.name}. Give it the ending .png."
+        raise InputError(msg)
+
+
+def write_picture(figure: Figure, out: Path) -> None:
     """Write the picture beside its place and move it there, so that no half picture is ever seen."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", metadata={"Software": None})
