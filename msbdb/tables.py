@@ -149,6 +149,13 @@ BUILDING = Table(
         Column("parts", "int64", "count", "number of parts, the root included"),
         Column("scales", "int64", "count", "number of scales on which it has parts"),
         Column("speindex", "int64", "-", "the root's spectral class; 0 for none"),
+        Column(
+            "flat_share",
+            "float64",
+            "1",
+            "share of the footprint that flat regions cover; null when they were not extracted",
+            nullable=True,
+        ),
     ),
     geometry="MULTIPOLYGON",
 )
@@ -187,7 +194,7 @@ PART_FLAT_REGION = Table(
     ),
 )
 
-TABLES = (SCALE, PART, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, REJECTION, BUILDING)
+TABLES = (SCALE, PART, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, REJECTION, BUILDING, FLAT_REGION, PART_FLAT_REGION)
 
 
 def validate(frame: pd.DataFrame, table: Table) -> None:
@@ -279,8 +286,9 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of a method on a survey.
+    """The run that built a survey.
 
+    ``method`` names its extractors, sorted and joined by commas: 'multiscale' or 'flatregions,multiscale'.
     ``parameters`` and ``counts`` are nested plain dictionaries; ``timings`` are seconds a stage (and stay out of the
     canonical dump, as they are the one thing that differs between equal runs). ``notices`` are sentences for people.
     """

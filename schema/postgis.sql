@@ -1,4 +1,4 @@
--- The schema 0001 of msbdb for postgis.
+-- The schema 0002 of msbdb for postgis.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -40,6 +40,8 @@ CREATE TABLE run (
   CONSTRAINT fk_run_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
 
+CREATE UNIQUE INDEX ix_run_survey_id ON run (survey_id);
+
 CREATE TABLE source (
   survey_id BIGINT NOT NULL,
   number INTEGER NOT NULL,
@@ -51,6 +53,34 @@ CREATE TABLE source (
   CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
   CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
+
+CREATE TABLE flat_region (
+  region_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  zone BIGINT NOT NULL,
+  lambda_low_m2 DOUBLE PRECISION NOT NULL,
+  lambda_m2 DOUBLE PRECISION NOT NULL,
+  gradient_sum DOUBLE PRECISION NOT NULL,
+  mean_gradient DOUBLE PRECISION NOT NULL,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  perimeter_m DOUBLE PRECISION NOT NULL,
+  compactness DOUBLE PRECISION NOT NULL,
+  h_max DOUBLE PRECISION NOT NULL,
+  h_mean DOUBLE PRECISION NOT NULL,
+  h_p50 DOUBLE PRECISION NOT NULL,
+  h_p90 DOUBLE PRECISION NOT NULL,
+  h_std DOUBLE PRECISION NOT NULL,
+  xcen DOUBLE PRECISION NOT NULL,
+  ycen DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_flat_region PRIMARY KEY (region_id),
+  CONSTRAINT ck_flat_region_region_id CHECK (region_id > 0),
+  CONSTRAINT ck_flat_region_zone CHECK (zone >= 1 AND lambda_low_m2 >= 0 AND lambda_low_m2 < lambda_m2),
+  CONSTRAINT ck_flat_region_gradient CHECK (gradient_sum >= 0 AND mean_gradient >= 0),
+  CONSTRAINT ck_flat_region_shape CHECK (area_m2 > 0 AND perimeter_m > 0 AND compactness > 0),
+  CONSTRAINT fk_flat_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_flat_region_run_id_zone ON flat_region (run_id, zone);
 
 CREATE TABLE rejection (
   rejection_id BIGINT NOT NULL,
@@ -185,6 +215,7 @@ CREATE TABLE building (
   scales BIGINT NOT NULL,
   speindex BIGINT NOT NULL,
   class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  flat_share DOUBLE PRECISION,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (root_id),
   CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
@@ -193,10 +224,31 @@ CREATE TABLE building (
   CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
   CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
   CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
+  CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
 CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
+CREATE TABLE part_flat_region (
+  part_id BIGINT NOT NULL,
+  region_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  overlap_m2 DOUBLE PRECISION NOT NULL,
+  part_share DOUBLE PRECISION NOT NULL,
+  region_share DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_part_flat_region PRIMARY KEY (part_id, region_id),
+  CONSTRAINT ck_part_flat_region_overlap CHECK (overlap_m2 > 0),
+  CONSTRAINT ck_part_flat_region_part_share CHECK (part_share > 0 AND part_share <= 1),
+  CONSTRAINT ck_part_flat_region_region_share CHECK (region_share > 0 AND region_share <= 1),
+  CONSTRAINT fk_part_flat_region_part FOREIGN KEY(part_id) REFERENCES part (part_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_flat_region_flat_region FOREIGN KEY(region_id) REFERENCES flat_region (region_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_flat_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_part_flat_region_region_id ON part_flat_region (region_id);
+
+CREATE INDEX ix_part_flat_region_run_id ON part_flat_region (run_id);
 
 ALTER TABLE part ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NULL;
 
@@ -209,6 +261,10 @@ CREATE INDEX idx_building_geometry ON building USING gist (geometry);
 ALTER TABLE rejection ADD COLUMN geometry geometry(POINT, :srid) NOT NULL;
 
 CREATE INDEX idx_rejection_geometry ON rejection USING gist (geometry);
+
+ALTER TABLE flat_region ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NULL;
+
+CREATE INDEX idx_flat_region_geometry ON flat_region USING gist (geometry);
 
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
@@ -235,7 +291,7 @@ JOIN survey AS s ON s.survey_id = r.survey_id;
 
 CREATE VIEW building_summary AS
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
-       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       b.flat_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
@@ -246,6 +302,33 @@ JOIN run AS r ON r.run_id = b.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
 JOIN part AS root ON root.part_id = b.root_id
 LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id;
+
+CREATE VIEW part_evidence AS
+SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
+       p.geometry
+FROM part AS p
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
+) AS e ON e.part_id = p.part_id;
+
+CREATE VIEW unexplained_flat_region AS
+SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
+       f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, f.geometry
+FROM flat_region AS f
+JOIN run AS r ON r.run_id = f.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.region_id, SUM(l.region_share) AS explained_share
+  FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.region_id
+) AS e ON e.region_id = f.region_id
+WHERE COALESCE(e.explained_share, 0.0) < 0.5;
 
 COMMENT ON TABLE survey IS 'A survey: where and when the data were taken';
 
@@ -273,13 +356,13 @@ COMMENT ON COLUMN survey.east IS 'eastern edge [m]';
 
 COMMENT ON COLUMN survey.north IS 'northern edge [m]';
 
-COMMENT ON TABLE run IS 'A run of a method on a survey; it is written whole or not at all';
+COMMENT ON TABLE run IS 'The run that built a survey, a survey''s only one; it is written whole or not at all';
 
-COMMENT ON COLUMN run.run_id IS 'from the survey''s name and the method';
+COMMENT ON COLUMN run.run_id IS 'from the survey''s name';
 
 COMMENT ON COLUMN run.survey_id IS 'the survey';
 
-COMMENT ON COLUMN run.method IS 'the extractor: multiscale and others';
+COMMENT ON COLUMN run.method IS 'the extractors, sorted and joined by commas: multiscale and flatregions';
 
 COMMENT ON COLUMN run.profile IS 'the set of parameters that it began from';
 
@@ -308,6 +391,44 @@ COMMENT ON COLUMN source.role IS 'what the file gave: points, ortho, dsm, dtm, n
 COMMENT ON COLUMN source.sha256 IS 'checksum of the file';
 
 COMMENT ON COLUMN source.bytes IS 'size of the file [bytes]';
+
+COMMENT ON TABLE flat_region IS 'A region of even height that stands out of its surroundings, found by its gradients';
+
+COMMENT ON COLUMN flat_region.region_id IS 'id of the flat region, from survey and absolute lattice position; above 0';
+
+COMMENT ON COLUMN flat_region.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN flat_region.zone IS 'i: attribute-zone of most of its cells, from 1 (Mongus et al. 2013, Eq. 2)';
+
+COMMENT ON COLUMN flat_region.lambda_low_m2 IS 'λ_{i-1}: lower threshold of the zone [m2]';
+
+COMMENT ON COLUMN flat_region.lambda_m2 IS 'λ_i: upper threshold of the zone [m2]';
+
+COMMENT ON COLUMN flat_region.gradient_sum IS 'Λ: sum of second-order gradients times cell area (Eq. 11) [m3]';
+
+COMMENT ON COLUMN flat_region.mean_gradient IS 'mean second-order gradient of its cells [m]';
+
+COMMENT ON COLUMN flat_region.area_m2 IS 'area of its cells [m2]';
+
+COMMENT ON COLUMN flat_region.perimeter_m IS 'P: corrected length of its outlines, holes included [m]';
+
+COMMENT ON COLUMN flat_region.compactness IS 'Ψ'' = P²/(4πA), 1 for a disc, larger for longer shapes (Eq. 15) [1]';
+
+COMMENT ON COLUMN flat_region.h_max IS 'largest height above ground inside [m]';
+
+COMMENT ON COLUMN flat_region.h_mean IS 'mean height above ground inside [m]';
+
+COMMENT ON COLUMN flat_region.h_p50 IS 'median height above ground inside [m]';
+
+COMMENT ON COLUMN flat_region.h_p90 IS '90th percentile of the height above ground inside [m]';
+
+COMMENT ON COLUMN flat_region.h_std IS 'standard deviation of the heights inside [m]';
+
+COMMENT ON COLUMN flat_region.xcen IS 'easting of the centroid of its cells [m]';
+
+COMMENT ON COLUMN flat_region.ycen IS 'northing of the centroid of its cells [m]';
+
+COMMENT ON COLUMN flat_region.geometry IS 'in the database''s CRS [m]';
 
 COMMENT ON TABLE rejection IS 'A region that a stage dropped, and why: nothing vanishes in silence';
 
@@ -475,9 +596,25 @@ COMMENT ON COLUMN building.speindex IS 'the root''s spectral class; 0 for none';
 
 COMMENT ON COLUMN building.class_id IS 'SPE, but null for none';
 
+COMMENT ON COLUMN building.flat_share IS 'share of the footprint that flat regions cover; null when they were not extracted [1]';
+
 COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON TABLE part_flat_region IS 'A part and a flat region that share cells: one is the other''s witness';
+
+COMMENT ON COLUMN part_flat_region.part_id IS 'the part';
+
+COMMENT ON COLUMN part_flat_region.region_id IS 'the flat region that it shares cells with';
+
+COMMENT ON COLUMN part_flat_region.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN part_flat_region.overlap_m2 IS 'area of the cells that both cover; above 0 [m2]';
+
+COMMENT ON COLUMN part_flat_region.part_share IS 'share of the part''s area that the region covers [1]';
+
+COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area that the part covers [1]';
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0001');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
 

@@ -1,4 +1,4 @@
--- The schema 0001 of msbdb for spatialite.
+-- The schema 0002 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -40,6 +40,8 @@ CREATE TABLE run (
   CONSTRAINT fk_run_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
 
+CREATE UNIQUE INDEX ix_run_survey_id ON run (survey_id);
+
 CREATE TABLE source (
   survey_id BIGINT NOT NULL,
   number INTEGER NOT NULL,
@@ -51,6 +53,34 @@ CREATE TABLE source (
   CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
   CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
+
+CREATE TABLE flat_region (
+  region_id INTEGER NOT NULL,
+  run_id BIGINT NOT NULL,
+  zone BIGINT NOT NULL,
+  lambda_low_m2 DOUBLE NOT NULL,
+  lambda_m2 DOUBLE NOT NULL,
+  gradient_sum DOUBLE NOT NULL,
+  mean_gradient DOUBLE NOT NULL,
+  area_m2 DOUBLE NOT NULL,
+  perimeter_m DOUBLE NOT NULL,
+  compactness DOUBLE NOT NULL,
+  h_max DOUBLE NOT NULL,
+  h_mean DOUBLE NOT NULL,
+  h_p50 DOUBLE NOT NULL,
+  h_p90 DOUBLE NOT NULL,
+  h_std DOUBLE NOT NULL,
+  xcen DOUBLE NOT NULL,
+  ycen DOUBLE NOT NULL,
+  CONSTRAINT pk_flat_region PRIMARY KEY (region_id),
+  CONSTRAINT ck_flat_region_region_id CHECK (region_id > 0),
+  CONSTRAINT ck_flat_region_zone CHECK (zone >= 1 AND lambda_low_m2 >= 0 AND lambda_low_m2 < lambda_m2),
+  CONSTRAINT ck_flat_region_gradient CHECK (gradient_sum >= 0 AND mean_gradient >= 0),
+  CONSTRAINT ck_flat_region_shape CHECK (area_m2 > 0 AND perimeter_m > 0 AND compactness > 0),
+  CONSTRAINT fk_flat_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_flat_region_run_id_zone ON flat_region (run_id, zone);
 
 CREATE TABLE rejection (
   rejection_id INTEGER NOT NULL,
@@ -185,6 +215,7 @@ CREATE TABLE building (
   scales BIGINT NOT NULL,
   speindex BIGINT NOT NULL,
   class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  flat_share DOUBLE,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (root_id),
   CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
@@ -193,10 +224,31 @@ CREATE TABLE building (
   CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
   CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
   CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
+  CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
 CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
+CREATE TABLE part_flat_region (
+  part_id BIGINT NOT NULL,
+  region_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  overlap_m2 DOUBLE NOT NULL,
+  part_share DOUBLE NOT NULL,
+  region_share DOUBLE NOT NULL,
+  CONSTRAINT pk_part_flat_region PRIMARY KEY (part_id, region_id),
+  CONSTRAINT ck_part_flat_region_overlap CHECK (overlap_m2 > 0),
+  CONSTRAINT ck_part_flat_region_part_share CHECK (part_share > 0 AND part_share <= 1),
+  CONSTRAINT ck_part_flat_region_region_share CHECK (region_share > 0 AND region_share <= 1),
+  CONSTRAINT fk_part_flat_region_part FOREIGN KEY(part_id) REFERENCES part (part_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_flat_region_flat_region FOREIGN KEY(region_id) REFERENCES flat_region (region_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_flat_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_part_flat_region_region_id ON part_flat_region (region_id);
+
+CREATE INDEX ix_part_flat_region_run_id ON part_flat_region (run_id);
 
 SELECT AddGeometryColumn('part', 'geometry', :srid, 'MULTIPOLYGON', 'XY', 1);
 
@@ -209,6 +261,10 @@ SELECT CreateSpatialIndex('building', 'geometry');
 SELECT AddGeometryColumn('rejection', 'geometry', :srid, 'POINT', 'XY', 1);
 
 SELECT CreateSpatialIndex('rejection', 'geometry');
+
+SELECT AddGeometryColumn('flat_region', 'geometry', :srid, 'MULTIPOLYGON', 'XY', 1);
+
+SELECT CreateSpatialIndex('flat_region', 'geometry');
 
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
@@ -239,7 +295,7 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE VIEW building_summary AS
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
-       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       b.flat_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
@@ -253,7 +309,38 @@ LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_summary', 'geometry', 'building_id', 'building', 'geometry', 1);
 
+CREATE VIEW part_evidence AS
+SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
+       p.geometry
+FROM part AS p
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
+) AS e ON e.part_id = p.part_id;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_evidence', 'geometry', 'part_id', 'part', 'geometry', 1);
+
+CREATE VIEW unexplained_flat_region AS
+SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
+       f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, f.geometry
+FROM flat_region AS f
+JOIN run AS r ON r.run_id = f.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.region_id, SUM(l.region_share) AS explained_share
+  FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.region_id
+) AS e ON e.region_id = f.region_id
+WHERE COALESCE(e.explained_share, 0.0) < 0.5;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('unexplained_flat_region', 'geometry', 'region_id', 'flat_region', 'geometry', 1);
+
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0001');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
 

@@ -6,6 +6,9 @@ On a lattice of 1 m cells, with the origin at ``WEST``, ``SOUTH``:
 - B, a house of 10 x 10 m with 2 storeys;
 - C, a block of 30 x 30 m with 4 storeys around a courtyard of 10 x 10 m;
 - D, a shed of 6 x 5 m with 1 storey, found on the finest scale only, 300 m to the east.
+
+Flat regions lie on the slab (all of it), on the block's southern wing of 30 x 10 m, on 8 x 10 m of which a quarter is
+the house's, and on 20 x 30 m without any part; none lies on the shed.
 """
 
 from collections.abc import Mapping
@@ -19,7 +22,9 @@ from pyproj import CRS
 
 from msbdb.tables import (
     BUILDING,
+    FLAT_REGION,
     PART,
+    PART_FLAT_REGION,
     REJECTION,
     SCALE,
     SPECTRAL_CLASS,
@@ -38,11 +43,20 @@ BASE = 2**58
 
 PODIUM, SLAB, LIFT, HOUSE, BLOCK, SHED = (BASE + n for n in range(1, 7))
 CROWN = BASE + 99
+SLAB_ROOF, WING, DECK, PITCH = (BASE + n for n in range(201, 205))
+"""The flat regions."""
 
 
-def small_build(survey: str = "delft", method: str = "multiscale", *, shift: int = 0, **run: Any) -> Build:
-    """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database."""
+def small_build(survey: str = "delft", method: str = "flatregions,multiscale", *, shift: int = 0, **run: Any) -> Build:
+    """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database.
+
+    A ``method`` without 'flatregions' gives no flat regions, and buildings that know nothing of them.
+    """
     parts = _parts(shift)
+    regions = _flat_regions(shift)
+    if "flatregions" not in method:
+        regions = regions[:0]
+    links = _links(parts, regions)
     frames: dict[str, pd.DataFrame] = {
         "scale": _frame(SCALE, [(1, 200, 200.0), (2, 50, 50.0), (3, 20, 20.0)]),
         "part": parts,
@@ -66,7 +80,9 @@ def small_build(survey: str = "delft", method: str = "multiscale", *, shift: int
             ],
             [shapely.Point(WEST + x, SOUTH + y) for x, y in ((150, 20), (160, 20), (20, 15))],
         ),
-        "building": _buildings(parts),
+        "building": _buildings(parts, links if "flatregions" in method else None),
+        "flat_region": regions,
+        "part_flat_region": links,
     }
     values: Mapping[str, Any] = {
         "method": method,
@@ -133,7 +149,8 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
             )
         )
     parts = pd.concat(rows, ignore_index=True)[[*PART.names, "geometry"]]
-    frames = {**base.frames, "part": parts, "building": _buildings(parts)}
+    none = {name: base.frames[name][:0] for name in ("flat_region", "part_flat_region")}
+    frames = {**base.frames, **none, "part": parts, "building": _buildings(parts, none["part_flat_region"])}
     survey = Survey(**{**{f: getattr(base.survey, f) for f in base.survey.__dataclass_fields__}, "epsg": epsg})
     return Build(survey, base.run, frames, base.state)
 
@@ -184,8 +201,41 @@ def _parts(shift: int) -> gpd.GeoDataFrame:
     return _geo(PART, rows, shapes)
 
 
-def _buildings(parts: pd.DataFrame) -> gpd.GeoDataFrame:
-    """Return the roots as buildings; the footprint's mean height stands for all cells."""
+def _flat_regions(shift: int) -> gpd.GeoDataFrame:
+    described = [
+        # id, zone, height, outline
+        (SLAB_ROOF, 2, 18.0, _box(5, 5, 20, 10)),
+        (WING, 3, 12.0, _box(80, 0, 30, 10)),
+        (DECK, 1, 6.0, _box(68, 10, 8, 10)),
+        (PITCH, 3, 3.0, _box(200, 20, 20, 30)),
+    ]
+    rows = []
+    for region, zone, height, shape in described:
+        gradients = 0.25 * shape.area, 0.25
+        sizes = shape.area, shape.length, shape.length**2 / (4 * np.pi * shape.area)
+        heights = (height + 0.5, height, height, height + 0.25, 0.125)
+        place = shape.centroid.x, shape.centroid.y
+        rows.append((region + shift, zone, 20.0 * (zone - 1), 20.0 * zone, *gradients, *sizes, *heights, *place))
+    return _geo(FLAT_REGION, rows, [shape for *_, shape in described])
+
+
+def _links(parts: pd.DataFrame, regions: pd.DataFrame) -> pd.DataFrame:
+    """Return the links between parts and regions that share ground."""
+    rows = []
+    for part, area, outline in parts[["part_id", "area_m2", "geometry"]].itertuples(index=False):
+        for region, size, shape in regions[["region_id", "area_m2", "geometry"]].itertuples(index=False):
+            overlap = outline.intersection(shape).area
+            if overlap > 0:
+                rows.append((part, region, overlap, overlap / area, overlap / size))
+    return _frame(PART_FLAT_REGION, rows)
+
+
+def _buildings(parts: pd.DataFrame, links: pd.DataFrame | None) -> gpd.GeoDataFrame:
+    """Return the roots as buildings; the footprint's mean height stands for all cells.
+
+    Without links nothing is known of flat regions.
+    """
+    covered = None if links is None else links.groupby("part_id")["part_share"].sum()
     trees = parts.groupby("root_id")
     roots = parts[parts["supid"] == 0].set_index("root_id", drop=False)
     made = pd.DataFrame(
@@ -203,6 +253,7 @@ def _buildings(parts: pd.DataFrame) -> gpd.GeoDataFrame:
             "parts": trees.size(),
             "scales": trees["scale"].nunique(),
             "speindex": roots["speindex"],
+            "flat_share": np.nan if covered is None else covered.reindex(roots["part_id"]).fillna(0.0),
         }
     ).reset_index(drop=True)
     made["state"] = made["state"].astype("str")

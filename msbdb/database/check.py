@@ -21,13 +21,11 @@ def check_build(build: Build) -> None:
     Raises
     ------
     InputError
-        For a survey or method without a name.
+        For a survey without a name, or extractors that are missing, unsorted or named twice.
     TableError
         Naming the table, the column and the first rows that are wrong.
     """
-    if not build.survey.name.strip() or not build.run.method.strip():
-        msg = f"A build needs a survey's name and a method; got '{build.survey.name}' and '{build.run.method}'."
-        raise InputError(msg)
+    _check_names(build)
     expected = {table.name for table in TABLES}
     if set(build.frames) != expected:
         msg = f"A build needs the tables {sorted(expected)}; got {sorted(build.frames)}."
@@ -41,6 +39,20 @@ def check_build(build: Build) -> None:
     _check_keys(build.frames)
     _check_references(build.frames)
     validate_parts(build.frames["part"])
+
+
+def _check_names(build: Build) -> None:
+    """Refuse a survey without a name, and extractors that are not a sorted list."""
+    if not build.survey.name.strip():
+        msg = f"A build needs a survey's name; got '{build.survey.name}'. Give one."
+        raise InputError(msg)
+    names = build.run.method.split(",")
+    if not all(name.strip() for name in names) or names != sorted(set(names)):
+        msg = (
+            f"A run's method must name its extractors, sorted and joined by commas; got '{build.run.method}'. "
+            "Give for instance 'flatregions,multiscale'."
+        )
+        raise InputError(msg)
 
 
 def geometries(frame: pd.DataFrame) -> NDArray[np.object_]:
@@ -70,14 +82,21 @@ def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
 
 def _check_keys(frames: dict[str, pd.DataFrame]) -> None:
     """Refuse two rows of one key."""
-    keys = ("scale", "scale"), ("spectral_class", "speindex"), ("building", "building_id"), ("building", "root_id")
+    keys = (
+        ("scale", ["scale"]),
+        ("spectral_class", ["speindex"]),
+        ("building", ["building_id"]),
+        ("building", ["root_id"]),
+        ("flat_region", ["region_id"]),
+        ("part_flat_region", ["part_id", "region_id"]),
+    )
     for name, key in keys:
         frame = frames[name]
-        _require(~frame[key].duplicated(), frame, _TABLES[name], f"{key} is given twice")
+        _require(~frame.duplicated(key), frame, _TABLES[name], f"{' with '.join(key)} is given twice")
 
 
 def _check_references(frames: dict[str, pd.DataFrame]) -> None:
-    """Refuse rows that speak of a scale, class or root that is not there."""
+    """Refuse rows that speak of a scale, class, root, part or flat region that is not there."""
     part = frames["part"]
     roots = part.loc[part["supid"] == 0, "part_id"]
     classes = frames["spectral_class"]["speindex"]
@@ -88,6 +107,8 @@ def _check_references(frames: dict[str, pd.DataFrame]) -> None:
         ("building", "root_id", roots),
         ("building", "speindex", or_none),
         ("spectral_class_band", "speindex", classes),
+        ("part_flat_region", "part_id", part["part_id"]),
+        ("part_flat_region", "region_id", frames["flat_region"]["region_id"]),
     ):
         frame = frames[name]
         _require(frame[column].isin(list(known)), frame, _TABLES[name], f"{column} names nothing that exists")

@@ -32,6 +32,12 @@ class Dialect(Protocol):
     def view_ddl(self, view: str, key: str, base: str) -> list[str]:
         """Return the statements that register a view's geometry, after the view's own creation."""
 
+    def drop_geometry_ddl(self, table: str) -> list[str]:
+        """Return the statements by which a migration forgets a geometry column, before it drops the table."""
+
+    def drop_view_ddl(self, view: str) -> list[str]:
+        """Return the statements by which a migration forgets a view's geometry."""
+
     def database_srid(self, connection: Connection) -> int:
         """Return the SRID of the database's geometry columns."""
 

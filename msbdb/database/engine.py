@@ -109,6 +109,7 @@ def upgrade_database(engine: Engine) -> None:
     with guarded(engine.url), dialect.writing(engine) as connection:
         before = upgrade.schema_version(connection)
         upgrade.migrate(connection, dialect, dialect.database_srid(connection))
+        dialect.after_load(connection)
         logger.info("Schema of %s upgraded from %s to %s", shown(engine.url), before, upgrade.head_version())
 
 

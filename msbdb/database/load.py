@@ -30,13 +30,24 @@ ORDER: dict[str, list[str]] = {
     "spectral_class_band": ["speindex", "band"],
     "rejection": ["region_id", "stage", "reason", "scale", "area_m2", "xcen", "ycen"],
     "building": ["building_id"],
+    "flat_region": ["region_id"],
+    "part_flat_region": ["part_id", "region_id"],
 }
 """The columns by which each table's rows are ordered, so that their order in the frames does not matter."""
 
 PACKING = 4
 """Level of the rasters' compression: the last before it takes four times as long for files smaller by a twentieth."""
 
-_LOADED = ("scale", "spectral_class", "spectral_class_band", "part", "building", "rejection")
+_LOADED = (
+    "scale",
+    "spectral_class",
+    "spectral_class_band",
+    "part",
+    "building",
+    "flat_region",
+    "part_flat_region",
+    "rejection",
+)
 """The tables in an order in which every row finds what it refers to."""
 
 
@@ -58,8 +69,8 @@ class WriteReport:
 def write_build(engine: Engine, build: Build) -> WriteReport:
     """Write a build in one transaction.
 
-    A run is known by its survey's name and its method. Content that is there already is left alone, timings included;
-    other content replaces the run's rows. Row order in the frames is of no matter.
+    A survey has one run, whatever its extractors. Content that is there already is left alone, timings included; other
+    content replaces the survey's rows. Row order in the frames is of no matter.
 
     Parameters
     ----------
@@ -83,8 +94,7 @@ def write_build(engine: Engine, build: Build) -> WriteReport:
     dialect = dialect_of(engine.url)
     frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
     digest = content_digest(build, frames)
-    survey_id = text_id("survey", build.survey.name)
-    run_id = text_id("run", build.survey.name, build.run.method)
+    survey_id, run_id = _keys(build)
     rows = {name: len(frame) for name, frame in frames.items()} | {"run_state": len(build.state)}
     srid = srid_of(build.survey.epsg, build.survey.crs_wkt)
     with guarded(engine.url):
@@ -117,11 +127,11 @@ def _write(
     engine: Engine, dialect: Dialect, build: Build, frames: dict[str, pd.DataFrame], *, digest: str, srid: int
 ) -> str:
     """Replace or create the run; return which."""
-    survey_id = text_id("survey", build.survey.name)
-    run_id = text_id("run", build.survey.name, build.run.method)
+    survey_id, run_id = _keys(build)
     rasters = in_threads(_raster_row, sorted(build.state.items()))
     with dialect.writing(engine) as connection:
-        removed = connection.execute(delete(Run).where(Run.run_id == run_id)).rowcount
+        # By the survey, as runs of the first schema have other keys.
+        removed = connection.execute(delete(Run).where(Run.survey_id == survey_id)).rowcount
         dialect.settle(connection)
         _write_survey(connection, survey_id, build)
         run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": digest}
@@ -132,6 +142,11 @@ def _write(
             connection.execute(insert(RunState), [{"run_id": run_id, **raster}])
         dialect.after_load(connection)
     return "replaced" if removed else "created"
+
+
+def _keys(build: Build) -> tuple[int, int]:
+    """Return the keys of a build's survey and run; its extractors have no part in them."""
+    return text_id("survey", build.survey.name), text_id("run", build.survey.name)
 
 
 def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
@@ -188,7 +203,7 @@ def _rejection_ids(build: Build, frame: pd.DataFrame) -> list[int]:
     """Return keys of ledger rows; a region that one stage dropped twice for one reason is counted on."""
     again = frame.groupby(["region_id", "stage", "reason"], sort=False).cumcount()
     rows = zip(frame["region_id"], frame["stage"], frame["reason"], again, strict=True)
-    return [text_id("rejection", build.survey.name, build.run.method, *row) for row in rows]
+    return [text_id("rejection", build.survey.name, *row) for row in rows]
 
 
 def _ordered(frame: pd.DataFrame, table: Table) -> pd.DataFrame:

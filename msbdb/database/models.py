@@ -29,7 +29,18 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, MappedColumn, mapped_column
 from sqlalchemy.types import TypeEngine
 
 from msbdb.classmap import LABELS
-from msbdb.tables import BUILDING, PART, REJECTION, SCALE, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Column, Table
+from msbdb.tables import (
+    BUILDING,
+    FLAT_REGION,
+    PART,
+    PART_FLAT_REGION,
+    REJECTION,
+    SCALE,
+    SPECTRAL_CLASS,
+    SPECTRAL_CLASS_BAND,
+    Column,
+    Table,
+)
 
 BUILDING_STATES = ("confirmed", "unsure", "refuted")
 LABELLERS = ("automatic", "operator")
@@ -155,13 +166,17 @@ class Source(Base):
 
 
 class Run(Base):
-    """A run of a method on a survey; it is written whole or not at all."""
+    """The run that built a survey, a survey's only one; it is written whole or not at all.
+
+    The weaker constraint is the first schema's: SQLite could only drop it together with the table, on which all rows
+    hang.
+    """
 
     __tablename__ = "run"
-    __table_args__ = (UniqueConstraint("survey_id", "method"),)
-    run_id: Mapped[int] = _row_id("from the survey's name and the method")
+    __table_args__ = (UniqueConstraint("survey_id", "method"), Index(None, "survey_id", unique=True))
+    run_id: Mapped[int] = _row_id("from the survey's name")
     survey_id: Mapped[int] = _key("the survey", ForeignKey("survey.survey_id", ondelete="CASCADE"))
-    method: Mapped[str] = _text("the extractor: multiscale and others")
+    method: Mapped[str] = _text("the extractors, sorted and joined by commas: multiscale and flatregions")
     profile: Mapped[str] = _text("the set of parameters that it began from")
     version: Mapped[str] = _text("version of msbdb")
     parameters: Mapped[dict[str, Any]] = mapped_column(JSON, comment="every parameter's value, by section")
@@ -300,6 +315,7 @@ class Building(Base):
         _one_of("state", BUILDING_STATES),
         CheckConstraint("storeys >= 0 AND area_m2 > 0", name="size"),
         CheckConstraint("parts >= 1 AND scales >= 1", name="parts"),
+        CheckConstraint("flat_share >= 0 AND flat_share <= 1", name="flat_share"),
         Index(None, "run_id", "class_id"),
     )
     building_id: Mapped[int] = _row_id(_comment(BUILDING, "building_id"))
@@ -319,7 +335,67 @@ class Building(Base):
     class_id: Mapped[int | None] = _key(
         "SPE, but null for none", Computed("nullif(speindex, 0)", persisted=True), nullable=True
     )
+    flat_share: Mapped[float | None] = _declared(BUILDING, "flat_share")
     geometry: Mapped[WKBElement] = _geometry("MULTIPOLYGON")
+
+
+class FlatRegion(Base):
+    """A region of even height that stands out of its surroundings, found by its gradients.
+
+    The scale-space has no part in it (Mongus et al. 2013), so that parts and flat regions bear witness for each other.
+    """
+
+    __tablename__ = "flat_region"
+    __table_args__ = (
+        CheckConstraint("region_id > 0", name="region_id"),
+        CheckConstraint("zone >= 1 AND lambda_low_m2 >= 0 AND lambda_low_m2 < lambda_m2", name="zone"),
+        CheckConstraint("gradient_sum >= 0 AND mean_gradient >= 0", name="gradient"),
+        CheckConstraint("area_m2 > 0 AND perimeter_m > 0 AND compactness > 0", name="shape"),
+        Index(None, "run_id", "zone"),
+    )
+    region_id: Mapped[int] = _row_id(_comment(FLAT_REGION, "region_id"))
+    run_id: Mapped[int] = _run_key()
+    zone: Mapped[int] = _declared(FLAT_REGION, "zone")
+    lambda_low_m2: Mapped[float] = _declared(FLAT_REGION, "lambda_low_m2")
+    lambda_m2: Mapped[float] = _declared(FLAT_REGION, "lambda_m2")
+    gradient_sum: Mapped[float] = _declared(FLAT_REGION, "gradient_sum")
+    mean_gradient: Mapped[float] = _declared(FLAT_REGION, "mean_gradient")
+    area_m2: Mapped[float] = _declared(FLAT_REGION, "area_m2")
+    perimeter_m: Mapped[float] = _declared(FLAT_REGION, "perimeter_m")
+    compactness: Mapped[float] = _declared(FLAT_REGION, "compactness")
+    h_max: Mapped[float] = _declared(FLAT_REGION, "h_max")
+    h_mean: Mapped[float] = _declared(FLAT_REGION, "h_mean")
+    h_p50: Mapped[float] = _declared(FLAT_REGION, "h_p50")
+    h_p90: Mapped[float] = _declared(FLAT_REGION, "h_p90")
+    h_std: Mapped[float] = _declared(FLAT_REGION, "h_std")
+    xcen: Mapped[float] = _declared(FLAT_REGION, "xcen")
+    ycen: Mapped[float] = _declared(FLAT_REGION, "ycen")
+    geometry: Mapped[WKBElement] = _geometry("MULTIPOLYGON")
+
+
+class PartFlatRegion(Base):
+    """A part and a flat region that share cells: one is the other's witness."""
+
+    __tablename__ = "part_flat_region"
+    __table_args__ = (
+        CheckConstraint("overlap_m2 > 0", name="overlap"),
+        CheckConstraint("part_share > 0 AND part_share <= 1", name="part_share"),
+        CheckConstraint("region_share > 0 AND region_share <= 1", name="region_share"),
+        Index(None, "region_id"),
+        Index(None, "run_id"),
+    )
+    part_id: Mapped[int] = _key(
+        _comment(PART_FLAT_REGION, "part_id"), ForeignKey("part.part_id", ondelete="CASCADE"), primary_key=True
+    )
+    region_id: Mapped[int] = _key(
+        _comment(PART_FLAT_REGION, "region_id"),
+        ForeignKey("flat_region.region_id", ondelete="CASCADE"),
+        primary_key=True,
+    )
+    run_id: Mapped[int] = _run_key()
+    overlap_m2: Mapped[float] = _declared(PART_FLAT_REGION, "overlap_m2")
+    part_share: Mapped[float] = _declared(PART_FLAT_REGION, "part_share")
+    region_share: Mapped[float] = _declared(PART_FLAT_REGION, "region_share")
 
 
 class Rejection(Base):
@@ -354,5 +430,10 @@ class RunState(Base):
     data: Mapped[bytes] = mapped_column(LargeBinary, comment="the cells in C order, compressed by zlib")
 
 
-SPATIAL: dict[str, str] = {"part": "MULTIPOLYGON", "building": "MULTIPOLYGON", "rejection": "POINT"}
+SPATIAL: dict[str, str] = {
+    "part": "MULTIPOLYGON",
+    "building": "MULTIPOLYGON",
+    "rejection": "POINT",
+    "flat_region": "MULTIPOLYGON",
+}
 """Geometry type of each table that has one; the column is always ``geometry``."""

@@ -29,6 +29,8 @@ _CONTENT = (
     "spectral_class_band",
     "rejection",
     "building",
+    "flat_region",
+    "part_flat_region",
 )
 
 
@@ -77,6 +79,16 @@ def geometry_ddl(table: str, kind: str, srid: int | str) -> list[str]:
 
 def view_ddl(view: str, key: str, base: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
     """Return nothing: PostGIS reads a view's geometry type and SRID off the view itself."""
+    return []
+
+
+def drop_geometry_ddl(table: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
+    """Return nothing: the column and its index go with the table."""
+    return []
+
+
+def drop_view_ddl(view: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
+    """Return nothing: no register holds views."""
     return []
 
 

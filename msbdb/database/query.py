@@ -15,7 +15,19 @@ from msbdb.database.engine import guarded, shown
 from msbdb.database.load import ORDER
 from msbdb.database.models import Run, RunState, Source, Survey
 from msbdb.errors import InputError
-from msbdb.tables import BUILDING, PART, REJECTION, SCALE, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, TABLES, Build, Table
+from msbdb.tables import (
+    BUILDING,
+    FLAT_REGION,
+    PART,
+    PART_FLAT_REGION,
+    REJECTION,
+    SCALE,
+    SPECTRAL_CLASS,
+    SPECTRAL_CLASS_BAND,
+    TABLES,
+    Build,
+    Table,
+)
 from msbdb.tables import Run as RunRecord
 from msbdb.tables import Source as SourceRecord
 from msbdb.tables import Survey as SurveyRecord
@@ -40,26 +52,26 @@ def list_runs(engine: Engine) -> pd.DataFrame:
         )
         result = connection.execute(query)
         rows = pd.DataFrame([tuple(row) for row in result], columns=list(result.keys()))
-    return rows.sort_values(["survey", "method"], ignore_index=True)
+    return rows.sort_values("survey", ignore_index=True)
 
 
-def read_build(engine: Engine, survey: str | None = None, method: str | None = None) -> Build:
+def read_build(engine: Engine, survey: str | None = None) -> Build:
     """Return a run as the build that was written, its rows in the tables' order.
 
     Parameters
     ----------
     engine : Engine
         From ``open_database``.
-    survey, method : str, optional
-        Which run; not needed where the database holds only one.
+    survey : str, optional
+        Its name; not needed where the database holds only one.
 
     Raises
     ------
     InputError
-        When there is no such run, or more than one.
+        When there is no such survey, or no name was given and there are several.
     """
     with guarded(engine.url), engine.connect() as connection:
-        run = _find_run(connection, survey, method, shown(engine.url))
+        run = _find_run(connection, survey, shown(engine.url))
         record = _survey_record(connection, run.survey_id)
         return Build(
             survey=record,
@@ -69,78 +81,88 @@ def read_build(engine: Engine, survey: str | None = None, method: str | None = N
         )
 
 
-def read_survey(engine: Engine, survey: str | None = None, method: str | None = None) -> SurveyRecord:
+def read_survey(engine: Engine, survey: str | None = None) -> SurveyRecord:
     """Return the survey of a run, with its sources."""
     with guarded(engine.url), engine.connect() as connection:
-        run = _find_run(connection, survey, method, shown(engine.url))
+        run = _find_run(connection, survey, shown(engine.url))
         return _survey_record(connection, run.survey_id)
 
 
-def read_run(engine: Engine, survey: str | None = None, method: str | None = None) -> RunRecord:
+def read_run(engine: Engine, survey: str | None = None) -> RunRecord:
     """Return a run: parameters, counts, timings and notices."""
     with guarded(engine.url), engine.connect() as connection:
-        return _run_record(_find_run(connection, survey, method, shown(engine.url)))
+        return _run_record(_find_run(connection, survey, shown(engine.url)))
 
 
-def read_parts(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+def read_parts(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
     """Return a run's parts, columns as ``tables.PART`` and the geometry, in order of ids."""
-    return _read(engine, PART, survey, method)
+    return _read(engine, PART, survey)
 
 
-def read_buildings(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+def read_buildings(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
     """Return a run's buildings, columns as ``tables.BUILDING`` and the geometry, in order of ids."""
-    return _read(engine, BUILDING, survey, method)
+    return _read(engine, BUILDING, survey)
 
 
-def read_rejections(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+def read_rejections(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
     """Return a run's ledger, columns as ``tables.REJECTION`` and the geometry."""
-    return _read(engine, REJECTION, survey, method)
+    return _read(engine, REJECTION, survey)
 
 
-def read_scales(engine: Engine, survey: str | None = None, method: str | None = None) -> pd.DataFrame:
+def read_flat_regions(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
+    """Return a run's flat regions, columns as ``tables.FLAT_REGION`` and the geometry, in order of ids."""
+    return _read(engine, FLAT_REGION, survey)
+
+
+def read_part_flat_regions(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+    """Return which parts and flat regions share cells, columns as ``tables.PART_FLAT_REGION``."""
+    return _read_plain(engine, PART_FLAT_REGION, survey)
+
+
+def read_scales(engine: Engine, survey: str | None = None) -> pd.DataFrame:
     """Return a run's scales, columns as ``tables.SCALE``."""
-    return _read_plain(engine, SCALE, survey, method)
+    return _read_plain(engine, SCALE, survey)
 
 
-def read_classes(engine: Engine, survey: str | None = None, method: str | None = None) -> pd.DataFrame:
+def read_classes(engine: Engine, survey: str | None = None) -> pd.DataFrame:
     """Return a run's classes with their labels and who gave them, columns as ``tables.SPECTRAL_CLASS``."""
-    return _read_plain(engine, SPECTRAL_CLASS, survey, method)
+    return _read_plain(engine, SPECTRAL_CLASS, survey)
 
 
-def read_class_bands(engine: Engine, survey: str | None = None, method: str | None = None) -> pd.DataFrame:
+def read_class_bands(engine: Engine, survey: str | None = None) -> pd.DataFrame:
     """Return the bands' means by class, columns as ``tables.SPECTRAL_CLASS_BAND``."""
-    return _read_plain(engine, SPECTRAL_CLASS_BAND, survey, method)
+    return _read_plain(engine, SPECTRAL_CLASS_BAND, survey)
 
 
-def read_state(engine: Engine, survey: str | None = None, method: str | None = None) -> dict[str, NDArray[np.generic]]:
+def read_state(engine: Engine, survey: str | None = None) -> dict[str, NDArray[np.generic]]:
     """Return a run's named rasters, from which its classes can be labelled anew without the source data."""
     with guarded(engine.url), engine.connect() as connection:
-        return _read_state(connection, _find_run(connection, survey, method, shown(engine.url)).run_id)
+        return _read_state(connection, _find_run(connection, survey, shown(engine.url)).run_id)
 
 
-def _read_plain(engine: Engine, table: Table, survey: str | None, method: str | None) -> pd.DataFrame:
+def _read_plain(engine: Engine, table: Table, survey: str | None) -> pd.DataFrame:
     """Return one table without geometry of one run."""
-    frame: pd.DataFrame = _read(engine, table, survey, method)
+    frame: pd.DataFrame = _read(engine, table, survey)
     return frame
 
 
-def _read(engine: Engine, table: Table, survey: str | None, method: str | None) -> Any:  # noqa: ANN401
+def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN401
     """Return one table of one run, as a GeoDataFrame where it has a geometry."""
     with guarded(engine.url), engine.connect() as connection:
-        run = _find_run(connection, survey, method, shown(engine.url))
+        run = _find_run(connection, survey, shown(engine.url))
         return _read_table(connection, table, run.run_id, _survey_record(connection, run.survey_id))
 
 
-def _find_run(connection: Connection, survey: str | None, method: str | None, where: str) -> Any:  # noqa: ANN401
-    """Return the one run's row that the names leave."""
+def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  # noqa: ANN401
+    """Return the row of the survey's run; without a name, of the only survey's."""
     query = select(Survey.name.label("survey"), Run.__table__).join_from(Run, Survey)
     runs = connection.execute(query.order_by(Run.run_id)).all()
-    found = [r for r in runs if survey in (None, r.survey) and method in (None, r.method)]
+    found = [r for r in runs if survey in (None, r.survey)]
     if len(found) == 1:
         return found[0]
-    asked = f"survey {survey or 'any'}, method {method or 'any'}"
-    there = "; ".join(sorted(f"{r.survey}, {r.method}" for r in runs)) or "none"
-    msg = f"The database {where} has {len(found)} runs of {asked}. Name one of its runs (survey, method): {there}."
+    there = "; ".join(sorted(r.survey for r in runs)) or "none"
+    asked = f"no survey '{survey}'" if survey else f"{len(runs)} surveys"
+    msg = f"The database {where} has {asked}. Name one of its surveys: {there}."
     raise InputError(msg)
 
 

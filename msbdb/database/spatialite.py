@@ -149,6 +149,20 @@ def view_ddl(view: str, key: str, base: str) -> list[str]:
     return [f"INSERT INTO views_geometry_columns ({columns}) VALUES ({values})"]  # noqa: S608  (names are the views')
 
 
+def drop_geometry_ddl(table: str) -> list[str]:
+    """Return the statements that take the column ``geometry`` out of the register, before its table is dropped."""
+    return [
+        f"SELECT DisableSpatialIndex('{table}', 'geometry')",
+        f"DROP TABLE idx_{table}_geometry",
+        f"SELECT DiscardGeometryColumn('{table}', 'geometry')",
+    ]
+
+
+def drop_view_ddl(view: str) -> list[str]:
+    """Return the statement that takes a view out of the register, with its figures."""
+    return [f"DELETE FROM views_geometry_columns WHERE view_name = '{view}'"]  # noqa: S608  (names are the views')
+
+
 def database_srid(connection: Connection) -> int:
     """Return the SRID of the parts' geometry."""
     query = text("SELECT srid FROM geometry_columns WHERE f_table_name = 'part' AND f_geometry_column = 'geometry'")

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+EXPLAINED_SHARE = 0.5
+"""Share of a flat region from which the root parts on it explain it."""
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -64,12 +67,13 @@ BUILDING_SUMMARY = View(
     base="building",
     complete=True,
     doc=(
-        "One row a building for maps and tables: place, heights, volume, class, and floor_area_m2, an estimate: "
+        "One row a building for maps and tables: place, heights, volume, class, flat evidence, and floor_area_m2, an "
+        "estimate: "
         "each part counts its area once for every storey by which it rises above its father."
     ),
     sql="""
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
-       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       b.flat_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
@@ -83,4 +87,53 @@ LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id
 """.strip(),
 )
 
-VIEWS = (FOOTPRINT, PART_TREE, BUILDING_SUMMARY)
+PART_EVIDENCE = View(
+    "part_evidence",
+    key="part_id",
+    base="part",
+    complete=True,
+    doc=(
+        "The parts with their flat evidence: the share of each that flat regions cover, and their number; "
+        "both null when flat regions were not extracted."
+    ),
+    sql="""
+SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
+       p.geometry
+FROM part AS p
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
+) AS e ON e.part_id = p.part_id
+""".strip(),
+)
+
+UNEXPLAINED_FLAT_REGION = View(
+    "unexplained_flat_region",
+    key="region_id",
+    base="flat_region",
+    complete=False,
+    doc=(
+        f"The flat regions that no part explains: root parts cover less than {EXPLAINED_SHARE} of them; "
+        "explained_share is what they cover."
+    ),
+    sql=f"""
+SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
+       f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, f.geometry
+FROM flat_region AS f
+JOIN run AS r ON r.run_id = f.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.region_id, SUM(l.region_share) AS explained_share
+  FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.region_id
+) AS e ON e.region_id = f.region_id
+WHERE COALESCE(e.explained_share, 0.0) < {EXPLAINED_SHARE}
+""".strip(),  # noqa: S608  (the number is ours)
+)
+
+VIEWS = (FOOTPRINT, PART_TREE, BUILDING_SUMMARY, PART_EVIDENCE, UNEXPLAINED_FLAT_REGION)

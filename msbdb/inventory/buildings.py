@@ -50,6 +50,7 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
       'refuted' takes a reference or an operator, so none is here.
     - ``storeys`` are those of the tallest part; heights are of all valid cells in the footprint. The volume is
       exact for a surface above flat ground: the sum of height times cell area, in which heights below 0 count as 0.
+    - ``flat_share`` is null, as nothing is known of flat regions here.
     """
     is_root = (parts["supid"] == 0).to_numpy()
     root_rows = np.flatnonzero(is_root)
@@ -72,6 +73,7 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
         root_id=roots["part_id"],
         state=np.where(roots["building_share"] >= CONFIRMING_SHARE, "confirmed", "unsure"),
         volume_m3=_volume(footprints, len(root_rows), ndsm),
+        flat_share=np.nan,
         **{name: heights[name] for name in ("h_max", "h_mean", "h_p50", "h_p90")},
         **{name: summary[name].to_numpy() for name in summary.columns},
     )

@@ -10,7 +10,7 @@ from msbdb.grid import Grid
 from msbdb.inventory.buildings import buildings_from_parts
 from msbdb.params import VectorParams
 from msbdb.pipeline.cover import Cover
-from msbdb.tables import BUILDING, PART, TABLES, validate, validate_parts
+from msbdb.tables import BUILDING, FLAT_REGION, PART, PART_FLAT_REGION, TABLES, validate, validate_parts
 from msbdb.vector.polygons import polygonise
 from msbdb.vector.simplify import simplify_coverage
 
@@ -47,6 +47,8 @@ def make_frames(forest: Forest, parts: gpd.GeoDataFrame, cover: Cover, ndsm: Gri
         "spectral_class_band": cover.bands,
         "rejection": gpd.GeoDataFrame(forest.rejections, geometry=points, crs=ndsm.spec.crs),
         "building": buildings[[*BUILDING.names, "geometry"]],
+        "flat_region": gpd.GeoDataFrame(FLAT_REGION.empty(), geometry=[], crs=ndsm.spec.crs),
+        "part_flat_region": PART_FLAT_REGION.empty(),
     }
     for table in TABLES:
         validate(frames[table.name], table)

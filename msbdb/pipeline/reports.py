@@ -59,7 +59,7 @@ def info(db: str | Path) -> dict[str, Any]:
         runs = list_runs(engine)
         found = []
         for row in runs.to_dict(orient="records"):
-            build = read_build(engine, row["survey"], row["method"])
+            build = read_build(engine, row["survey"])
             survey = asdict(build.survey)
             survey.pop("crs_wkt")
             head: dict[str, Any] = {str(name): value for name, value in row.items()}

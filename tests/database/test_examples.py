@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from builds import BLOCK, HOUSE, LIFT, PODIUM, SHED, SLAB, SOUTH, WEST
+from builds import BLOCK, DECK, HOUSE, LIFT, PITCH, PODIUM, SHED, SLAB, SOUTH, WEST
 from sqlalchemy import Engine
 
 from msbdb.database import example_queries, run_example
@@ -63,7 +63,24 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
     ("parts_by_scale", {}, ["scale", "parts", "roots"], [(1, 2, 2), (2, 2, 1), (3, 2, 1)]),
     ("close_neighbours", {}, ["building_id", "distance_m"], [(HOUSE, 20.0)]),
     ("close_neighbours", {"building_id": HOUSE}, ["building_id", "distance_m"], [(BLOCK, 10.0), (PODIUM, 20.0)]),
-    ("surveys", {}, ["survey", "buildings", "parts", "rejections"], [("delft", 4, 6, 3)]),
+    (
+        "surveys",
+        {},
+        ["survey", "method", "buildings", "parts", "rejections", "flat_regions"],
+        [("delft", "flatregions,multiscale", 4, 6, 3, 4)],
+    ),
+    ("parts_with_flat_region", {}, ["part_id", "flat_share", "flat_regions"], [(SLAB, 1.0, 1), (LIFT, 1.0, 1)]),
+    ("parts_with_flat_region", {"share": 0.375}, ["part_id"], [(SLAB,), (LIFT,), (BLOCK,)]),
+    ("unexplained_flat_regions", {}, ["region_id", "explained_share"], [(PITCH, 0.0), (DECK, 0.25)]),
+    ("unexplained_flat_regions", {"min_area_m2": 100}, ["region_id"], [(PITCH,)]),
+    ("buildings_without_flat_region", {}, ["building_id", "flat_share"], [(SHED, 0.0)]),
+    ("buildings_without_flat_region", {"share": 0.2}, ["building_id"], [(PODIUM,), (HOUSE,), (SHED,)]),
+    (
+        "flat_regions_by_scale",
+        {},
+        ["scale", "parts", "confirmed", "flat_share"],
+        [(1, 2, 0, 0.25), (2, 2, 1, 220 / 300), (3, 2, 1, 0.4)],
+    ),
 ]
 
 

@@ -9,7 +9,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from builds import BLOCK, EPSG, HOUSE, LIFT, PODIUM, SHED, SLAB, SOUTH, WEST, small_build
+from builds import (
+    BLOCK,
+    DECK,
+    EPSG,
+    HOUSE,
+    LIFT,
+    PITCH,
+    PODIUM,
+    SHED,
+    SLAB,
+    SLAB_ROOF,
+    SOUTH,
+    WEST,
+    WING,
+    small_build,
+)
 from sqlalchemy import Engine, make_url
 
 from msbdb.database import open_database, write_build
@@ -39,6 +54,13 @@ LAYERS = {
     "footprint": Layer("part_id", "Multi Polygon", WHOLE, ROOTS),
     "part_tree": Layer("part_id", "Multi Polygon", WHOLE, PARTS, ("supid", "root_id")),
     "building_summary": Layer("building_id", "Multi Polygon", WHOLE, ROOTS),
+    "flat_region": Layer(
+        "region_id", "Multi Polygon", (WEST + 5, SOUTH, WEST + 220, SOUTH + 50), [SLAB_ROOF, WING, DECK, PITCH]
+    ),
+    "part_evidence": Layer("part_id", "Multi Polygon", WHOLE, PARTS, ("supid", "root_id")),
+    "unexplained_flat_region": Layer(
+        "region_id", "Multi Polygon", (WEST + 68, SOUTH + 10, WEST + 220, SOUTH + 50), [DECK, PITCH]
+    ),
 }
 
 
@@ -75,7 +97,7 @@ def test_each_layer_reads_with_type_srid_extent_and_count(loaded: Engine, name: 
     assert f"Feature Count: {len(layer.ids or [1, 2, 3])}" in words
     assert f"Extent: ({west:.6f}, {south:.6f}) - ({east:.6f}, {north:.6f})" in words
     assert f'ID["EPSG",{EPSG}]]' in words
-    if loaded.dialect.name == "sqlite" or name in ("part", "building", "rejection"):
+    if loaded.dialect.name == "sqlite" or name in ("part", "building", "rejection", "flat_region"):
         assert f"FID Column = {layer.key}" in words
 
 
@@ -102,7 +124,11 @@ def test_ids_come_out_whole(loaded: Engine, name: str, tmp_path: Path) -> None:
 def test_a_window_uses_the_index(loaded: Engine) -> None:
     """A client that asks for a window gets what lies in it, from tables and from views."""
     window = [str(v) for v in (WEST + 295, SOUTH, WEST + 400, SOUTH + 100)]
-    for name in ("part", "footprint", "part_tree", "building_summary"):
+    for name in ("part", "footprint", "part_tree", "building_summary", "part_evidence"):
+        words = run("ogrinfo", "-ro", "-so", source(loaded), name, "-spat", *window)
+        assert "Feature Count: 1\n" in words
+    window = [str(v) for v in (WEST + 190, SOUTH, WEST + 400, SOUTH + 100)]
+    for name in ("flat_region", "unexplained_flat_region"):
         words = run("ogrinfo", "-ro", "-so", source(loaded), name, "-spat", *window)
         assert "Feature Count: 1\n" in words
 

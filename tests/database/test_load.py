@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from builds import BLOCK, EPSG, HOUSE, LIFT, PODIUM, SHED, SLAB, small_build
+from builds import BLOCK, DECK, EPSG, HOUSE, LIFT, PITCH, PODIUM, SHED, SLAB, SLAB_ROOF, WING, small_build
 from geopandas.testing import assert_geodataframe_equal
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
@@ -21,6 +21,8 @@ from msbdb.database import (
     read_buildings,
     read_class_bands,
     read_classes,
+    read_flat_regions,
+    read_part_flat_regions,
     read_parts,
     read_rejections,
     read_run,
@@ -30,6 +32,8 @@ from msbdb.database import (
     write_build,
 )
 from msbdb.database.dialect import dialect_of
+from msbdb.database.models import Base
+from msbdb.database.views import VIEWS
 from msbdb.errors import InputError, LoadError, TableError
 from msbdb.tables import TABLES, Build
 
@@ -85,7 +89,12 @@ def test_each_table_is_read_by_itself(engine: Engine) -> None:
     assert read_classes(engine)["labelled_by"].tolist() == ["automatic", "automatic", "operator"]
     assert read_class_bands(engine)["mean"].tolist() == [11, 10, 21, 20, 31, 30]
     assert read_state(engine)["ndsm"].dtype == np.float32
-    assert list_runs(engine)[["survey", "method", "epsg"]].to_numpy().tolist() == [["delft", "multiscale", EPSG]]
+    assert read_flat_regions(engine)["region_id"].tolist() == [SLAB_ROOF, WING, DECK, PITCH]
+    links = read_part_flat_regions(engine)
+    assert links["part_id"].tolist() == [PODIUM, SLAB, LIFT, HOUSE, BLOCK]
+    assert links["region_share"].tolist() == [1, 1, 0.1, 0.25, 1]
+    runs = list_runs(engine)[["survey", "method", "epsg"]].to_numpy().tolist()
+    assert runs == [["delft", "flatregions,multiscale", EPSG]]
 
 
 def test_loading_twice_changes_nothing(engine: Engine) -> None:
@@ -155,19 +164,41 @@ def test_surveys_live_side_by_side(engine: Engine) -> None:
     assert write_build(engine, small_build("leiden", shift=1000)).status == "unchanged"
     write_build(engine, small_build("delft"))
     assert list(canonical_dump(engine)) == before
-    with pytest.raises(InputError, match=r"2 runs.*delft, multiscale; leiden, multiscale"):
+    with pytest.raises(InputError, match=r"2 surveys.*delft; leiden"):
         read_parts(engine)
     assert read_parts(engine, "leiden")["part_id"].min() == PODIUM + 1000
 
 
-def test_methods_live_side_by_side(engine: Engine) -> None:
-    """A survey has one run for each method."""
+def test_a_survey_has_one_run(engine: Engine) -> None:
+    """Building it again with other extractors replaces it, there and back, and the run keeps its key."""
+    both = write_build(engine, small_build())
+    before = list(canonical_dump(engine))
+    one = write_build(engine, small_build(method="multiscale"))
+    assert (one.status, one.run_id) == ("replaced", both.run_id)
+    assert list_runs(engine)["method"].tolist() == ["multiscale"]
+    assert_same_build(read_build(engine, "delft"), small_build(method="multiscale"))
+    assert read_flat_regions(engine).empty
+    assert read_buildings(engine)["flat_share"].isna().all()
+    assert write_build(engine, small_build()).status == "replaced"
+    assert list(canonical_dump(engine)) == before
+    second = text("INSERT INTO run SELECT 1, survey_id, 'other', '', '', '{}', '{}', '{}', '[]', '' FROM run")
+    with pytest.raises(IntegrityError), engine.begin() as connection:
+        connection.execute(second)
+
+
+def test_flat_regions_and_parts_go_with_their_links(engine: Engine) -> None:
+    """A link needs both of its ends, and goes with either."""
     write_build(engine, small_build())
-    write_build(engine, small_build(method="flatregions", shift=1000))
-    assert list_runs(engine)["method"].tolist() == ["flatregions", "multiscale"]
-    assert len(read_parts(engine, method="multiscale")) == 6
-    with pytest.raises(InputError, match="0 runs of survey delft, method adaptive"):
-        read_parts(engine, "delft", "adaptive")
+    count = text("SELECT count(*) FROM part_flat_region")
+    with engine.begin() as connection:
+        connection.execute(text("DELETE FROM flat_region WHERE region_id = :region"), {"region": WING})
+        assert connection.scalar(count) == 4
+        connection.execute(text("DELETE FROM part WHERE part_id = :part"), {"part": LIFT})
+        assert connection.scalar(count) == 3
+    for column, number in (("part_id", LIFT), ("region_id", WING), ("run_id", 1)):
+        change = text(f"UPDATE part_flat_region SET {column} = :number WHERE part_id = :part")
+        with pytest.raises(IntegrityError), engine.begin() as connection:
+            connection.execute(change, {"number": number, "part": SLAB})
 
 
 def test_a_build_without_buildings_is_stored(engine: Engine) -> None:
@@ -196,7 +227,7 @@ def test_words_stay_words(engine: Engine) -> None:
     write_build(engine, small_build(name, notices=("a 'quoted' \"sentence\"; --", "tab\tand\nline")))
     assert list_runs(engine)["survey"].tolist() == [name]
     assert read_build(engine, name).run.notices == ("a 'quoted' \"sentence\"; --", "tab\tand\nline")
-    with pytest.raises(InputError, match="0 runs"):
+    with pytest.raises(InputError, match="has no survey"):
         read_parts(engine, "' OR 1=1 --")
 
 
@@ -208,6 +239,15 @@ BAD = {
     "an unknown class": ("building", {"speindex": 9}, "speindex names nothing"),
     "a building without root": ("building", {"root_id": SLAB}, "root_id names nothing"),
     "a scale given twice": ("scale", {"scale": 2}, "scale is given twice"),
+    "a flat region given twice": ("flat_region", {"region_id": WING}, "region_id is given twice"),
+    "a link given twice": (
+        "part_flat_region",
+        {"row": 1, "part_id": PODIUM},
+        "part_id with region_id is given twice",
+    ),
+    "a link to no part": ("part_flat_region", {"part_id": 4711}, "part_id names nothing"),
+    "a link to no flat region": ("part_flat_region", {"region_id": 4711}, "region_id names nothing"),
+    "an infinite perimeter": ("flat_region", {"perimeter_m": np.inf}, "perimeter_m is missing or infinite"),
     "no geometry": ("part", {"geometry": None}, "is no MULTIPOLYGON"),
     "a line": ("part", {"geometry": shapely.LineString([(0, 0), (1, 1)])}, "is no MULTIPOLYGON"),
     "an empty geometry": ("building", {"geometry": shapely.MultiPolygon()}, "is empty"),
@@ -234,6 +274,9 @@ def test_missing_tables_and_names_are_refused(tmp_path) -> None:
         write_build(engine, replace(build, frames={"part": build.frames["part"]}))
     with pytest.raises(InputError, match="name"):
         write_build(engine, small_build(" "))
+    for method in ("", "multiscale,flatregions", "multiscale,multiscale", "multiscale,"):
+        with pytest.raises(InputError, match="sorted and joined by commas"):
+            write_build(engine, small_build(method=method))
 
 
 def test_refused_rows_leave_everything_as_it_was(engine: Engine) -> None:
@@ -279,7 +322,7 @@ def test_a_father_with_children_cannot_be_deleted(engine: Engine) -> None:
     with engine.begin() as connection:
         connection.execute(text("DELETE FROM survey WHERE name = 'delft'"))
     with engine.connect() as connection:
-        for table in ("part", "building", "rejection", "run", "run_state", "spectral_class_band", "source"):
+        for table in sorted(set(Base.metadata.tables)):
             assert connection.scalar(text(f"SELECT count(*) FROM {table}")) == 0
 
 
@@ -343,7 +386,7 @@ def test_both_dialects_dump_the_same(tmp_path, new_postgis) -> None:
         write_build(engine, small_build("A c", shift=2000))
     one, two = (list(canonical_dump(engine)) for engine in engines)
     assert one == two
-    for view, key in (("footprint", "part_id"), ("part_tree", "part_id"), ("building_summary", "building_id")):
+    for view, key in ((view.name, view.key) for view in VIEWS):
         frames = []
         for engine in engines:
             with engine.connect() as connection:
@@ -364,6 +407,34 @@ def test_views_show_the_trees(engine: Engine) -> None:
     assert tree[2] == (LIFT, 2, f"{PODIUM}/{SLAB}/{LIFT}")
     assert [depth for _, depth, _ in tree] == [0, 1, 2, 0, 0, 0]
     assert [area for (area,) in floors] == [3 * 1200 + 3 * 200 + 20, 200, 3200, 30]
+
+
+def test_views_show_what_parts_and_flat_regions_say_of_each_other(engine: Engine) -> None:
+    """A part has its flat share; a region is explained by the roots on it alone; without extraction all is null."""
+    write_build(engine, small_build())
+    write_build(engine, small_build("leiden", "multiscale", shift=1000))
+    evidence = "SELECT part_id, flat_share, flat_regions FROM part_evidence WHERE survey = :survey ORDER BY part_id"
+    unexplained = "SELECT region_id, explained_share FROM unexplained_flat_region ORDER BY region_id"
+    with engine.connect() as connection:
+        found = connection.execute(text(evidence), {"survey": "delft"}).all()
+        unknown = connection.execute(text(evidence), {"survey": "leiden"}).all()
+        left = connection.execute(text(unexplained)).all()
+        shares = connection.scalars(text("SELECT flat_share FROM building_summary ORDER BY building_id")).all()
+    assert [part for part, *_ in found] == [PODIUM, SLAB, LIFT, HOUSE, BLOCK, SHED]
+    assert [share for _, share, _ in found] == [1 / 6, 1, 1, 0.2, 0.375, 0]
+    assert [regions for *_, regions in found] == [1, 1, 1, 1, 1, 0]
+    assert {row[1:] for row in unknown} == {(None, None)}
+    assert left == [(DECK, 0.25), (PITCH, 0.0)]
+    assert shares == [1 / 6, 0.2, 0.375, 0, None, None, None, None]
+
+
+def test_half_a_region_is_enough(engine: Engine) -> None:
+    """The threshold itself explains; parts below the root do not add to it."""
+    build = changed(small_build(), "part_flat_region", 3, region_share=0.5)
+    write_build(engine, changed(build, "part_flat_region", 0, region_share=0.4375))
+    with engine.connect() as connection:
+        left = connection.scalars(text("SELECT region_id FROM unexplained_flat_region ORDER BY region_id")).all()
+    assert left == [SLAB_ROOF, PITCH]
 
 
 def test_frames_of_plain_pandas_are_taken(engine: Engine) -> None:

@@ -147,8 +147,8 @@ NEXT_MIGRATION = '''
 """A migration of tomorrow."""
 import sqlalchemy as sa
 from alembic import op
-revision = "0002"
-down_revision = "0001"
+revision = "9000"
+down_revision = "{head}"
 def upgrade() -> None:
     op.create_table("visit", sa.Column("visit_id", sa.Integer, primary_key=True))
     op.execute("INSERT INTO visit VALUES (1)")
@@ -159,7 +159,7 @@ def upgrade() -> None:
 def migrations_of_tomorrow(folder: Path, *, broken: str = "") -> Path:
     """Write a copy of the migrations with one more."""
     shutil.copytree(ROOT / "migrations", folder, ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / "versions" / "0002_next.py").write_text(NEXT_MIGRATION.format(broken=broken))
+    (folder / "versions" / "9000_next.py").write_text(NEXT_MIGRATION.format(head=upgrade.head_version(), broken=broken))
     return folder
 
 
@@ -179,7 +179,7 @@ def test_an_older_schema_is_upgraded_when_building(
         with upgraded.connect() as connection:
             assert connection.scalar(text("SELECT count(*) FROM visit")) == 1
         assert list(canonical_dump(open_database(target))) == before
-    with pytest.raises(SchemaVersionError, match="0002"):
+    with pytest.raises(SchemaVersionError, match="9000"):
         open_database(target)
 
 
