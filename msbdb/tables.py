@@ -164,11 +164,16 @@ FLAT_REGION = Table(
     "flat_region",
     (
         Column("region_id", "int64", "-", "id of the flat region, from survey and absolute lattice position; above 0"),
-        Column("zone", "int64", "-", "i: attribute-zone of most of its cells, from 1 (Mongus et al. 2013, Eq. 2)"),
+        Column(
+            "zone",
+            "int64",
+            "-",
+            "i: attribute-zone of most of its cells; 0 where none has one (Mongus et al. 2013, Eq. 2)",
+        ),
         Column("lambda_low_m2", "float64", "m2", "λ_{i-1}: lower threshold of the zone"),
         Column("lambda_m2", "float64", "m2", "λ_i: upper threshold of the zone"),
         Column("gradient_sum", "float64", "m3", "Λ: sum of second-order gradients times cell area (Eq. 11)"),
-        Column("mean_gradient", "float64", "m", "mean second-order gradient of its cells"),
+        Column("mean_gradient", "float64", "m", "mean second-order gradient of its cells, as summed"),
         Column("area_m2", "float64", "m2", "area of its cells"),
         Column("perimeter_m", "float64", "m", "P: corrected length of its outlines, holes included"),
         Column("compactness", "float64", "1", "Ψ' = P²/(4πA), 1 for a disc, larger for longer shapes (Eq. 15)"),

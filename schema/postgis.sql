@@ -74,7 +74,7 @@ CREATE TABLE flat_region (
   ycen DOUBLE PRECISION NOT NULL,
   CONSTRAINT pk_flat_region PRIMARY KEY (region_id),
   CONSTRAINT ck_flat_region_region_id CHECK (region_id > 0),
-  CONSTRAINT ck_flat_region_zone CHECK (zone >= 1 AND lambda_low_m2 >= 0 AND lambda_low_m2 < lambda_m2),
+  CONSTRAINT ck_flat_region_zone CHECK (zone >= 0 AND lambda_low_m2 >= 0 AND lambda_low_m2 <= lambda_m2),
   CONSTRAINT ck_flat_region_gradient CHECK (gradient_sum >= 0 AND mean_gradient >= 0),
   CONSTRAINT ck_flat_region_shape CHECK (area_m2 > 0 AND perimeter_m > 0 AND compactness > 0),
   CONSTRAINT fk_flat_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
@@ -398,7 +398,7 @@ COMMENT ON COLUMN flat_region.region_id IS 'id of the flat region, from survey a
 
 COMMENT ON COLUMN flat_region.run_id IS 'the run that made the row';
 
-COMMENT ON COLUMN flat_region.zone IS 'i: attribute-zone of most of its cells, from 1 (Mongus et al. 2013, Eq. 2)';
+COMMENT ON COLUMN flat_region.zone IS 'i: attribute-zone of most of its cells; 0 where none has one (Mongus et al. 2013, Eq. 2)';
 
 COMMENT ON COLUMN flat_region.lambda_low_m2 IS 'λ_{i-1}: lower threshold of the zone [m2]';
 

@@ -74,7 +74,7 @@ CREATE TABLE flat_region (
   ycen DOUBLE NOT NULL,
   CONSTRAINT pk_flat_region PRIMARY KEY (region_id),
   CONSTRAINT ck_flat_region_region_id CHECK (region_id > 0),
-  CONSTRAINT ck_flat_region_zone CHECK (zone >= 1 AND lambda_low_m2 >= 0 AND lambda_low_m2 < lambda_m2),
+  CONSTRAINT ck_flat_region_zone CHECK (zone >= 0 AND lambda_low_m2 >= 0 AND lambda_low_m2 <= lambda_m2),
   CONSTRAINT ck_flat_region_gradient CHECK (gradient_sum >= 0 AND mean_gradient >= 0),
   CONSTRAINT ck_flat_region_shape CHECK (area_m2 > 0 AND perimeter_m > 0 AND compactness > 0),
   CONSTRAINT fk_flat_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE

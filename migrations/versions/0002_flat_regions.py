@@ -138,7 +138,7 @@ def create_flat_regions() -> None:
         *numbers("compactness", "h_max", "h_mean", "h_p50", "h_p90", "h_std", "xcen", "ycen"),
         sa.PrimaryKeyConstraint("region_id", name=op.f("pk_flat_region")),
         check("flat_region", "region_id", "region_id > 0"),
-        check("flat_region", "zone", "zone >= 1 AND lambda_low_m2 >= 0 AND lambda_low_m2 < lambda_m2"),
+        check("flat_region", "zone", "zone >= 0 AND lambda_low_m2 >= 0 AND lambda_low_m2 <= lambda_m2"),
         check("flat_region", "gradient", "gradient_sum >= 0 AND mean_gradient >= 0"),
         check("flat_region", "shape", "area_m2 > 0 AND perimeter_m > 0 AND compactness > 0"),
         refers("flat_region", "run_id", "run"),

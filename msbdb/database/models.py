@@ -348,7 +348,7 @@ class FlatRegion(Base):
     __tablename__ = "flat_region"
     __table_args__ = (
         CheckConstraint("region_id > 0", name="region_id"),
-        CheckConstraint("zone >= 1 AND lambda_low_m2 >= 0 AND lambda_low_m2 < lambda_m2", name="zone"),
+        CheckConstraint("zone >= 0 AND lambda_low_m2 >= 0 AND lambda_low_m2 <= lambda_m2", name="zone"),
         CheckConstraint("gradient_sum >= 0 AND mean_gradient >= 0", name="gradient"),
         CheckConstraint("area_m2 > 0 AND perimeter_m > 0 AND compactness > 0", name="shape"),
         Index(None, "run_id", "zone"),
