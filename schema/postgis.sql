@@ -406,7 +406,7 @@ COMMENT ON COLUMN flat_region.lambda_m2 IS 'λ_i: upper threshold of the zone [m
 
 COMMENT ON COLUMN flat_region.gradient_sum IS 'Λ: sum of second-order gradients times cell area (Eq. 11) [m3]';
 
-COMMENT ON COLUMN flat_region.mean_gradient IS 'mean second-order gradient of its cells [m]';
+COMMENT ON COLUMN flat_region.mean_gradient IS 'mean second-order gradient of its cells, as summed [m]';
 
 COMMENT ON COLUMN flat_region.area_m2 IS 'area of its cells [m2]';
 
