@@ -28,7 +28,7 @@ class Binarised:
     risen : (H, W) ndarray of bool
         The cells that were to be judged: all that are above the lowest level of their connected area.
     gradient : (H, W) ndarray
-        Second-order gradient, metres.
+        Second-order gradient as it is summed, metres.
     thresholds : (I + 1,) ndarray of float64
         λ_0 = 0 to λ_I, m2.
     """
@@ -101,6 +101,13 @@ def _framed(g: Grid, margin: int) -> tuple[NDArray[np.float32], NDArray[np.bool_
 
 
 def gradient_of(surface: Grid, params: FlatRegionParams) -> NDArray[np.floating]:
-    """Return the second-order gradient ϱ_in(ϱ_ex(g)) of a surface, metres; 0 in invalid cells (M13)."""
+    """Return the second-order gradient ϱ_in(ϱ_ex(g)) of a surface, metres; 0 in invalid cells (M13).
+
+    Ours: it is cut at ``gradient_cap_m``, so that the foot of a high wall on a roof weighs as much as many cells of a
+    crown but not as all of the roof. Λ stays increasing, as no gradient becomes negative.
+    """
     window = max(LEAST_WINDOW_PX, window_px(params.gradient_window_m, surface.spec.cell_m))
-    return second_order_gradient(np.asarray(surface.values), np.asarray(surface.valid), window_px=window)
+    gradient = second_order_gradient(np.asarray(surface.values), np.asarray(surface.valid), window_px=window)
+    if params.gradient_cap_m > 0:
+        np.minimum(gradient, params.gradient_cap_m, out=gradient)
+    return gradient
