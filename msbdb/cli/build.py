@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msbdb.cli.command import command, notice
-from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, crs_name, iso_date, scales_m2, setting, shared
+from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, crs_name, extractors, iso_date, scales_m2, setting, shared
 from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 from msbdb.params import PROFILES, Params
 
@@ -67,6 +67,20 @@ Z_UNITS = ("auto", "m", "ft", "us-ft")
     metavar="SECTION.NAME=VALUE",
     help="One value over all others; repeatable.",
 )
+@click.option(
+    "--extract",
+    type=extractors,
+    default="multiscale,flatregions",
+    show_default=True,
+    metavar="NAME,NAME",
+    help="Extractors: multiscale finds buildings as trees of parts, flatregions finds flat regions as evidence.",
+)
+@click.option(
+    "--denoising-figure",
+    type=OUTPUT_FILE,
+    metavar="FILE.png",
+    help="Also draw the surface before and after the denoising for the flat regions.",
+)
 @click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Also draw the map of 'msbdb view'.")
 @shared("json")
 def build(*, as_json: bool, figure: Path | None, **inputs: Any) -> None:  # noqa: ANN401
@@ -117,6 +131,7 @@ def emit_report(report: "BuildReport") -> None:
         "survey": report.survey,
         "buildings": report.buildings,
         "parts": report.parts,
+        "flat regions": report.flat_regions,
         "rejected regions": report.rejected,
         "database": "written" if report.changed else "unchanged: this build was there already",
         "seconds": float(sum(report.timings.values())),

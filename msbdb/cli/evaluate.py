@@ -46,6 +46,13 @@ from msbdb.cli.output import emit, emit_json
     show_default=True,
     help="Cell of the grid on which areas are compared, metres.",
 )
+@click.option(
+    "--of",
+    type=click.Choice(["buildings", "parts", "flatregions"]),
+    default="buildings",
+    show_default=True,
+    help="What to compare with the reference.",
+)
 @shared("survey", "json")
 def evaluate(*, db: str, reference: Path, as_json: bool, **options: Any) -> None:  # noqa: ANN401
     """Compare the footprints with a reference.

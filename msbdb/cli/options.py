@@ -56,6 +56,17 @@ def scales_m2(text: str) -> tuple[float, ...]:
         raise click.BadParameter(msg) from None
 
 
+def extractors(text: str) -> tuple[str, ...]:
+    """Return the names of extractors in a list like multiscale,flatregions.
+
+    Examples
+    --------
+    >>> extractors("multiscale, flatregions")
+    ('multiscale', 'flatregions')
+    """
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 def class_label(text: str) -> tuple[int, str]:
     """Return an operator's label of a class, written NUMBER=LABEL (V36)."""
     from msbdb.classmap import LABELS

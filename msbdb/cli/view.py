@@ -8,16 +8,27 @@ from msbdb.cli.command import command
 from msbdb.cli.options import OUTPUT_FILE, shared
 
 
-@command("view", examples=("msbdb view town.sqlite --out town.png",))
+@command(
+    "view",
+    examples=("msbdb view town.sqlite --out town.png", "msbdb view town.sqlite --of flatregions --out zones.png"),
+)
 @shared("db")
 @click.option("--out", type=OUTPUT_FILE, required=True, metavar="FILE.png", help="The picture to write.")
+@click.option(
+    "--of",
+    type=click.Choice(["buildings", "flatregions"]),
+    default="buildings",
+    show_default=True,
+    help="What to draw.",
+)
 @shared("survey")
-def view(*, db: str, out: Path, survey: str | None) -> None:
-    """Draw a map of the buildings.
+def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
+    """Draw a map of the buildings, or of the flat regions.
 
-    Their parts are outlined by scale and filled by height, on a hillshade of the surface.
+    Parts of buildings are outlined by scale and filled by height, flat regions are coloured by their zone, on a
+    hillshade of the surface.
     """
     from msbdb import pipeline
 
-    pipeline.view(db, out, survey=survey)
+    pipeline.view(db, out, survey=survey, of=of)
     click.echo(f"Wrote {out}.")

@@ -8,9 +8,11 @@ import shapely
 from msbdb.extract.multiscale.forest import Forest
 from msbdb.grid import Grid
 from msbdb.inventory.buildings import buildings_from_parts
+from msbdb.inventory.evidence import flat_shares, link_parts
 from msbdb.params import VectorParams
 from msbdb.pipeline.cover import Cover
-from msbdb.tables import BUILDING, FLAT_REGION, PART, PART_FLAT_REGION, TABLES, validate, validate_parts
+from msbdb.pipeline.flat import Flat
+from msbdb.tables import BUILDING, PART, TABLES, validate, validate_parts
 from msbdb.vector.polygons import polygonise
 from msbdb.vector.simplify import simplify_coverage
 
@@ -36,19 +38,31 @@ def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDa
     return parts
 
 
-def make_frames(forest: Forest, parts: gpd.GeoDataFrame, cover: Cover, ndsm: Grid) -> dict[str, pd.DataFrame]:
+def make_frames(
+    forest: Forest, parts: gpd.GeoDataFrame, cover: Cover, flat: Flat, ndsm: Grid
+) -> dict[str, pd.DataFrame]:
     """Return all tables of the build, checked against their declarations."""
+    links = link_parts(
+        forest.labels,
+        parts["part_id"].to_numpy(),
+        flat.labels,
+        flat.regions["region_id"].to_numpy(),
+        cell_area_m2=ndsm.spec.cell_area_m2,
+    )
     buildings = buildings_from_parts(parts, forest.root_labels, ndsm)
-    points = shapely.points(forest.rejections["xcen"].to_numpy(), forest.rejections["ycen"].to_numpy())
+    if flat.extracted:
+        buildings["flat_share"] = flat_shares(buildings["root_id"].to_numpy(), links)
+    rejections = pd.concat([forest.rejections, flat.rejections], ignore_index=True)
+    points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     frames = {
         "scale": forest.scales,
         "part": parts[[*PART.names, "geometry"]],
         "spectral_class": cover.table,
         "spectral_class_band": cover.bands,
-        "rejection": gpd.GeoDataFrame(forest.rejections, geometry=points, crs=ndsm.spec.crs),
+        "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=ndsm.spec.crs),
         "building": buildings[[*BUILDING.names, "geometry"]],
-        "flat_region": gpd.GeoDataFrame(FLAT_REGION.empty(), geometry=[], crs=ndsm.spec.crs),
-        "part_flat_region": PART_FLAT_REGION.empty(),
+        "flat_region": flat.regions,
+        "part_flat_region": links,
     }
     for table in TABLES:
         validate(frames[table.name], table)

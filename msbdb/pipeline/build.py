@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.database import check_target, open_database, write_build
+from msbdb.errors import ParameterError
 from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
 from msbdb.params import Params, as_dict
 from msbdb.params import profile as named_profile
 from msbdb.pipeline.assemble import make_frames, outline_parts
 from msbdb.pipeline.cover import Cover, classify_cover
+from msbdb.pipeline.flat import Flat, find_flat_regions, no_flat_regions
 from msbdb.pipeline.inputs import Inputs, collect_notices, make_surface, read_cloud, read_ortho, record_survey
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import pack_state
@@ -23,7 +25,9 @@ from msbdb.surface import cover_from_surface
 from msbdb.tables import Build, Run, Survey
 from msbdb.version import __version__
 
-METHOD = "multiscale"
+EXTRACTORS = ("multiscale", "flatregions")
+"""The extractors that there are; all of them by default."""
+
 NO_IMAGERY = "There is no imagery: roofs and vegetation are told by height texture and echoes alone."
 NO_ECHOES = "No pulse has a second echo, or the source does not tell: height texture alone tells roofs from vegetation."
 
@@ -35,6 +39,7 @@ class BuildReport:
     survey: str
     buildings: int
     parts: int
+    flat_regions: int
     rejected: int
     notices: tuple[str, ...]
     timings: dict[str, float]
@@ -60,6 +65,8 @@ def build(
     z_unit: str = "auto",
     params: Params | None = None,
     profile: str = "default",
+    extract: Sequence[str] = EXTRACTORS,
+    denoising_figure: Path | None = None,
     progress: Progress | None = None,
 ) -> BuildReport:
     """Build or extend a database of buildings from one survey.
@@ -88,6 +95,10 @@ def build(
         Parameters; the profile's by default.
     profile : str
         Name of the profile that the parameters come from.
+    extract : sequence of str
+        ``multiscale`` finds buildings as trees of parts, ``flatregions`` finds flat regions as their evidence.
+    denoising_figure : path, optional
+        PNG of the surface before and after the denoising for the flat regions.
     progress : callable, optional
         Called with stage, steps done and steps in all.
 
@@ -103,32 +114,62 @@ def build(
     params = params or named_profile(profile)
     as_paths = [Path(path) for path in points], [Path(path) for path in ortho]
     inputs = Inputs(tuple(as_paths[0]), tuple(as_paths[1]), dsm, dtm, ndsm, crs, ortho_crs, z_unit)
+    methods = check_extractors(extract)
     check_target(db)
     stages = Stages(progress)
     notices: list[str] = []
     with collect_notices(notices):
-        result = run(inputs, params, stages, notices, name=survey or inputs.default_survey(), date=date or "")
-    record, cover, regions, frames, heights = result
+        job = Job(inputs, params, survey or inputs.default_survey(), date or "", methods, denoising_figure)
+        result = run(job, stages, notices)
+    record, cover, flat, regions, frames, heights = result
     counts: dict[str, object] = {
         "regions": regions,
         "cells": _cells(heights, cover),
         "cover": {"colours_decide": int(cover.colours_decide), "green_decides": int(cover.green_decides)},
     }
     values: dict[str, object] = dict(as_dict(params))
-    entry = Run(METHOD, profile, __version__, values, counts, stages.timings, tuple(notices))
+    entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
-        whole = Build(record, entry, frames, pack_state(heights, cover))
+        whole = Build(record, entry, frames, pack_state(heights, cover, flat))
         changed = store(whole, db)
     return report_of(whole, stages, changed=changed)
 
 
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What one run is to do: inputs, parameters, the survey's name and date, and the extractors."""
+
+    inputs: Inputs
+    params: Params
+    survey: str
+    date: str
+    methods: tuple[str, ...]
+    denoising_figure: Path | None
+
+
+def check_extractors(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the extractors in order of their names.
+
+    Raises
+    ------
+    ParameterError
+        When one does not exist, or none is named.
+    """
+    unknown = sorted(set(names) - set(EXTRACTORS))
+    if unknown or not names:
+        msg = f"The extractors are {', '.join(EXTRACTORS)}; got {', '.join(unknown) or 'none'}."
+        raise ParameterError(msg)
+    return tuple(sorted(set(names)))
+
+
 def run(
-    inputs: Inputs, params: Params, stages: Stages, notices: list[str], *, name: str, date: str
-) -> tuple[Survey, Cover, dict[str, dict[str, int]], dict[str, Any], Grid]:
+    job: Job, stages: Stages, notices: list[str]
+) -> tuple[Survey, Cover, Flat, dict[str, dict[str, int]], dict[str, Any], Grid]:
     """Take one tile through all stages, up to the tables that the database takes.
 
     Points and surfaces are let go as soon as no later stage needs them, for the peak of memory.
     """
+    inputs, params = job.inputs, job.params
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, notices)
     with stages.stage("surface"):
@@ -136,8 +177,12 @@ def run(
     with stages.stage("cover"):
         structure, roughness_m = cover_from_surface(surface, cloud, params)
         echoes = cloud is not None and cloud.has_echoes
-    record = record_survey(inputs, name=name, date=date, surface=surface, cloud=cloud)
+    record = record_survey(inputs, name=job.survey, date=job.date, surface=surface, cloud=cloud)
     ndsm = surface.ndsm
+    flat = no_flat_regions(ndsm.spec)
+    if "flatregions" in job.methods:
+        with stages.stage("flat regions"):
+            flat = find_flat_regions(surface, cloud, params, survey=job.survey, figure=job.denoising_figure)
     del surface
     with stages.stage("classes"):
         ortho = read_ortho(inputs, ndsm.spec)
@@ -147,11 +192,12 @@ def run(
         notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
         del bands, structure, roughness_m
     with stages.stage("parts"):
-        forest = extract_parts(ndsm, cover.classes, survey=name, params=params)
+        searched = ndsm if "multiscale" in job.methods else Grid(ndsm.values, np.zeros_like(ndsm.valid), ndsm.spec)
+        forest = extract_parts(searched, cover.classes, survey=job.survey, params=params)
     with stages.stage("outlines"):
         parts = outline_parts(forest, ndsm, params.vector)
-        frames = make_frames(forest, parts, cover, ndsm)
-    return record, cover, forest.counts, frames, ndsm
+        frames = make_frames(forest, parts, cover, flat, ndsm)
+    return record, cover, flat, forest.counts | flat.counts, frames, ndsm
 
 
 def store(build: Build, db: str | Path) -> bool:
@@ -179,6 +225,7 @@ def report_of(build: Build, stages: Stages, *, changed: bool) -> BuildReport:
         survey=build.survey.name,
         buildings=len(build.frames["building"]),
         parts=len(build.frames["part"]),
+        flat_regions=len(build.frames["flat_region"]),
         rejected=len(build.frames["rejection"]),
         notices=build.run.notices,
         timings={name: round(seconds, 3) for name, seconds in stages.timings.items()},

@@ -13,6 +13,7 @@ from msbdb.database import (
     open_database,
     read_buildings,
     read_classes,
+    read_flat_regions,
     read_parts,
     read_rejections,
     read_scales,
@@ -62,6 +63,10 @@ class Inventory:
         """Return the parts of all scales."""
         return read_parts(self.engine, survey)
 
+    def flat_regions(self, survey: str | None = None) -> gpd.GeoDataFrame:
+        """Return the flat regions."""
+        return read_flat_regions(self.engine, survey)
+
     def scales(self, survey: str | None = None) -> pd.DataFrame:
         """Return the scales with their thresholds."""
         return read_scales(self.engine, survey)
@@ -74,9 +79,9 @@ class Inventory:
         """Return the ledger: every region that a stage dropped, and why."""
         return read_rejections(self.engine, survey)
 
-    def view(self, out: str | Path, survey: str | None = None) -> None:
-        """Draw footprints and parts by scale and height on a hillshade, as PNG."""
-        reports.view(self.db, Path(out), survey=survey)
+    def view(self, out: str | Path, survey: str | None = None, *, of: str = "buildings") -> None:
+        """Draw a map on a hillshade, as PNG: of the buildings by scale and height, or of the flat regions by zone."""
+        reports.view(self.db, Path(out), survey=survey, of=of)
 
     def export(self, out: str | Path, survey: str | None = None, *, overwrite: bool = False) -> None:
         """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
@@ -85,7 +90,7 @@ class Inventory:
     def evaluate(self, reference: str | Path, survey: str | None = None, **options: Any) -> Evaluation:  # noqa: ANN401
         """Compare the footprints with a reference; the options are those of ``msbdb evaluate``.
 
-        ``layer``, ``aoi``, ``crs``, ``overlap`` and ``cell_m``; see `msbdb.pipeline.evaluate`.
+        ``layer``, ``aoi``, ``crs``, ``height``, ``overlap``, ``cell_m`` and ``of``; see `msbdb.pipeline.evaluate`.
         """
         return reports.evaluate(self.db, Path(reference), survey=survey, **options)
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 from pyproj import CRS
@@ -18,6 +19,7 @@ from msbdb.database import (
     read_build,
     read_buildings,
     read_classes,
+    read_flat_regions,
     read_parts,
     read_survey,
     shown,
@@ -34,9 +36,10 @@ from msbdb.params import Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
 from msbdb.pipeline.build import BuildReport, report_of, store
 from msbdb.pipeline.stage import Progress, Stages
-from msbdb.pipeline.state import lattice_of, pack_state, unpack_cover, unpack_heights
+from msbdb.pipeline.state import lattice_of, pack_state, unpack_cover, unpack_flat, unpack_heights
 from msbdb.tables import Build
 from msbdb.view.figure import draw_map
+from msbdb.view.flat import draw_zones
 
 BUILDING_CLASS = 6
 POINT_SUFFIXES = {".las", ".laz"}
@@ -92,33 +95,52 @@ def relabel(
     heights = unpack_heights(old.state, spec)
     cover = unpack_cover(old, spec).relabelled(labels)
     params = with_values(Params(), old.run.parameters)  # type: ignore[arg-type]  # plain nested values
+    flat = unpack_flat(old, spec)
+    searched = heights if "multiscale" in old.run.method else Grid(heights.values, np.zeros_like(heights.valid), spec)
     with stages.stage("parts"):
-        forest = extract_parts(heights, cover.classes, survey=old.survey.name, params=params)
+        forest = extract_parts(searched, cover.classes, survey=old.survey.name, params=params)
     with stages.stage("outlines"):
         parts = outline_parts(forest, heights, params.vector)
-        frames = make_frames(forest, parts, cover, heights)
-    counts = {**old.run.counts, "regions": forest.counts}
+        frames = make_frames(forest, parts, cover, flat, heights)
+    counts = {**old.run.counts, "regions": forest.counts | flat.counts}
     run = replace(old.run, counts=counts, timings={**old.run.timings, **stages.timings})
     with stages.stage("write"):
-        build = Build(old.survey, run, frames, pack_state(heights, cover))
+        build = Build(old.survey, run, frames, pack_state(heights, cover, flat))
         changed = store(build, db)
     return report_of(build, stages, changed=changed)
 
 
-def view(db: str | Path, out: Path, *, survey: str | None = None) -> None:
-    """Draw footprints and parts by scale and height on a hillshade, as PNG."""
+def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings") -> None:
+    """Draw a map on a hillshade, as PNG.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    out : path
+        The picture.
+    survey : str, optional
+        Not needed where the database holds one.
+    of : {'buildings', 'flatregions'}
+        Footprints and parts by scale and height, or flat regions by their zone.
+    """
     with opened(db) as engine:
         build = read_build(engine, survey)
     relief = unpack_heights(build.state, lattice_of(build.survey, build.state))
-    scales = build.frames["scale"]
+    scales, regions = build.frames["scale"], build.frames["flat_region"]
     place = CRS.from_wkt(build.survey.crs_wkt).name
+    subtitle = " · ".join(word for word in (build.survey.date, place, f"cell {build.survey.cell_m:g} m") if word)
+    if of == "flatregions":
+        title = f"{build.survey.name}: {len(regions)} flat regions"
+        draw_zones(gpd.GeoDataFrame(regions), relief, Path(out), title=title, subtitle=subtitle)
+        return
     draw_map(
         build.frames["part"],
         build.frames["building"],
         relief,
         Path(out),
         title=f"{build.survey.name}: {len(build.frames['building'])} buildings in {len(build.frames['part'])} parts",
-        subtitle=" · ".join(word for word in (build.survey.date, place, f"cell {build.survey.cell_m:g} m") if word),
+        subtitle=subtitle,
         thresholds_m2=dict(zip(scales["scale"].tolist(), scales["threshold_m2"].tolist(), strict=True)),
     )
 
@@ -141,8 +163,9 @@ def evaluate(
     overlap: float = 0.5,
     cell_m: float = 0.5,
     survey: str | None = None,
+    of: str = "buildings",
 ) -> Evaluation:
-    """Compare the footprints of a survey with a reference.
+    """Compare what was found in a survey with a reference.
 
     Parameters
     ----------
@@ -162,9 +185,11 @@ def evaluate(
         Share that counts as found; cell of the grid on which areas are compared, metres.
     survey : str, optional
         Not needed where the database holds one.
+    of : {'buildings', 'parts', 'flatregions'}
+        What is compared: the buildings' footprints, the parts of all scales, or the flat regions alone.
     """
     with opened(db) as engine:
-        buildings = read_buildings(engine, survey)
+        buildings = _compared(engine, survey, of)
         record = read_survey(engine, survey)
         shape = _shape(record.bounds, record.cell_m)
     spec = lattice_of(record, {"valid": np.empty(shape, dtype=np.uint8)})
@@ -208,6 +233,7 @@ def _counts(build: Build) -> dict[str, Any]:
     return {
         "buildings": len(buildings),
         "parts": len(parts),
+        "flat_regions": len(build.frames["flat_region"]),
         "rejected": len(build.frames["rejection"]),
         "footprint_m2": round(float(buildings["area_m2"].sum()), 1),
         "volume_m3": round(float(buildings["volume_m3"].sum()), 1),
@@ -223,3 +249,15 @@ def _height_column(footprints: pd.DataFrame) -> str | None:
         if str(name).lower() == "height" and pd.api.types.is_numeric_dtype(footprints[name]):
             return str(name)
     return None
+
+
+def _compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
+    """Return the outlines that are to be compared."""
+    if of == "buildings":
+        return read_buildings(engine, survey)
+    if of == "flatregions":
+        return read_flat_regions(engine, survey)
+    if of == "parts":
+        return read_parts(engine, survey)
+    msg = f"There is nothing called '{of}' to evaluate; there are buildings, parts and flatregions."
+    raise InputError(msg)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import geopandas as gpd
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
@@ -10,14 +11,15 @@ from pyproj import CRS
 from msbdb.classmap import ClassMap
 from msbdb.grid import Grid, GridSpec
 from msbdb.pipeline.cover import Cover
+from msbdb.pipeline.flat import STAGES, Flat, no_flat_regions
 from msbdb.surface.heights import PER_METRE
-from msbdb.tables import Build, Survey
+from msbdb.tables import REJECTION, Build, Survey
 
 State = Mapping[str, NDArray[np.generic]]
 
 
-def pack_state(ndsm: Grid, cover: Cover) -> dict[str, NDArray[np.generic]]:
-    """Return the rasters to keep: heights in whole centimetres, where they hold, and the class maps."""
+def pack_state(ndsm: Grid, cover: Cover, flat: Flat) -> dict[str, NDArray[np.generic]]:
+    """Return the rasters to keep: heights in whole centimetres, where they hold, class maps, flat regions."""
     state: dict[str, NDArray[np.generic]] = {
         "ndsm_cm": np.round(np.asarray(ndsm.values, dtype=np.float64) * PER_METRE).astype(np.int32),
         "valid": ndsm.valid.astype(np.uint8),
@@ -25,7 +27,22 @@ def pack_state(ndsm: Grid, cover: Cover) -> dict[str, NDArray[np.generic]]:
     }
     if cover.spectral is not None:
         state["spectral"] = cover.spectral.index
+    if flat.extracted:
+        state["flat"] = flat.labels
     return state
+
+
+def unpack_flat(build: Build, spec: GridSpec) -> Flat:
+    """Return the flat regions of a kept run, with what they wrote into ledger and counts."""
+    if "flat" not in build.state:
+        return no_flat_regions(spec)
+    ledger = build.frames["rejection"]
+    own = ledger[ledger["stage"].str.startswith(STAGES)]
+    regions: dict[str, dict[str, int]] = build.run.counts["regions"]  # type: ignore[assignment]  # plain nested values
+    counts = {stage: values for stage, values in regions.items() if stage.startswith(STAGES)}
+    frame = build.frames["flat_region"].sort_values("region_id", ignore_index=True)
+    labels = build.state["flat"].astype(np.int32)
+    return Flat(labels, gpd.GeoDataFrame(frame), own[REJECTION.names], counts, extracted=True)
 
 
 def lattice_of(survey: Survey, state: State) -> GridSpec:

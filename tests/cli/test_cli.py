@@ -38,6 +38,7 @@ class FakeReport:
     survey: str = "spring"
     buildings: int = 3
     parts: int = 7
+    flat_regions: int = 5
     rejected: int = 2
     notices: tuple[str, ...] = ("No imagery: classes come from height texture.",)
     timings: dict[str, float] = field(default_factory=lambda: {"read": 0.5, "surface": 0.25})
@@ -81,6 +82,8 @@ class FakePipeline(types.ModuleType):
         z_unit="auto",
         params,
         profile="default",
+        extract=("multiscale", "flatregions"),
+        denoising_figure=None,
         progress=None,
     ):
         """Pass two steps of a stage and return a report."""
@@ -106,16 +109,27 @@ class FakePipeline(types.ModuleType):
         self._note("classes", db=db, survey=survey)
         return pd.DataFrame({"speindex": [1, 2], "label": ["building", "other"], "ndvi": [0.25, float("nan")]})
 
-    def view(self, db, out, *, survey=None):
+    def view(self, db, out, *, survey=None, of="buildings"):
         """Draw nothing."""
-        self._note("view", db=db, out=out, survey=survey)
+        self._note("view", db=db, out=out, survey=survey, of=of)
 
     def export(self, db, out, *, survey=None, overwrite=False):
         """Write nothing."""
         self._note("export", db=db, out=out, survey=survey, overwrite=overwrite)
 
     def evaluate(
-        self, db, reference, *, layer=None, aoi=None, crs=None, height=None, overlap=0.5, cell_m=0.5, survey=None
+        self,
+        db,
+        reference,
+        *,
+        layer=None,
+        aoi=None,
+        crs=None,
+        height=None,
+        overlap=0.5,
+        cell_m=0.5,
+        survey=None,
+        of="buildings",
     ):
         """Return nested scores."""
         values = {name: value for name, value in locals().items() if name != "self"}
@@ -251,7 +265,7 @@ def test_build_reports_and_draws(pipeline):
     assert "spring" in result.stdout
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
-    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": "spring"})
+    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings"})
 
 
 def test_json_has_no_nan(pipeline):
@@ -433,7 +447,7 @@ def test_export_view_and_evaluate_pass_their_options(pipeline):
     result = run("evaluate", "x", "--reference", "r.gpkg", "--layer", "b", "--overlap", "0.3", "--cell", "1")
     assert result.exit_code == 0
     assert pipeline.calls[0] == ("export", {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True})
-    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": None})
+    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings"})
     values = pipeline.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
     assert "0.912" in result.stdout

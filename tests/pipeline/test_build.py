@@ -91,7 +91,7 @@ def test_the_report_says_what_the_database_holds(town):
     assert report.buildings == 1
     assert report.rejected > 0
     assert list(report.notices) == run["notices"]
-    assert set(report.timings) == {"read", "surface", "cover", "classes", "parts", "outlines", "write"}
+    assert set(report.timings) == {"read", "surface", "cover", "flat regions", "classes", "parts", "outlines", "write"}
     assert report.changed
     assert json.loads(json.dumps(report.as_dict()))["parts"] == report.parts
     assert run["survey_record"]["date"] == "2026-01-31"

@@ -1,0 +1,86 @@
+"""Flat regions of a build: from points or rasters to the tables that the database takes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.extract.flatregions.initialise import initialise
+from msbdb.extract.flatregions.run import extract_flat_regions
+from msbdb.grid import Grid, GridSpec
+from msbdb.params import Params
+from msbdb.pointcloud import PointCloud
+from msbdb.surface import Surface
+from msbdb.tables import FLAT_REGION, REJECTION
+from msbdb.vector.polygons import polygonise
+from msbdb.vector.simplify import simplify_coverage
+from msbdb.view.flat import draw_denoising
+
+STAGES = "flat "
+"""What the names of its stages begin with, in the ledger and the counts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flat:
+    """The flat regions of a build.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        0 for none, otherwise row number + 1 in ``regions``.
+    regions : GeoDataFrame
+        ``tables.FLAT_REGION``, in order of the ids, as the database gives them back.
+    rejections : DataFrame
+        ``tables.REJECTION`` without geometry.
+    counts : dict
+        By stage.
+    extracted : bool
+        False where flat regions were not asked for: then nothing is known of any building's flat share.
+    """
+
+    labels: NDArray[np.int32]
+    regions: gpd.GeoDataFrame
+    rejections: pd.DataFrame
+    counts: dict[str, dict[str, int]]
+    extracted: bool
+
+
+def no_flat_regions(spec: GridSpec) -> Flat:
+    """Return what stands for flat regions where none were asked for."""
+    regions = gpd.GeoDataFrame(FLAT_REGION.empty(), geometry=[], crs=spec.crs)
+    return Flat(np.zeros(spec.shape, dtype=np.int32), regions, REJECTION.empty(), {}, extracted=False)
+
+
+def find_flat_regions(
+    surface: Surface, cloud: PointCloud | None, params: Params, *, survey: str, figure: Path | None
+) -> Flat:
+    """Extract the flat regions, and draw the surface before and after denoising where a figure is asked for.
+
+    From points the lowest echo of each cell counts (M8); from rasters, the surface as it is.
+    """
+    spec = surface.ndsm.spec
+    lowest = initialise(cloud, spec, max_gap_m=params.surface.max_gap_m) if cloud is not None else surface.dsm
+    if params.flatregions.on == "ndsm":
+        lowest = above_ground(lowest, surface.dtm)
+    found = extract_flat_regions(lowest, heights=surface.ndsm, survey=survey, params=params)
+    if figure is not None:
+        draw_denoising(lowest, found.denoised, figure, title=survey)
+    order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
+    rank = np.zeros(len(order) + 1, dtype=np.int32)
+    rank[order + 1] = np.arange(1, len(order) + 1)
+    labels = rank[found.labels]
+    traced = polygonise(labels, spec, len(order))
+    outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
+    regions = found.regions.iloc[order].reset_index(drop=True)
+    frame = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)
+    return Flat(labels, frame[[*FLAT_REGION.names, "geometry"]], found.rejections, found.counts, extracted=True)
+
+
+def above_ground(surface: Grid, dtm: Grid) -> Grid:
+    """Subtract the terrain from another surface than the DSM."""
+    valid = surface.valid & dtm.valid
+    height = np.asarray(surface.values, dtype=np.float32) - np.asarray(dtm.values, dtype=np.float32)
+    return Grid(np.where(valid, height, np.float32(0)), valid, surface.spec)

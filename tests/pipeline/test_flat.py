@@ -1,0 +1,155 @@
+"""Flat regions in whole builds: their tables, links and evidence, their figures, and what they leave alone."""
+
+import shutil
+
+import numpy as np
+import pytest
+from files import write_points
+from scenes import SCENES
+
+import msbdb
+from msbdb.database import read_part_flat_regions
+from msbdb.errors import InputError, ParameterError
+from msbdb.params import profile, with_values
+
+MULTISCALE = ("multiscale",)
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory):
+    """Write a house, a grove and crowns over the house's roof."""
+    return write_points(tmp_path_factory.mktemp("points") / "town.laz", SCENES["under_trees"]().points)
+
+
+@pytest.fixture(scope="module")
+def town(points, tmp_path_factory):
+    """Build them with both extractors."""
+    db = tmp_path_factory.mktemp("town") / "town.sqlite"
+    return db, msbdb.build([points], db=db)
+
+
+def test_flat_regions_confirm_the_house_and_no_crown(town):
+    """The house is flat, the crowns are not; regions, links and the building's share agree."""
+    db, report = town
+    with msbdb.open(db) as opened:
+        regions, buildings = opened.flat_regions(), opened.buildings()
+        links = read_part_flat_regions(opened.engine)
+        parts = opened.parts().set_index("part_id")
+    assert report.flat_regions == len(regions) == 1
+    house = buildings.iloc[0]
+    assert house["flat_share"] > 0.8
+    root = links[links["part_id"] == house["root_id"]]
+    assert root["part_share"].sum() == pytest.approx(house["flat_share"])
+    overlap = regions.union_all().intersection(house.geometry).area
+    assert overlap == pytest.approx(root["overlap_m2"].sum(), rel=0.05)
+    assert set(links["part_id"]) <= set(parts.index)
+    assert regions["h_p50"].between(2, 30).all()
+
+
+def test_extractors_do_not_change_each_other(points, town, tmp_path):
+    """Parts and buildings are the same with and without flat regions, but for the flat share that is not known."""
+    msbdb.build([points], db=tmp_path / "alone.sqlite", extract=MULTISCALE)
+    with msbdb.open(tmp_path / "alone.sqlite") as alone, msbdb.open(town[0]) as both:
+        assert alone.parts().equals(both.parts())
+        assert alone.buildings()["flat_share"].isna().all()
+        assert alone.buildings().drop(columns="flat_share").equals(both.buildings().drop(columns="flat_share"))
+        assert len(alone.flat_regions()) == 0
+        assert alone.runs()["method"].tolist() == ["multiscale"]
+        assert both.runs()["method"].tolist() == ["flatregions,multiscale"]
+
+
+def test_flat_regions_alone_make_no_building(points, tmp_path):
+    """Without the multi-scale extraction there are flat regions, and nothing that they could be evidence of."""
+    report = msbdb.build([points], db=tmp_path / "flat.sqlite", extract=["flatregions"])
+    assert (report.buildings, report.parts, report.flat_regions) == (0, 0, 1)
+
+
+def test_other_extractors_replace_the_run(points, town, tmp_path):
+    """A survey has one run: building it again with one extractor less leaves what a first such build leaves."""
+    again = shutil.copy(town[0], tmp_path / "again.sqlite")
+    assert msbdb.build([points], db=again, extract=MULTISCALE).changed
+    msbdb.build([points], db=tmp_path / "fresh.sqlite", extract=MULTISCALE)
+    with msbdb.open(again) as one, msbdb.open(tmp_path / "fresh.sqlite") as other:
+        assert one.dump() == other.dump()
+
+
+def test_labels_by_the_operator_keep_the_flat_regions(town, tmp_path):
+    """A class labelled anew and back leaves the database as it was, flat regions, links and ledger included."""
+    db = shutil.copy(town[0], tmp_path / "labelled.sqlite")
+    with msbdb.open(db) as opened:
+        before, regions = opened.dump(), opened.flat_regions()
+        classes = opened.classes()
+        roofs = classes.loc[classes["label"] == "building", "speindex"].tolist()
+    msbdb.relabel(db, dict.fromkeys(roofs, "vegetation"))
+    with msbdb.open(db) as opened:
+        assert opened.flat_regions().equals(regions)
+        assert len(opened.buildings()) == 0
+        assert len(read_part_flat_regions(opened.engine)) == 0
+    msbdb.relabel(db, dict.fromkeys(roofs, "building"))
+    with msbdb.open(db) as opened:
+        after = opened.dump()
+    differing = [(one, other) for one, other in zip(before, after, strict=True) if one != other]
+    assert all("automatic" in one and "operator" in other for one, other in differing)
+    assert len(differing) == len(roofs)
+
+
+def test_shuffled_points_give_the_same_flat_regions(town, tmp_path):
+    """The order of the points does not matter."""
+    cloud = SCENES["under_trees"]().points
+    mixed = cloud.take(np.random.default_rng(5).permutation(len(cloud)))
+    write_points(tmp_path / "mixed.laz", mixed)
+    msbdb.build([tmp_path / "mixed.laz"], db=tmp_path / "mixed.sqlite", survey="town")
+    with msbdb.open(tmp_path / "mixed.sqlite") as one, msbdb.open(town[0]) as other:
+        assert one.dump() == other.dump()
+
+
+def test_figures_of_zones_and_of_denoising_are_drawn(points, town, tmp_path):
+    """Both are PNG; the map of a survey without flat regions is drawn, too."""
+    with msbdb.open(town[0]) as opened:
+        opened.view(tmp_path / "zones.png", of="flatregions")
+    msbdb.build([points], db=tmp_path / "a.sqlite", denoising_figure=tmp_path / "denoising.png")
+    msbdb.build([points], db=tmp_path / "b.sqlite", extract=MULTISCALE)
+    with msbdb.open(tmp_path / "b.sqlite") as opened:
+        opened.view(tmp_path / "none.png", of="flatregions")
+    for name in ("zones", "denoising", "none"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_flat_regions_are_evaluated_on_their_own(town, tmp_path):
+    """Against the buildings themselves, the flat regions score the share that they cover."""
+    db, _ = town
+    with msbdb.open(db) as opened:
+        buildings = opened.buildings()
+        buildings[["geometry"]].to_file(tmp_path / "truth.gpkg")
+        score = opened.evaluate(tmp_path / "truth.gpkg", of="flatregions")
+        parts = opened.evaluate(tmp_path / "truth.gpkg", of="parts")
+        with pytest.raises(InputError, match="nothing called 'roofs'"):
+            opened.evaluate(tmp_path / "truth.gpkg", of="roofs")
+    assert score.area.rates.completeness == pytest.approx(buildings["flat_share"].iloc[0], abs=0.05)
+    assert parts.area.rates.quality > 0.99
+
+
+def test_the_paper_s_profile_works_on_the_raw_surface(points, tmp_path):
+    """With Table 1's values, and without prior ground, the house is found all the same."""
+    params = profile("mongus2013")
+    assert params.flatregions.on == "surface"
+    report = msbdb.build([points], db=tmp_path / "paper.sqlite", params=params, profile="mongus2013")
+    assert report.flat_regions >= 1
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"lambda_min_m2": 500.0, "lambda_max_m2": 100.0}, {"lambda_step_m2": 0.0}],
+)
+def test_zones_that_make_no_sense_are_refused(points, tmp_path, values):
+    """The message says what holds for λ, and nothing is written."""
+    params = with_values(profile(), {"flatregions": values})
+    with pytest.raises(ParameterError, match="0 < λ_min ≤ λ_max and a step λ_Δ above 0"):
+        msbdb.build([points], db=tmp_path / "none.sqlite", params=params)
+    assert not (tmp_path / "none.sqlite").exists()
+
+
+def test_an_unknown_extractor_is_refused_before_anything_is_read(tmp_path):
+    """The message lists the extractors that there are."""
+    with pytest.raises(ParameterError, match="multiscale, flatregions; got windows"):
+        msbdb.build([tmp_path / "nothing.laz"], db=tmp_path / "none.sqlite", extract=["windows"])
