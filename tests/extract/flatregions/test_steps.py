@@ -257,10 +257,10 @@ def test_a_roof_that_fills_the_tile_rises_from_the_ground_beyond():
 
 
 def test_gradients_are_capped():
-    """The foot of a tower counts as a storey; without a cap as all of the tower."""
+    """The foot of a tower counts as half a storey; without a cap as all of the tower."""
     values = np.zeros((9, 9))
     values[:, 5:] = 30.0
-    assert gradient_of(grid(values), FlatRegionParams()).max() == 3.0
+    assert gradient_of(grid(values), FlatRegionParams()).max() == 1.5
     assert gradient_of(grid(values), PAPER).max() == 30.0
 
 
