@@ -138,7 +138,7 @@ BUILDING = Table(
     (
         Column("building_id", "int64", "-", "stable id of the building"),
         Column("root_id", "int64", "-", "ID of its root part"),
-        Column("state", "str", "-", "confirmed, unsure or refuted"),
+        Column("state", "str", "-", "confirmed by all witnesses that were heard, unsure, or refuted"),
         Column("storeys", "int64", "storeys", "storeys of its tallest part"),
         Column("h_max", "float64", "m", "largest height above ground"),
         Column("h_mean", "float64", "m", "mean height above ground"),

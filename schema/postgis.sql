@@ -572,7 +572,7 @@ COMMENT ON COLUMN building.run_id IS 'the run that made the row';
 
 COMMENT ON COLUMN building.root_id IS 'ID of its root part';
 
-COMMENT ON COLUMN building.state IS 'confirmed, unsure or refuted';
+COMMENT ON COLUMN building.state IS 'confirmed by all witnesses that were heard, unsure, or refuted';
 
 COMMENT ON COLUMN building.storeys IS 'storeys of its tallest part [storeys]';
 

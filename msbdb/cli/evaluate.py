@@ -48,7 +48,7 @@ from msbdb.cli.output import emit, emit_json
 )
 @click.option(
     "--of",
-    type=click.Choice(["buildings", "parts", "flatregions"]),
+    type=click.Choice(["buildings", "confirmed", "parts", "flatregions"]),
     default="buildings",
     show_default=True,
     help="What to compare with the reference.",

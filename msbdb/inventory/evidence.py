@@ -12,6 +12,9 @@ from msbdb.tables import PART_FLAT_REGION
 Labels = NDArray[np.int32]
 Ids = NDArray[np.int64]
 
+CONFIRMING_FLAT_SHARE = 0.1
+"""Share of a footprint from which flat regions confirm it: of real buildings few have less than half, crowns none."""
+
 
 def link_parts(
     part_labels: Sequence[Labels], part_ids: Ids, region_labels: Labels, region_ids: Ids, *, cell_area_m2: float
@@ -108,3 +111,20 @@ def _require_ids(labels: Labels, ids: Ids, what: str) -> None:
     if highest > len(ids):
         msg = f"The label {highest} has no {what}: there are {len(ids)} ids. Take labels and ids from one extraction."
         raise TableError(msg)
+
+
+def witnessed(buildings: pd.DataFrame, shares: NDArray[np.float64]) -> pd.DataFrame:
+    """Return buildings with the flat regions' word: their flat shares, and the state that follows.
+
+    A building that the classes confirm stays confirmed when flat regions cover at least ``CONFIRMING_FLAT_SHARE`` of
+    it, and becomes unsure when they cover less: one witness speaks for it, and another does not.
+
+    Parameters
+    ----------
+    buildings : DataFrame
+        ``tables.BUILDING``.
+    shares : (N,) ndarray of float64
+        Share of each footprint that flat regions cover.
+    """
+    confirmed = (buildings["state"] == "confirmed") & (shares >= CONFIRMING_FLAT_SHARE)
+    return buildings.assign(flat_share=shares, state=np.where(confirmed, "confirmed", "unsure"))

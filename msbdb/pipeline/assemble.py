@@ -8,7 +8,7 @@ import shapely
 from msbdb.extract.multiscale.forest import Forest
 from msbdb.grid import Grid
 from msbdb.inventory.buildings import buildings_from_parts
-from msbdb.inventory.evidence import flat_shares, link_parts
+from msbdb.inventory.evidence import flat_shares, link_parts, witnessed
 from msbdb.params import VectorParams
 from msbdb.pipeline.cover import Cover
 from msbdb.pipeline.flat import Flat
@@ -51,7 +51,7 @@ def make_frames(
     )
     buildings = buildings_from_parts(parts, forest.root_labels, ndsm)
     if flat.extracted:
-        buildings["flat_share"] = flat_shares(buildings["root_id"].to_numpy(), links)
+        buildings = witnessed(buildings, flat_shares(buildings["root_id"].to_numpy(), links))
     rejections = pd.concat([forest.rejections, flat.rejections], ignore_index=True)
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     frames = {

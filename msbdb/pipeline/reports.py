@@ -185,8 +185,9 @@ def evaluate(
         Share that counts as found; cell of the grid on which areas are compared, metres.
     survey : str, optional
         Not needed where the database holds one.
-    of : {'buildings', 'parts', 'flatregions'}
-        What is compared: the buildings' footprints, the parts of all scales, or the flat regions alone.
+    of : {'buildings', 'confirmed', 'parts', 'flatregions'}
+        What is compared: the buildings' footprints, those of the confirmed ones, the parts of all scales, or the flat
+        regions alone.
     """
     with opened(db) as engine:
         buildings = _compared(engine, survey, of)
@@ -253,11 +254,12 @@ def _height_column(footprints: pd.DataFrame) -> str | None:
 
 def _compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
     """Return the outlines that are to be compared."""
-    if of == "buildings":
-        return read_buildings(engine, survey)
+    if of in ("buildings", "confirmed"):
+        buildings = read_buildings(engine, survey)
+        return buildings if of == "buildings" else buildings[buildings["state"] == "confirmed"]
     if of == "flatregions":
         return read_flat_regions(engine, survey)
     if of == "parts":
         return read_parts(engine, survey)
-    msg = f"There is nothing called '{of}' to evaluate; there are buildings, parts and flatregions."
+    msg = f"There is nothing called '{of}' to evaluate; there are buildings, confirmed, parts and flatregions."
     raise InputError(msg)

@@ -1,10 +1,11 @@
 """Links between parts and flat regions."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from msbdb.errors import GridMismatchError, TableError
-from msbdb.inventory.evidence import flat_shares, link_parts
+from msbdb.inventory.evidence import flat_shares, link_parts, witnessed
 from msbdb.tables import PART_FLAT_REGION
 
 PARTS = np.array([501, 502, 503])
@@ -82,3 +83,11 @@ def test_labels_of_another_extraction_are_refused():
         link_parts(labels, PARTS, flat, REGIONS[:1], cell_area_m2=1.0)
     with pytest.raises(TableError, match="label 3 has no part"):
         link_parts(labels, PARTS[:2], flat, REGIONS, cell_area_m2=1.0)
+
+
+def test_a_building_without_flat_evidence_is_unsure():
+    """The classes' word stands where flat regions agree; neither alone confirms."""
+    buildings = pd.DataFrame({"state": ["confirmed", "confirmed", "unsure"], "flat_share": np.nan})
+    heard = witnessed(buildings, np.array([0.9, 0.0, 0.9]))
+    assert heard["state"].tolist() == ["confirmed", "unsure", "unsure"]
+    assert heard["flat_share"].tolist() == [0.9, 0.0, 0.9]

@@ -38,6 +38,7 @@ def test_flat_regions_confirm_the_house_and_no_crown(town):
     assert report.flat_regions == len(regions) == 1
     house = buildings.iloc[0]
     assert house["flat_share"] > 0.8
+    assert house["state"] == "confirmed"
     root = links[links["part_id"] == house["root_id"]]
     assert root["part_share"].sum() == pytest.approx(house["flat_share"])
     overlap = regions.union_all().intersection(house.geometry).area
