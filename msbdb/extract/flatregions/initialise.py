@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
+from msbdb.morphology.kernels import kernel
 from msbdb.pointcloud import PointCloud
 
 NEAREST = 3
@@ -17,6 +18,9 @@ POWER = 2
 
 MOST = 24
 """Cells looked at for those as near as the third; a circle of cells' centres up to 12 cells wide holds fewer."""
+
+REACH = 6
+"""Distance in cells within which the nearest known cells are searched for cell by cell."""
 
 BATCH = 1 << 17
 """Cells filled at once, which bounds the memory."""
@@ -90,15 +94,22 @@ def fill_by_idw(
     -----
     g[p*] = Σ g[p] d^-2 / Σ d^-2 over the three nearest known cells and all that are as near as the third; so no
     direction is preferred, and the order in which cells are found does not count. With fewer known cells, over all of
-    them. Distances are between centres. O(n log n) by a KD-tree.
+    them. Distances are between centres. Cells with three known ones within ``REACH`` are filled by a search from near
+    to far; the others, O(n log n), by a KD-tree.
     """
-    targets = np.argwhere(wanted)
-    if not len(targets):
+    if not wanted.any():
         return values.copy()
-    sources = np.argwhere(known)
-    if not len(sources):
+    if not known.any():
         msg = "No cell has a value from which others could be interpolated."
         raise NodataError(msg)
+    filled, far = fill_near(values, known, wanted, _offsets(REACH))
+    return _fill_far(filled, known, far) if far.any() else filled
+
+
+def _fill_far(values: NDArray[np.float64], known: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Interpolate cells that are far from the known ones, by a KD-tree."""
+    targets = np.argwhere(wanted)
+    sources = np.argwhere(known)
     tree = cKDTree(sources, balanced_tree=False, compact_nodes=False)
     heights = values[known]
     filled = values.copy()
@@ -108,6 +119,47 @@ def fill_by_idw(
         found[start : start + BATCH] = _weighted(tree, heights, sources, batch)
     filled[wanted] = found
     return filled
+
+
+def _offsets(reach: int) -> NDArray[np.int64]:
+    """Return (N, 3) row offset, column offset and squared distance, from near to far and then in row order."""
+    row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    squared = row**2 + col**2
+    order = np.argsort(squared, kind="stable")
+    order = order[(squared[order] > 0) & (squared[order] <= reach**2)]
+    return np.stack([row[order], col[order], squared[order]], axis=1)
+
+
+@kernel
+def fill_near(
+    values: NDArray[np.float64],
+    known: NDArray[np.bool_],
+    wanted: NDArray[np.bool_],
+    offsets: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Fill the wanted cells that have three known ones among the offsets; return the values, and the other cells."""
+    height, width = values.shape
+    filled, far = values.copy(), np.zeros(values.shape, dtype=np.bool_)
+    for row in range(height):
+        for col in range(width):
+            if not wanted[row, col]:
+                continue
+            found, limit, total, weights = 0, 0, 0.0, 0.0
+            for i in range(len(offsets)):
+                squared = offsets[i, 2]
+                if found >= NEAREST and squared > limit:
+                    break
+                r, c = row + offsets[i, 0], col + offsets[i, 1]
+                if r < 0 or c < 0 or r >= height or c >= width or not known[r, c]:
+                    continue
+                found, limit = found + 1, squared
+                total += values[r, c] / squared
+                weights += 1.0 / squared
+            if found < NEAREST:
+                far[row, col] = True
+            else:
+                filled[row, col] = total / weights
+    return filled, far
 
 
 def _weighted(

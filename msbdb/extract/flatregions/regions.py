@@ -14,6 +14,9 @@ from msbdb.identity import part_ids
 from msbdb.morphology import label_zones
 from msbdb.tables import FLAT_REGION, REJECTION, Table
 
+SPECK_M2 = 1.0
+"""Rejected regions below this area are booked together."""
+
 KIND = "\0flat region"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
@@ -47,15 +50,26 @@ class Books:
         self.counts[stage] = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped}
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
-        """Write the 8-connected regions of a mask, or those of labels, into the ledger; return how many."""
+        """Write the 8-connected regions of a mask, or those of labels, into the ledger; return how many.
+
+        Those smaller than ``SPECK_M2``, mostly single cells by the hundred thousand, are booked as one row, with their
+        areas summed up.
+        """
         labels, count = label_zones(regions.astype(np.int32))
         table = measure(labels, count)
+        is_speck = table["area"].to_numpy() * self.spec.cell_area_m2 < SPECK_M2
+        if is_speck.any():
+            sums = table[is_speck].sum()
+            specks = table[is_speck].head(1).assign(area=sums["area"], row_sum=sums["row_sum"], col_sum=sums["col_sum"])
+            table = pd.concat([table[~is_speck], specks])
+        reasons = np.full(len(table), reason, dtype=object)
+        reasons[len(table) - int(is_speck.any()) :] = f"{reason}, all of less than {SPECK_M2:g} m2 together"
         xcen, ycen = centroids(table, self.spec)
         rows = pd.DataFrame(
             {
                 "region_id": region_ids(table, self.spec, self.survey, stage=1 + STAGES.index(stage)),
                 "stage": stage,
-                "reason": reason,
+                "reason": reasons,
                 "scale": 0,
                 "area_m2": table["area"] * self.spec.cell_area_m2,
                 "xcen": xcen,

@@ -79,6 +79,16 @@ def test_empty_cells_are_weighted_means_of_the_nearest(seed, rows, cols, share):
         assert filled[tuple(cell)] == pytest.approx(naive_idw(values, known, cell))
 
 
+def test_cells_far_from_all_are_filled_by_the_same_rule():
+    """Beyond the reach of the search cell by cell the KD-tree takes over, with the same definition."""
+    rng = np.random.default_rng(3)
+    values, known = rng.normal(size=(30, 30)), np.zeros((30, 30), dtype=bool)
+    known[:2, :3], known[-1, -2:] = True, True
+    filled = fill_by_idw(values, known, ~known)
+    for cell in ([15, 15], [29, 0], [3, 3], [1, 9], [20, 25]):
+        assert filled[tuple(cell)] == pytest.approx(naive_idw(values, known, np.array(cell)))
+
+
 def test_interpolation_prefers_no_direction():
     """A turned or mirrored grid gives the turned or mirrored result: equally near cells all count."""
     rng = np.random.default_rng(1)
