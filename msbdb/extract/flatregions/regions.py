@@ -36,6 +36,9 @@ class Books:
     def count(self, stage: str, entered: int, kept: int, dropped: int, pieces: int = 0) -> None:
         """Note the numbers of a stage, which cut so many pieces itself; negative where it joined regions.
 
+        To be called when all that the stage rejected is written: ``booked`` counts its rows in the ledger, fewer than
+        it dropped where specks share a row.
+
         Raises
         ------
         TableError
@@ -47,7 +50,9 @@ class Books:
                 f"but {kept} kept and {dropped} dropped. This is a fault of msbdb; please report it."
             )
             raise TableError(msg)
-        self.counts[stage] = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped}
+        booked = sum(int((rows["stage"] == stage).sum()) for rows in self._lost)
+        counts = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped, "booked": booked}
+        self.counts[stage] = counts
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
         """Write the 8-connected regions of a mask, or those of labels, into the ledger; return how many.

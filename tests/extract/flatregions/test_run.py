@@ -115,6 +115,7 @@ def test_nothing_vanishes_in_silence():
     dropped = {stage: numbers["dropped"] for stage, numbers in found.counts.items() if numbers["dropped"]}
     booked = found.rejections["stage"].value_counts().to_dict()
     together = found.rejections[found.rejections["reason"].str.endswith("together")]
+    assert booked == {stage: numbers["booked"] for stage, numbers in found.counts.items() if numbers["booked"]}
     assert booked.keys() == dropped.keys()
     for stage, rows in booked.items():
         sums = together[together["stage"] == stage]
