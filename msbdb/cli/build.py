@@ -86,8 +86,8 @@ Z_UNITS = ("auto", "m", "ft", "us-ft")
 def build(*, as_json: bool, figure: Path | None, **inputs: Any) -> None:  # noqa: ANN401
     """Build or extend a database of buildings from one survey.
 
-    Give points, or a DSM with a DTM, or heights above ground. Without an orthophoto, the colours of the points
-    serve; without any imagery, height texture and echoes do. Building the same survey again changes nothing.
+    Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes tell roofs from trees; an
+    orthophoto, or the colours of the points, add spectral classes. Building the same survey again changes nothing.
     """
     _check_inputs(inputs)
     params = parameters(inputs["profile"], inputs.pop("params_file"), inputs.pop("settings"), inputs.pop("scales"))

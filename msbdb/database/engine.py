@@ -74,7 +74,7 @@ def open_database(
             if not create:
                 msg = (
                     f"The database {shown(url)} has an older schema than this msbdb. "
-                    "Build into it once more, or open it with create=True, to upgrade it."
+                    "Build any survey into it with 'msbdb build' to upgrade it; nothing in it is lost."
                 )
                 raise SchemaVersionError(msg)
             upgrade_database(engine)

@@ -50,7 +50,7 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
       'refuted' takes a reference or an operator, so none is here.
     - ``storeys`` are those of the tallest part; heights are of all valid cells in the footprint. The volume is
       exact for a surface above flat ground: the sum of height times cell area, in which heights below 0 count as 0.
-    - ``flat_share`` is null, as nothing is known of flat regions here.
+    - ``flat_share`` is null, as nothing is known of flat regions here; `evidence.witnessed` adds their word.
     """
     is_root = (parts["supid"] == 0).to_numpy()
     root_rows = np.flatnonzero(is_root)

@@ -13,7 +13,11 @@ Labels = NDArray[np.int32]
 Ids = NDArray[np.int64]
 
 CONFIRMING_FLAT_SHARE = 0.1
-"""Share of a footprint from which flat regions confirm it: of real buildings few have less than half, crowns none."""
+"""Share of a footprint from which flat regions confirm it.
+
+Ours: on the real tiles shares lie near 1 or at 0, so that 0.1 and 0.3 confirm nearly the same buildings. Roofs below
+40 m2, too small for a flat region (R times λ_min), have none.
+"""
 
 
 def link_parts(
