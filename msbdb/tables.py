@@ -199,6 +199,64 @@ PART_FLAT_REGION = Table(
     ),
 )
 
+CANDIDATE_REGION = Table(
+    "candidate_region",
+    (
+        Column("candidate_id", "int64", "-", "id of the region, from survey, method and absolute lattice position"),
+        Column("method", "str", "-", "area3d (Cao & Wu) or adaptive (Bathurst slides)"),
+        Column("rule", "str", "-", "the rule that accepted it: rule 1 or rule 2 (C18); clustering (S6)"),
+        Column(
+            "height_scale_m",
+            "float64",
+            "m",
+            "h_j: lowest height above ground at which it was accepted (C14); null for the adaptive filter",
+            nullable=True,
+        ),
+        Column("points", "int64", "count", "number of its points (C3)"),
+        Column("area_m2", "float64", "m2", "its points' area: number over local density (A17)"),
+        Column("perimeter", "int64", "count", "number of its edge points (C10); 0 where none were sought"),
+        Column("mbr_m2", "float64", "m2", "area of the minimum bounding rectangle of its points (C10)"),
+        Column("rectangularity", "float64", "1", "area over the area of the bounding rectangle (C17)"),
+        Column(
+            "compactness", "float64", "1", "points over edge points (C17); null where none were sought", nullable=True
+        ),
+        Column("linearity", "float64", "1", "mean L(u) over its edge points (C11, C12); null unsought", nullable=True),
+        Column("direction_1", "float64", "deg", "strongest main direction, 0 to 180 from east (C11)", nullable=True),
+        Column("direction_2", "float64", "deg", "second main direction, 0 to 180 from east (C11)", nullable=True),
+        Column("ndvi", "float64", "1", "mean NDVI of its points; null without colours", nullable=True),
+        Column("h_max", "float64", "m", "largest height above ground of its points"),
+        Column("h_mean", "float64", "m", "mean height above ground of its points"),
+        Column("h_p50", "float64", "m", "median height above ground of its points"),
+        Column("h_p90", "float64", "m", "90th percentile of the height above ground of its points"),
+        Column("h_std", "float64", "m", "standard deviation of the heights of its points"),
+        Column("xcen", "float64", "m", "easting of the centroid of its points"),
+        Column("ycen", "float64", "m", "northing of the centroid of its points"),
+    ),
+    geometry="MULTIPOLYGON",
+)
+
+PART_CANDIDATE = Table(
+    "part_candidate",
+    (
+        Column("part_id", "int64", "-", "the part"),
+        Column("candidate_id", "int64", "-", "the candidate region that it shares cells with"),
+        Column("overlap_m2", "float64", "m2", "area of the cells that both cover; above 0"),
+        Column("part_share", "float64", "1", "share of the part's area that the candidate region covers"),
+        Column("candidate_share", "float64", "1", "share of the candidate region's cells that the part covers"),
+    ),
+)
+
+FLAT_REGION_CANDIDATE = Table(
+    "flat_region_candidate",
+    (
+        Column("region_id", "int64", "-", "the flat region"),
+        Column("candidate_id", "int64", "-", "the candidate region that it shares cells with"),
+        Column("overlap_m2", "float64", "m2", "area of the cells that both cover; above 0"),
+        Column("region_share", "float64", "1", "share of the flat region's area that the candidate region covers"),
+        Column("candidate_share", "float64", "1", "share of the candidate region's cells that the flat region covers"),
+    ),
+)
+
 TABLES = (SCALE, PART, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, REJECTION, BUILDING, FLAT_REGION, PART_FLAT_REGION)
 
 
