@@ -4,7 +4,7 @@ from msbdb.surface.build import Surface, build_surface, cover_from_surface, surf
 from msbdb.surface.cover import drop_green_regions, structural_cover
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.ground import terrain
-from msbdb.surface.heights import normalise
+from msbdb.surface.heights import heights_above, normalise
 from msbdb.surface.texture import Echoes, echoes, roughness
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "density",
     "drop_green_regions",
     "echoes",
+    "heights_above",
     "normalise",
     "roughness",
     "sample_nearest",
