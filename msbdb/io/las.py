@@ -1,7 +1,8 @@
 """Reading points from LAS, LAZ and COPC files of any point format, in chunks, on all cores.
 
 Points are dropped that are withheld, noise (classes 7 and 18), or absurd in their coordinates; the notices count
-them. Class 17 stays: by the book it is a bridge deck, but some surveys mark strip overlap with it, roofs included.
+them, and ``read_points_indexed`` tells which are left. Class 17 stays: by the book it is a bridge deck, but some
+surveys mark strip overlap with it, roofs included.
 """
 
 import logging
@@ -64,14 +65,16 @@ DTYPES = {
 
 
 class _Columns:
-    """The columns of all points, filled file by file; ``filled`` counts the rows in use."""
+    """The columns of all points, filled file by file; ``filled`` counts the rows in use, ``seen`` what was offered."""
 
-    def __init__(self, points: int, colour_names: tuple[str, ...]) -> None:
-        """Make room for that many points."""
+    def __init__(self, points: int, colour_names: tuple[str, ...], *, indexed: bool, noise: bool) -> None:
+        """Make room for that many points, with their places in the files if ``indexed``, and with noise if so told."""
         self.arrays: dict[str, NDArray[Any]] = {name: np.empty(points, dtype) for name, dtype in DTYPES.items()}
         self.arrays["colours"] = np.empty((points, len(colour_names)), dtype=np.uint16)
+        self.index = np.empty(points if indexed else 0, dtype=np.int64)
         self.colour_names = colour_names
-        self.filled = 0
+        self.indexed, self.noise = indexed, noise
+        self.filled = self.seen = 0
         self.dropped: Counter[str] = Counter()
         self._notices: dict[str, list[str]] = {}
 
@@ -95,7 +98,10 @@ class _Columns:
         for name, column in values.items():
             target = self.arrays["colours"][:, self.colour_names.index(name)] if name in COLOURS else self.arrays[name]
             target[begin:end] = column if every else column[keep]
+        if self.indexed:
+            self.index[begin:end] = self.seen + np.flatnonzero(keep)
         self.filled = end
+        self.seen += len(keep)
 
 
 def read_points(
@@ -136,6 +142,54 @@ def read_points(
     NodataError
         If no points are left.
     """
+    cloud, _, notices = _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=False, noise=False)
+    return cloud, notices
+
+
+def read_points_indexed(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    crs: CrsLike | None = None,
+    z_unit: str = "auto",
+    noise: bool = False,
+    progress: Progress | None = None,
+) -> tuple[PointCloud, NDArray[np.int64], list[str]]:
+    """Read points as `read_points` does, and tell which points of the files they are.
+
+    Parameters
+    ----------
+    paths, crs, z_unit, progress
+        As for `read_points`.
+    noise : bool
+        Keep points that are withheld, noise or far from all others as well; only absurd coordinates are dropped.
+
+    Returns
+    -------
+    cloud : PointCloud
+        The N points that were kept.
+    index : (N,) ndarray of int64
+        For each of them its number in the file, from 0, rising; over many files it runs on.
+    notices : list of str
+        What was dropped, converted or assumed, with counts.
+
+    Raises
+    ------
+    MsbdbError
+        As `read_points` does.
+    """
+    return _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=True, noise=noise)
+
+
+def _read(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    crs: CrsLike | None,
+    z_unit: str,
+    progress: Progress | None,
+    indexed: bool,
+    noise: bool,
+) -> tuple[PointCloud, NDArray[np.int64], list[str]]:
+    """Return the points, their places in the files where these are asked for, and the notices."""
     chosen = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not chosen:
         msg = "No point files were given; name at least one LAS, LAZ or COPC file."
@@ -144,7 +198,8 @@ def read_points(
     references = _references(files, crs, z_unit)
     colours = [set(_colour_fields(info)) for info in files]
     total = sum(info.points for info in files)
-    columns = _Columns(total, tuple(name for name in COLOURS if name in set.intersection(*colours)))
+    common = tuple(name for name in COLOURS if name in set.intersection(*colours))
+    columns = _Columns(total, common, indexed=indexed, noise=noise)
     for info, each in zip(files, references, strict=True):
         for notice in each.notices:
             columns.tell(notice, info.path.name)
@@ -168,11 +223,11 @@ def read_points(
             echoes.append(_settle_echoes(own))
             if not echoes[-1]:
                 columns.tell("no echo information, so that every point counts as a first echo.", info.path.name)
-    cloud = _finish(columns, references, has_echoes=any(echoes))
+    cloud, index = _finish(columns, references, has_echoes=any(echoes))
     wrong_place = misplaced(cloud.crs, cloud.bounds)
     if wrong_place is not None:
         columns.tell(wrong_place)
-    return cloud, columns.notices
+    return cloud, index, columns.notices
 
 
 def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str) -> list[Reference]:
@@ -255,6 +310,8 @@ def _append(
     noise = np.isin(classes, NOISE_CLASSES)
     # A comparison with NaN is false, so that points which are not finite are absurd as well.
     sound = (np.abs(x) <= MAX_EASTING_M) & (np.abs(y) <= MAX_EASTING_M) & (np.abs(z) <= MAX_HEIGHT_M)
+    if columns.noise:
+        withheld, noise = np.zeros_like(withheld), np.zeros_like(noise)
     keep = sound & ~withheld & ~noise
     columns.dropped["flagged as withheld"] += int(withheld.sum())
     columns.dropped["of the noise classes 7 and 18"] += int((noise & ~withheld).sum())
@@ -293,16 +350,18 @@ def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]
     return not all((*inside, ys[0] - 1 <= own["y"].min(), own["y"].max() <= ys[1] + 1))
 
 
-def _finish(columns: _Columns, references: Sequence[Reference], *, has_echoes: bool) -> PointCloud:
-    """Drop lone points, leave out what says nothing, and count in the notices."""
+def _finish(
+    columns: _Columns, references: Sequence[Reference], *, has_echoes: bool
+) -> tuple[PointCloud, NDArray[np.int64]]:
+    """Drop lone points, leave out what says nothing, and count in the notices; return the points' places, too."""
     used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
-    lone = lone_values(used["z"], LONE_GAP_Z_M)
-    lone |= lone_values(used["x"], LONE_GAP_XY_M) | lone_values(used["y"], LONE_GAP_XY_M)
+    index = columns.index[: columns.filled]
+    lone = np.zeros(columns.filled, dtype=np.bool_) if columns.noise else _lone_points(used)
     columns.dropped["far from all others"] = int(lone.sum())
     for why, count in columns.dropped.items():
         if count:
             columns.tell(f"{count} points {why} were dropped.")
-    if lone.all():
+    if lone.all():  # also where nothing is left to be lone
         msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
         raise NodataError(msg)
     colours, intensity = used["colours"], used["intensity"]
@@ -325,7 +384,16 @@ def _finish(columns: _Columns, references: Sequence[Reference], *, has_echoes: b
         colour_names=tuple(columns.colour_names[i] for i in kept),
     )
     logger.info("read %d points, dropped %s", len(cloud), dict(columns.dropped))
-    return cloud.take(~lone) if lone.any() else cloud
+    if not lone.any():
+        return cloud, index
+    return cloud.take(~lone), index[~lone] if columns.indexed else index
+
+
+def _lone_points(used: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    """Return which points are lone in height or in position."""
+    lone = lone_values(used["z"], LONE_GAP_Z_M)
+    lone |= lone_values(used["x"], LONE_GAP_XY_M) | lone_values(used["y"], LONE_GAP_XY_M)
+    return lone
 
 
 def _telling(colours: NDArray[np.uint16], names: tuple[str, ...]) -> list[int]:
