@@ -138,7 +138,12 @@ BUILDING = Table(
     (
         Column("building_id", "int64", "-", "stable id of the building"),
         Column("root_id", "int64", "-", "ID of its root part"),
-        Column("state", "str", "-", "confirmed by all witnesses that were heard, unsure, or refuted"),
+        Column(
+            "state",
+            "str",
+            "-",
+            "confirmed by the classes and by at least half of the other extractors that were heard; unsure; or refuted",
+        ),
         Column("storeys", "int64", "storeys", "storeys of its tallest part"),
         Column("h_max", "float64", "m", "largest height above ground"),
         Column("h_mean", "float64", "m", "mean height above ground"),
@@ -154,6 +159,20 @@ BUILDING = Table(
             "float64",
             "1",
             "share of the footprint that flat regions cover; null when they were not extracted",
+            nullable=True,
+        ),
+        Column(
+            "area3d_share",
+            "float64",
+            "1",
+            "share of the footprint that candidates of area3d cover; null when they were not extracted",
+            nullable=True,
+        ),
+        Column(
+            "adaptive_share",
+            "float64",
+            "1",
+            "share of the footprint that candidates of adaptive cover; null when they were not extracted",
             nullable=True,
         ),
     ),
@@ -257,7 +276,34 @@ FLAT_REGION_CANDIDATE = Table(
     ),
 )
 
-TABLES = (SCALE, PART, SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, REJECTION, BUILDING, FLAT_REGION, PART_FLAT_REGION)
+TABLES = (
+    SCALE,
+    PART,
+    SPECTRAL_CLASS,
+    SPECTRAL_CLASS_BAND,
+    REJECTION,
+    BUILDING,
+    FLAT_REGION,
+    PART_FLAT_REGION,
+    CANDIDATE_REGION,
+    PART_CANDIDATE,
+    FLAT_REGION_CANDIDATE,
+)
+
+CANDIDATE_METHODS = ("area3d", "adaptive")
+"""The extractors that find candidate regions."""
+
+EXTRACTOR_SHARES = {"flatregions": "flat_share", "area3d": "area3d_share", "adaptive": "adaptive_share"}
+"""The extractors that bear witness for parts and buildings, each with the column of the share that it covers."""
+
+CONFIRMING_CLASS_SHARE = 0.5
+"""Share of building classes from which the classes confirm a building that the heights found."""
+
+CONFIRMING_COVER = 0.1
+"""Share of a footprint from which the regions of an extractor confirm it.
+
+Ours: on the real tiles shares lie near 1 or at 0, so that 0.1 and 0.3 confirm nearly the same buildings.
+"""
 
 
 def validate(frame: pd.DataFrame, table: Table) -> None:

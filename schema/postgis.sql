@@ -1,4 +1,4 @@
--- The schema 0002 of msbdb for postgis.
+-- The schema 0003 of msbdb for postgis.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -53,6 +53,45 @@ CREATE TABLE source (
   CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
   CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
+
+CREATE TABLE candidate_region (
+  candidate_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
+  rule TEXT NOT NULL,
+  height_scale_m DOUBLE PRECISION,
+  points BIGINT NOT NULL,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  perimeter BIGINT NOT NULL,
+  mbr_m2 DOUBLE PRECISION NOT NULL,
+  rectangularity DOUBLE PRECISION NOT NULL,
+  compactness DOUBLE PRECISION,
+  linearity DOUBLE PRECISION,
+  direction_1 DOUBLE PRECISION,
+  direction_2 DOUBLE PRECISION,
+  ndvi DOUBLE PRECISION,
+  h_max DOUBLE PRECISION NOT NULL,
+  h_mean DOUBLE PRECISION NOT NULL,
+  h_p50 DOUBLE PRECISION NOT NULL,
+  h_p90 DOUBLE PRECISION NOT NULL,
+  h_std DOUBLE PRECISION NOT NULL,
+  xcen DOUBLE PRECISION NOT NULL,
+  ycen DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_candidate_region PRIMARY KEY (candidate_id),
+  CONSTRAINT ck_candidate_region_candidate_id CHECK (candidate_id > 0),
+  CONSTRAINT ck_candidate_region_method CHECK (method IN ('area3d', 'adaptive')),
+  CONSTRAINT ck_candidate_region_rule CHECK (rule <> ''),
+  CONSTRAINT ck_candidate_region_height_scale CHECK (height_scale_m IS NULL OR method = 'area3d'),
+  CONSTRAINT ck_candidate_region_points CHECK (points > 0 AND perimeter >= 0),
+  CONSTRAINT ck_candidate_region_shape CHECK (area_m2 > 0 AND mbr_m2 >= 0 AND rectangularity >= 0 AND compactness >= 0),
+  CONSTRAINT ck_candidate_region_linearity CHECK (linearity >= 0 AND linearity <= 1),
+  CONSTRAINT ck_candidate_region_direction_1 CHECK (direction_1 >= 0 AND direction_1 <= 180),
+  CONSTRAINT ck_candidate_region_direction_2 CHECK (direction_2 >= 0 AND direction_2 <= 180),
+  CONSTRAINT ck_candidate_region_ndvi CHECK (ndvi >= -1 AND ndvi <= 1),
+  CONSTRAINT fk_candidate_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_candidate_region_run_id_method ON candidate_region (run_id, method);
 
 CREATE TABLE flat_region (
   region_id BIGINT NOT NULL,
@@ -142,6 +181,26 @@ CREATE TABLE spectral_class (
   CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
+CREATE TABLE flat_region_candidate (
+  region_id BIGINT NOT NULL,
+  candidate_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  overlap_m2 DOUBLE PRECISION NOT NULL,
+  region_share DOUBLE PRECISION NOT NULL,
+  candidate_share DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_flat_region_candidate PRIMARY KEY (region_id, candidate_id),
+  CONSTRAINT ck_flat_region_candidate_overlap CHECK (overlap_m2 > 0),
+  CONSTRAINT ck_flat_region_candidate_region_share CHECK (region_share > 0 AND region_share <= 1),
+  CONSTRAINT ck_flat_region_candidate_candidate_share CHECK (candidate_share > 0 AND candidate_share <= 1),
+  CONSTRAINT fk_flat_region_candidate_flat_region FOREIGN KEY(region_id) REFERENCES flat_region (region_id) ON DELETE CASCADE,
+  CONSTRAINT fk_flat_region_candidate_candidate_region FOREIGN KEY(candidate_id) REFERENCES candidate_region (candidate_id) ON DELETE CASCADE,
+  CONSTRAINT fk_flat_region_candidate_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_flat_region_candidate_candidate_id ON flat_region_candidate (candidate_id);
+
+CREATE INDEX ix_flat_region_candidate_run_id ON flat_region_candidate (run_id);
+
 CREATE TABLE part (
   part_id BIGINT NOT NULL,
   run_id BIGINT NOT NULL,
@@ -216,6 +275,8 @@ CREATE TABLE building (
   speindex BIGINT NOT NULL,
   class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
   flat_share DOUBLE PRECISION,
+  area3d_share DOUBLE PRECISION,
+  adaptive_share DOUBLE PRECISION,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (root_id),
   CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
@@ -225,10 +286,32 @@ CREATE TABLE building (
   CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
   CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
   CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
+  CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
+  CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
   CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
 CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
+CREATE TABLE part_candidate (
+  part_id BIGINT NOT NULL,
+  candidate_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  overlap_m2 DOUBLE PRECISION NOT NULL,
+  part_share DOUBLE PRECISION NOT NULL,
+  candidate_share DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_part_candidate PRIMARY KEY (part_id, candidate_id),
+  CONSTRAINT ck_part_candidate_overlap CHECK (overlap_m2 > 0),
+  CONSTRAINT ck_part_candidate_part_share CHECK (part_share > 0 AND part_share <= 1),
+  CONSTRAINT ck_part_candidate_candidate_share CHECK (candidate_share > 0 AND candidate_share <= 1),
+  CONSTRAINT fk_part_candidate_part FOREIGN KEY(part_id) REFERENCES part (part_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_candidate_candidate_region FOREIGN KEY(candidate_id) REFERENCES candidate_region (candidate_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_candidate_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_part_candidate_candidate_id ON part_candidate (candidate_id);
+
+CREATE INDEX ix_part_candidate_run_id ON part_candidate (run_id);
 
 CREATE TABLE part_flat_region (
   part_id BIGINT NOT NULL,
@@ -266,6 +349,10 @@ ALTER TABLE flat_region ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NU
 
 CREATE INDEX idx_flat_region_geometry ON flat_region USING gist (geometry);
 
+ALTER TABLE candidate_region ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NULL;
+
+CREATE INDEX idx_candidate_region_geometry ON candidate_region USING gist (geometry);
+
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
@@ -291,7 +378,7 @@ JOIN survey AS s ON s.survey_id = r.survey_id;
 
 CREATE VIEW building_summary AS
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
-       b.flat_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
@@ -307,13 +394,27 @@ CREATE VIEW part_evidence AS
 SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
        CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
        CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_share, 0.0) END AS area3d_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_regions, 0) END AS area3d_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_share, 0.0) END AS adaptive_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_regions, 0) END
+         AS adaptive_regions,
        p.geometry
 FROM part AS p
 JOIN run AS r ON r.run_id = p.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
 LEFT JOIN (
   SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
-) AS e ON e.part_id = p.part_id;
+) AS e ON e.part_id = p.part_id
+LEFT JOIN (
+  SELECT l.part_id,
+         SUM(CASE WHEN k.method = 'area3d' THEN l.part_share END) AS area3d_share,
+         COUNT(CASE WHEN k.method = 'area3d' THEN 1 END) AS area3d_regions,
+         SUM(CASE WHEN k.method = 'adaptive' THEN l.part_share END) AS adaptive_share,
+         COUNT(CASE WHEN k.method = 'adaptive' THEN 1 END) AS adaptive_regions
+  FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+  GROUP BY l.part_id
+) AS c ON c.part_id = p.part_id;
 
 CREATE VIEW unexplained_flat_region AS
 SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
@@ -329,6 +430,56 @@ LEFT JOIN (
   GROUP BY l.region_id
 ) AS e ON e.region_id = f.region_id
 WHERE COALESCE(e.explained_share, 0.0) < 0.5;
+
+CREATE VIEW candidate_evidence AS
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE(e.explained_share, 0.0) END
+         AS explained_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(f.flat_share, 0.0) END AS flat_share,
+       k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+LEFT JOIN (
+  SELECT candidate_id, SUM(candidate_share) AS flat_share FROM flat_region_candidate GROUP BY candidate_id
+) AS f ON f.candidate_id = k.candidate_id;
+
+CREATE VIEW unexplained_candidate AS
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_max, k.h_mean, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+WHERE COALESCE(e.explained_share, 0.0) < 0.5;
+
+CREATE VIEW building_evidence AS
+SELECT b.building_id, s.name AS survey, r.method, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
+       b.flat_share, b.area3d_share, b.adaptive_share,
+       CASE WHEN root.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,
+       CASE WHEN b.flat_share IS NULL THEN 0 ELSE 1 END + CASE WHEN b.area3d_share IS NULL THEN 0 ELSE 1 END
+         + CASE WHEN b.adaptive_share IS NULL THEN 0 ELSE 1 END AS extractors_heard,
+       CASE WHEN b.flat_share >= 0.1 THEN 1 ELSE 0 END
+         + CASE WHEN b.area3d_share >= 0.1 THEN 1 ELSE 0 END
+         + CASE WHEN b.adaptive_share >= 0.1 THEN 1 ELSE 0 END AS extractors_for,
+       b.geometry
+FROM building AS b
+JOIN run AS r ON r.run_id = b.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+JOIN part AS root ON root.part_id = b.root_id;
 
 COMMENT ON TABLE survey IS 'A survey: where and when the data were taken';
 
@@ -362,7 +513,7 @@ COMMENT ON COLUMN run.run_id IS 'from the survey''s name';
 
 COMMENT ON COLUMN run.survey_id IS 'the survey';
 
-COMMENT ON COLUMN run.method IS 'the extractors, sorted and joined by commas: multiscale and flatregions';
+COMMENT ON COLUMN run.method IS 'the extractors, sorted and joined by commas: multiscale, flatregions, area3d and adaptive';
 
 COMMENT ON COLUMN run.profile IS 'the set of parameters that it began from';
 
@@ -391,6 +542,54 @@ COMMENT ON COLUMN source.role IS 'what the file gave: points, ortho, dsm, dtm, n
 COMMENT ON COLUMN source.sha256 IS 'checksum of the file';
 
 COMMENT ON COLUMN source.bytes IS 'size of the file [bytes]';
+
+COMMENT ON TABLE candidate_region IS 'A region that an extractor on the points themselves takes for a roof';
+
+COMMENT ON COLUMN candidate_region.candidate_id IS 'id of the region, from survey, method and absolute lattice position';
+
+COMMENT ON COLUMN candidate_region.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN candidate_region.method IS 'area3d (Cao & Wu) or adaptive (Bathurst slides)';
+
+COMMENT ON COLUMN candidate_region.rule IS 'the rule that accepted it: rule 1 or rule 2 (C18); clustering (S6)';
+
+COMMENT ON COLUMN candidate_region.height_scale_m IS 'h_j: lowest height above ground at which it was accepted (C14); null for the adaptive filter [m]';
+
+COMMENT ON COLUMN candidate_region.points IS 'number of its points (C3) [count]';
+
+COMMENT ON COLUMN candidate_region.area_m2 IS 'its points'' area: number over local density (A17) [m2]';
+
+COMMENT ON COLUMN candidate_region.perimeter IS 'number of its edge points (C10); 0 where none were sought [count]';
+
+COMMENT ON COLUMN candidate_region.mbr_m2 IS 'area of the minimum bounding rectangle of its points (C10) [m2]';
+
+COMMENT ON COLUMN candidate_region.rectangularity IS 'area over the area of the bounding rectangle (C17) [1]';
+
+COMMENT ON COLUMN candidate_region.compactness IS 'points over edge points (C17); null where none were sought [1]';
+
+COMMENT ON COLUMN candidate_region.linearity IS 'mean L(u) over its edge points (C11, C12); null unsought [1]';
+
+COMMENT ON COLUMN candidate_region.direction_1 IS 'strongest main direction, 0 to 180 from east (C11) [deg]';
+
+COMMENT ON COLUMN candidate_region.direction_2 IS 'second main direction, 0 to 180 from east (C11) [deg]';
+
+COMMENT ON COLUMN candidate_region.ndvi IS 'mean NDVI of its points; null without colours [1]';
+
+COMMENT ON COLUMN candidate_region.h_max IS 'largest height above ground of its points [m]';
+
+COMMENT ON COLUMN candidate_region.h_mean IS 'mean height above ground of its points [m]';
+
+COMMENT ON COLUMN candidate_region.h_p50 IS 'median height above ground of its points [m]';
+
+COMMENT ON COLUMN candidate_region.h_p90 IS '90th percentile of the height above ground of its points [m]';
+
+COMMENT ON COLUMN candidate_region.h_std IS 'standard deviation of the heights of its points [m]';
+
+COMMENT ON COLUMN candidate_region.xcen IS 'easting of the centroid of its points [m]';
+
+COMMENT ON COLUMN candidate_region.ycen IS 'northing of the centroid of its points [m]';
+
+COMMENT ON COLUMN candidate_region.geometry IS 'in the database''s CRS [m]';
 
 COMMENT ON TABLE flat_region IS 'A region of even height that stands out of its surroundings, found by its gradients';
 
@@ -498,6 +697,20 @@ COMMENT ON COLUMN spectral_class.roughness_m IS 'median local roughness of the s
 
 COMMENT ON COLUMN spectral_class.height_m IS 'mean height above ground [m]';
 
+COMMENT ON TABLE flat_region_candidate IS 'A flat region and a candidate region that share cells: one is the other''s witness';
+
+COMMENT ON COLUMN flat_region_candidate.region_id IS 'the flat region';
+
+COMMENT ON COLUMN flat_region_candidate.candidate_id IS 'the candidate region that it shares cells with';
+
+COMMENT ON COLUMN flat_region_candidate.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN flat_region_candidate.overlap_m2 IS 'area of the cells that both cover; above 0 [m2]';
+
+COMMENT ON COLUMN flat_region_candidate.region_share IS 'share of the flat region''s area that the candidate region covers [1]';
+
+COMMENT ON COLUMN flat_region_candidate.candidate_share IS 'share of the candidate region''s cells that the flat region covers [1]';
+
 COMMENT ON TABLE part IS 'A part of a building on one scale; a father holds its children (V32, V33)';
 
 COMMENT ON COLUMN part.part_id IS 'ID: from survey, scale and absolute lattice position; above 0';
@@ -572,7 +785,7 @@ COMMENT ON COLUMN building.run_id IS 'the run that made the row';
 
 COMMENT ON COLUMN building.root_id IS 'ID of its root part';
 
-COMMENT ON COLUMN building.state IS 'confirmed by all witnesses that were heard, unsure, or refuted';
+COMMENT ON COLUMN building.state IS 'confirmed by the classes and by at least half of the other extractors that were heard; unsure; or refuted';
 
 COMMENT ON COLUMN building.storeys IS 'storeys of its tallest part [storeys]';
 
@@ -598,7 +811,25 @@ COMMENT ON COLUMN building.class_id IS 'SPE, but null for none';
 
 COMMENT ON COLUMN building.flat_share IS 'share of the footprint that flat regions cover; null when they were not extracted [1]';
 
+COMMENT ON COLUMN building.area3d_share IS 'share of the footprint that candidates of area3d cover; null when they were not extracted [1]';
+
+COMMENT ON COLUMN building.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when they were not extracted [1]';
+
 COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON TABLE part_candidate IS 'A part and a candidate region that share cells: one is the other''s witness';
+
+COMMENT ON COLUMN part_candidate.part_id IS 'the part';
+
+COMMENT ON COLUMN part_candidate.candidate_id IS 'the candidate region that it shares cells with';
+
+COMMENT ON COLUMN part_candidate.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN part_candidate.overlap_m2 IS 'area of the cells that both cover; above 0 [m2]';
+
+COMMENT ON COLUMN part_candidate.part_share IS 'share of the part''s area that the candidate region covers [1]';
+
+COMMENT ON COLUMN part_candidate.candidate_share IS 'share of the candidate region''s cells that the part covers [1]';
 
 COMMENT ON TABLE part_flat_region IS 'A part and a flat region that share cells: one is the other''s witness';
 
@@ -616,5 +847,5 @@ COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area 
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
 

@@ -1,4 +1,4 @@
--- The schema 0002 of msbdb for spatialite.
+-- The schema 0003 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -53,6 +53,45 @@ CREATE TABLE source (
   CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
   CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
+
+CREATE TABLE candidate_region (
+  candidate_id INTEGER NOT NULL,
+  run_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
+  rule TEXT NOT NULL,
+  height_scale_m DOUBLE,
+  points BIGINT NOT NULL,
+  area_m2 DOUBLE NOT NULL,
+  perimeter BIGINT NOT NULL,
+  mbr_m2 DOUBLE NOT NULL,
+  rectangularity DOUBLE NOT NULL,
+  compactness DOUBLE,
+  linearity DOUBLE,
+  direction_1 DOUBLE,
+  direction_2 DOUBLE,
+  ndvi DOUBLE,
+  h_max DOUBLE NOT NULL,
+  h_mean DOUBLE NOT NULL,
+  h_p50 DOUBLE NOT NULL,
+  h_p90 DOUBLE NOT NULL,
+  h_std DOUBLE NOT NULL,
+  xcen DOUBLE NOT NULL,
+  ycen DOUBLE NOT NULL,
+  CONSTRAINT pk_candidate_region PRIMARY KEY (candidate_id),
+  CONSTRAINT ck_candidate_region_candidate_id CHECK (candidate_id > 0),
+  CONSTRAINT ck_candidate_region_method CHECK (method IN ('area3d', 'adaptive')),
+  CONSTRAINT ck_candidate_region_rule CHECK (rule <> ''),
+  CONSTRAINT ck_candidate_region_height_scale CHECK (height_scale_m IS NULL OR method = 'area3d'),
+  CONSTRAINT ck_candidate_region_points CHECK (points > 0 AND perimeter >= 0),
+  CONSTRAINT ck_candidate_region_shape CHECK (area_m2 > 0 AND mbr_m2 >= 0 AND rectangularity >= 0 AND compactness >= 0),
+  CONSTRAINT ck_candidate_region_linearity CHECK (linearity >= 0 AND linearity <= 1),
+  CONSTRAINT ck_candidate_region_direction_1 CHECK (direction_1 >= 0 AND direction_1 <= 180),
+  CONSTRAINT ck_candidate_region_direction_2 CHECK (direction_2 >= 0 AND direction_2 <= 180),
+  CONSTRAINT ck_candidate_region_ndvi CHECK (ndvi >= -1 AND ndvi <= 1),
+  CONSTRAINT fk_candidate_region_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_candidate_region_run_id_method ON candidate_region (run_id, method);
 
 CREATE TABLE flat_region (
   region_id INTEGER NOT NULL,
@@ -142,6 +181,26 @@ CREATE TABLE spectral_class (
   CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
+CREATE TABLE flat_region_candidate (
+  region_id BIGINT NOT NULL,
+  candidate_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  overlap_m2 DOUBLE NOT NULL,
+  region_share DOUBLE NOT NULL,
+  candidate_share DOUBLE NOT NULL,
+  CONSTRAINT pk_flat_region_candidate PRIMARY KEY (region_id, candidate_id),
+  CONSTRAINT ck_flat_region_candidate_overlap CHECK (overlap_m2 > 0),
+  CONSTRAINT ck_flat_region_candidate_region_share CHECK (region_share > 0 AND region_share <= 1),
+  CONSTRAINT ck_flat_region_candidate_candidate_share CHECK (candidate_share > 0 AND candidate_share <= 1),
+  CONSTRAINT fk_flat_region_candidate_flat_region FOREIGN KEY(region_id) REFERENCES flat_region (region_id) ON DELETE CASCADE,
+  CONSTRAINT fk_flat_region_candidate_candidate_region FOREIGN KEY(candidate_id) REFERENCES candidate_region (candidate_id) ON DELETE CASCADE,
+  CONSTRAINT fk_flat_region_candidate_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_flat_region_candidate_candidate_id ON flat_region_candidate (candidate_id);
+
+CREATE INDEX ix_flat_region_candidate_run_id ON flat_region_candidate (run_id);
+
 CREATE TABLE part (
   part_id INTEGER NOT NULL,
   run_id BIGINT NOT NULL,
@@ -216,6 +275,8 @@ CREATE TABLE building (
   speindex BIGINT NOT NULL,
   class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
   flat_share DOUBLE,
+  area3d_share DOUBLE,
+  adaptive_share DOUBLE,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (root_id),
   CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
@@ -225,10 +286,32 @@ CREATE TABLE building (
   CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
   CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
   CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
+  CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
+  CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
   CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
 CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
+CREATE TABLE part_candidate (
+  part_id BIGINT NOT NULL,
+  candidate_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  overlap_m2 DOUBLE NOT NULL,
+  part_share DOUBLE NOT NULL,
+  candidate_share DOUBLE NOT NULL,
+  CONSTRAINT pk_part_candidate PRIMARY KEY (part_id, candidate_id),
+  CONSTRAINT ck_part_candidate_overlap CHECK (overlap_m2 > 0),
+  CONSTRAINT ck_part_candidate_part_share CHECK (part_share > 0 AND part_share <= 1),
+  CONSTRAINT ck_part_candidate_candidate_share CHECK (candidate_share > 0 AND candidate_share <= 1),
+  CONSTRAINT fk_part_candidate_part FOREIGN KEY(part_id) REFERENCES part (part_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_candidate_candidate_region FOREIGN KEY(candidate_id) REFERENCES candidate_region (candidate_id) ON DELETE CASCADE,
+  CONSTRAINT fk_part_candidate_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_part_candidate_candidate_id ON part_candidate (candidate_id);
+
+CREATE INDEX ix_part_candidate_run_id ON part_candidate (run_id);
 
 CREATE TABLE part_flat_region (
   part_id BIGINT NOT NULL,
@@ -266,6 +349,10 @@ SELECT AddGeometryColumn('flat_region', 'geometry', :srid, 'MULTIPOLYGON', 'XY',
 
 SELECT CreateSpatialIndex('flat_region', 'geometry');
 
+SELECT AddGeometryColumn('candidate_region', 'geometry', :srid, 'MULTIPOLYGON', 'XY', 1);
+
+SELECT CreateSpatialIndex('candidate_region', 'geometry');
+
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
@@ -295,7 +382,7 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE VIEW building_summary AS
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
-       b.flat_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
@@ -313,13 +400,27 @@ CREATE VIEW part_evidence AS
 SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
        CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
        CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_share, 0.0) END AS area3d_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_regions, 0) END AS area3d_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_share, 0.0) END AS adaptive_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_regions, 0) END
+         AS adaptive_regions,
        p.geometry
 FROM part AS p
 JOIN run AS r ON r.run_id = p.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
 LEFT JOIN (
   SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
-) AS e ON e.part_id = p.part_id;
+) AS e ON e.part_id = p.part_id
+LEFT JOIN (
+  SELECT l.part_id,
+         SUM(CASE WHEN k.method = 'area3d' THEN l.part_share END) AS area3d_share,
+         COUNT(CASE WHEN k.method = 'area3d' THEN 1 END) AS area3d_regions,
+         SUM(CASE WHEN k.method = 'adaptive' THEN l.part_share END) AS adaptive_share,
+         COUNT(CASE WHEN k.method = 'adaptive' THEN 1 END) AS adaptive_regions
+  FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+  GROUP BY l.part_id
+) AS c ON c.part_id = p.part_id;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_evidence', 'geometry', 'part_id', 'part', 'geometry', 1);
 
@@ -340,7 +441,63 @@ WHERE COALESCE(e.explained_share, 0.0) < 0.5;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('unexplained_flat_region', 'geometry', 'region_id', 'flat_region', 'geometry', 1);
 
+CREATE VIEW candidate_evidence AS
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE(e.explained_share, 0.0) END
+         AS explained_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(f.flat_share, 0.0) END AS flat_share,
+       k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+LEFT JOIN (
+  SELECT candidate_id, SUM(candidate_share) AS flat_share FROM flat_region_candidate GROUP BY candidate_id
+) AS f ON f.candidate_id = k.candidate_id;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('candidate_evidence', 'geometry', 'candidate_id', 'candidate_region', 'geometry', 1);
+
+CREATE VIEW unexplained_candidate AS
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_max, k.h_mean, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+WHERE COALESCE(e.explained_share, 0.0) < 0.5;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('unexplained_candidate', 'geometry', 'candidate_id', 'candidate_region', 'geometry', 1);
+
+CREATE VIEW building_evidence AS
+SELECT b.building_id, s.name AS survey, r.method, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
+       b.flat_share, b.area3d_share, b.adaptive_share,
+       CASE WHEN root.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,
+       CASE WHEN b.flat_share IS NULL THEN 0 ELSE 1 END + CASE WHEN b.area3d_share IS NULL THEN 0 ELSE 1 END
+         + CASE WHEN b.adaptive_share IS NULL THEN 0 ELSE 1 END AS extractors_heard,
+       CASE WHEN b.flat_share >= 0.1 THEN 1 ELSE 0 END
+         + CASE WHEN b.area3d_share >= 0.1 THEN 1 ELSE 0 END
+         + CASE WHEN b.adaptive_share >= 0.1 THEN 1 ELSE 0 END AS extractors_for,
+       b.geometry
+FROM building AS b
+JOIN run AS r ON r.run_id = b.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+JOIN part AS root ON root.part_id = b.root_id;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_evidence', 'geometry', 'building_id', 'building', 'geometry', 1);
+
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
 

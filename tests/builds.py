@@ -9,6 +9,10 @@ On a lattice of 1 m cells, with the origin at ``WEST``, ``SOUTH``:
 
 Flat regions lie on the slab (all of it), on the block's southern wing of 30 x 10 m, on 8 x 10 m of which a quarter is
 the house's, and on 20 x 30 m without any part; none lies on the shed.
+
+Candidate regions of area3d lie on the podium (all of it), on the block's southern wing, and on a crane of 10 x 10 m;
+those of the adaptive filter on the slab, on an awning of 40 x 10 m of which a quarter is the podium's, on the house,
+on half of the shed, and on half of the flat region without any part.
 """
 
 from collections.abc import Mapping
@@ -22,8 +26,13 @@ from pyproj import CRS
 
 from msbdb.tables import (
     BUILDING,
+    CANDIDATE_METHODS,
+    CANDIDATE_REGION,
+    EXTRACTOR_SHARES,
     FLAT_REGION,
+    FLAT_REGION_CANDIDATE,
     PART,
+    PART_CANDIDATE,
     PART_FLAT_REGION,
     REJECTION,
     SCALE,
@@ -45,18 +54,31 @@ PODIUM, SLAB, LIFT, HOUSE, BLOCK, SHED = (BASE + n for n in range(1, 7))
 CROWN = BASE + 99
 SLAB_ROOF, WING, DECK, PITCH = (BASE + n for n in range(201, 205))
 """The flat regions."""
+TERRACE, SOUTH_WING, CRANE = (BASE + n for n in range(301, 304))
+"""The candidate regions of area3d."""
+SLAB_CLUSTER, AWNING, HOUSE_CLUSTER, SHED_CLUSTER, PITCH_CLUSTER = (BASE + n for n in range(304, 309))
+"""The candidate regions of the adaptive filter."""
+
+EVERY = "adaptive,area3d,flatregions,multiscale"
+"""All extractors."""
 
 
-def small_build(survey: str = "delft", method: str = "flatregions,multiscale", *, shift: int = 0, **run: Any) -> Build:
+def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, **run: Any) -> Build:
     """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database.
 
-    A ``method`` without 'flatregions' gives no flat regions, and buildings that know nothing of them.
+    An extractor that ``method`` does not name gives no regions, and buildings that know nothing of it.
     """
+    methods = method.split(",")
     parts = _parts(shift)
     regions = _flat_regions(shift)
-    if "flatregions" not in method:
+    if "flatregions" not in methods:
         regions = regions[:0]
-    links = _links(parts, regions)
+    candidates = _candidates(shift)
+    candidates = candidates[candidates["method"].isin(methods)].reset_index(drop=True)
+    links = _links(parts, regions, PART_FLAT_REGION)
+    part_candidates = _links(parts, candidates, PART_CANDIDATE)
+    made_by = part_candidates["candidate_id"].map(candidates.set_index("candidate_id")["method"])
+    heard = {"flatregions": links} | {name: part_candidates[made_by == name] for name in CANDIDATE_METHODS}
     frames: dict[str, pd.DataFrame] = {
         "scale": _frame(SCALE, [(1, 200, 200.0), (2, 50, 50.0), (3, 20, 20.0)]),
         "part": parts,
@@ -80,9 +102,12 @@ def small_build(survey: str = "delft", method: str = "flatregions,multiscale", *
             ],
             [shapely.Point(WEST + x, SOUTH + y) for x, y in ((150, 20), (160, 20), (20, 15))],
         ),
-        "building": _buildings(parts, links if "flatregions" in method else None),
+        "building": _buildings(parts, {name: found for name, found in heard.items() if name in methods}),
         "flat_region": regions,
         "part_flat_region": links,
+        "candidate_region": candidates,
+        "part_candidate": part_candidates,
+        "flat_region_candidate": _links(regions, candidates, FLAT_REGION_CANDIDATE),
     }
     values: Mapping[str, Any] = {
         "method": method,
@@ -149,8 +174,10 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
             )
         )
     parts = pd.concat(rows, ignore_index=True)[[*PART.names, "geometry"]]
-    none = {name: base.frames[name][:0] for name in ("flat_region", "part_flat_region")}
-    frames = {**base.frames, **none, "part": parts, "building": _buildings(parts, none["part_flat_region"])}
+    witnesses = (FLAT_REGION, PART_FLAT_REGION, CANDIDATE_REGION, PART_CANDIDATE, FLAT_REGION_CANDIDATE)
+    none = {table.name: base.frames[table.name][:0] for table in witnesses}
+    heard = dict.fromkeys(CANDIDATE_METHODS, none["part_candidate"]) | {"flatregions": none["part_flat_region"]}
+    frames = {**base.frames, **none, "part": parts, "building": _buildings(parts, heard)}
     survey = Survey(**{**{f: getattr(base.survey, f) for f in base.survey.__dataclass_fields__}, "epsg": epsg})
     return Build(survey, base.run, frames, base.state)
 
@@ -219,23 +246,46 @@ def _flat_regions(shift: int) -> gpd.GeoDataFrame:
     return _geo(FLAT_REGION, rows, [shape for *_, shape in described])
 
 
-def _links(parts: pd.DataFrame, regions: pd.DataFrame) -> pd.DataFrame:
-    """Return the links between parts and regions that share ground."""
+def _candidates(shift: int) -> gpd.GeoDataFrame:
+    described = [
+        # id, method, rule, height scale, height, outline
+        (TERRACE, "area3d", "rule 1", 3.5, 9.0, _box(0, 0, 40, 30)),
+        (SOUTH_WING, "area3d", "rule 2", 3.5, 12.0, _box(80, 0, 30, 10)),
+        (CRANE, "area3d", "rule 2", 7.25, 30.0, _box(150, 60, 10, 10)),
+        (SLAB_CLUSTER, "adaptive", "clustering", np.nan, 18.0, _box(5, 5, 20, 10)),
+        (AWNING, "adaptive", "clustering", np.nan, 3.0, _box(30, 20, 40, 10)),
+        (HOUSE_CLUSTER, "adaptive", "clustering", np.nan, 6.0, _box(60, 10, 10, 10)),
+        (SHED_CLUSTER, "adaptive", "clustering", np.nan, 3.0, _box(300, 40, 3, 5)),
+        (PITCH_CLUSTER, "adaptive", "clustering", np.nan, 3.0, _box(200, 20, 20, 15)),
+    ]
     rows = []
-    for part, area, outline in parts[["part_id", "area_m2", "geometry"]].itertuples(index=False):
-        for region, size, shape in regions[["region_id", "area_m2", "geometry"]].itertuples(index=False):
+    for candidate, method, rule, height_scale, height, shape in described:
+        points = int(shape.area * 8)
+        sought = (3.5, 0.5, 0.0, 90.0) if method == "area3d" else (np.nan,) * 4
+        shapes = (points, shape.area, points // 8 if method == "area3d" else 0, shape.area, 1.0, *sought, -0.125)
+        heights = (height + 0.5, height, height, height + 0.25, 0.125)
+        place = shape.centroid.x, shape.centroid.y
+        rows.append((candidate + shift, method, rule, height_scale, *shapes, *heights, *place))
+    return _geo(CANDIDATE_REGION, rows, [shape for *_, shape in described])
+
+
+def _links(ones: gpd.GeoDataFrame, others: gpd.GeoDataFrame, table: Table) -> pd.DataFrame:
+    """Return the links between parts or regions and regions that share ground."""
+    one_id, other_id = table.names[:2]
+    rows = []
+    for one, outline in ones[[one_id, "geometry"]].itertuples(index=False):
+        for other, shape in others[[other_id, "geometry"]].itertuples(index=False):
             overlap = outline.intersection(shape).area
             if overlap > 0:
-                rows.append((part, region, overlap, overlap / area, overlap / size))
-    return _frame(PART_FLAT_REGION, rows)
+                rows.append((one, other, overlap, overlap / outline.area, overlap / shape.area))
+    return _frame(table, rows)
 
 
-def _buildings(parts: pd.DataFrame, links: pd.DataFrame | None) -> gpd.GeoDataFrame:
+def _buildings(parts: pd.DataFrame, heard: Mapping[str, pd.DataFrame]) -> gpd.GeoDataFrame:
     """Return the roots as buildings; the footprint's mean height stands for all cells.
 
-    Without links nothing is known of flat regions.
+    ``heard`` has the links of the parts to the regions of each extractor that was run.
     """
-    covered = None if links is None else links.groupby("part_id")["part_share"].sum()
     trees = parts.groupby("root_id")
     roots = parts[parts["supid"] == 0].set_index("root_id", drop=False)
     made = pd.DataFrame(
@@ -253,9 +303,12 @@ def _buildings(parts: pd.DataFrame, links: pd.DataFrame | None) -> gpd.GeoDataFr
             "parts": trees.size(),
             "scales": trees["scale"].nunique(),
             "speindex": roots["speindex"],
-            "flat_share": np.nan if covered is None else covered.reindex(roots["part_id"]).fillna(0.0),
+            **dict.fromkeys(EXTRACTOR_SHARES.values(), np.nan),
         }
     ).reset_index(drop=True)
+    for name, links in heard.items():
+        covered = links.groupby("part_id")["part_share"].sum()
+        made[EXTRACTOR_SHARES[name]] = made["root_id"].map(covered).fillna(0.0)
     made["state"] = made["state"].astype("str")
     return gpd.GeoDataFrame(made[BUILDING.names], geometry=list(roots["geometry"]), crs=f"EPSG:{EPSG}")
 

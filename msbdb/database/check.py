@@ -8,7 +8,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, TableError
-from msbdb.tables import TABLES, Build, Table, validate, validate_parts
+from msbdb.tables import CANDIDATE_METHODS, TABLES, Build, Table, validate, validate_parts
 
 _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
 _TABLES = {table.name: table for table in TABLES}
@@ -37,7 +37,7 @@ def check_build(build: Build) -> None:
         if table.geometry:
             _check_geometries(frame, table)
     _check_keys(build.frames)
-    _check_references(build.frames)
+    _check_references(build.frames, build.run.method.split(","))
     validate_parts(build.frames["part"])
 
 
@@ -89,15 +89,19 @@ def _check_keys(frames: dict[str, pd.DataFrame]) -> None:
         ("building", ["root_id"]),
         ("flat_region", ["region_id"]),
         ("part_flat_region", ["part_id", "region_id"]),
+        ("candidate_region", ["candidate_id"]),
+        ("part_candidate", ["part_id", "candidate_id"]),
+        ("flat_region_candidate", ["region_id", "candidate_id"]),
     )
     for name, key in keys:
         frame = frames[name]
         _require(~frame.duplicated(key), frame, _TABLES[name], f"{' with '.join(key)} is given twice")
 
 
-def _check_references(frames: dict[str, pd.DataFrame]) -> None:
-    """Refuse rows that speak of a scale, class, root, part or flat region that is not there."""
-    part = frames["part"]
+def _check_references(frames: dict[str, pd.DataFrame], methods: list[str]) -> None:
+    """Refuse rows that speak of a scale, class, root, part, region or extractor that is not there."""
+    part, regions = frames["part"], frames["flat_region"]["region_id"]
+    candidates = frames["candidate_region"]["candidate_id"]
     roots = part.loc[part["supid"] == 0, "part_id"]
     classes = frames["spectral_class"]["speindex"]
     or_none = [*classes, 0]
@@ -108,7 +112,12 @@ def _check_references(frames: dict[str, pd.DataFrame]) -> None:
         ("building", "speindex", or_none),
         ("spectral_class_band", "speindex", classes),
         ("part_flat_region", "part_id", part["part_id"]),
-        ("part_flat_region", "region_id", frames["flat_region"]["region_id"]),
+        ("part_flat_region", "region_id", regions),
+        ("candidate_region", "method", [name for name in CANDIDATE_METHODS if name in methods]),
+        ("part_candidate", "part_id", part["part_id"]),
+        ("part_candidate", "candidate_id", candidates),
+        ("flat_region_candidate", "region_id", regions),
+        ("flat_region_candidate", "candidate_id", candidates),
     ):
         frame = frames[name]
         _require(frame[column].isin(list(known)), frame, _TABLES[name], f"{column} names nothing that exists")

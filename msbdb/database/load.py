@@ -32,6 +32,9 @@ ORDER: dict[str, list[str]] = {
     "building": ["building_id"],
     "flat_region": ["region_id"],
     "part_flat_region": ["part_id", "region_id"],
+    "candidate_region": ["candidate_id"],
+    "part_candidate": ["part_id", "candidate_id"],
+    "flat_region_candidate": ["region_id", "candidate_id"],
 }
 """The columns by which each table's rows are ordered, so that their order in the frames does not matter."""
 
@@ -46,6 +49,9 @@ _LOADED = (
     "building",
     "flat_region",
     "part_flat_region",
+    "candidate_region",
+    "part_candidate",
+    "flat_region_candidate",
     "rejection",
 )
 """The tables in an order in which every row finds what it refers to."""

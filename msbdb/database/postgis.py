@@ -31,6 +31,9 @@ _CONTENT = (
     "building",
     "flat_region",
     "part_flat_region",
+    "candidate_region",
+    "part_candidate",
+    "flat_region_candidate",
 )
 
 

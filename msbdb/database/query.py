@@ -17,8 +17,12 @@ from msbdb.database.models import Run, RunState, Source, Survey
 from msbdb.errors import InputError
 from msbdb.tables import (
     BUILDING,
+    CANDIDATE_METHODS,
+    CANDIDATE_REGION,
     FLAT_REGION,
+    FLAT_REGION_CANDIDATE,
     PART,
+    PART_CANDIDATE,
     PART_FLAT_REGION,
     REJECTION,
     SCALE,
@@ -117,6 +121,41 @@ def read_flat_regions(engine: Engine, survey: str | None = None) -> gpd.GeoDataF
 def read_part_flat_regions(engine: Engine, survey: str | None = None) -> pd.DataFrame:
     """Return which parts and flat regions share cells, columns as ``tables.PART_FLAT_REGION``."""
     return _read_plain(engine, PART_FLAT_REGION, survey)
+
+
+def read_candidates(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+    """Return a run's candidate regions, columns as ``tables.CANDIDATE_REGION`` and the geometry, in order of ids.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    survey : str, optional
+        Its name; not needed where the database holds only one.
+    method : str, optional
+        ``area3d`` or ``adaptive``; both by default.
+
+    Raises
+    ------
+    InputError
+        When there is no such survey, no name was given and there are several, or no extractor of that name gives
+        candidate regions.
+    """
+    if method not in (None, *CANDIDATE_METHODS):
+        msg = f"Candidate regions come from {' and '.join(CANDIDATE_METHODS)}; got '{method}'."
+        raise InputError(msg)
+    found = _read(engine, CANDIDATE_REGION, survey)
+    return found if method is None else found[found["method"] == method].reset_index(drop=True)
+
+
+def read_part_candidates(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+    """Return which parts and candidate regions share cells, columns as ``tables.PART_CANDIDATE``."""
+    return _read_plain(engine, PART_CANDIDATE, survey)
+
+
+def read_flat_region_candidates(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+    """Return which flat and candidate regions share cells, columns as ``tables.FLAT_REGION_CANDIDATE``."""
+    return _read_plain(engine, FLAT_REGION_CANDIDATE, survey)
 
 
 def read_scales(engine: Engine, survey: str | None = None) -> pd.DataFrame:

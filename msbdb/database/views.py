@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 
+from msbdb.tables import CONFIRMING_CLASS_SHARE, CONFIRMING_COVER
+
 EXPLAINED_SHARE = 0.5
-"""Share of a flat region from which the root parts on it explain it."""
+"""Share of a flat or candidate region from which the root parts on it explain it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +69,13 @@ BUILDING_SUMMARY = View(
     base="building",
     complete=True,
     doc=(
-        "One row a building for maps and tables: place, heights, volume, class, flat evidence, and floor_area_m2, an "
-        "estimate: "
-        "each part counts its area once for every storey by which it rises above its father."
+        "One row a building for maps and tables: place, heights, volume, class, the shares that other extractors "
+        "cover, and floor_area_m2, an estimate: each part counts its area once for every storey by which it rises "
+        "above its father."
     ),
     sql="""
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
-       b.flat_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+       b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
@@ -93,13 +95,18 @@ PART_EVIDENCE = View(
     base="part",
     complete=True,
     doc=(
-        "The parts with their flat evidence: the share of each that flat regions cover, and their number; "
-        "both null when flat regions were not extracted."
+        "The parts with what other extractors say of them: the share of each that flat regions, candidates of area3d "
+        "and candidates of adaptive cover, and their numbers; null for an extractor that was not run."
     ),
     sql="""
 SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
        CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
        CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_share, 0.0) END AS area3d_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_regions, 0) END AS area3d_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_share, 0.0) END AS adaptive_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_regions, 0) END
+         AS adaptive_regions,
        p.geometry
 FROM part AS p
 JOIN run AS r ON r.run_id = p.run_id
@@ -107,6 +114,15 @@ JOIN survey AS s ON s.survey_id = r.survey_id
 LEFT JOIN (
   SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
 ) AS e ON e.part_id = p.part_id
+LEFT JOIN (
+  SELECT l.part_id,
+         SUM(CASE WHEN k.method = 'area3d' THEN l.part_share END) AS area3d_share,
+         COUNT(CASE WHEN k.method = 'area3d' THEN 1 END) AS area3d_regions,
+         SUM(CASE WHEN k.method = 'adaptive' THEN l.part_share END) AS adaptive_share,
+         COUNT(CASE WHEN k.method = 'adaptive' THEN 1 END) AS adaptive_regions
+  FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+  GROUP BY l.part_id
+) AS c ON c.part_id = p.part_id
 """.strip(),
 )
 
@@ -136,4 +152,96 @@ WHERE COALESCE(e.explained_share, 0.0) < {EXPLAINED_SHARE}
 """.strip(),  # noqa: S608  (the number is ours)
 )
 
-VIEWS = (FOOTPRINT, PART_TREE, BUILDING_SUMMARY, PART_EVIDENCE, UNEXPLAINED_FLAT_REGION)
+CANDIDATE_EVIDENCE = View(
+    "candidate_evidence",
+    key="candidate_id",
+    base="candidate_region",
+    complete=True,
+    doc=(
+        "The candidate regions with what other extractors say of them: explained_share is what root parts cover, "
+        "flat_share what flat regions cover; null for an extractor that was not run."
+    ),
+    sql="""
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE(e.explained_share, 0.0) END
+         AS explained_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(f.flat_share, 0.0) END AS flat_share,
+       k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+LEFT JOIN (
+  SELECT candidate_id, SUM(candidate_share) AS flat_share FROM flat_region_candidate GROUP BY candidate_id
+) AS f ON f.candidate_id = k.candidate_id
+""".strip(),
+)
+
+UNEXPLAINED_CANDIDATE = View(
+    "unexplained_candidate",
+    key="candidate_id",
+    base="candidate_region",
+    complete=False,
+    doc=(
+        f"The candidate regions that no part explains: root parts cover less than {EXPLAINED_SHARE} of them; "
+        "explained_share is what they cover."
+    ),
+    sql=f"""
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_max, k.h_mean, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+WHERE COALESCE(e.explained_share, 0.0) < {EXPLAINED_SHARE}
+""".strip(),  # noqa: S608  (the number is ours)
+)
+
+BUILDING_EVIDENCE = View(
+    "building_evidence",
+    key="building_id",
+    base="building",
+    complete=True,
+    doc=(
+        "The buildings with their witnesses: whether the classes speak for each (1 or 0), and how many of the other "
+        f"extractors were heard and speak for it, covering at least {CONFIRMING_COVER} of it."
+    ),
+    sql=f"""
+SELECT b.building_id, s.name AS survey, r.method, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
+       b.flat_share, b.area3d_share, b.adaptive_share,
+       CASE WHEN root.building_share >= {CONFIRMING_CLASS_SHARE} THEN 1 ELSE 0 END AS classes_for,
+       CASE WHEN b.flat_share IS NULL THEN 0 ELSE 1 END + CASE WHEN b.area3d_share IS NULL THEN 0 ELSE 1 END
+         + CASE WHEN b.adaptive_share IS NULL THEN 0 ELSE 1 END AS extractors_heard,
+       CASE WHEN b.flat_share >= {CONFIRMING_COVER} THEN 1 ELSE 0 END
+         + CASE WHEN b.area3d_share >= {CONFIRMING_COVER} THEN 1 ELSE 0 END
+         + CASE WHEN b.adaptive_share >= {CONFIRMING_COVER} THEN 1 ELSE 0 END AS extractors_for,
+       b.geometry
+FROM building AS b
+JOIN run AS r ON r.run_id = b.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+JOIN part AS root ON root.part_id = b.root_id
+""".strip(),  # noqa: S608  (the numbers are ours)
+)
+
+VIEWS = (
+    FOOTPRINT,
+    PART_TREE,
+    BUILDING_SUMMARY,
+    PART_EVIDENCE,
+    UNEXPLAINED_FLAT_REGION,
+    CANDIDATE_EVIDENCE,
+    UNEXPLAINED_CANDIDATE,
+    BUILDING_EVIDENCE,
+)

@@ -9,13 +9,10 @@ from numpy.typing import NDArray
 from msbdb.errors import TableError
 from msbdb.extract.multiscale.heights import height_statistics, order_heights
 from msbdb.grid import Grid
-from msbdb.tables import BUILDING
+from msbdb.tables import BUILDING, CONFIRMING_CLASS_SHARE, EXTRACTOR_SHARES
 
 if TYPE_CHECKING:
     import geopandas as gpd
-
-CONFIRMING_SHARE = 0.5
-"""Share of building classes from which the classes confirm what the heights found."""
 
 
 def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int32], ndsm: Grid) -> "gpd.GeoDataFrame":
@@ -50,7 +47,8 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
       'refuted' takes a reference or an operator, so none is here.
     - ``storeys`` are those of the tallest part; heights are of all valid cells in the footprint. The volume is
       exact for a surface above flat ground: the sum of height times cell area, in which heights below 0 count as 0.
-    - ``flat_share`` is null, as nothing is known of flat regions here; `evidence.witnessed` adds their word.
+    - The shares that other extractors cover are null, as nothing is known of them here; `evidence.witnessed` adds
+      their word.
     """
     is_root = (parts["supid"] == 0).to_numpy()
     root_rows = np.flatnonzero(is_root)
@@ -71,9 +69,9 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
     frame = roots.assign(
         building_id=roots["part_id"],
         root_id=roots["part_id"],
-        state=np.where(roots["building_share"] >= CONFIRMING_SHARE, "confirmed", "unsure"),
+        state=np.where(roots["building_share"] >= CONFIRMING_CLASS_SHARE, "confirmed", "unsure"),
         volume_m3=_volume(footprints, len(root_rows), ndsm),
-        flat_share=np.nan,
+        **dict.fromkeys(EXTRACTOR_SHARES.values(), np.nan),
         **{name: heights[name] for name in ("h_max", "h_mean", "h_p50", "h_p90")},
         **{name: summary[name].to_numpy() for name in summary.columns},
     )

@@ -1,47 +1,49 @@
-"""Evidence for parts and buildings: the flat regions that confirm them, counted in cells they share."""
+"""Evidence for parts and buildings: the regions of other extractors that confirm them, counted in shared cells."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.errors import GridMismatchError, TableError
-from msbdb.tables import PART_FLAT_REGION
+from msbdb.tables import CONFIRMING_COVER, EXTRACTOR_SHARES, Table
 
 Labels = NDArray[np.int32]
 Ids = NDArray[np.int64]
 
-CONFIRMING_FLAT_SHARE = 0.1
-"""Share of a footprint from which flat regions confirm it.
 
-Ours: on the real tiles shares lie near 1 or at 0, so that 0.1 and 0.3 confirm nearly the same buildings. Roofs below
-40 m2, too small for a flat region (R times λ_min), have none.
-"""
-
-
-def link_parts(
-    part_labels: Sequence[Labels], part_ids: Ids, region_labels: Labels, region_ids: Ids, *, cell_area_m2: float
+def link_labels(
+    one_labels: Sequence[Labels],
+    one_ids: Ids,
+    other_labels: Labels,
+    other_ids: Ids,
+    *,
+    table: Table,
+    cell_area_m2: float,
 ) -> pd.DataFrame:
-    """Link each part to the flat regions that it shares cells with.
+    """Link regions of two kinds that share cells.
 
     Parameters
     ----------
-    part_labels : sequence of (H, W) ndarray of int32
-        One image a scale: 0 for none, otherwise index + 1 in ``part_ids`` (``Forest.labels``).
-    part_ids : (N,) ndarray of int64
-        Ids of the parts of all scales.
-    region_labels : (H, W) ndarray of int32
-        0 for none, otherwise index + 1 in ``region_ids`` (``FlatRegions.labels``).
-    region_ids : (M,) ndarray of int64
-        Ids of the flat regions.
+    one_labels : sequence of (H, W) ndarray of int32
+        Images of the one kind, such as one a scale (``Forest.labels``): 0 for none, otherwise index + 1 in
+        ``one_ids``.
+    one_ids : (N,) ndarray of int64
+        Ids of the regions of all these images.
+    other_labels : (H, W) ndarray of int32
+        0 for none, otherwise index + 1 in ``other_ids``.
+    other_ids : (M,) ndarray of int64
+        Ids of the regions of the other kind.
+    table : Table
+        The declaration of the links: the one id, the other id, the shared area, and its shares of both.
     cell_area_m2 : float
         Area of a cell.
 
     Returns
     -------
     DataFrame
-        ``tables.PART_FLAT_REGION``, in order of the parts, and of the regions within a part.
+        The declared table, in order of the one kind, and of the other within it.
 
     Raises
     ------
@@ -52,29 +54,31 @@ def link_parts(
 
     Notes
     -----
-    Parts of one scale are disjoint, and so are regions: a part's shares add up to its flat share, and so do a
-    region's over the parts of one scale. Linear in the cells for each scale.
+    Regions of one image are disjoint: the shares of a region add up to what the other image covers of it. Linear in
+    the cells for each image.
     """
-    _require_ids(region_labels, region_ids, "flat region")
-    tables = [_overlaps(labels, part_ids, region_labels, len(region_ids)) for labels in part_labels]
-    found = pd.concat(tables, ignore_index=True) if tables else _overlaps(None, part_ids, region_labels, 0)
-    found = found.sort_values(["part", "region"], ignore_index=True)
-    region_cells = np.bincount(region_labels.ravel(), minlength=len(region_ids) + 1)[1:]
-    part, region, cells = (found[name].to_numpy() for name in ("part", "region", "cells"))
+    one, other, overlap, one_share, other_share = table.names
+    _require_ids(other_labels, other_ids, other)
+    counted = [_overlaps(labels, one_ids, other_labels, len(other_ids), table) for labels in one_labels]
+    # A row without cells gives the columns where there is no image.
+    found = pd.concat([pd.DataFrame(columns=["one", "other", "cells", "one_cells"], dtype=np.int64), *counted])
+    found = found.sort_values(["one", "other"], ignore_index=True)
+    other_cells = _sizes(other_labels, other_ids)
+    left, right, cells = (found[name].to_numpy() for name in ("one", "other", "cells"))
     frame = pd.DataFrame(
         {
-            "part_id": part_ids[part],
-            "region_id": region_ids[region],
-            "overlap_m2": cells * cell_area_m2,
-            "part_share": cells / found["part_cells"].to_numpy(),
-            "region_share": cells / region_cells[region],
+            one: one_ids[left],
+            other: other_ids[right],
+            overlap: cells * cell_area_m2,
+            one_share: cells / found["one_cells"].to_numpy(),
+            other_share: cells / other_cells[right],
         }
     )
-    return frame.astype({column.name: column.dtype for column in PART_FLAT_REGION.columns})
+    return frame.astype({column.name: column.dtype for column in table.columns})
 
 
-def flat_shares(part_ids: Ids, links: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the share of each part's area that flat regions cover, from 0 to 1.
+def covered_shares(part_ids: Ids, links: pd.DataFrame) -> NDArray[np.float64]:
+    """Return the share of each part's area that the regions of one image cover, from 0 to 1.
 
     A building's is that of its root, whose cells are the building's footprint.
 
@@ -83,30 +87,55 @@ def flat_shares(part_ids: Ids, links: pd.DataFrame) -> NDArray[np.float64]:
     part_ids : (N,) ndarray of int64
         Ids of the parts, or of the roots.
     links : DataFrame
-        ``tables.PART_FLAT_REGION``.
+        ``tables.PART_FLAT_REGION``, or ``tables.PART_CANDIDATE`` of one extractor.
     """
     shares = links.groupby("part_id")["part_share"].sum().reindex(part_ids, fill_value=0.0)
     # Shares of disjoint regions may exceed 1 by the rounding of their sum.
     return np.asarray(np.minimum(shares.to_numpy(dtype=np.float64), 1.0))
 
 
-def _overlaps(part_labels: Labels | None, part_ids: Ids, region_labels: Labels, regions: int) -> pd.DataFrame:
-    """Count the cells that parts of one scale and regions share: rows ``part, region, cells, part_cells``."""
-    if part_labels is None:
-        return pd.DataFrame({name: np.zeros(0, dtype=np.int64) for name in ("part", "region", "cells", "part_cells")})
-    if part_labels.shape != region_labels.shape:
+def witnessed(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]]) -> pd.DataFrame:
+    """Return buildings with the other extractors' word: what each covers, and the state that follows.
+
+    A building that the classes confirm stays confirmed when at least half of the extractors that were heard cover at
+    least ``CONFIRMING_COVER`` of it each, and is unsure otherwise. Where none was heard, the classes' word stands.
+
+    Parameters
+    ----------
+    buildings : DataFrame
+        ``tables.BUILDING``.
+    shares : mapping of str to (N,) ndarray of float64
+        By extractor (``tables.EXTRACTOR_SHARES``), only those that were heard: the share of each footprint that its
+        regions cover.
+    """
+    speaking = np.zeros(len(buildings), dtype=np.int64)
+    for covered in shares.values():
+        speaking += covered >= CONFIRMING_COVER
+    confirmed = (buildings["state"] == "confirmed") & (2 * speaking >= len(shares))
+    columns = {EXTRACTOR_SHARES[name]: covered for name, covered in shares.items()}
+    return buildings.assign(**columns, state=np.where(confirmed, "confirmed", "unsure"))
+
+
+def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, others: int, table: Table) -> pd.DataFrame:
+    """Count the cells that regions of two images share: rows ``one, other, cells, one_cells``."""
+    if one_labels.shape != other_labels.shape:
         msg = (
-            f"Parts and flat regions must lie on one lattice; their labels have the shapes {part_labels.shape} and "
-            f"{region_labels.shape}. Take both from one build."
+            f"The regions of {table.name} must lie on one lattice; their labels have the shapes {one_labels.shape} and "
+            f"{other_labels.shape}. Take both from one build."
         )
         raise GridMismatchError(msg)
-    _require_ids(part_labels, part_ids, "part")
-    both = (part_labels > 0) & (region_labels > 0)
-    pairs = (part_labels[both].astype(np.int64) - 1) * regions + (region_labels[both] - 1)
+    _require_ids(one_labels, one_ids, table.names[0])
+    both = (one_labels > 0) & (other_labels > 0)
+    pairs = (one_labels[both].astype(np.int64) - 1) * others + (other_labels[both] - 1)
     keys, cells = np.unique(pairs, return_counts=True)
-    part, region = np.divmod(keys, max(regions, 1))
-    part_cells = np.bincount(part_labels.ravel(), minlength=len(part_ids) + 1)[1:]
-    return pd.DataFrame({"part": part, "region": region, "cells": cells, "part_cells": part_cells[part]})
+    one, other = np.divmod(keys, max(others, 1))
+    return pd.DataFrame({"one": one, "other": other, "cells": cells, "one_cells": _sizes(one_labels, one_ids)[one]})
+
+
+def _sizes(labels: Labels, ids: Ids) -> NDArray[np.int64]:
+    """Return the cells of each region."""
+    sizes: NDArray[np.int64] = np.bincount(labels.ravel(), minlength=len(ids) + 1)[1:]
+    return sizes
 
 
 def _require_ids(labels: Labels, ids: Ids, what: str) -> None:
@@ -115,20 +144,3 @@ def _require_ids(labels: Labels, ids: Ids, what: str) -> None:
     if highest > len(ids):
         msg = f"The label {highest} has no {what}: there are {len(ids)} ids. Take labels and ids from one extraction."
         raise TableError(msg)
-
-
-def witnessed(buildings: pd.DataFrame, shares: NDArray[np.float64]) -> pd.DataFrame:
-    """Return buildings with the flat regions' word: their flat shares, and the state that follows.
-
-    A building that the classes confirm stays confirmed when flat regions cover at least ``CONFIRMING_FLAT_SHARE`` of
-    it, and becomes unsure when they cover less: one witness speaks for it, and another does not.
-
-    Parameters
-    ----------
-    buildings : DataFrame
-        ``tables.BUILDING``.
-    shares : (N,) ndarray of float64
-        Share of each footprint that flat regions cover.
-    """
-    confirmed = (buildings["state"] == "confirmed") & (shares >= CONFIRMING_FLAT_SHARE)
-    return buildings.assign(flat_share=shares, state=np.where(confirmed, "confirmed", "unsure"))

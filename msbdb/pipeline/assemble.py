@@ -1,5 +1,8 @@
 """From a forest on the lattice to the tables that the database takes."""
 
+from collections.abc import Sequence
+from functools import partial
+
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -8,11 +11,22 @@ import shapely
 from msbdb.extract.multiscale.forest import Forest
 from msbdb.grid import Grid
 from msbdb.inventory.buildings import buildings_from_parts
-from msbdb.inventory.evidence import flat_shares, link_parts, witnessed
+from msbdb.inventory.evidence import covered_shares, link_labels, witnessed
 from msbdb.params import VectorParams
+from msbdb.pipeline.candidates import CandidateLayer
 from msbdb.pipeline.cover import Cover
 from msbdb.pipeline.flat import Flat
-from msbdb.tables import BUILDING, PART, TABLES, validate, validate_parts
+from msbdb.tables import (
+    BUILDING,
+    CANDIDATE_REGION,
+    FLAT_REGION_CANDIDATE,
+    PART,
+    PART_CANDIDATE,
+    PART_FLAT_REGION,
+    TABLES,
+    validate,
+    validate_parts,
+)
 from msbdb.vector.polygons import polygonise
 from msbdb.vector.simplify import simplify_coverage
 
@@ -39,31 +53,52 @@ def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDa
 
 
 def make_frames(
-    forest: Forest, parts: gpd.GeoDataFrame, cover: Cover, flat: Flat, ndsm: Grid
+    forest: Forest,
+    parts: gpd.GeoDataFrame,
+    cover: Cover,
+    flat: Flat,
+    candidates: Sequence[CandidateLayer],
+    *,
+    ndsm: Grid,
 ) -> dict[str, pd.DataFrame]:
-    """Return all tables of the build, checked against their declarations."""
-    links = link_parts(
-        forest.labels,
-        parts["part_id"].to_numpy(),
-        flat.labels,
-        flat.regions["region_id"].to_numpy(),
-        cell_area_m2=ndsm.spec.cell_area_m2,
-    )
+    """Return all tables of the build, checked against their declarations.
+
+    ``candidates`` has one layer for each extractor on the points that was run, also where it found nothing.
+    """
+    link = partial(link_labels, cell_area_m2=ndsm.spec.cell_area_m2)
+    part_ids, flat_ids = parts["part_id"].to_numpy(), flat.regions["region_id"].to_numpy()
+    flat_links = link(forest.labels, part_ids, flat.labels, flat_ids, table=PART_FLAT_REGION)
+    heard = {"flatregions": flat_links} if flat.extracted else {}
+    between = []
+    for layer in candidates:
+        ids = layer.regions["candidate_id"].to_numpy()
+        heard[layer.method] = link(forest.labels, part_ids, layer.labels, ids, table=PART_CANDIDATE)
+        between.append(link([flat.labels], flat_ids, layer.labels, ids, table=FLAT_REGION_CANDIDATE))
     buildings = buildings_from_parts(parts, forest.root_labels, ndsm)
-    if flat.extracted:
-        buildings = witnessed(buildings, flat_shares(buildings["root_id"].to_numpy(), links))
-    rejections = pd.concat([forest.rejections, flat.rejections], ignore_index=True)
+    roots = buildings["root_id"].to_numpy()
+    buildings = witnessed(buildings, {name: covered_shares(roots, links) for name, links in heard.items()})
+    rejections = _joined(forest.rejections, [flat.rejections, *(layer.rejections for layer in candidates)])
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
+    crs = ndsm.spec.crs
+    no_regions = gpd.GeoDataFrame(CANDIDATE_REGION.empty(), geometry=[], crs=crs)
     frames = {
         "scale": forest.scales,
         "part": parts[[*PART.names, "geometry"]],
         "spectral_class": cover.table,
         "spectral_class_band": cover.bands,
-        "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=ndsm.spec.crs),
+        "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=crs),
         "building": buildings[[*BUILDING.names, "geometry"]],
         "flat_region": flat.regions,
-        "part_flat_region": links,
+        "part_flat_region": flat_links,
+        "candidate_region": _joined(no_regions, [layer.regions for layer in candidates]),
+        "part_candidate": _joined(PART_CANDIDATE.empty(), [heard[layer.method] for layer in candidates]),
+        "flat_region_candidate": _joined(FLAT_REGION_CANDIDATE.empty(), between),
     }
     for table in TABLES:
         validate(frames[table.name], table)
     return frames
+
+
+def _joined(first: pd.DataFrame, others: list[pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of all frames as one frame of the first one's kind."""
+    return pd.concat([first, *others], ignore_index=True)

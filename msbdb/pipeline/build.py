@@ -130,7 +130,7 @@ def build(
     values: dict[str, object] = dict(as_dict(params))
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
-        whole = Build(record, entry, frames, pack_state(heights, cover, flat))
+        whole = Build(record, entry, frames, pack_state(heights, cover, flat, ()))
         changed = store(whole, db)
     return report_of(whole, stages, changed=changed)
 
@@ -196,7 +196,7 @@ def run(
         forest = extract_parts(searched, cover.classes, survey=job.survey, params=params)
     with stages.stage("outlines"):
         parts = outline_parts(forest, ndsm, params.vector)
-        frames = make_frames(forest, parts, cover, flat, ndsm)
+        frames = make_frames(forest, parts, cover, flat, (), ndsm=ndsm)
     return record, cover, flat, forest.counts | flat.counts, frames, ndsm
 
 

@@ -36,7 +36,7 @@ from msbdb.params import Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
 from msbdb.pipeline.build import BuildReport, report_of, store
 from msbdb.pipeline.stage import Progress, Stages
-from msbdb.pipeline.state import lattice_of, pack_state, unpack_cover, unpack_flat, unpack_heights
+from msbdb.pipeline.state import lattice_of, pack_state, unpack_candidates, unpack_cover, unpack_flat, unpack_heights
 from msbdb.tables import Build
 from msbdb.view.figure import draw_map
 from msbdb.view.flat import draw_zones
@@ -95,17 +95,20 @@ def relabel(
     heights = unpack_heights(old.state, spec)
     cover = unpack_cover(old, spec).relabelled(labels)
     params = with_values(Params(), old.run.parameters)  # type: ignore[arg-type]  # plain nested values
-    flat = unpack_flat(old, spec)
+    flat, candidates = unpack_flat(old, spec), unpack_candidates(old)
     searched = heights if "multiscale" in old.run.method else Grid(heights.values, np.zeros_like(heights.valid), spec)
     with stages.stage("parts"):
         forest = extract_parts(searched, cover.classes, survey=old.survey.name, params=params)
     with stages.stage("outlines"):
         parts = outline_parts(forest, heights, params.vector)
-        frames = make_frames(forest, parts, cover, flat, heights)
-    counts = {**old.run.counts, "regions": forest.counts | flat.counts}
+        frames = make_frames(forest, parts, cover, flat, candidates, ndsm=heights)
+    regions = forest.counts | flat.counts
+    for layer in candidates:
+        regions |= layer.counts
+    counts = {**old.run.counts, "regions": regions}
     run = replace(old.run, counts=counts, timings={**old.run.timings, **stages.timings})
     with stages.stage("write"):
-        build = Build(old.survey, run, frames, pack_state(heights, cover, flat))
+        build = Build(old.survey, run, frames, pack_state(heights, cover, flat, candidates))
         changed = store(build, db)
     return report_of(build, stages, changed=changed)
 

@@ -1,25 +1,29 @@
 """The rasters of a run that the database keeps, so that classes can be re-labelled without the source data."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
 from msbdb.classmap import ClassMap
 from msbdb.grid import Grid, GridSpec
+from msbdb.pipeline.candidates import CandidateLayer
 from msbdb.pipeline.cover import Cover
 from msbdb.pipeline.flat import STAGES, Flat, no_flat_regions
 from msbdb.surface.heights import PER_METRE
-from msbdb.tables import REJECTION, Build, Survey
+from msbdb.tables import CANDIDATE_METHODS, REJECTION, Build, Survey
 
 State = Mapping[str, NDArray[np.generic]]
 
 
-def pack_state(ndsm: Grid, cover: Cover, flat: Flat) -> dict[str, NDArray[np.generic]]:
-    """Return the rasters to keep: heights in whole centimetres, where they hold, class maps, flat regions."""
+def pack_state(
+    ndsm: Grid, cover: Cover, flat: Flat, candidates: Sequence[CandidateLayer]
+) -> dict[str, NDArray[np.generic]]:
+    """Return the rasters to keep: heights in whole centimetres, where they hold, class maps, labels of the regions."""
     state: dict[str, NDArray[np.generic]] = {
         "ndsm_cm": np.round(np.asarray(ndsm.values, dtype=np.float64) * PER_METRE).astype(np.int32),
         "valid": ndsm.valid.astype(np.uint8),
@@ -29,20 +33,36 @@ def pack_state(ndsm: Grid, cover: Cover, flat: Flat) -> dict[str, NDArray[np.gen
         state["spectral"] = cover.spectral.index
     if flat.extracted:
         state["flat"] = flat.labels
-    return state
+    return state | {layer.method: layer.labels for layer in candidates}
 
 
 def unpack_flat(build: Build, spec: GridSpec) -> Flat:
     """Return the flat regions of a kept run, with what they wrote into ledger and counts."""
     if "flat" not in build.state:
         return no_flat_regions(spec)
-    ledger = build.frames["rejection"]
-    own = ledger[ledger["stage"].str.startswith(STAGES)]
-    regions: dict[str, dict[str, int]] = build.run.counts["regions"]  # type: ignore[assignment]  # plain nested values
-    counts = {stage: values for stage, values in regions.items() if stage.startswith(STAGES)}
+    rejections, counts = _written_by(build, STAGES)
     frame = build.frames["flat_region"].sort_values("region_id", ignore_index=True)
     labels = build.state["flat"].astype(np.int32)
-    return Flat(labels, gpd.GeoDataFrame(frame), own[REJECTION.names], counts, extracted=True)
+    return Flat(labels, gpd.GeoDataFrame(frame), rejections, counts, extracted=True)
+
+
+def unpack_candidates(build: Build) -> tuple[CandidateLayer, ...]:
+    """Return the candidate regions of a kept run, a layer an extractor, with what they wrote into ledger and counts."""
+    frame = build.frames["candidate_region"].sort_values("candidate_id", ignore_index=True)
+    layers = []
+    for method in (name for name in build.run.method.split(",") if name in CANDIDATE_METHODS):
+        regions = gpd.GeoDataFrame(frame[frame["method"] == method].reset_index(drop=True))
+        labels = build.state[method].astype(np.int32)
+        layers.append(CandidateLayer(method, labels, regions, *_written_by(build, method)))
+    return tuple(layers)
+
+
+def _written_by(build: Build, stages: str) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
+    """Return the ledger rows and counts of the stages whose names begin so."""
+    ledger = build.frames["rejection"]
+    own = ledger.loc[ledger["stage"].str.startswith(stages), REJECTION.names]
+    regions: dict[str, dict[str, int]] = build.run.counts["regions"]  # type: ignore[assignment]  # plain nested values
+    return own, {stage: values for stage, values in regions.items() if stage.startswith(stages)}
 
 
 def lattice_of(survey: Survey, state: State) -> GridSpec:

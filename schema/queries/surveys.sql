@@ -3,6 +3,7 @@ SELECT s.name AS survey, s.date, s.epsg, s.density, s.cell_m, r.method, r.profil
        (SELECT COUNT(*) FROM building AS b WHERE b.run_id = r.run_id) AS buildings,
        (SELECT COUNT(*) FROM part AS p WHERE p.run_id = r.run_id) AS parts,
        (SELECT COUNT(*) FROM rejection AS j WHERE j.run_id = r.run_id) AS rejections,
-       (SELECT COUNT(*) FROM flat_region AS f WHERE f.run_id = r.run_id) AS flat_regions
+       (SELECT COUNT(*) FROM flat_region AS f WHERE f.run_id = r.run_id) AS flat_regions,
+       (SELECT COUNT(*) FROM candidate_region AS k WHERE k.run_id = r.run_id) AS candidates
 FROM run AS r JOIN survey AS s ON s.survey_id = r.survey_id
 ORDER BY survey, r.method;

@@ -5,7 +5,22 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from builds import BLOCK, DECK, HOUSE, LIFT, PITCH, PODIUM, SHED, SLAB, SOUTH, WEST
+from builds import (
+    AWNING,
+    BLOCK,
+    CRANE,
+    DECK,
+    EVERY,
+    HOUSE,
+    LIFT,
+    PITCH,
+    PITCH_CLUSTER,
+    PODIUM,
+    SHED,
+    SLAB,
+    SOUTH,
+    WEST,
+)
 from sqlalchemy import Engine
 
 from msbdb.database import example_queries, run_example
@@ -66,8 +81,8 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
     (
         "surveys",
         {},
-        ["survey", "method", "buildings", "parts", "rejections", "flat_regions"],
-        [("delft", "flatregions,multiscale", 4, 6, 3, 4)],
+        ["survey", "method", "buildings", "parts", "rejections", "flat_regions", "candidates"],
+        [("delft", EVERY, 4, 6, 3, 4, 8)],
     ),
     ("parts_with_flat_region", {}, ["part_id", "flat_share", "flat_regions"], [(SLAB, 1.0, 1), (LIFT, 1.0, 1)]),
     ("parts_with_flat_region", {"share": 0.375}, ["part_id"], [(SLAB,), (LIFT,), (BLOCK,)]),
@@ -81,6 +96,35 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
         ["scale", "parts", "confirmed", "flat_share"],
         [(1, 2, 0, 0.25), (2, 2, 1, 220 / 300), (3, 2, 1, 0.4)],
     ),
+    (
+        "candidates_by_method",
+        {},
+        ["method", "rule", "regions", "area_m2", "unexplained"],
+        [
+            ("adaptive", "clustering", 5, 1015.0, 2),
+            ("area3d", "rule 1", 1, 1200.0, 0),
+            ("area3d", "rule 2", 2, 400.0, 1),
+        ],
+    ),
+    (
+        "unexplained_candidates",
+        {},
+        ["candidate_id", "method", "explained_share"],
+        [(AWNING, "adaptive", 0.25), (PITCH_CLUSTER, "adaptive", 0.0), (CRANE, "area3d", 0.0)],
+    ),
+    ("unexplained_candidates", {"min_area_m2": 400}, ["candidate_id"], [(AWNING,)]),
+    ("overlooked_roofs", {}, ["candidate_id", "explained_share", "flat_share"], [(PITCH_CLUSTER, 0.0, 1.0)]),
+    ("overlooked_roofs", {"flat": 0}, ["candidate_id"], [(AWNING,), (PITCH_CLUSTER,), (CRANE,)]),
+    (
+        "buildings_by_witnesses",
+        {},
+        ["state", "classes_for", "extractors_heard", "extractors_for", "buildings", "area_m2"],
+        [("confirmed", 1, 3, 1, 1, 30.0), ("confirmed", 1, 3, 2, 2, 900.0), ("confirmed", 1, 3, 3, 1, 1200.0)],
+    ),
+    ("doubtful_buildings", {}, ["building_id", "extractors_for", "adaptive_share"], [(SHED, 1, 0.5)]),
+    ("doubtful_buildings", {"witnesses": 3}, ["building_id"], [(BLOCK,), (HOUSE,), (SHED,)]),
+    ("parts_with_candidates", {}, ["part_id", "area3d_share", "adaptive_share"], [(SLAB, 1.0, 1.0), (LIFT, 1.0, 1.0)]),
+    ("parts_with_candidates", {"share": 0.25}, ["part_id"], [(PODIUM,), (SLAB,), (LIFT,)]),
 ]
 
 

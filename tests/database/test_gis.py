@@ -10,17 +10,21 @@ from pathlib import Path
 
 import pytest
 from builds import (
+    AWNING,
     BLOCK,
+    CRANE,
     DECK,
     EPSG,
     HOUSE,
     LIFT,
     PITCH,
+    PITCH_CLUSTER,
     PODIUM,
     SHED,
     SLAB,
     SLAB_ROOF,
     SOUTH,
+    TERRACE,
     WEST,
     WING,
     small_build,
@@ -28,6 +32,7 @@ from builds import (
 from sqlalchemy import Engine, make_url
 
 from msbdb.database import open_database, write_build
+from msbdb.database.models import SPATIAL
 
 pytestmark = pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="GDAL's tools (gdal-bin) are not installed")
 
@@ -46,6 +51,7 @@ class Layer:
     others: tuple[str, ...] = ()
 
 
+CANDIDATES = [*range(TERRACE, PITCH_CLUSTER + 1)]
 WHOLE = (WEST, SOUTH, WEST + 306, SOUTH + 45)
 LAYERS = {
     "part": Layer("part_id", "Multi Polygon", WHOLE, PARTS, ("supid", "root_id")),
@@ -60,6 +66,15 @@ LAYERS = {
     "part_evidence": Layer("part_id", "Multi Polygon", WHOLE, PARTS, ("supid", "root_id")),
     "unexplained_flat_region": Layer(
         "region_id", "Multi Polygon", (WEST + 68, SOUTH + 10, WEST + 220, SOUTH + 50), [DECK, PITCH]
+    ),
+    "building_evidence": Layer("building_id", "Multi Polygon", WHOLE, ROOTS),
+    "candidate_region": Layer("candidate_id", "Multi Polygon", (WEST, SOUTH, WEST + 303, SOUTH + 70), CANDIDATES),
+    "candidate_evidence": Layer("candidate_id", "Multi Polygon", (WEST, SOUTH, WEST + 303, SOUTH + 70), CANDIDATES),
+    "unexplained_candidate": Layer(
+        "candidate_id",
+        "Multi Polygon",
+        (WEST + 30, SOUTH + 20, WEST + 220, SOUTH + 70),
+        [CRANE, AWNING, PITCH_CLUSTER],
     ),
 }
 
@@ -97,7 +112,7 @@ def test_each_layer_reads_with_type_srid_extent_and_count(loaded: Engine, name: 
     assert f"Feature Count: {len(layer.ids or [1, 2, 3])}" in words
     assert f"Extent: ({west:.6f}, {south:.6f}) - ({east:.6f}, {north:.6f})" in words
     assert f'ID["EPSG",{EPSG}]]' in words
-    if loaded.dialect.name == "sqlite" or name in ("part", "building", "rejection", "flat_region"):
+    if loaded.dialect.name == "sqlite" or name in SPATIAL:
         assert f"FID Column = {layer.key}" in words
 
 
@@ -124,11 +139,17 @@ def test_ids_come_out_whole(loaded: Engine, name: str, tmp_path: Path) -> None:
 def test_a_window_uses_the_index(loaded: Engine) -> None:
     """A client that asks for a window gets what lies in it, from tables and from views."""
     window = [str(v) for v in (WEST + 295, SOUTH, WEST + 400, SOUTH + 100)]
-    for name in ("part", "footprint", "part_tree", "building_summary", "part_evidence"):
+    for name in ("part", "footprint", "part_tree", "building_summary", "part_evidence", "building_evidence"):
         words = run("ogrinfo", "-ro", "-so", source(loaded), name, "-spat", *window)
         assert "Feature Count: 1\n" in words
-    window = [str(v) for v in (WEST + 190, SOUTH, WEST + 400, SOUTH + 100)]
-    for name in ("flat_region", "unexplained_flat_region"):
+    window = [str(v) for v in (WEST + 190, SOUTH, WEST + 250, SOUTH + 100)]
+    for name in (
+        "flat_region",
+        "unexplained_flat_region",
+        "candidate_region",
+        "candidate_evidence",
+        "unexplained_candidate",
+    ):
         words = run("ogrinfo", "-ro", "-so", source(loaded), name, "-spat", *window)
         assert "Feature Count: 1\n" in words
 
@@ -146,6 +167,7 @@ def test_extents_follow_the_content(tmp_path: Path) -> None:
     build = small_build(version="2")
     for name in ("part", "building"):
         build.frames[name] = build.frames[name][build.frames[name]["root_id"] != SHED]
+    build.frames["part_candidate"] = build.frames["part_candidate"][build.frames["part_candidate"]["part_id"] != SHED]
     write_build(engine, build)
     for name, count in (("part", 5), ("footprint", 3), ("part_tree", 5), ("building_summary", 3)):
         words = run("ogrinfo", "-ro", "-so", source(engine), name)

@@ -8,7 +8,29 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from builds import BLOCK, DECK, EPSG, HOUSE, LIFT, PITCH, PODIUM, SHED, SLAB, SLAB_ROOF, WING, small_build
+from builds import (
+    AWNING,
+    BLOCK,
+    CRANE,
+    DECK,
+    EPSG,
+    EVERY,
+    HOUSE,
+    HOUSE_CLUSTER,
+    LIFT,
+    PITCH,
+    PITCH_CLUSTER,
+    PODIUM,
+    SHED,
+    SHED_CLUSTER,
+    SLAB,
+    SLAB_CLUSTER,
+    SLAB_ROOF,
+    SOUTH_WING,
+    TERRACE,
+    WING,
+    small_build,
+)
 from geopandas.testing import assert_geodataframe_equal
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
@@ -19,9 +41,12 @@ from msbdb.database import (
     open_database,
     read_build,
     read_buildings,
+    read_candidates,
     read_class_bands,
     read_classes,
+    read_flat_region_candidates,
     read_flat_regions,
+    read_part_candidates,
     read_part_flat_regions,
     read_parts,
     read_rejections,
@@ -94,7 +119,34 @@ def test_each_table_is_read_by_itself(engine: Engine) -> None:
     assert links["part_id"].tolist() == [PODIUM, SLAB, LIFT, HOUSE, BLOCK]
     assert links["region_share"].tolist() == [1, 1, 0.1, 0.25, 1]
     runs = list_runs(engine)[["survey", "method", "epsg"]].to_numpy().tolist()
-    assert runs == [["delft", "flatregions,multiscale", EPSG]]
+    assert runs == [["delft", EVERY, EPSG]]
+
+
+def test_candidates_are_read_by_method(engine: Engine) -> None:
+    """Both extractors' regions lie in one table, in order of ids; their links say what they share."""
+    write_build(engine, small_build())
+    area3d, adaptive = [TERRACE, SOUTH_WING, CRANE], [SLAB_CLUSTER, AWNING, HOUSE_CLUSTER, SHED_CLUSTER, PITCH_CLUSTER]
+    assert read_candidates(engine)["candidate_id"].tolist() == [*area3d, *adaptive]
+    assert read_candidates(engine, "delft", "area3d")["candidate_id"].tolist() == area3d
+    found = read_candidates(engine, method="adaptive")
+    assert found["candidate_id"].tolist() == adaptive
+    assert found["height_scale_m"].isna().all()
+    assert found.crs.to_epsg() == EPSG
+    with pytest.raises(InputError, match="come from area3d and adaptive; got 'flatregions'"):
+        read_candidates(engine, method="flatregions")
+    links = read_part_candidates(engine).set_index(["part_id", "candidate_id"])
+    assert len(links) == 10
+    assert links.loc[(SLAB, TERRACE)].tolist() == [200, 1, 1 / 6]
+    assert links.loc[(PODIUM, AWNING)].tolist() == [100, 1 / 12, 0.25]
+    links = read_flat_region_candidates(engine).set_index(["region_id", "candidate_id"])
+    assert sorted(links.index) == [
+        (SLAB_ROOF, TERRACE),
+        (SLAB_ROOF, SLAB_CLUSTER),
+        (WING, SOUTH_WING),
+        (DECK, HOUSE_CLUSTER),
+        (PITCH, PITCH_CLUSTER),
+    ]
+    assert links.loc[(DECK, HOUSE_CLUSTER)].tolist() == [20, 0.25, 0.2]
 
 
 def test_loading_twice_changes_nothing(engine: Engine) -> None:
@@ -178,7 +230,8 @@ def test_a_survey_has_one_run(engine: Engine) -> None:
     assert list_runs(engine)["method"].tolist() == ["multiscale"]
     assert_same_build(read_build(engine, "delft"), small_build(method="multiscale"))
     assert read_flat_regions(engine).empty
-    assert read_buildings(engine)["flat_share"].isna().all()
+    assert read_candidates(engine).empty
+    assert read_buildings(engine)[["flat_share", "area3d_share", "adaptive_share"]].isna().all(axis=None)
     assert write_build(engine, small_build()).status == "replaced"
     assert list(canonical_dump(engine)) == before
     second = text("INSERT INTO run SELECT 1, survey_id, 'other', '', '', '{}', '{}', '{}', '[]', '' FROM run")
@@ -199,6 +252,42 @@ def test_flat_regions_and_parts_go_with_their_links(engine: Engine) -> None:
         change = text(f"UPDATE part_flat_region SET {column} = :number WHERE part_id = :part")
         with pytest.raises(IntegrityError), engine.begin() as connection:
             connection.execute(change, {"number": number, "part": SLAB})
+
+
+def test_candidates_go_with_their_links(engine: Engine) -> None:
+    """A link goes with either of its ends, and needs both."""
+    write_build(engine, small_build())
+    with engine.begin() as connection:
+        connection.execute(text("DELETE FROM candidate_region WHERE method = 'adaptive'"))
+        connection.execute(text("DELETE FROM flat_region WHERE region_id = :region"), {"region": WING})
+        connection.execute(text("DELETE FROM part WHERE part_id = :part"), {"part": LIFT})
+    assert read_part_candidates(engine)["part_id"].tolist() == [PODIUM, SLAB, BLOCK]
+    assert read_flat_region_candidates(engine)["region_id"].tolist() == [SLAB_ROOF]
+    for table, column in (("part_candidate", "candidate_id"), ("flat_region_candidate", "region_id")):
+        with pytest.raises(IntegrityError), engine.begin() as connection:
+            connection.execute(text(f"UPDATE {table} SET {column} = 4711"))
+
+
+CANDIDATES = {
+    "another extractor": "method = 'multiscale'",
+    "no rule": "rule = ''",
+    "a height scale of the adaptive filter": "method = 'adaptive'",
+    "no points": "points = 0",
+    "a direction beyond the half circle": "direction_1 = 181",
+    "a linearity above 1": "linearity = 1.5",
+    "an NDVI below -1": "ndvi = -2",
+    "no area": "area_m2 = 0",
+    "a run that does not exist": "run_id = 1",
+}
+
+
+@pytest.mark.parametrize("case", CANDIDATES)
+def test_the_database_itself_refuses_wrong_candidates(engine: Engine, case: str) -> None:
+    """Checks hold what the columns mean, whoever writes."""
+    write_build(engine, small_build())
+    change = text(f"UPDATE candidate_region SET {CANDIDATES[case]} WHERE candidate_id = :candidate")
+    with pytest.raises(IntegrityError), engine.begin() as connection:
+        connection.execute(change, {"candidate": TERRACE})
 
 
 def test_a_build_without_buildings_is_stored(engine: Engine) -> None:
@@ -248,6 +337,17 @@ BAD = {
     "a link to no part": ("part_flat_region", {"part_id": 4711}, "part_id names nothing"),
     "a link to no flat region": ("part_flat_region", {"region_id": 4711}, "region_id names nothing"),
     "an infinite perimeter": ("flat_region", {"perimeter_m": np.inf}, "perimeter_m is missing or infinite"),
+    "a candidate given twice": ("candidate_region", {"candidate_id": CRANE}, "candidate_id is given twice"),
+    "a candidate of no extractor of the run": ("candidate_region", {"method": "multiscale"}, "method names nothing"),
+    "a candidate without points": ("candidate_region", {"area_m2": np.nan}, "area_m2 is missing"),
+    "a link to no candidate": ("part_candidate", {"candidate_id": 4711}, "candidate_id names nothing"),
+    "a link of no part": ("part_candidate", {"part_id": 4711}, "part_id names nothing"),
+    "a link of no flat region": ("flat_region_candidate", {"region_id": 4711}, "region_id names nothing"),
+    "a flat region linked to no candidate": (
+        "flat_region_candidate",
+        {"candidate_id": 4711},
+        "candidate_id names nothing",
+    ),
     "no geometry": ("part", {"geometry": None}, "is no MULTIPOLYGON"),
     "a line": ("part", {"geometry": shapely.LineString([(0, 0), (1, 1)])}, "is no MULTIPOLYGON"),
     "an empty geometry": ("building", {"geometry": shapely.MultiPolygon()}, "is empty"),
@@ -426,6 +526,61 @@ def test_views_show_what_parts_and_flat_regions_say_of_each_other(engine: Engine
     assert {row[1:] for row in unknown} == {(None, None)}
     assert left == [(DECK, 0.25), (PITCH, 0.0)]
     assert shares == [1 / 6, 0.2, 0.375, 0, None, None, None, None]
+
+
+def test_views_show_what_the_extractors_on_points_say(engine: Engine) -> None:
+    """Shares by method of parts and of candidates; null where an extractor was not run."""
+    write_build(engine, small_build())
+    write_build(engine, small_build("leiden", "area3d", shift=1000))
+    write_build(engine, small_build("gouda", "multiscale", shift=2000))
+    parts = "SELECT part_id, area3d_share, area3d_regions, adaptive_share, adaptive_regions FROM part_evidence"
+    regions = "SELECT candidate_id, method, explained_share, flat_share FROM candidate_evidence"
+    of = " WHERE survey = :survey ORDER BY 1"
+    with engine.connect() as connection:
+        found = connection.execute(text(parts + of), {"survey": "delft"}).all()
+        unknown = connection.execute(text(parts + of), {"survey": "gouda"}).all()
+        candidates = connection.execute(text(regions + of), {"survey": "delft"}).all()
+        alone = connection.execute(text(regions + of), {"survey": "leiden"}).all()
+        left = connection.execute(
+            text("SELECT candidate_id, explained_share FROM unexplained_candidate" + of), {"survey": "delft"}
+        ).all()
+    assert found == [
+        (PODIUM, 1, 1, pytest.approx(0.25), 2),
+        (SLAB, 1, 1, 1, 1),
+        (LIFT, 1, 1, 1, 1),
+        (HOUSE, 0, 0, 1, 1),
+        (BLOCK, 0.375, 1, 0, 0),
+        (SHED, 0, 0, 0.5, 1),
+    ]
+    assert {row[1:] for row in unknown} == {(None,) * 4}
+    assert candidates == [
+        (TERRACE, "area3d", 1, pytest.approx(1 / 6)),
+        (SOUTH_WING, "area3d", 1, 1),
+        (CRANE, "area3d", 0, 0),
+        (SLAB_CLUSTER, "adaptive", 1, 1),
+        (AWNING, "adaptive", 0.25, 0),
+        (HOUSE_CLUSTER, "adaptive", 1, 0.2),
+        (SHED_CLUSTER, "adaptive", 1, 0),
+        (PITCH_CLUSTER, "adaptive", 0, 1),
+    ]
+    assert [row[2:] for row in alone] == [(None, None)] * 3
+    assert left == [(CRANE, 0), (AWNING, 0.25), (PITCH_CLUSTER, 0)]
+
+
+def test_a_building_shows_its_witnesses(engine: Engine) -> None:
+    """Who was heard, and who covers enough of it to speak for it."""
+    write_build(engine, small_build())
+    write_build(engine, small_build("leiden", "flatregions,multiscale", shift=1000))
+    build = changed(small_build("gouda", "multiscale", shift=2000), "part", 3, building_share=0.4375)
+    write_build(engine, build)
+    query = "SELECT survey, classes_for, extractors_heard, extractors_for FROM building_evidence ORDER BY building_id"
+    with engine.connect() as connection:
+        found = connection.execute(text(query)).all()
+    assert found == [
+        *(("delft", 1, 3, witnesses) for witnesses in (3, 2, 2, 1)),
+        *(("leiden", 1, 1, witnesses) for witnesses in (1, 1, 1, 0)),
+        *(("gouda", classes, 0, 0) for classes in (1, 0, 1, 1)),
+    ]
 
 
 def test_half_a_region_is_enough(engine: Engine) -> None:

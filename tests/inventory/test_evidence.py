@@ -1,15 +1,16 @@
-"""Links between parts and flat regions."""
+"""Links between regions of two extractors, and what follows for the buildings."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from msbdb.errors import GridMismatchError, TableError
-from msbdb.inventory.evidence import flat_shares, link_parts, witnessed
-from msbdb.tables import PART_FLAT_REGION
+from msbdb.inventory.evidence import covered_shares, link_labels, witnessed
+from msbdb.tables import FLAT_REGION_CANDIDATE, PART_CANDIDATE, PART_FLAT_REGION
 
 PARTS = np.array([501, 502, 503])
 REGIONS = np.array([901, 902])
+LINKS = (PART_FLAT_REGION, PART_CANDIDATE, FLAT_REGION_CANDIDATE)
 
 
 def scene():
@@ -21,20 +22,23 @@ def scene():
     return (fine, coarse), flat
 
 
-def test_overlaps_and_shares_are_counted_in_cells():
-    """Every pair that shares a cell has one row, with both shares."""
+def link(labels, ids, others, other_ids, table=PART_FLAT_REGION):
+    """Return the links of the table's two kinds."""
+    return link_labels(labels, ids, others, other_ids, table=table, cell_area_m2=0.25)
+
+
+@pytest.mark.parametrize("table", LINKS, ids=lambda table: table.name)
+def test_overlaps_and_shares_are_counted_in_cells(table):
+    """Every pair that shares a cell has one row, with both shares, in the declared columns."""
     labels, flat = scene()
-    links = link_parts(labels, PARTS, flat, REGIONS, cell_area_m2=0.25)
-    assert list(links.columns) == PART_FLAT_REGION.names
-    rows = {
-        (row.part_id, row.region_id): (row.overlap_m2, row.part_share, row.region_share) for row in links.itertuples()
-    }
-    assert rows == {
-        (501, 901): (4.0, 1.0, 0.8),
-        (502, 902): (2.0, 0.5, 1.0),
-        (503, 901): (5.0, 0.5, 1.0),
-        (503, 902): (2.0, 0.2, 1.0),
-    }
+    links = link(labels, PARTS, flat, REGIONS, table)
+    assert {c.name: c.dtype for c in table.columns} == {name: str(dtype) for name, dtype in links.dtypes.items()}
+    assert list(links.itertuples(index=False, name=None)) == [
+        (501, 901, 4.0, 1.0, 0.8),
+        (502, 902, 2.0, 0.5, 1.0),
+        (503, 901, 5.0, 0.5, 1.0),
+        (503, 902, 2.0, 0.2, 1.0),
+    ]
 
 
 def test_links_equal_a_count_pair_by_pair():
@@ -43,51 +47,101 @@ def test_links_equal_a_count_pair_by_pair():
     labels = rng.integers(0, 6, (20, 30)).astype(np.int32)
     flat = rng.integers(0, 5, (20, 30)).astype(np.int32)
     ids, regions = np.arange(1, 6) * 10, np.arange(1, 5) * 100
-    links = link_parts([labels], ids, flat, regions, cell_area_m2=1.0)
+    links = link([labels], ids, flat, regions)
     naive = [
-        (ids[i], regions[j], float(cells), cells / (labels == i + 1).sum(), cells / (flat == j + 1).sum())
+        (ids[i], regions[j], cells / 4, cells / (labels == i + 1).sum(), cells / (flat == j + 1).sum())
         for i in range(5)
         for j in range(4)
         if (cells := np.count_nonzero((labels == i + 1) & (flat == j + 1)))
     ]
     assert list(links.itertuples(index=False, name=None)) == naive
-    assert flat_shares(ids, links) == pytest.approx([np.mean(flat[labels == i] > 0) for i in range(1, 6)])
+    assert covered_shares(ids, links) == pytest.approx([np.mean(flat[labels == i] > 0) for i in range(1, 6)])
 
 
-def test_flat_share_adds_the_regions_up_and_is_zero_without_any():
+def test_links_seen_from_either_side_are_the_same():
+    """Which kind comes first does not matter, and a region's shares add up to what the other image covers of it."""
+    rng = np.random.default_rng(8)
+    one, other = (rng.integers(0, n, (15, 25)).astype(np.int32) for n in (4, 7))
+    ids, others = np.arange(1, 4), np.arange(1, 7) * 10
+    forth = link([one], ids, other, others, FLAT_REGION_CANDIDATE)
+    back = link([other], others, one, ids, FLAT_REGION_CANDIDATE)
+    turned = back[["candidate_id", "region_id", "overlap_m2", "candidate_share", "region_share"]]
+    turned = turned.sort_values(["candidate_id", "region_id"])
+    assert np.array_equal(forth.to_numpy(), turned.to_numpy())
+    sums = forth.groupby("candidate_id")["candidate_share"].sum()
+    assert sums.to_numpy() == pytest.approx([np.mean(one[other == k] > 0) for k in range(1, 7)])
+
+
+def test_a_region_without_a_cell_has_no_link():
+    """A region of points that share all their cells with a stronger one is in the table, and in no link."""
+    labels, flat = scene()
+    links = link(labels, PARTS, flat, np.array([901, 902, 903]))
+    assert sorted(set(links["region_id"])) == [901, 902]
+    links = link([np.where(labels[0] == 2, 3, labels[0])], PARTS, flat, REGIONS)
+    assert sorted(set(links["part_id"])) == [501, 503]
+
+
+def test_shares_add_the_regions_up_and_are_zero_without_any():
     """A part under no region has a share of 0; a building has its root's."""
     labels, flat = scene()
-    links = link_parts(labels, PARTS, flat, REGIONS, cell_area_m2=0.25)
-    assert flat_shares(np.array([503, 501, 777]), links) == pytest.approx([0.7, 1.0, 0.0])
+    links = link(labels, PARTS, flat, REGIONS)
+    assert covered_shares(np.array([503, 501, 777]), links) == pytest.approx([0.7, 1.0, 0.0])
 
 
-def test_nothing_gives_an_empty_table():
-    """No parts, or no flat regions: no rows, and the declared columns and types."""
+@pytest.mark.parametrize("table", LINKS, ids=lambda table: table.name)
+def test_nothing_gives_an_empty_table(table):
+    """No regions on either side: no rows, and the declared columns and types."""
     labels, flat = scene()
     none = np.zeros_like(flat)
     for links in (
-        link_parts(labels, PARTS, none, REGIONS[:0], cell_area_m2=1.0),
-        link_parts([none], PARTS[:0], flat, REGIONS, cell_area_m2=1.0),
-        link_parts([], PARTS[:0], flat, REGIONS, cell_area_m2=1.0),
+        link(labels, PARTS, none, REGIONS[:0], table),
+        link([none], PARTS[:0], flat, REGIONS, table),
+        link([], PARTS[:0], flat, REGIONS, table),
     ):
-        assert {c.name: c.dtype for c in PART_FLAT_REGION.columns} == {k: str(v) for k, v in links.dtypes.items()}
+        assert {c.name: c.dtype for c in table.columns} == {name: str(dtype) for name, dtype in links.dtypes.items()}
         assert len(links) == 0
 
 
 def test_labels_of_another_extraction_are_refused():
     """Other lattices, and labels without an id, are named."""
     labels, flat = scene()
-    with pytest.raises(GridMismatchError, match="one lattice"):
-        link_parts([flat[:2]], PARTS, flat, REGIONS, cell_area_m2=1.0)
-    with pytest.raises(TableError, match="label 2 has no flat region"):
-        link_parts(labels, PARTS, flat, REGIONS[:1], cell_area_m2=1.0)
-    with pytest.raises(TableError, match="label 3 has no part"):
-        link_parts(labels, PARTS[:2], flat, REGIONS, cell_area_m2=1.0)
+    with pytest.raises(GridMismatchError, match="part_flat_region must lie on one lattice"):
+        link([flat[:2]], PARTS, flat, REGIONS)
+    with pytest.raises(TableError, match="label 2 has no region_id"):
+        link(labels, PARTS, flat, REGIONS[:1])
+    with pytest.raises(TableError, match="label 3 has no part_id"):
+        link(labels, PARTS[:2], flat, REGIONS)
 
 
-def test_a_building_without_flat_evidence_is_unsure():
+STATES = ["confirmed", "confirmed", "unsure"]
+
+
+def heard(**shares):
+    """Return three buildings, of which the classes confirm two, after the extractors were heard."""
+    none = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share"), np.nan)
+    buildings = pd.DataFrame({"state": STATES, **none})
+    return witnessed(buildings, {name: np.array(values) for name, values in shares.items()})
+
+
+def test_one_extractor_must_speak_for_the_building():
     """The classes' word stands where flat regions agree; neither alone confirms."""
-    buildings = pd.DataFrame({"state": ["confirmed", "confirmed", "unsure"], "flat_share": np.nan})
-    heard = witnessed(buildings, np.array([0.9, 0.0, 0.9]))
-    assert heard["state"].tolist() == ["confirmed", "unsure", "unsure"]
-    assert heard["flat_share"].tolist() == [0.9, 0.0, 0.9]
+    buildings = heard(flatregions=[0.1, 0.0999, 0.9])
+    assert buildings["state"].tolist() == ["confirmed", "unsure", "unsure"]
+    assert buildings["flat_share"].tolist() == [0.1, 0.0999, 0.9]
+    assert buildings[["area3d_share", "adaptive_share"]].isna().all(axis=None)
+
+
+def test_half_of_the_extractors_are_enough():
+    """Of two one must speak for a building, of three two."""
+    two = heard(flatregions=[0.0, 0.0, 1.0], area3d=[0.5, 0.05, 1.0])
+    assert two["state"].tolist() == ["confirmed", "unsure", "unsure"]
+    three = heard(flatregions=[0.0, 0.0, 1.0], area3d=[0.5, 0.5, 1.0], adaptive=[0.2, 0.0, 1.0])
+    assert three["state"].tolist() == ["confirmed", "unsure", "unsure"]
+    assert three["adaptive_share"].tolist() == [0.2, 0.0, 1.0]
+
+
+def test_where_no_extractor_was_heard_the_classes_decide():
+    """The state stays, and all shares are unknown."""
+    buildings = heard()
+    assert buildings["state"].tolist() == STATES
+    assert buildings.drop(columns="state").isna().all(axis=None)

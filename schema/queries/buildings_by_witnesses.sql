@@ -1,0 +1,5 @@
+-- How many buildings do the classes speak for, and how many of the other extractors that were heard?
+SELECT survey, state, classes_for, extractors_heard, extractors_for, COUNT(*) AS buildings, SUM(area_m2) AS area_m2
+FROM building_evidence
+GROUP BY survey, state, classes_for, extractors_heard, extractors_for
+ORDER BY survey, state, classes_for, extractors_heard, extractors_for;
