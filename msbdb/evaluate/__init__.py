@@ -1,7 +1,19 @@
 """How well extracted buildings agree with a reference: the one metric module (X1)."""
 
+from msbdb.evaluate.points import PointEvaluation, PointScores, match_points, score_points
 from msbdb.evaluate.reference import PointReference, PolygonReference, Reference
 from msbdb.evaluate.report import Evaluation, evaluate
 from msbdb.evaluate.settings import EvaluateParams
 
-__all__ = ["EvaluateParams", "Evaluation", "PointReference", "PolygonReference", "Reference", "evaluate"]
+__all__ = [
+    "EvaluateParams",
+    "Evaluation",
+    "PointEvaluation",
+    "PointReference",
+    "PointScores",
+    "PolygonReference",
+    "Reference",
+    "evaluate",
+    "match_points",
+    "score_points",
+]

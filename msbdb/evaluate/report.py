@@ -1,6 +1,5 @@
 """The evaluation as a whole: both sides on one grid, all measures, one record."""
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,6 +14,7 @@ from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.evaluate.area import AreaScore, score_area
 from msbdb.evaluate.boundary import BoundaryScore, score_boundary, united
 from msbdb.evaluate.heights import HeightScore, score_heights
+from msbdb.evaluate.nested import flat, plain
 from msbdb.evaluate.objects import ObjectScore, groups, overlaps, score_objects
 from msbdb.evaluate.reference import (
     PointReference,
@@ -68,15 +68,15 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the measures as nested plain values for JSON; None where a measure is not defined."""
-        plain: dict[str, Any] = _plain(asdict(self))
-        return plain
+        values: dict[str, Any] = plain(asdict(self))
+        return values
 
     def rows(self) -> list[tuple[str, str, float | None]]:
         """Return (section, measure, value) of every measure, in order, for tables; the names end in their unit."""
         result: list[tuple[str, str, float | None]] = []
         for section, values in self.as_dict().items():
             if section != "params" and values is not None:
-                result += [(section, name, value) for name, value in _flat(values)]
+                result += [(section, name, value) for name, value in flat(values)]
         return result
 
 
@@ -253,21 +253,3 @@ def _covered(labels: NDArray[np.int32], mask: Mask, count: int, cell_area_m2: fl
     """Return the area of each object that lies in a mask."""
     cells = np.bincount(labels[mask], minlength=count + 1)[1:]
     return cells.astype(np.float64) * cell_area_m2
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 (nested values of any plain type)
-    """Return the value with None in the place of NaN, at every depth."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> list[tuple[str, float | None]]:
-    """Return the leaves of nested values with their names joined by dots; those of 'rates' go by their own names."""
-    leaves: list[tuple[str, float | None]] = []
-    for name, value in values.items():
-        if isinstance(value, dict):
-            leaves += _flat(value, prefix if name == "rates" else f"{prefix}{name}.")
-        else:
-            leaves.append((prefix + name, value))
-    return leaves

@@ -258,6 +258,8 @@ def test_a_source_without_points_or_with_damage_leaves_nothing(tmp_path, monkeyp
         write_classes(source, tmp_path / "out.laz", classes_for(3))
     source.write_bytes(body)
 
+    panic = type("PanicException", (BaseException,), {"__module__": "pyo3_runtime"})
+
     class Failing:
         calls = 0
 
@@ -268,7 +270,7 @@ def test_a_source_without_points_or_with_damage_leaves_nothing(tmp_path, monkeyp
             """Fail at the second chunk, as no Exception."""
             Failing.calls += 1
             if Failing.calls == 2:
-                raise type("PanicException", (BaseException,), {"__module__": "pyo3_runtime"})
+                raise panic
 
     monkeypatch.setattr("msbdb.io.laswrite.CHUNK_BYTES", 5000)
     monkeypatch.setattr("lazrs.ParLasZipDecompressor", Failing)
