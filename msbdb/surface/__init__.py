@@ -1,6 +1,6 @@
 """From points to surfaces: gridding, ground, heights above ground, and the texture of the surface."""
 
-from msbdb.surface.build import Surface, build_surface, cover_from_surface, surface_from_rasters
+from msbdb.surface.build import Surface, build_surface, cover_from_surface, grid_surface, surface_from_rasters
 from msbdb.surface.cover import drop_green_regions, structural_cover
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.ground import terrain
@@ -17,6 +17,7 @@ __all__ = [
     "density",
     "drop_green_regions",
     "echoes",
+    "grid_surface",
     "heights_above",
     "normalise",
     "roughness",

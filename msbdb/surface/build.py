@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.classmap import ClassMap
-from msbdb.grid import Grid, lattice
+from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.params import Params
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.cover import structural_cover
@@ -69,13 +69,26 @@ def build_surface(points: PointCloud, params: Params) -> Surface:
     points_m2 = density(points)
     cell_m = params.surface.cell_m or cell_size(points_m2)
     spec = lattice(points.bounds, cell_m, points.crs)
-    samples = sample_nearest(points, spec)
-    gap_cells = max(LEAST_GAP_CELLS, params.surface.max_gap_m / cell_m)
-    heights, valid = fill_gaps(samples, gap_cells)
-    dsm = Grid(heights.astype(np.float32), valid, spec)
+    dsm, samples = grid_surface(points, spec, params)
     dtm, name = terrain(points, spec, params.ground)
     logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)
     return Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
+
+
+def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Grid, Samples]:
+    """Grid the first echoes on a lattice (V14, V15), and fill the gaps between them.
+
+    Returns
+    -------
+    dsm : Grid of float32, metres
+        Valid where a first echo is near enough.
+    samples : Samples
+        The heights as they were measured.
+    """
+    samples = sample_nearest(points, spec)
+    gap_cells = max(LEAST_GAP_CELLS, params.surface.max_gap_m / spec.cell_m)
+    heights, valid = fill_gaps(samples, gap_cells)
+    return Grid(heights.astype(np.float32), valid, spec), samples
 
 
 def surface_from_rasters(dsm: Grid, dtm: Grid) -> Surface:
