@@ -58,3 +58,22 @@ def fields(shape, seed):
     """Return a field that is nowhere negative, whose sums have no rounding."""
     random = np.random.default_rng(seed)
     return random.integers(0, 9, shape) * 0.25 * random.integers(0, 2, shape)
+
+
+@st.composite
+def clouds(draw, most=40):
+    """Draw x, y and z of a small cloud: scattered, on a lattice with duplicates, in a line or at one place; or none."""
+    count = draw(st.integers(0, most))
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    points = random.uniform(0, draw(st.sampled_from([1.0, 4.0, 8.0])), (3, count))
+    kind = draw(st.sampled_from(["scattered", "lattice", "line", "place"]))
+    if kind == "lattice":
+        points = np.floor(points)
+    if kind == "line":
+        points[1:] = 0.5 * points[0]
+    if kind == "place":
+        points[:] = 0.25
+    if draw(st.booleans()):
+        points[0, count // 2 :] += 1e6
+    offset = draw(st.sampled_from([0.0, -3.0, 1e7]))
+    return points[0] + offset, points[1] - offset, points[2]

@@ -1,0 +1,136 @@
+"""The cells hold each point once, and a stretch of a row finds just the points in it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import clouds
+
+from msbdb.errors import InputError, ParameterError
+from msbdb.morphology.kernels import kernel
+from msbdb.morphology.points import CellIndex, cell_at, cell_place, index_cells, strip
+
+SIZES = st.sampled_from([0.3, 1.0, 2.5, 100.0])
+
+
+def places(x, y, index):
+    """Return the row and the column of each point, by the definition."""
+    rows = np.floor((y - index.south) / index.cell_m).astype(int)
+    cols = np.floor((x - index.west) / index.cell_m).astype(int)
+    return rows, cols
+
+
+@given(clouds(), SIZES)
+def test_each_point_is_in_its_cell_once(cloud, cell_m):
+    """The order is a permutation; the points of a cell lie in it, ascending; no cell is empty; cells ascend."""
+    x, y, _ = cloud
+    index = index_cells(x, y, cell_m)
+    assert index.order.dtype == index.starts.dtype == np.int32
+    np.testing.assert_array_equal(np.sort(index.order), np.arange(x.size))
+    assert index.starts[0] == 0
+    assert index.starts[-1] == x.size
+    rows, cols = places(x, y, index)
+    assert (np.diff(index.keys) > 0).all()
+    for cell, key in enumerate(index.keys):
+        points = index.order[index.starts[cell] : index.starts[cell + 1]]
+        assert points.size > 0
+        assert (np.diff(points) > 0).all()
+        assert {(row, col) for row, col in zip(rows[points], cols[points], strict=True)} == {cell_place(index, cell)}
+        assert cell_place(index, cell) == divmod(key, index.shape[1])
+
+
+@given(clouds(), SIZES, st.tuples(*[st.integers(-3, 9)] * 3))
+def test_a_stretch_of_a_row_finds_all_points_in_it(cloud, cell_m, where):
+    """Also where it begins, ends or lies wholly beside the lattice; it does not run on into the next row."""
+    x, y, _ = cloud
+    index = index_cells(x, y, cell_m)
+    row, one, other = where
+    first, last = min(one, other), max(one, other)
+    start, stop = strip(index, row, first, last)
+    rows, cols = places(x, y, index)
+    expected = np.flatnonzero((rows == row) & (cols >= first) & (cols <= last))
+    np.testing.assert_array_equal(np.sort(index.order[start:stop]), expected)
+
+
+@given(clouds(), SIZES)
+def test_the_lattice_holds_all_points_and_starts_at_multiples(cloud, cell_m):
+    """Row and column 0 hold the least coordinates; so a part of a survey has the cells of the whole."""
+    x, y, _ = cloud
+    index = index_cells(x, y, cell_m)
+    if x.size == 0:
+        assert index.shape == (0, 0)
+        return
+    rows, cols = places(x, y, index)
+    assert (rows.min(), cols.min()) == (0, 0)
+    assert (rows.max() + 1, cols.max() + 1) == index.shape
+    assert index.west / cell_m == pytest.approx(round(index.west / cell_m), abs=1e-6)
+    assert cell_at(index, x[0], y[0]) == (rows[0], cols[0])
+
+
+def test_islands_far_apart_need_no_cells_between():
+    """Two islands 1e6 m apart in both directions have cells for their own points only, and are found exactly."""
+    x = np.concatenate([np.arange(50) * 0.1, 1e6 + np.arange(50) * 0.1]) + 5e6
+    index = index_cells(x, x, 0.1)
+    assert index.keys.size <= 100
+    assert index.keys.nbytes + index.order.nbytes + index.starts.nbytes < 2000
+    row, col = cell_at(index, x[99], x[99])
+    start, stop = strip(index, row, col, col)
+    assert 99 in index.order[start:stop]
+
+
+def test_many_lattice_cells_sort_the_same():
+    """Whether radix or comparison sorts, the points of a cell ascend."""
+    random = np.random.default_rng(3)
+    x, y = random.integers(0, 3, (2, 500)) * 1.0
+    near = index_cells(x, y, 1.0)
+    far = index_cells(np.append(x, 1e6), np.append(y, 1e6), 1.0)
+    np.testing.assert_array_equal(far.order, np.append(near.order, 500))
+
+
+def test_a_kernel_counts_the_points_of_a_window():
+    """A kernel of its own can take the index and use its helpers."""
+
+    @kernel
+    def count_around(index: CellIndex, x: float, y: float, reach: int) -> int:
+        row, col = cell_at(index, x, y)
+        count = 0
+        for other in range(row - reach, row + reach + 1):
+            start, stop = strip(index, other, col - reach, col + reach)
+            count += stop - start
+        return count
+
+    x, y = (grid.ravel() + 0.5 for grid in np.meshgrid(np.arange(10.0), np.arange(10.0)))
+    index = index_cells(x, y, 1.0)
+    assert [count_around(index, 4.5, 4.5, reach) for reach in (0, 1, 2)] == [1, 9, 25]
+    assert count_around(index, -0.5, -0.5, 1) == 1
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_coordinate_that_is_no_number_is_refused(bad):
+    """The message counts the points."""
+    x = np.array([0.0, bad, bad, 1.0])
+    with pytest.raises(InputError, match="y is NaN or infinite at 2 of 4"):
+        index_cells(np.zeros(4), x, 1.0)
+
+
+def test_arrays_of_different_lengths_are_refused():
+    """Coordinates belong to points, in one dimension."""
+    with pytest.raises(InputError, match="one length"):
+        index_cells(np.zeros(4), np.zeros(3), 1.0)
+    with pytest.raises(InputError, match="one length"):
+        index_cells(np.zeros((2, 2)), np.zeros((2, 2)), 1.0)
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0, math.nan, math.inf])
+def test_a_size_that_is_none_is_refused(size):
+    """A cell has a side."""
+    with pytest.raises(ParameterError, match="cell size must be a finite number of metres above 0"):
+        index_cells(np.zeros(2), np.zeros(2), size)
+
+
+def test_cells_that_cannot_be_numbered_are_refused():
+    """Dust-sized cells over half the world."""
+    with pytest.raises(ParameterError, match="larger cells"):
+        index_cells(np.array([0.0, 1e8]), np.array([0.0, 1e8]), 0.01)
