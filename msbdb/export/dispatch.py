@@ -1,6 +1,6 @@
 """The choice of the format by the file's suffix."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import geopandas as gpd
@@ -9,7 +9,8 @@ from msbdb.errors import FileError, InputError
 from msbdb.export import geojson, geopackage, shapefile
 from msbdb.io.vectorwrite import existing_files
 
-Writer = Callable[[gpd.GeoDataFrame, gpd.GeoDataFrame, Path], None]
+Layers = Mapping[str, gpd.GeoDataFrame]
+Writer = Callable[[Layers, Path], None]
 
 FORMATS: dict[str, Writer] = {
     ".gpkg": geopackage.write,
@@ -20,15 +21,16 @@ FORMATS: dict[str, Writer] = {
 """The writer of each suffix."""
 
 
-def export(parts: gpd.GeoDataFrame, buildings: gpd.GeoDataFrame, path: Path, *, overwrite: bool = False) -> None:
-    """Write the parts and buildings of a survey in the format that the suffix names.
+def export(layers: Layers, path: Path, *, overwrite: bool = False) -> None:
+    """Write the layers of a survey in the format that the suffix names.
 
     Parameters
     ----------
-    parts, buildings : GeoDataFrame
-        Tables ``PART`` and ``BUILDING`` with geometry and CRS; they may be empty.
+    layers : mapping of str to GeoDataFrame
+        ``part``, and for a GeoPackage any others, such as ``footprint``, ``flat_region`` and ``candidate_region``: the
+        declared tables with geometry and CRS; they may be empty.
     path : Path
-        Ends in .gpkg (layers ``footprint`` and ``part``), .shp (parts with the paper's names) or .geojson (parts).
+        Ends in .gpkg (all layers), .shp (parts with the paper's names) or .geojson (parts).
     overwrite : bool
         Replace files that exist.
 
@@ -47,4 +49,4 @@ def export(parts: gpd.GeoDataFrame, buildings: gpd.GeoDataFrame, path: Path, *, 
     if found and not overwrite:
         msg = f"{', '.join(str(file) for file in found)} is there already. Remove it, or ask for it to be overwritten."
         raise FileError(msg)
-    writer(parts, buildings, path)
+    writer(layers, path)

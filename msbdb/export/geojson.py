@@ -1,5 +1,6 @@
 """GeoJSON by RFC 7946: the parts in longitude and latitude, for the web."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import geopandas as gpd
@@ -10,15 +11,14 @@ IDS = ("part_id", "supid", "root_id")
 """Columns written as strings."""
 
 
-def write(parts: gpd.GeoDataFrame, buildings: gpd.GeoDataFrame, path: Path) -> None:  # noqa: ARG001 (one signature for all formats)
+def write(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
     """Write the parts as one FeatureCollection; the footprints are those with ``supid`` "0" (V49).
 
     Parameters
     ----------
-    parts : GeoDataFrame
-        Table ``PART`` with geometry and CRS.
-    buildings : GeoDataFrame
-        Not written: GeoJSON holds one layer, and the roots are in it.
+    layers : mapping of str to GeoDataFrame
+        ``part``, the table ``PART`` with geometry and CRS. Other layers are not written: GeoJSON holds one, and the
+        roots are in it.
     path : Path
         The file to write or replace.
 
@@ -28,7 +28,7 @@ def write(parts: gpd.GeoDataFrame, buildings: gpd.GeoDataFrame, path: Path) -> N
     columns keep their metric units. The ids are strings, and so is each feature's ``id``: they exceed 2^53, above
     which JSON numbers are rounded in browsers.
     """
-    frame = parts.copy()
+    frame = layers["part"].copy()
     for column in IDS:
         frame[column] = frame[column].astype("str")
     frame["id"] = frame["part_id"]  # the driver takes the field of the id out of the properties

@@ -1,5 +1,6 @@
-"""GeoPackage: the footprints and the parts as layers of one file."""
+"""GeoPackage: the footprints, the parts and what other extractors found as layers of one file."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import geopandas as gpd
@@ -7,14 +8,14 @@ import geopandas as gpd
 from msbdb.io.vectorwrite import write_layers
 
 
-def write(parts: gpd.GeoDataFrame, buildings: gpd.GeoDataFrame, path: Path) -> None:
-    """Write the layers ``footprint`` (table ``BUILDING``) and ``part`` (table ``PART``), all columns and the CRS kept.
+def write(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
+    """Write all layers under their names, all columns and the CRS kept.
 
     Parameters
     ----------
-    parts, buildings : GeoDataFrame
-        Tables ``PART`` and ``BUILDING`` with geometry and CRS.
+    layers : mapping of str to GeoDataFrame
+        Declared tables of multipolygons with geometry and CRS.
     path : Path
         The file to write or replace.
     """
-    write_layers(path, {"footprint": buildings, "part": parts}, "GPKG", geometry_type="MultiPolygon")
+    write_layers(path, dict(layers), "GPKG", geometry_type="MultiPolygon")

@@ -18,6 +18,7 @@ from msbdb.database import (
     open_database,
     read_build,
     read_buildings,
+    read_candidates,
     read_classes,
     read_flat_regions,
     read_parts,
@@ -37,7 +38,7 @@ from msbdb.pipeline.assemble import make_frames, outline_parts
 from msbdb.pipeline.build import BuildReport, report_of, store
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import lattice_of, pack_state, unpack_candidates, unpack_cover, unpack_flat, unpack_heights
-from msbdb.tables import Build
+from msbdb.tables import CANDIDATE_METHODS, Build
 from msbdb.view.figure import draw_map
 from msbdb.view.flat import draw_zones
 
@@ -151,8 +152,13 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
 def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: bool = False) -> None:
     """Write parts and footprints of a survey to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
     with opened(db) as engine:
-        parts, buildings = read_parts(engine, survey), read_buildings(engine, survey)
-    write_export(parts, buildings, Path(out), overwrite=overwrite)
+        layers = {
+            "footprint": read_buildings(engine, survey),
+            "part": read_parts(engine, survey),
+            "flat_region": read_flat_regions(engine, survey),
+            "candidate_region": read_candidates(engine, survey),
+        }
+    write_export(layers, Path(out), overwrite=overwrite)
 
 
 def evaluate(
@@ -188,12 +194,12 @@ def evaluate(
         Share that counts as found; cell of the grid on which areas are compared, metres.
     survey : str, optional
         Not needed where the database holds one.
-    of : {'buildings', 'confirmed', 'parts', 'flatregions'}
-        What is compared: the buildings' footprints, those of the confirmed ones, the parts of all scales, or the flat
-        regions alone.
+    of : {'buildings', 'confirmed', 'parts', 'flatregions', 'area3d', 'adaptive'}
+        What is compared: the buildings' footprints, those of the confirmed ones, the parts of all scales, the flat
+        regions alone, or the candidate regions of an extractor on points.
     """
     with opened(db) as engine:
-        buildings = _compared(engine, survey, of)
+        outlines = compared(engine, survey, of)
         record = read_survey(engine, survey)
         shape = _shape(record.bounds, record.cell_m)
     spec = lattice_of(record, {"valid": np.empty(shape, dtype=np.uint8)})
@@ -206,7 +212,7 @@ def evaluate(
         else:
             truth = np.equal(points.classification, BUILDING_CLASS)
         given = PointReference(points.x, points.y, truth, points.crs, points.first_echo)
-        return score(buildings, given, aoi=area, params=params)
+        return score(outlines, given, aoi=area, params=params)
     footprints = read_polygons(reference, layer=layer, crs=crs, to=spec.crs)
     footprints = footprints[footprints.intersects(box(*spec.bounds))]
     if footprints.empty:
@@ -217,7 +223,7 @@ def evaluate(
         raise InputError(msg)
     surveyed = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
     return score(
-        buildings,
+        outlines,
         PolygonReference(footprints, height or _height_column(footprints)),
         aoi=area,
         valid=surveyed,
@@ -255,8 +261,8 @@ def _height_column(footprints: pd.DataFrame) -> str | None:
     return None
 
 
-def _compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
-    """Return the outlines that are to be compared."""
+def compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
+    """Return the outlines that are to be compared; see `evaluate`."""
     if of in ("buildings", "confirmed"):
         buildings = read_buildings(engine, survey)
         return buildings if of == "buildings" else buildings[buildings["state"] == "confirmed"]
@@ -264,5 +270,8 @@ def _compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
         return read_flat_regions(engine, survey)
     if of == "parts":
         return read_parts(engine, survey)
-    msg = f"There is nothing called '{of}' to evaluate; there are buildings, confirmed, parts and flatregions."
+    if of in CANDIDATE_METHODS:
+        return read_candidates(engine, survey, of)
+    known = ", ".join(("buildings", "confirmed", "parts", "flatregions", *CANDIDATE_METHODS))
+    msg = f"There is nothing called '{of}' to evaluate; there are {known}."
     raise InputError(msg)

@@ -34,7 +34,7 @@ def filled(table, rows, crs, geometry):
 
 @pytest.fixture
 def scene():
-    """Return a root with a courtyard and its child in the Dutch grid, and their building."""
+    """Return a root with a courtyard and its child in the Dutch grid, their building, and what others found of it."""
     ring = shapely.box(85_000, 447_000, 85_020, 447_020) - shapely.box(85_005, 447_005, 85_010, 447_010)
     child = shapely.MultiPolygon([shapely.box(85_011, 447_011, 85_015, 447_015)])
     crs = CRS.from_epsg(28992)
@@ -46,7 +46,10 @@ def scene():
     buildings["building_id"] = buildings["root_id"] = BIG
     tables.validate(parts, tables.PART)
     tables.validate(buildings, tables.BUILDING)
-    return parts, buildings
+    regions = filled(tables.FLAT_REGION, 1, crs, [child])
+    candidates = filled(tables.CANDIDATE_REGION, 2, crs, [child, child])
+    candidates["candidate_id"], candidates["height_scale_m"] = [BIG, BIG - 1], [2.5, np.nan]
+    return {"footprint": buildings, "part": parts, "flat_region": regions, "candidate_region": candidates}
 
 
 def ogrinfo(path, *layers):
@@ -54,11 +57,11 @@ def ogrinfo(path, *layers):
     return subprocess.run(["ogrinfo", "-ro", "-al", path, *layers], check=True, capture_output=True, text=True).stdout
 
 
-def test_geopackage_holds_both_layers_unchanged(scene, tmp_path):
+def test_geopackage_holds_all_layers_unchanged(scene, tmp_path):
     """Every column, dtype, geometry and the CRS come back."""
-    export(*scene, tmp_path / "town.gpkg")
-    assert sorted(pyogrio.list_layers(tmp_path / "town.gpkg")[:, 0]) == ["footprint", "part"]
-    for name, frame in zip(("part", "footprint"), scene, strict=True):
+    export(scene, tmp_path / "town.gpkg")
+    assert sorted(pyogrio.list_layers(tmp_path / "town.gpkg")[:, 0]) == sorted(scene)
+    for name, frame in scene.items():
         back = gpd.read_file(tmp_path / "town.gpkg", layer=name)
         pd.testing.assert_frame_equal(pd.DataFrame(back), pd.DataFrame(frame), check_dtype=False)
         assert back.crs == frame.crs
@@ -66,8 +69,8 @@ def test_geopackage_holds_both_layers_unchanged(scene, tmp_path):
 
 def test_shapefile_has_the_papers_names_and_exact_ids(scene, tmp_path):
     """The fields are the paper's, in its spelling; 18 digits survive; a null stays null."""
-    parts, _ = scene
-    export(*scene, tmp_path / "town.shp")
+    parts = scene["part"]
+    export(scene, tmp_path / "town.shp")
     back = gpd.read_file(tmp_path / "town.shp")
     names = ["ID", "SUPID", "SUPSCALE", "SCALE", "H", "XO", "YO", "XCEN", "YCEN", "AREA", "SPE", "STDDIS"]
     assert list(back.columns) == [*names, "geometry"]
@@ -82,8 +85,8 @@ def test_shapefile_has_the_papers_names_and_exact_ids(scene, tmp_path):
 
 def test_geojson_is_rfc_7946(scene, tmp_path):
     """Longitude and latitude, no crs member, counter-clockwise shells, ids as strings, null for a missing value."""
-    parts, _ = scene
-    export(*scene, tmp_path / "town.geojson")
+    parts = scene["part"]
+    export(scene, tmp_path / "town.geojson")
     collection = json.loads((tmp_path / "town.geojson").read_text(encoding="utf-8"))
     assert collection["type"] == "FeatureCollection"
     assert "crs" not in collection
@@ -105,7 +108,7 @@ def test_geojson_is_rfc_7946(scene, tmp_path):
 def test_ogrinfo_reads_every_format(scene, tmp_path, suffix):
     """GDAL's own tool sees the features, the CRS and the ids with all their digits."""
     path = tmp_path / f"town.{suffix}"
-    export(*scene, path)
+    export(scene, path)
     said = ogrinfo(path)
     assert "Feature Count: 2" in said
     assert str(BIG) in said
@@ -114,7 +117,7 @@ def test_ogrinfo_reads_every_format(scene, tmp_path, suffix):
         assert "ID: Integer64 (18.0)" in said
         assert "AREA: Real" in said
     if suffix == "gpkg":
-        assert "Layer name: footprint" in said
+        assert all(f"Layer name: {name}" in said for name in scene)
         assert "Geometry: Multi Polygon" in said
         assert "é" in said
 
@@ -122,8 +125,7 @@ def test_ogrinfo_reads_every_format(scene, tmp_path, suffix):
 @pytest.mark.parametrize("suffix", ["gpkg", "shp", "geojson"])
 def test_no_buildings_make_a_valid_empty_file(scene, tmp_path, suffix):
     """An empty result is written with its columns and no features."""
-    parts, buildings = scene
-    export(parts[:0], buildings[:0], tmp_path / f"none.{suffix}")
+    export({name: frame[:0] for name, frame in scene.items()}, tmp_path / f"none.{suffix}")
     back = gpd.read_file(tmp_path / f"none.{suffix}", layer="part" if suffix == "gpkg" else None)
     assert len(back) == 0
     assert suffix == "geojson" or len(back.columns) > 12
@@ -132,8 +134,9 @@ def test_no_buildings_make_a_valid_empty_file(scene, tmp_path, suffix):
 @pytest.mark.parametrize("suffix", ["gpkg", "shp"])
 def test_a_compound_crs_keeps_its_horizontal_part_at_least(scene, tmp_path, suffix):
     """A CRS with heights is written so that the horizontal one is read back."""
-    parts, buildings = (frame.set_crs(7415, allow_override=True) for frame in scene)
-    export(parts, buildings, tmp_path / f"nap.{suffix}")
+    export(
+        {name: frame.set_crs(7415, allow_override=True) for name, frame in scene.items()}, tmp_path / f"nap.{suffix}"
+    )
     crs = gpd.read_file(tmp_path / f"nap.{suffix}", layer="part" if suffix == "gpkg" else None).crs
     horizontal = crs.sub_crs_list[0] if crs.is_compound else crs
     assert horizontal.to_epsg() == 28992
@@ -143,15 +146,15 @@ def test_a_compound_crs_keeps_its_horizontal_part_at_least(scene, tmp_path, suff
 @pytest.mark.parametrize("suffix", ["gpkg", "shp", "geojson"])
 def test_existing_files_are_kept_unless_told(scene, tmp_path, suffix):
     """A file or a sidecar that is there is refused and kept; with overwrite it is replaced as a whole."""
-    parts, buildings = scene
     path = tmp_path / f"town.{suffix}"
-    export(parts, buildings, path)
+    export(scene, path)
+    one = scene | {"part": scene["part"][:1]}
     before = path.read_bytes()
     with pytest.raises(FileError, match="is there already"):
-        export(parts[:1], buildings, path)
+        export(one, path)
     assert path.read_bytes() == before
     (tmp_path / "town.qix").write_bytes(b"index of the old file")
-    export(parts[:1], buildings, path, overwrite=True)
+    export(one, path, overwrite=True)
     layer = "part" if suffix == "gpkg" else None
     assert len(gpd.read_file(path, layer=layer)) == 1
     assert (tmp_path / "town.qix").exists() == (suffix != "shp")
@@ -162,22 +165,22 @@ def test_a_lone_sidecar_is_refused(scene, tmp_path):
     """A table of the same name that is not ours is not overwritten."""
     (tmp_path / "town.dbf").write_bytes(b"mine")
     with pytest.raises(FileError, match=r"town\.dbf"):
-        export(*scene, tmp_path / "town.shp")
+        export(scene, tmp_path / "town.shp")
 
 
 def test_unknown_suffixes_and_unwritable_places_are_errors(scene, tmp_path):
     """The message names the endings, or the path."""
     with pytest.raises(InputError, match=r"\.gpkg, \.shp, \.geojson"):
-        export(*scene, tmp_path / "town.kml")
+        export(scene, tmp_path / "town.kml")
     with pytest.raises(FileError, match=r"missing.town\.gpkg cannot be written: No such file"):
-        export(*scene, tmp_path / "missing" / "town.gpkg")
+        export(scene, tmp_path / "missing" / "town.gpkg")
 
 
 def test_a_failed_write_leaves_the_old_file(scene, tmp_path):
     """When the driver refuses, what was there before is untouched and nothing else is left."""
-    parts, buildings = scene
+    parts, buildings = scene["part"], scene["footprint"]
     path = tmp_path / "town.gpkg"
-    export(parts, buildings, path)
+    export(scene, path)
     before = path.read_bytes()
     with pytest.raises(FileError, match="cannot be written"):
         write_layers(path, {"part": parts, "other": buildings}, "No such driver")

@@ -1,0 +1,180 @@
+"""What the tables of a build say of its witnesses, and how a kept run gives them back."""
+
+from dataclasses import replace
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from affine import Affine
+from files import write_points
+from pyproj import CRS
+from scenes import SCENES
+
+import msbdb
+from msbdb.classmap import ClassMap
+from msbdb.database import open_database, read_build, read_part_candidates, write_build
+from msbdb.extract.multiscale import extract_parts
+from msbdb.grid import Grid, GridSpec
+from msbdb.params import Params
+from msbdb.pipeline.assemble import make_frames, outline_parts
+from msbdb.pipeline.candidates import CandidateLayer
+from msbdb.pipeline.cover import Cover
+from msbdb.pipeline.flat import Flat, no_flat_regions
+from msbdb.pipeline.state import lattice_of, pack_state, unpack_candidates
+from msbdb.tables import (
+    CANDIDATE_REGION,
+    FLAT_REGION,
+    REJECTION,
+    SPECTRAL_CLASS,
+    SPECTRAL_CLASS_BAND,
+    Build,
+    Run,
+    Survey,
+)
+from msbdb.vector.polygons import polygonise
+
+SPEC = GridSpec((30, 60), Affine(1.0, 0, 389_000, 0, -1.0, 5_821_000), CRS.from_epsg(32633))
+WEST, MIDDLE, EAST = (slice(5, 15), slice(5, 15)), (slice(5, 15), slice(25, 35)), (slice(5, 15), slice(45, 55))
+"""Three roofs of 10 x 10 m."""
+
+
+def images(*regions, spec=SPEC):
+    """Return labels 1 to n of windows of the lattice."""
+    labels = np.zeros(spec.shape, dtype=np.int32)
+    for number, window in enumerate(regions, start=1):
+        labels[window] = number
+    return labels
+
+
+def rows(table, labels, first, spec=SPEC, **words):
+    """Return a row a label, with ids from ``first`` and plausible numbers."""
+    count = int(labels.max())
+    frame = table.empty().reindex(range(count))
+    for column in table.columns:
+        frame[column.name] = pd.Series([words.get(column.name, 1)] * count).astype(column.dtype)
+    frame[table.names[0]] = np.arange(first, first + count, dtype=np.int64)
+    return gpd.GeoDataFrame(frame, geometry=list(polygonise(labels, spec, count)), crs=spec.crs)
+
+
+def layer(method, *regions, spec=SPEC, first=1000):
+    """Return the candidates of an extractor, with one row in its ledger."""
+    labels = images(*regions, spec=spec)
+    height_scale = 3.0 if method == "area3d" else np.nan
+    words = {"method": method, "rule": "rule 1", "height_scale_m": height_scale}
+    found = rows(CANDIDATE_REGION, labels, first, spec, **words)
+    dropped = (first + 500, f"{method} rules", "no rule", 0, 12.0, 389_001.0, 5_820_999.0)
+    ledger = pd.DataFrame([dropped], columns=REJECTION.names).astype({c.name: c.dtype for c in REJECTION.columns})
+    n = len(found)
+    return CandidateLayer(method, labels, found, ledger, {f"{method} rules": {"in": n + 1, "kept": n, "dropped": 1}})
+
+
+def flat(*regions):
+    """Return flat regions."""
+    labels = images(*regions)
+    found = rows(FLAT_REGION, labels, 100)
+    return Flat(labels, found, REJECTION.empty(), {}, extracted=True)
+
+
+def frames(witness, candidates):
+    """Return the tables of a build of three roofs."""
+    heights = np.zeros(SPEC.shape, dtype=np.float32)
+    for roof in (WEST, MIDDLE, EAST):
+        heights[roof] = 9.5
+    ndsm = Grid(heights, np.ones(SPEC.shape, dtype=bool), SPEC)
+    classes = ClassMap((heights > 0).astype(np.uint8), {1: "building"}, SPEC)
+    params = Params()
+    params = replace(params, scale=replace(params.scale, scales_m2=(20.0, 50.0)))
+    forest = extract_parts(ndsm, classes, survey="town", params=params)
+    roofs = (1, "building", "automatic", "structure", 300, 1.0, np.nan, np.nan, 0.1, 9.5)
+    table = pd.DataFrame([roofs], columns=SPECTRAL_CLASS.names)
+    cover = Cover(classes, None, table, SPECTRAL_CLASS_BAND.empty(), False, False, {})
+    parts = outline_parts(forest, ndsm, params.vector)
+    return make_frames(forest, parts, cover, witness, candidates, ndsm=ndsm), cover, ndsm
+
+
+def test_every_pair_of_witnesses_is_linked():
+    """Parts and flat regions, parts and candidates, flat regions and candidates, each with its ledger."""
+    area3d = layer("area3d", WEST, (slice(5, 15), slice(30, 40)))
+    adaptive = layer("adaptive", EAST, first=2000)
+    found, *_ = frames(flat(WEST, (slice(20, 25), slice(0, 5))), (adaptive, area3d))
+    assert found["candidate_region"]["candidate_id"].tolist() == [2000, 1000, 1001]
+    buildings = found["building"].assign(east=found["building"].geometry.centroid.x).sort_values("east")
+    assert buildings["flat_share"].tolist() == [1, 0, 0]
+    assert buildings["area3d_share"].tolist() == [1, 0.5, 0]
+    assert buildings["adaptive_share"].tolist() == [0, 0, 1]
+    assert buildings["state"].tolist() == ["confirmed", "unsure", "unsure"]
+    links = found["part_candidate"].set_index("candidate_id")
+    assert links["overlap_m2"].to_dict() == {2000: 100, 1000: 100, 1001: 50}
+    assert links["candidate_share"].to_dict() == {2000: 1, 1000: 1, 1001: 0.5}
+    assert found["flat_region_candidate"].to_numpy().tolist() == [[100, 1000, 100, 1, 1]]
+    assert sorted(found["rejection"]["stage"]) == ["adaptive rules", "area3d rules"]
+
+
+def test_who_was_not_run_is_not_heard():
+    """An extractor that found nothing speaks against a building; one that was not run has no say and no share."""
+    nothing, *_ = frames(no_flat_regions(SPEC), [layer("area3d")])
+    assert nothing["building"]["area3d_share"].tolist() == [0, 0, 0]
+    assert set(nothing["building"]["state"]) == {"unsure"}
+    unheard, *_ = frames(no_flat_regions(SPEC), ())
+    shares = unheard["building"][["flat_share", "area3d_share", "adaptive_share"]]
+    assert shares.isna().all(axis=None)
+    assert set(unheard["building"]["state"]) == {"confirmed"}
+    assert [len(unheard[name]) for name in ("candidate_region", "part_candidate", "flat_region_candidate")] == [0] * 3
+
+
+@pytest.mark.parametrize("methods", [(), ("area3d",), ("adaptive", "area3d")])
+def test_a_kept_run_gives_its_layers_back(tmp_path, methods):
+    """Labels, rows, ledger and counts of each extractor, in the order of their names."""
+    layers = [layer(method, WEST, EAST, first=1000 * n) for n, method in enumerate(methods, start=1)]
+    found, cover, ndsm = frames(no_flat_regions(SPEC), layers)
+    bounds = (389_000.0, 5_820_970.0, 389_060.0, 5_821_000.0)
+    survey = Survey("town", "", SPEC.crs.to_wkt(), 32633, "", 0.0, 1.0, bounds, ())
+    counts = {"regions": {"opening": {"in": 3, "kept": 3, "dropped": 0}}}
+    for one in layers:
+        counts["regions"] |= one.counts
+    run = Run(",".join(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
+    engine = open_database(tmp_path / "town.sqlite", create=True, srid=32633)
+    write_build(engine, Build(survey, run, found, pack_state(ndsm, cover, no_flat_regions(SPEC), layers)))
+    back = unpack_candidates(read_build(engine))
+    assert [one.method for one in back] == list(methods)
+    for one, other in zip(back, layers, strict=True):
+        np.testing.assert_array_equal(one.labels, other.labels, strict=True)
+        pd.testing.assert_frame_equal(
+            pd.DataFrame(one.regions.drop(columns="geometry")), pd.DataFrame(other.regions.drop(columns="geometry"))
+        )
+        assert one.regions.geometry.geom_equals(other.regions.geometry).all()
+        assert one.rejections.to_numpy().tolist() == other.rejections.to_numpy().tolist()
+        assert one.counts == other.counts
+
+
+def test_labels_by_the_operator_keep_the_candidates(tmp_path):
+    """Candidates, their links and ledger outlive another label of the classes, and speak for the buildings again."""
+    points = write_points(tmp_path / "town.laz", SCENES["under_trees"]().points)
+    db = tmp_path / "town.sqlite"
+    msbdb.build([points], db=db, extract=["flatregions", "multiscale"])
+    with msbdb.open(db) as opened:
+        build, classes = read_build(opened.engine), opened.classes()
+    spec = lattice_of(build.survey, build.state)
+    added = layer("area3d", (slice(None), slice(None)), spec=spec)
+    build.run.counts["regions"] |= added.counts
+    ledger = build.frames["rejection"]
+    extra = gpd.GeoDataFrame(added.rejections, geometry=[ledger.geometry.iloc[0]], crs=ledger.crs)
+    kept = {"candidate_region": added.regions, "rejection": pd.concat([ledger, extra], ignore_index=True)}
+    run = replace(build.run, method="area3d,flatregions,multiscale")
+    state = {**build.state, "area3d": added.labels}
+    roofs = classes.loc[classes["label"] == "building", "speindex"].tolist()
+    with msbdb.open(db) as opened:
+        write_build(opened.engine, replace(build, run=run, frames={**build.frames, **kept}, state=state))
+    msbdb.relabel(db, dict.fromkeys(roofs, "building"))
+    with msbdb.open(db) as opened:
+        before = opened.dump()
+        assert opened.buildings()["area3d_share"].tolist() == [1]
+        assert len(read_part_candidates(opened.engine)) > 0
+    msbdb.relabel(db, dict.fromkeys(roofs, "vegetation"))
+    with msbdb.open(db) as opened:
+        assert len(opened.buildings()) == len(read_part_candidates(opened.engine)) == 0
+        assert (opened.rejections()["stage"] == "area3d rules").sum() == 1
+    msbdb.relabel(db, dict.fromkeys(roofs, "building"))
+    with msbdb.open(db) as opened:
+        assert opened.dump() == before
