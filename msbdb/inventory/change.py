@@ -1,0 +1,394 @@
+"""What a survey did to each building of the inventory."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.grid import Grid, GridSpec
+from msbdb.inventory.offset import Offset, estimate_offset, moved
+from msbdb.inventory.pieces import Box, Epochs, Labels, Mask, Pieces, boxes, earlier_heights, find_pieces, touching
+from msbdb.params.change import ChangeParams
+from msbdb.vector.polygons import polygonise, rasterise
+
+KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
+"""What can become of a building that was surveyed; one that was not has no row."""
+
+NO_FOOTPRINT = "not told from its surroundings this time, but its heights stand"
+STOOD_BEFORE = "stood there before, and is told from its surroundings for the first time"
+FIRST_SURVEY = "the first survey of this place"
+
+CHANGE_COLUMNS = {
+    "kind": "str",
+    "before": "int64",
+    "after": "int64",
+    "outline": "bool",
+    "height": "bool",
+    "parts": "bool",
+    "overlap_m2": "float64",
+    "iou": "float64",
+    "dh_m": "float64",
+    "darea_m2": "float64",
+    "note": "str",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What a survey did to the inventory.
+
+    Parameters
+    ----------
+    offset : Offset
+        How the survey lies to the inventory.
+    changes : DataFrame
+        A row a building, or a pair of buildings for ``merged`` and ``split``: ``kind``; ``before`` and ``after``, row
+        numbers of the two frames or -1; what was modified (``outline``, ``height``, ``parts``); ``overlap_m2`` and
+        ``iou`` of the pair; ``dh_m``, median change of height where both stand; ``darea_m2``; ``note``.
+    versions : GeoDataFrame
+        The new state of every building that changed: ``before`` (row whose identity it continues, or -1 for a new
+        one), ``after`` (row whose attributes it has), ``adopted`` (its outline is that row's own, not one put together
+        here), and its geometry, in the survey's place.
+    """
+
+    offset: Offset
+    changes: pd.DataFrame
+    versions: gpd.GeoDataFrame
+
+
+def compare(
+    before: gpd.GeoDataFrame,
+    after: gpd.GeoDataFrame,
+    *,
+    heights: Grid,
+    earlier: Sequence[Grid] = (),
+    surveyed: Mask | None = None,
+    params: ChangeParams | None = None,
+) -> Comparison:
+    """Compare the buildings of a survey with those of the inventory.
+
+    Parameters
+    ----------
+    before : GeoDataFrame
+        Current buildings of the inventory that may lie in the survey, with ``h_p90`` (NaN where unknown).
+    after : GeoDataFrame
+        Buildings of the survey, with ``h_p90``.
+    heights : Grid
+        Heights above ground of the survey, metres.
+    earlier : sequence of Grid
+        Heights above ground that the inventory has of the place, the latest first; none where it began from
+        footprints alone.
+    surveyed : (H, W) ndarray of bool, optional
+        The area of interest on the survey's lattice; all of it by default.
+    params : ChangeParams, optional
+        What counts as change.
+
+    Returns
+    -------
+    Comparison
+        The order of its rows is that of the frames.
+
+    Notes
+    -----
+    Buildings are compared by the pieces of ground that were built or are gone (`find_pieces`), not by how either
+    extraction cut a block into buildings: a row of houses that one survey sees as one building is unchanged while
+    nothing was built or pulled down. A piece belongs to the buildings that it touches within the thickness that
+    counts.
+    """
+    params = params or ChangeParams()
+    offset = estimate_offset(before, after, least_pairs=params.offset_pairs)
+    spec = heights.spec
+    known = earlier_heights(earlier, spec, offset)
+    rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values) - np.float32(offset.dz_m)
+    inside = heights.valid if surveyed is None else heights.valid & surveyed
+    shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
+    epochs = Epochs(
+        rasterise(shifted, spec),
+        rasterise(after.geometry, spec),
+        inside,
+        Grid(rise, known.valid & heights.valid, spec),
+        known,
+    )
+    book = _Book(before, after, shifted, epochs, find_pieces(epochs, params), offset, params)
+    book.decide()
+    return Comparison(offset, book.changes(), book.new_versions())
+
+
+@dataclass(eq=False)
+class _Book:
+    """The decisions, building by building."""
+
+    before: gpd.GeoDataFrame
+    after: gpd.GeoDataFrame
+    shifted: NDArray[np.object_]
+    epochs: Epochs
+    pieces: Pieces
+    offset: Offset
+    params: ChangeParams
+    rows: list[dict[str, object]] = field(default_factory=list)
+    versions: list[tuple[int, int, bool, shapely.Geometry]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Count cells, link footprints, and find what each piece touches."""
+        spec, reach = self.spec, self.params.thickness_m + self.spec.cell_m
+        self.cells = np.bincount(self.epochs.before.ravel(), minlength=len(self.before) + 1)
+        inside = np.where(self.epochs.surveyed, self.epochs.before, 0)
+        self.seen = np.bincount(inside.ravel(), minlength=len(self.before) + 1)
+        self.shared = _shared(self.epochs, spec.cell_area_m2)
+        self.links = self._linked()
+        self.gain_by = touching(self.pieces.gain, self.epochs.before, reach, spec.cell_m)
+        self.loss_by = touching(self.pieces.loss, self.epochs.after, reach, spec.cell_m)
+        self.gain_after = _within(self.pieces.gain, self.epochs.after)
+        self.gains_of = self._gains_of()
+        self.used: set[int] = set()
+        self.rise = np.asarray(self.epochs.rise.values)
+        self.box_before, self.box_after, self.box_gain = map(
+            boxes, (self.epochs.before, self.epochs.after, self.pieces.gain)
+        )
+
+    @property
+    def spec(self) -> GridSpec:
+        """The survey's lattice."""
+        return self.epochs.rise.spec
+
+    def decide(self) -> None:
+        """Decide on every building that was surveyed, then on what is new."""
+        merged = self._merging()
+        done: set[int] = set()
+        for i in range(1, len(self.before) + 1):
+            if i in done or not self._is_surveyed(i):
+                continue
+            group = merged.get(i, (i,))
+            if len(group) > 1:
+                self._merge(group)
+                done.update(group)
+            else:
+                self._alone(i)
+        self._newcomers()
+
+    def _is_surveyed(self, i: int) -> bool:
+        """Tell whether most of a building lies in the surveyed area, seen from its whole footprint."""
+        whole = float(shapely.area(self.shifted[i - 1]))
+        return bool(self.seen[i] * self.spec.cell_area_m2 >= self.params.surveyed_share * whole > 0)
+
+    def _linked(self) -> dict[int, list[int]]:
+        """Return the survey's footprints of each building, the one that shares most first."""
+        area_b, area_a = self.before.geometry.area.to_numpy(), self.after.geometry.area.to_numpy()
+        links: dict[int, list[int]] = {}
+        for (i, a), overlap in sorted(self.shared.items(), key=lambda item: (-item[1], item[0])):
+            if overlap >= self.params.link_share * min(area_b[i - 1], area_a[a - 1]):
+                links.setdefault(i, []).append(a)
+        return links
+
+    def _gains_of(self) -> dict[int, list[int]]:
+        """Return the pieces built onto each building: those that it touches, in a footprint that is its own as well."""
+        found: dict[int, list[int]] = {}
+        for piece, buildings in self.gain_by.items():
+            own = self.gain_after[piece]
+            for i in sorted(buildings):
+                if own & set(self.links.get(i, ())):
+                    found.setdefault(i, []).append(piece)
+        return found
+
+    def _merging(self) -> dict[int, tuple[int, ...]]:
+        """Return, for each building that a piece joined with others, all of them."""
+        joined: dict[int, set[int]] = {}
+        by_piece: dict[int, list[int]] = {}
+        for i, pieces in self.gains_of.items():
+            for piece in pieces:
+                by_piece.setdefault(piece, []).append(i)
+        for members in by_piece.values():
+            if len(members) < 2:
+                continue
+            group: set[int] = set(members).union(*(joined.get(i, {i}) for i in members))
+            for i in group:
+                joined[i] = group
+        return {i: tuple(sorted(group)) for i, group in joined.items()}
+
+    def _merge(self, group: tuple[int, ...]) -> None:
+        """Join buildings into one, which keeps the identity of the largest."""
+        keeper = max(group, key=lambda i: (self.cells[i], -i))
+        a = self.links[keeper][0]
+        self.used.update(a for i in group for a in self.links.get(i, ()))
+        shape, adopted = self._outline(group, a)
+        for i in group:
+            self._note("merged", i, a, outline=True)
+        self.versions.append((keeper - 1, a - 1, adopted, shape))
+
+    def _alone(self, i: int) -> None:
+        """Decide on one building that was joined with no other."""
+        own = self.links.get(i, [])
+        box = self.box_before[i]
+        stood = self.epochs.before[box] == i
+        lost = _counted(self.pieces.loss[box][stood])
+        if sum(lost.values()) >= self.params.gone_share * max(int(self.seen[i]), 1):
+            self._note("demolished", i, 0)
+            return
+        self.used.update(own)
+        parted = [a for a in own if any(a in self.loss_by[piece] for piece in lost)]
+        if len(parted) > 1:
+            self._split(i, parted)
+            return
+        lifted = sum(_counted(self.pieces.lift[box][stood]).values())
+        outline = bool(lost) or i in self.gains_of
+        height = lifted > 0 or (bool(own) and self._rose_by_attributes(i, own[0]))
+        if not own:
+            self._note("unchanged", i, 0, note=NO_FOOTPRINT)
+        elif outline or height:
+            common = int(np.count_nonzero(stood & (self.epochs.after[box] > 0)))
+            shape, adopted = self._outline((i,), own[0])
+            in_part = 0 < lifted < self.params.gone_share * common
+            self._note("modified", i, own[0], outline=outline, height=height, parts=bool(in_part))
+            self.versions.append((i - 1, own[0] - 1, adopted, shape))
+        else:
+            self._note("unchanged", i, own[0])
+
+    def _split(self, i: int, parted: list[int]) -> None:
+        """Part a building into several, of which the one that shares most keeps its identity."""
+        for n, a in enumerate(parted):
+            self._note("split", i, a, outline=True)
+            shape, adopted = self._outline((i,), a) if n == 0 else (self.after.geometry.iloc[a - 1], True)
+            if len(parted) > 1 and not adopted:
+                shape, adopted = self.after.geometry.iloc[a - 1], True
+            self.versions.append((i - 1 if n == 0 else -1, a - 1, adopted, shape))
+
+    def _rose_by_attributes(self, i: int, a: int) -> bool:
+        """Tell by the buildings' own heights where the earlier lattice has none."""
+        box = self.box_before[i]
+        both = (self.epochs.before[box] == i) & (self.epochs.after[box] == a)
+        if not both.any() or self.epochs.rise.valid[box][both].mean() >= self.params.surveyed_share:
+            return False
+        rise = self.after["h_p90"].iloc[a - 1] - self.before["h_p90"].iloc[i - 1] - self.offset.dz_m
+        return bool(abs(rise) >= self.params.rise_m)
+
+    def _newcomers(self) -> None:
+        """Decide on footprints that no building of the inventory shares, and on pieces built beside all others."""
+        known = {a for own in self.links.values() for a in own}
+        for a in range(1, len(self.after) + 1):
+            if a in self.used or a in known:
+                continue
+            if a in self.box_after:
+                self._arrive(a)
+        taken = {piece for pieces in self.gains_of.values() for piece in pieces}
+        for piece, own in self.gain_after.items():
+            if piece not in taken and own <= known:
+                self._detached(piece, min(own))
+
+    def _arrive(self, a: int) -> None:
+        """Enter a footprint that the inventory does not know."""
+        box = self.box_after[a]
+        place = (self.epochs.after[box] == a) & self.epochs.surveyed[box]
+        if not place.any():
+            return
+        known = self.epochs.earlier.valid[box][place].mean() >= self.params.surveyed_share
+        built = np.mean(self.pieces.gain[box][place] > 0) >= self.params.surveyed_share
+        if known and not built:
+            kind, note = "unchanged", STOOD_BEFORE
+        else:
+            kind, note = "new", "" if known else FIRST_SURVEY
+        self._note(kind, 0, a, note=note)
+        self.versions.append((-1, a - 1, True, self.after.geometry.iloc[a - 1]))
+
+    def _detached(self, piece: int, a: int) -> None:
+        """Enter a building that stands apart from those that its footprint was joined with."""
+        box = self.box_gain[piece]
+        shape = polygonise((self.pieces.gain[box] == piece).astype(np.int32), self.spec.crop(*box), 1)[0]
+        self._note("new", 0, a)
+        self.versions.append((-1, a - 1, False, shape))
+
+    def _outline(self, group: tuple[int, ...], a: int) -> tuple[shapely.Geometry, bool]:
+        """Return buildings' new outline: the survey's own where it is theirs alone, else theirs with the change."""
+        sharing = {i for i, own in self.links.items() if a in own}
+        if sharing == set(group) and all(len(self.links[i]) == 1 for i in group):
+            return self.after.geometry.iloc[a - 1], True
+        gains = [piece for i in group for piece in self.gains_of.get(i, ())]
+        box = _around([self.box_before[i] for i in group] + [self.box_gain[piece] for piece in gains])
+        kept = np.isin(self.epochs.before[box], group) & (self.pieces.loss[box] == 0)
+        cells = kept | np.isin(self.pieces.gain[box], gains or [-1])
+        return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
+
+    def _note(
+        self,
+        kind: str,
+        i: int,
+        a: int,
+        *,
+        outline: bool = False,
+        height: bool = False,
+        parts: bool = False,
+        note: str = "",
+    ) -> None:
+        """Write a row of the changes; 0 stands for no building on that side."""
+        overlap = self.shared.get((i, a), 0.0)
+        area_b = float(self.before.geometry.iloc[i - 1].area) if i else 0.0
+        area_a = float(self.after.geometry.iloc[a - 1].area) if a else 0.0
+        box = self.box_before[i] if i else self.box_after[a]
+        stands = self.epochs.before[box] == i if i else self.epochs.after[box] == a
+        told = self.rise[box][stands & self.epochs.rise.valid[box] & self.epochs.surveyed[box]]
+        self.rows.append(
+            {
+                "kind": kind,
+                "before": i - 1,
+                "after": a - 1,
+                "outline": outline,
+                "height": height,
+                "parts": parts,
+                "overlap_m2": overlap,
+                "iou": overlap / (area_b + area_a - overlap) if i and a else 0.0,
+                "dh_m": float(np.median(told)) if told.size else float("nan"),
+                "darea_m2": area_a - area_b,
+                "note": note,
+            }
+        )
+
+    def changes(self) -> pd.DataFrame:
+        """Return all rows, in order of the inventory, then of the survey."""
+        frame = pd.DataFrame(self.rows, columns=list(CHANGE_COLUMNS)).astype(CHANGE_COLUMNS)
+        is_new = frame["before"] < 0
+        return frame.assign(is_new=is_new).sort_values(["is_new", "before", "after"], kind="stable", ignore_index=True)[
+            list(CHANGE_COLUMNS)
+        ]
+
+    def new_versions(self) -> gpd.GeoDataFrame:
+        """Return the new states of the buildings that changed."""
+        frame = gpd.GeoDataFrame(
+            [row[:3] for row in self.versions],
+            columns=["before", "after", "adopted"],
+            geometry=[row[3] for row in self.versions],
+            crs=self.after.crs,
+        )
+        return frame.astype({"before": "int64", "after": "int64", "adopted": "bool"})
+
+
+def _shared(epochs: Epochs, cell_area_m2: float) -> dict[tuple[int, int], float]:
+    """Return the area that each pair of footprints shares."""
+    both = (epochs.before > 0) & (epochs.after > 0)
+    pairs, cells = np.unique(np.stack([epochs.before[both], epochs.after[both]]), axis=1, return_counts=True)
+    return {(int(i), int(a)): float(n * cell_area_m2) for i, a, n in zip(*pairs, cells, strict=True)}
+
+
+def _within(piece: Labels, other: Labels) -> dict[int, set[int]]:
+    """Return the other labels inside each piece."""
+    inside = piece > 0
+    pairs = np.unique(np.stack([piece[inside], other[inside]]), axis=1)
+    found: dict[int, set[int]] = {number: set() for number in range(1, int(piece.max(initial=0)) + 1)}
+    for number, label in pairs.T.tolist():
+        if label:
+            found[number].add(label)
+    return found
+
+
+def _around(found: list[Box]) -> Box:
+    """Return the box around boxes."""
+    rows, cols = zip(*found, strict=True)
+    return tuple(slice(min(s.start for s in side), max(s.stop for s in side)) for side in (rows, cols))  # type: ignore[return-value]
+
+
+def _counted(pieces: NDArray[np.int32]) -> dict[int, int]:
+    """Count the cells of each piece."""
+    numbers, cells = np.unique(pieces, return_counts=True)
+    return {int(n): int(count) for n, count in zip(numbers, cells, strict=True) if n}

@@ -1,0 +1,140 @@
+"""Where two surveys differ: pieces of the lattice that were built, are gone, or rose or sank."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects
+from skimage.measure import label
+from skimage.morphology import isotropic_dilation, isotropic_opening
+
+from msbdb.grid import Grid, GridSpec
+from msbdb.inventory.offset import Offset
+from msbdb.params.change import ChangeParams
+
+Mask = NDArray[np.bool_]
+Labels = NDArray[np.int32]
+Box = tuple[slice, slice]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Epochs:
+    """Both sides of a comparison on the lattice of the later survey, the inventory shifted onto it.
+
+    Parameters
+    ----------
+    before, after : (H, W) ndarray of int32
+        Footprints: 0 for none, otherwise row number + 1 of the frame.
+    surveyed : (H, W) ndarray of bool
+        Where the later survey has heights, within the area of interest.
+    rise : Grid
+        Height above ground now less that of before, without the vertical offset, metres; invalid where the earlier one
+        is not known.
+    earlier : Grid
+        Height above ground before, metres; invalid where it is not known.
+    """
+
+    before: Labels
+    after: Labels
+    surveyed: Mask
+    rise: Grid
+    earlier: Grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Labelled pieces of change, each of ``least_m2`` and thick: ``gain``, ``loss`` and ``lift``, 0 for none."""
+
+    gain: Labels
+    loss: Labels
+    lift: Labels
+
+
+def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Grid:
+    """Return the heights above ground that the inventory knows, on another lattice, by the nearest cell.
+
+    Parameters
+    ----------
+    grids : sequence of Grid
+        Heights of earlier surveys in the same CRS; the first one that is valid at a place tells.
+    spec : GridSpec
+        The later survey's lattice.
+    offset : Offset
+        How the later survey lies to them.
+    """
+    values = np.zeros(spec.shape, dtype=np.float32)
+    valid = np.zeros(spec.shape, dtype=np.bool_)
+    cols, rows = np.arange(spec.shape[1]), np.arange(spec.shape[0])
+    east = spec.xy(np.zeros_like(cols), cols)[0] - offset.dx_m
+    north = spec.xy(rows, np.zeros_like(rows))[1] - offset.dy_m
+    for grid in grids:
+        row, _ = grid.spec.rowcol(np.full(len(north), east[0]), north)
+        _, col = grid.spec.rowcol(east, np.full(len(east), north[0]))
+        here = np.ix_((row >= 0) & (row < grid.spec.shape[0]), (col >= 0) & (col < grid.spec.shape[1]))
+        there = np.ix_(row[here[0].ravel()], col[here[1].ravel()])
+        new = grid.valid[there] & ~valid[here]
+        values[here] = np.where(new, grid.values[there], values[here])
+        valid[here] |= new
+    return Grid(values, valid, spec)
+
+
+def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
+    """Find the pieces of change.
+
+    A cell of one footprint alone counts where its height changed as well, or where the earlier height is not known.
+    What two extractions merely saw otherwise (a crown that leans on a roof, a courtyard) is no change, and neither is
+    a sliver along an outline.
+    """
+    in_before, in_after, rise = epochs.before > 0, epochs.after > 0, epochs.rise
+    values = np.asarray(rise.values)
+    rose = ~rise.valid | (values >= params.rise_m)
+    fell = ~rise.valid | (values <= -params.rise_m)
+    gain = in_after & ~in_before & epochs.surveyed & rose
+    loss = in_before & ~in_after & epochs.surveyed & fell
+    lift = in_after & in_before & epochs.surveyed & rise.valid & (np.abs(values) >= params.rise_m)
+    # Raised and sunken parts may touch, but are not one piece.
+    up, down = (_thick(lift & side, rise.spec, params) for side in (values > 0, values < 0))
+    down[down > 0] += up.max(initial=0)
+    return Pieces(_thick(gain, rise.spec, params), _thick(loss, rise.spec, params), np.where(up > 0, up, down))
+
+
+def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dict[int, set[int]]:
+    """Return, for each piece, the other labels within reach of it, but for those that it touches with a corner.
+
+    A label counts with a third or more of the cells within reach that the label with most of them has.
+    """
+    count = int(piece.max(initial=0))
+    found: dict[int, set[int]] = {number: set() for number in range(1, count + 1)}
+    reach = reach_m / cell_m
+    margin = int(np.ceil(reach)) + 1
+    for number, (rows, cols) in boxes(piece).items():
+        box = (
+            slice(max(rows.start - margin, 0), rows.stop + margin),
+            slice(max(cols.start - margin, 0), cols.stop + margin),
+        )
+        near = isotropic_dilation(piece[box] == number, reach)  # type: ignore[no-untyped-call]
+        labels, cells = np.unique(other[box][near & (other[box] > 0)], return_counts=True)
+        found[number] = set(labels[3 * cells >= cells.max(initial=0)].tolist())
+    return found
+
+
+def boxes(labels: Labels) -> dict[int, Box]:
+    """Return the bounding box of each label that has cells."""
+    return {number: box for number, box in enumerate(find_objects(labels), start=1) if box is not None}
+
+
+def _thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
+    """Label the 8-connected pieces of a mask that a disc fits into and that are large enough, in row order."""
+    # Beyond the lattice nothing is known, which must not make a piece thin.
+    margin = int(np.ceil(params.thickness_m / spec.cell_m)) + 1
+    padded = np.pad(mask, margin, mode="edge")
+    reach = params.thickness_m / spec.cell_m
+    opened = isotropic_opening(padded, reach)  # type: ignore[no-untyped-call]
+    # The disc rounds corners off, which are given back.
+    whole = isotropic_dilation(opened, reach)[margin:-margin, margin:-margin] & mask  # type: ignore[no-untyped-call]
+    pieces = label(whole, connectivity=2).astype(np.int32)  # type: ignore[no-untyped-call]
+    large = np.bincount(pieces.ravel()) * spec.cell_area_m2 >= params.least_m2
+    large[0] = False
+    number = np.cumsum(large, dtype=np.int32) * large
+    return np.asarray(number[pieces], dtype=np.int32)

@@ -1,0 +1,208 @@
+"""What a survey did to the buildings: every kind of change on small towns, and none where nothing changed."""
+
+import geopandas as gpd
+import numpy as np
+import pytest
+from pyproj import CRS
+from shapely import box
+from shapely.affinity import translate
+
+from msbdb.grid import Grid, lattice
+from msbdb.inventory.change import FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE, Comparison, compare
+from msbdb.inventory.offset import estimate_offset
+from msbdb.params.change import ChangeParams
+from msbdb.vector.polygons import rasterise
+
+UTM = CRS.from_epsg(32631)
+WEST, SOUTH = 500_000.0, 4_000_000.0
+SPEC = lattice((WEST, SOUTH, WEST + 200, SOUTH + 120), 0.5, UTM)
+
+House = tuple[float, float, float, float, float]
+"""West, south, east and north in metres from the corner, and the height."""
+
+ROW: list[House] = [(10.0 + 20 * n, 10.0, 22.0 + 20 * n, 22.0, 6.0 + n) for n in range(8)]
+"""Eight houses of 12 x 12 m that nothing happens to, so that the offset can be told."""
+
+
+def town(houses: list[House]) -> gpd.GeoDataFrame:
+    """Return footprints with heights."""
+    shapes = [box(WEST + w, SOUTH + s, WEST + e, SOUTH + n) for w, s, e, n, _ in houses]
+    return gpd.GeoDataFrame({"h_p90": [house[4] for house in houses]}, geometry=shapes, crs=UTM)
+
+
+def ground(houses: list[House], dx: float = 0.0) -> Grid:
+    """Return the heights above ground of a town, shifted to the east."""
+    frame = town(houses)
+    labels = rasterise([translate(shape, dx) for shape in frame.geometry], SPEC)
+    heights = np.concatenate([[0.0], frame["h_p90"].to_numpy()])
+    return Grid(heights[labels].astype(np.float32), np.ones(SPEC.shape, dtype=np.bool_), SPEC)
+
+
+def compared(before: list[House], after: list[House], **options: object) -> Comparison:
+    """Compare two towns whose heights are known on both sides."""
+    options.setdefault("earlier", [ground(before)])
+    return compare(town(before), town(after), heights=ground(after), **options)
+
+
+def kinds(found: Comparison) -> list[tuple[str, int, int]]:
+    """Return kind, before and after of all rows that are no bare 'unchanged'."""
+    rows = found.changes
+    told = rows[(rows["kind"] != "unchanged") | (rows["note"] != "")]
+    return list(zip(told["kind"], told["before"], told["after"], strict=True))
+
+
+def test_equal_towns_have_no_change() -> None:
+    """Every building has its row, and no version is written."""
+    found = compared(ROW, ROW)
+    assert found.changes["kind"].tolist() == ["unchanged"] * 8
+    assert found.versions.empty
+    assert found.changes["iou"].tolist() == pytest.approx([1.0] * 8)
+
+
+def test_a_house_is_new_where_nothing_stood() -> None:
+    """The newcomer continues nobody."""
+    found = compared(ROW, [*ROW, (60, 60, 75, 75, 9)])
+    assert kinds(found) == [("new", -1, 8)]
+    assert found.versions[["before", "after"]].to_numpy().tolist() == [[-1, 8]]
+
+
+def test_a_house_that_is_gone_is_demolished() -> None:
+    """It has no new version."""
+    found = compared(ROW, ROW[:7])
+    assert kinds(found) == [("demolished", 7, -1)]
+    assert found.versions.empty
+
+
+def test_an_extension_modifies_the_outline() -> None:
+    """The survey's outline is adopted whole."""
+    longer = (150.0, 10.0, 162.0, 28.0, 13.0)
+    found = compared(ROW, [*ROW[:7], longer])
+    row = found.changes.iloc[7]
+    assert (row["kind"], row["outline"], row["height"]) == ("modified", True, False)
+    assert row["darea_m2"] == pytest.approx(12 * 6)
+    assert found.versions["adopted"].tolist() == [True]
+
+
+def test_a_raised_house_is_modified_in_height_and_a_tower_on_it_in_parts() -> None:
+    """A rise of all of the roof is one of the building, that of a corner one of its parts."""
+    raised = compared(ROW, [*ROW[:7], (150, 10, 162, 22, 19)]).changes.iloc[7]
+    assert (raised["kind"], raised["outline"], raised["height"], raised["parts"]) == ("modified", False, True, False)
+    assert raised["dh_m"] == pytest.approx(6)
+    tower = ground([*ROW, (150, 10, 157, 17, 30)])
+    part = compare(town(ROW), town(ROW), heights=tower, earlier=[ground(ROW)]).changes.iloc[7]
+    assert (part["kind"], part["height"], part["parts"]) == ("modified", True, True)
+
+
+def test_houses_joined_by_building_in_the_gap_merge_into_the_larger() -> None:
+    """Both rows name the one building that is left."""
+    pair: list[House] = [(20, 60, 40, 80, 8), (46, 60, 60, 80, 8)]
+    found = compared([*ROW, *pair], [*ROW, (20, 60, 60, 80, 8)])
+    assert kinds(found) == [("merged", 8, 8), ("merged", 9, 8)]
+    assert found.versions[["before", "after"]].to_numpy().tolist() == [[8, 8]]
+
+
+def test_a_house_parted_by_demolition_splits() -> None:
+    """The larger part keeps the identity."""
+    found = compared([*ROW, (20, 60, 60, 80, 8)], [*ROW, (20, 60, 40, 80, 8), (46, 60, 60, 80, 8)])
+    assert kinds(found) == [("split", 8, 8), ("split", 8, 9)]
+    assert found.versions[["before", "after"]].to_numpy().tolist() == [[8, 8], [-1, 9]]
+
+
+def test_a_row_that_is_cut_otherwise_is_unchanged() -> None:
+    """Neighbours that one survey tells apart and another does not are the same houses."""
+    three: list[House] = [(20, 60, 30, 72, 8), (30, 60, 40, 72, 8), (40, 60, 50, 72, 8)]
+    joined: list[House] = [(20, 60, 50, 72, 8)]
+    for before, after in ((three, joined), (joined, three)):
+        assert kinds(compared([*ROW, *before], [*ROW, *after])) == []
+
+
+def test_of_a_joined_row_only_the_extended_house_is_modified() -> None:
+    """Its neighbours stay as they are, and its outline is put together from its own and the new part."""
+    three: list[House] = [(20, 60, 30, 72, 8), (30, 60, 40, 72, 8), (40, 60, 50, 72, 8)]
+    found = compared([*ROW, *three], [*ROW, (20, 60, 50, 72, 8), (40, 72, 50, 80, 8)])
+    # The extension is an object of its own here, joined to nothing of the inventory.
+    assert kinds(found) == [("new", -1, 9)]
+    block = gpd.GeoDataFrame(
+        {"h_p90": [8.0]}, geometry=[town([(20, 60, 50, 72, 8), (40, 72, 50, 80, 8)]).union_all()], crs=UTM
+    )
+    after = gpd.GeoDataFrame(gpd.pd.concat([town(ROW), block], ignore_index=True), crs=UTM)
+    heights = ground([*ROW, (20, 60, 50, 72, 8), (40, 72, 50, 80, 8)])
+    found = compare(town([*ROW, *three]), after, heights=heights, earlier=[ground([*ROW, *three])])
+    assert kinds(found) == [("modified", 10, 8)]
+    shape = found.versions.geometry.iloc[0]
+    assert not found.versions["adopted"].iloc[0]
+    assert shape.equals(box(WEST + 40, SOUTH + 60, WEST + 50, SOUTH + 80))
+
+
+def test_what_stood_before_is_not_new_and_what_stands_is_not_demolished() -> None:
+    """An extraction that misses a house, or finds it at last, is no change of the town."""
+    known = [ground(ROW)]
+    found = compare(town(ROW[:7]), town(ROW), heights=ground(ROW), earlier=known)
+    assert kinds(found) == [("unchanged", -1, 7)]
+    assert found.changes["note"].iloc[-1] == STOOD_BEFORE
+    found = compare(town(ROW), town(ROW[:7]), heights=ground(ROW), earlier=known)
+    assert kinds(found) == [("unchanged", 7, -1)]
+    assert found.changes["note"].iloc[-1] == NO_FOOTPRINT
+
+
+def test_the_first_survey_of_a_place_brings_new_buildings() -> None:
+    """Without an inventory all is new."""
+    found = compare(town([]), town(ROW), heights=ground(ROW))
+    assert set(found.changes["kind"]) == {"new"}
+    assert set(found.changes["note"]) == {FIRST_SURVEY}
+
+
+def test_buildings_outside_of_the_survey_have_no_row() -> None:
+    """Neither demolished nor unchanged: they were not surveyed."""
+    east = np.zeros(SPEC.shape, dtype=np.bool_)
+    east[:, 200:] = True
+    found = compared(ROW, [], surveyed=east)
+    assert found.changes["before"].tolist() == [5, 6, 7]
+    assert set(found.changes["kind"]) <= {"unchanged", "demolished"}
+
+
+@pytest.mark.parametrize("shift", [0.5, -1.5, 2.0])
+def test_a_shift_of_the_survey_is_told_and_is_no_change(shift: float) -> None:
+    """The offset is estimated to a cell, and a raised house is still found."""
+    moved = [(w + shift, s, e + shift, n, h) for w, s, e, n, h in ROW]
+    raised = [*moved[:7], (*moved[7][:4], 20.0)]
+    found = compare(town(ROW), town(raised), heights=ground(raised), earlier=[ground(ROW)])
+    assert found.offset.dx_m == pytest.approx(shift)
+    assert found.offset.dy_m == 0
+    assert kinds(found) == [("modified", 7, 7)]
+
+
+def test_a_vertical_offset_is_told_and_is_no_change() -> None:
+    """All roofs are 2 m higher: that is the ground of the survey, not the town."""
+    higher = [(*house[:4], house[4] + 2) for house in ROW]
+    found = compared(ROW, higher)
+    assert found.offset.dz_m == pytest.approx(2)
+    assert kinds(found) == []
+
+
+def test_an_inventory_of_bare_footprints_is_compared_by_outlines_and_heights() -> None:
+    """Without earlier heights of the place, the buildings' own tell a rise."""
+    after = [*ROW[:6], (*ROW[6][:4], 25.0), (150, 10, 162, 30, 13)]
+    found = compare(town(ROW), town(after), heights=ground(after))
+    assert kinds(found) == [("modified", 6, 6), ("modified", 7, 7)]
+    assert found.changes["height"].tolist()[6:] == [True, False]
+
+
+def test_slivers_and_small_annexes_are_no_change() -> None:
+    """Half a metre around a roof, or a shed of 9 m2, is below what counts."""
+    fat = [(w - 0.5, s - 0.5, e + 0.5, n + 0.5, h) for w, s, e, n, h in ROW]
+    assert kinds(compared(ROW, fat)) == []
+    assert kinds(compared(ROW, [*ROW[:7], (150, 10, 162, 22.5, 13)])) == []
+
+
+def test_few_pairs_tell_no_offset() -> None:
+    """Two houses may both have been extended."""
+    found = estimate_offset(town(ROW[:2]), town(ROW[:2]), least_pairs=5)
+    assert (found.dx_m, found.dy_m, found.dz_m, found.pairs) == (0, 0, 0, 2)
+
+
+def test_rows_come_in_order_and_of_known_kinds() -> None:
+    """Inventory first, then newcomers."""
+    found = compared(ROW, [*ROW[1:], (60, 60, 75, 75, 9)], params=ChangeParams())
+    assert found.changes["before"].tolist() == [*range(8), -1]
+    assert set(found.changes["kind"]) <= set(KINDS)
