@@ -4,10 +4,17 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from msbdb.cli.command import command
 from msbdb.cli.options import INPUT_FILE, crs_name, shared
 from msbdb.cli.output import emit, emit_json
+
+BY_AREA = ("layer", "aoi", "height", "overlap", "cell_m")
+"""Options that mean nothing by point."""
+
+BY_DATABASE = ("of", "survey")
+"""Options that mean nothing for a file of points."""
 
 
 @command(
@@ -15,9 +22,11 @@ from msbdb.cli.output import emit, emit_json
     examples=(
         "msbdb evaluate town.sqlite --reference cadastre.gpkg --layer buildings --aoi area.gpkg",
         "msbdb evaluate town.sqlite --reference classified.laz --crs EPSG:28992 --json",
+        "msbdb evaluate town.sqlite --reference classified.laz --by point --of area3d",
+        "msbdb evaluate found.laz --reference classified.laz",
     ),
 )
-@shared("db")
+@click.argument("db", metavar="DB_OR_POINTS")
 @click.option(
     "--reference",
     type=INPUT_FILE,
@@ -48,21 +57,48 @@ from msbdb.cli.output import emit, emit_json
 )
 @click.option(
     "--of",
-    type=click.Choice(["buildings", "confirmed", "parts", "flatregions"]),
+    type=click.Choice(["buildings", "confirmed", "parts", "flatregions", "area3d", "adaptive"]),
     default="buildings",
     show_default=True,
     help="What to compare with the reference.",
 )
+@click.option(
+    "--by",
+    type=click.Choice(["area", "point"]),
+    help="Compare footprints, or points with those of a LAS or LAZ reference. [default: area; point for a point file]",
+)
 @shared("survey", "json")
-def evaluate(*, db: str, reference: Path, as_json: bool, **options: Any) -> None:  # noqa: ANN401
-    """Compare the footprints with a reference.
+def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **options: Any) -> None:  # noqa: ANN401
+    """Compare the footprints of a database, or the class 6 of a point file, with a reference.
 
-    The report counts by area, by object (all, and those over 50 m2), by shape and by height, as the papers do.
+    The report counts by area, by object (all, and those over 50 m2), by shape and by height, as the papers do; by
+    point, it counts points. A point file is compared with a classified one of the same points.
     """
     from msbdb import pipeline
 
-    result = pipeline.evaluate(db, reference, **options).as_dict()
+    is_file = Path(db).suffix.lower() in (".las", ".laz")
+    if is_file or by == "point":
+        _refuse(BY_AREA, "a comparison by point")
+        if is_file:
+            _refuse(BY_DATABASE, f"a file of points, {db}")
+        if by == "area":
+            msg = f"A file of points is compared by point, {db}; leave out --by area, or name a database."
+            raise click.UsageError(msg)
+        how = {name: value for name, value in options.items() if name not in BY_AREA}
+        result = pipeline.evaluate_points(db, reference, **how).as_dict()
+    else:
+        result = pipeline.evaluate(db, reference, **options).as_dict()
     if as_json:
         emit_json(result)
     else:
         emit(result)
+
+
+def _refuse(names: tuple[str, ...], what: str) -> None:
+    """Refuse options that were given on the command line and would have no effect."""
+    ctx = click.get_current_context()
+    flags = {str(param.name): param.opts[-1] for param in ctx.command.params}
+    given = [flags[name] for name in names if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE]
+    if given:
+        msg = f"{', '.join(given)} has no meaning for {what}; leave it out."
+        raise click.UsageError(msg)

@@ -4,6 +4,7 @@ import click
 
 from msbdb.cli.build import build
 from msbdb.cli.classes import classes
+from msbdb.cli.classify import classify
 from msbdb.cli.evaluate import evaluate
 from msbdb.cli.export import export
 from msbdb.cli.info import info
@@ -21,7 +22,7 @@ def cli() -> None:
     """
 
 
-for _command in (build, info, classes, view, export, evaluate, params):
+for _command in (build, info, classes, view, export, evaluate, classify, params):
     cli.add_command(_command)
 
 

@@ -136,6 +136,35 @@ class FakePipeline(types.ModuleType):
         self._note("evaluate", **values)
         return types.SimpleNamespace(as_dict=lambda: {"area": {"quality": 0.91234}, "objects": {"all": {"found": 3}}})
 
+    def evaluate_points(self, found, reference, *, crs=None, survey=None, of="buildings"):
+        """Return counts."""
+        values = {name: value for name, value in locals().items() if name != "self"}
+        self._note("evaluate_points", **values)
+        return types.SimpleNamespace(as_dict=lambda: {"matched": "order", "points": {"tp": 5, "fp": 0}})
+
+    def classify(
+        self,
+        source,
+        out,
+        *,
+        extract=("area3d",),
+        crs=None,
+        ortho=(),
+        ortho_crs=None,
+        z_unit="auto",
+        params=None,
+        profile="default",
+        keep=False,
+        overwrite=False,
+        progress=None,
+    ):
+        """Write nothing and return a report."""
+        values = {name: value for name, value in locals().items() if name != "self"}
+        self._note("classify", **values)
+        counts = {"points": 900, "building_points": 300, "regions": {"area3d": 4}, "changed": 20, "demoted": 1}
+        told = {**counts, "notices": ("It is COPC.",), "timings": {"read": 0.5}}
+        return types.SimpleNamespace(**told, as_dict=lambda: told)
+
 
 @pytest.fixture
 def pipeline(monkeypatch, tmp_path):
@@ -168,7 +197,7 @@ def test_every_command_has_help_with_examples(name):
     assert all(option.help for option in options)
 
 
-@pytest.mark.parametrize("name", sorted({"build", "info", "classes", "evaluate", "params"}))
+@pytest.mark.parametrize("name", sorted({"build", "info", "classes", "classify", "evaluate", "params"}))
 def test_every_reporting_command_has_json(name, pipeline):
     """With --json the standard output is one JSON value and nothing else."""
     Path("a.laz").touch()
@@ -176,6 +205,7 @@ def test_every_reporting_command_has_json(name, pipeline):
         "build": ["--points", "a.laz", "--db", "x"],
         "info": ["x"],
         "classes": ["x"],
+        "classify": ["a.laz", "b.laz"],
         "evaluate": ["x", "--reference", "a.laz"],
         "params": [],
     }[name]
@@ -216,7 +246,9 @@ def test_build_hands_everything_over(pipeline):
     assert values["progress"] is None, "no bars where the standard error is no terminal"
 
 
-@pytest.mark.parametrize("name", ["build", "info", "relabel", "classes", "view", "export", "evaluate"])
+@pytest.mark.parametrize(
+    "name", ["build", "info", "relabel", "classes", "view", "export", "evaluate", "evaluate_points", "classify"]
+)
 def test_the_fake_is_called_as_the_pipeline_is(name):
     """The stand-in of these tests takes the arguments of the real function, by the same names."""
     from msbdb import pipeline as real
@@ -451,6 +483,61 @@ def test_export_view_and_evaluate_pass_their_options(pipeline):
     values = pipeline.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
     assert "0.912" in result.stdout
+
+
+def test_classify_passes_its_options_and_reports(pipeline):
+    """Names, lists, flags and parameters; notices go to the standard error."""
+    for name in ("a.laz", "o.tif", "p.tif"):
+        Path(name).touch()
+    result = run(
+        *("classify", "a.laz", "b.las", "--extract", "multiscale,adaptive", "--crs", "2154", "--ortho", "o.tif"),
+        *("--ortho", "p.tif", "--set", "surface.mask_m=3", "--profile", "vu2009", "--keep", "--overwrite"),
+    )
+    assert result.exit_code == 0, result.stderr
+    name, values = pipeline.calls[0]
+    assert name == "classify"
+    assert (values["source"], values["out"]) == (Path("a.laz"), Path("b.las"))
+    assert (values["extract"], values["crs"], values["profile"]) == (("multiscale", "adaptive"), "EPSG:2154", "vu2009")
+    assert tuple(values["ortho"]) == (Path("o.tif"), Path("p.tif"))
+    assert (values["keep"], values["overwrite"], values["params"].surface.mask_m) == (True, True, 3.0)
+    assert "Notice: It is COPC." in result.stderr
+    for line in ("regions by area3d 4", "building points 300", "written b.las"):
+        assert line in " ".join(result.stdout.split())
+    assert run("classify", "a.laz", "b.las").exit_code == 0
+    assert (pipeline.calls[1][1]["extract"], pipeline.calls[1][1]["keep"]) == (("area3d",), False)
+
+
+def test_point_files_and_by_point_are_evaluated_by_point(pipeline):
+    """Each with the options that mean something for it."""
+    Path("r.laz").touch()
+    result = run("evaluate", "a.LAZ", "--reference", "r.laz", "--crs", "2154")
+    assert result.exit_code == 0, result.stderr
+    assert run("evaluate", "x", "--reference", "r.laz", "--by", "point", "--of", "area3d", "--json").exit_code == 0
+    assert run("evaluate", "x", "--reference", "r.laz", "--by", "area").exit_code == 0
+    names = [name for name, _ in pipeline.calls]
+    assert names == ["evaluate_points", "evaluate_points", "evaluate"]
+    assert pipeline.calls[0][1]["crs"] == "EPSG:2154"
+    assert (pipeline.calls[1][1]["found"], pipeline.calls[1][1]["of"]) == ("x", "area3d")
+    assert "order" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["a.laz", "--overlap", "0.5"], "--overlap has no meaning for a comparison by point"),
+        (["x", "--by", "point", "--layer", "b", "--cell", "1"], "--layer, --cell has no meaning"),
+        (["a.laz", "--of", "parts"], "--of has no meaning for a file of points"),
+        (["a.laz", "--survey", "s", "--by", "point"], "--survey has no meaning"),
+        (["a.laz", "--by", "area"], "is compared by point"),
+    ],
+)
+def test_options_without_effect_are_refused(args, says, pipeline):
+    """Rather than ignored."""
+    Path("r.laz").touch()
+    result = run("evaluate", *args, "--reference", "r.laz")
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert pipeline.calls == []
 
 
 def test_params_lists_every_parameter():
