@@ -268,7 +268,7 @@ def _find_candidates(method: str, scene: _Scene) -> tuple[Mask, int]:
     from msbdb.pipeline.candidates import point_candidates  # type: ignore[attr-defined]
 
     ndvi = point_ndvi(scene.bands, scene.cloud)
-    found = point_candidates(method, scene.cloud, scene.surface, ndvi, scene.params, scene.survey)
+    found = point_candidates(method, scene.cloud, scene.surface, ndvi=ndvi, params=scene.params, survey=scene.survey)
     return found.labels > 0, len(found.regions)
 
 

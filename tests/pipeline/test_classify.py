@@ -1,0 +1,77 @@
+"""What decides of a point: its cell and height, or its label; and the colours that extractors on points are given."""
+
+import sys
+
+import laspy
+import numpy as np
+import pytest
+from affine import Affine
+from files import write_points
+from pyproj import CRS
+from scenes import SCENES
+
+import msbdb.pipeline
+from msbdb.bands import Bands
+from msbdb.extract.candidates import Candidates
+from msbdb.grid import GridSpec
+from msbdb.io.las import read_points
+from msbdb.pointcloud import PointCloud
+from msbdb.tables import CANDIDATE_REGION, REJECTION
+
+module = sys.modules["msbdb.pipeline.classify"]  # the package has a function of this name
+
+UTM33 = CRS.from_epsg(32633)
+SPEC = GridSpec((2, 3), Affine(2.0, 0.0, 100.0, 0.0, -2.0, 204.0), UTM33)
+
+
+def cloud_at(*places):
+    """Return points at (easting, northing)."""
+    x, y = np.array(places, dtype=np.float64).T
+    return PointCloud(x, y, np.zeros(len(x)), crs=UTM33)
+
+
+def test_cell_and_height_decide_together():
+    """A point outside of the lattice, below the mask, or of unknown height is no building."""
+    cells = np.array([[True, False, False], [False, False, True]])
+    cloud = cloud_at((101, 203), (103, 203), (105, 201), (101, 203), (99, 203), (101, 205), (107, 201), (105, 201))
+    heights = np.array([2.0, 9.0, 5.0, 1.99, 9.0, 9.0, 9.0, np.nan])
+    taken = module.points_in(cells, SPEC, cloud, heights, 2.0)
+    np.testing.assert_array_equal(taken, [True, False, True, False, False, False, False, False])
+
+
+def test_points_take_the_vegetation_index_of_their_cells():
+    """(nir - red) / (nir + red); unknown where there is no colour, no cell, or black; none without both bands."""
+    red = np.array([[10, 30, 0], [50, 20, 20]], dtype=np.float32)
+    nir = np.array([[30, 10, 0], [50, 0, 60]], dtype=np.float32)
+    valid = np.array([[True, True, True], [True, True, False]])
+    bands = Bands(np.stack([red, nir]), ("red", "nir"), valid, SPEC)
+    cloud = cloud_at((101, 203), (103, 203), (105, 203), (101, 201), (103, 201), (105, 201), (99, 201))
+    index = module.point_ndvi(bands, cloud)
+    assert index.dtype == np.float32
+    np.testing.assert_allclose(index, [0.5, -0.5, np.nan, 0.0, -1.0, np.nan, np.nan])
+    assert module.point_ndvi(None, cloud) is None
+    assert module.point_ndvi(Bands(red[None], ("red",), valid, SPEC), cloud) is None
+
+
+@pytest.mark.parametrize("method", ["area3d", "adaptive"])
+def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch, method):
+    """A labelled point is a building, whatever its cell and height; the extractor sees cloud, surface and colours."""
+    source = write_points(tmp_path / "town.laz", SCENES["podium_tower"](density=1.0).points)
+    seen = {}
+
+    def point_candidates(name, cloud, surface, *, ndvi, params, survey):
+        seen.update(name=name, cloud=cloud, surface=surface, ndvi=ndvi, params=params, survey=survey)
+        labels = (np.arange(len(cloud)) % 3).astype(np.int32)
+        return Candidates(name, labels, CANDIDATE_REGION.empty(), REJECTION.empty(), {})
+
+    monkeypatch.setattr(
+        sys.modules["msbdb.pipeline.build"], "EXTRACTORS", ("adaptive", "area3d", "flatregions", "multiscale")
+    )
+    monkeypatch.setattr("msbdb.pipeline.candidates.point_candidates", point_candidates, raising=False)
+    report = msbdb.pipeline.classify(source, tmp_path / "out.laz", extract=(method,))
+    cloud, _ = read_points(source)
+    np.testing.assert_array_equal(laspy.read(tmp_path / "out.laz").classification == 6, np.arange(len(cloud)) % 3 > 0)
+    assert (seen["name"], seen["survey"], seen["ndvi"].shape) == (method, "town", (len(cloud),))
+    np.testing.assert_array_equal(seen["cloud"].x, cloud.x)
+    assert seen["surface"].ndsm.spec.crs == cloud.crs
+    assert (report.regions, report.building_points) == ({method: 0}, np.count_nonzero(np.arange(len(cloud)) % 3))
