@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from msbdb.grid import Grid, GridSpec
 from msbdb.inventory.offset import Offset, estimate_offset, moved
-from msbdb.inventory.pieces import Box, Epochs, Labels, Mask, Pieces, boxes, earlier_heights, find_pieces, touching
+from msbdb.inventory.pieces import (
+    Box,
+    Epochs,
+    Labels,
+    Mask,
+    Pieces,
+    boxes,
+    earlier_heights,
+    find_pieces,
+    thick,
+    touching,
+)
 from msbdb.params.change import ChangeParams
 from msbdb.vector.polygons import polygonise, rasterise
 
@@ -107,10 +118,11 @@ def compare(
     inside = heights.valid if surveyed is None else heights.valid & surveyed
     shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
     epochs = Epochs(
-        rasterise(shifted, spec),
-        rasterise(after.geometry, spec),
+        _painted(shifted, spec),
+        _painted(after.geometry.to_numpy(), spec),
         inside,
         Grid(rise, known.valid & heights.valid, spec),
+        heights,
         known,
     )
     book = _Book(before, after, shifted, epochs, find_pieces(epochs, params), offset, params)
@@ -224,8 +236,9 @@ class _Book:
         own = self.links.get(i, [])
         box = self.box_before[i]
         stood = self.epochs.before[box] == i
-        lost = _counted(self.pieces.loss[box][stood])
-        if sum(lost.values()) >= self.params.gone_share * max(int(self.seen[i]), 1):
+        gone = np.count_nonzero(self.pieces.loss[box][stood])
+        lost = self._own(self.pieces.loss, i)
+        if gone >= self.params.gone_share * max(int(self.seen[i]), 1):
             self._note("demolished", i, 0)
             return
         self.used.update(own)
@@ -233,7 +246,7 @@ class _Book:
         if len(parted) > 1:
             self._split(i, parted)
             return
-        lifted = sum(_counted(self.pieces.lift[box][stood]).values())
+        lifted = sum(self._own(self.pieces.lift, i).values())
         outline = bool(lost) or i in self.gains_of
         height = lifted > 0 or (bool(own) and self._rose_by_attributes(i, own[0]))
         if not own:
@@ -246,6 +259,18 @@ class _Book:
             self.versions.append((i - 1, own[0] - 1, adopted, shape))
         else:
             self._note("unchanged", i, own[0])
+
+    def _own(self, pieces: Labels, i: int) -> dict[int, int]:
+        """Count the cells of each piece inside a building, where they are thick and many in it alone.
+
+        What happens to its neighbour reaches a strip along the wall that both share.
+        """
+        box = self.box_before[i]
+        inside = np.where(self.epochs.before[box] == i, pieces[box], 0)
+        if not inside.any():
+            return {}
+        numbers, cells = np.unique(inside[thick(inside > 0, self.spec, self.params) > 0], return_counts=True)
+        return {int(n): int(count) for n, count in zip(numbers, cells, strict=True)}
 
     def _split(self, i: int, parted: list[int]) -> None:
         """Part a building into several, of which the one that shares most keeps its identity."""
@@ -364,6 +389,13 @@ class _Book:
         return frame.astype({"before": "int64", "after": "int64", "adopted": "bool"})
 
 
+def _painted(shapes: NDArray[np.object_], spec: GridSpec) -> Labels:
+    """Return the cells of footprints by row number + 1; of two that overlap the smaller lies on top."""
+    order = np.argsort(-shapely.area(shapes), kind="stable")
+    number = np.concatenate([[0], order + 1]).astype(np.int32)
+    return np.asarray(number[rasterise(shapes[order], spec)])
+
+
 def _shared(epochs: Epochs, cell_area_m2: float) -> dict[tuple[int, int], float]:
     """Return the area that each pair of footprints shares."""
     both = (epochs.before > 0) & (epochs.after > 0)
@@ -386,9 +418,3 @@ def _around(found: list[Box]) -> Box:
     """Return the box around boxes."""
     rows, cols = zip(*found, strict=True)
     return tuple(slice(min(s.start for s in side), max(s.stop for s in side)) for side in (rows, cols))  # type: ignore[return-value]
-
-
-def _counted(pieces: NDArray[np.int32]) -> dict[int, int]:
-    """Count the cells of each piece."""
-    numbers, cells = np.unique(pieces, return_counts=True)
-    return {int(n): int(count) for n, count in zip(numbers, cells, strict=True) if n}

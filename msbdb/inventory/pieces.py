@@ -31,14 +31,15 @@ class Epochs:
     rise : Grid
         Height above ground now less that of before, without the vertical offset, metres; invalid where the earlier one
         is not known.
-    earlier : Grid
-        Height above ground before, metres; invalid where it is not known.
+    heights, earlier : Grid
+        Height above ground now and before, metres; the latter is invalid where it is not known.
     """
 
     before: Labels
     after: Labels
     surveyed: Mask
     rise: Grid
+    heights: Grid
     earlier: Grid
 
 
@@ -90,13 +91,16 @@ def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     values = np.asarray(rise.values)
     rose = ~rise.valid | (values >= params.rise_m)
     fell = ~rise.valid | (values <= -params.rise_m)
-    gain = in_after & ~in_before & epochs.surveyed & rose
-    loss = in_before & ~in_after & epochs.surveyed & fell
-    lift = in_after & in_before & epochs.surveyed & rise.valid & (np.abs(values) >= params.rise_m)
+    # A courtyard that an extraction closed over carries no roof.
+    stood = in_before & ~(epochs.earlier.valid & (np.asarray(epochs.earlier.values) < params.rise_m))
+    stands = in_after & (np.asarray(epochs.heights.values) >= params.rise_m)
+    gain = stands & ~stood & epochs.surveyed & rose
+    loss = in_before & ~stands & epochs.surveyed & fell
+    lift = stands & stood & epochs.surveyed & rise.valid & (np.abs(values) >= params.rise_m)
     # Raised and sunken parts may touch, but are not one piece.
-    up, down = (_thick(lift & side, rise.spec, params) for side in (values > 0, values < 0))
+    up, down = (thick(lift & side, rise.spec, params) for side in (values > 0, values < 0))
     down[down > 0] += up.max(initial=0)
-    return Pieces(_thick(gain, rise.spec, params), _thick(loss, rise.spec, params), np.where(up > 0, up, down))
+    return Pieces(thick(gain, rise.spec, params), thick(loss, rise.spec, params), np.where(up > 0, up, down))
 
 
 def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dict[int, set[int]]:
@@ -124,7 +128,7 @@ def boxes(labels: Labels) -> dict[int, Box]:
     return {number: box for number, box in enumerate(find_objects(labels), start=1) if box is not None}
 
 
-def _thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
+def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     """Label the 8-connected pieces of a mask that a disc fits into and that are large enough, in row order."""
     # Beyond the lattice nothing is known, which must not make a piece thin.
     margin = int(np.ceil(params.thickness_m / spec.cell_m)) + 1
