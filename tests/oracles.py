@@ -1,7 +1,8 @@
 """The shortest possible definitions of the morphology: slow, obvious, and never to be optimised."""
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, sparse
+from scipy.spatial import cKDTree
 
 STRUCTURES = {4: ndimage.generate_binary_structure(2, 1), 8: ndimage.generate_binary_structure(2, 2)}
 
@@ -122,3 +123,40 @@ def window_extremes(values, valid, window_px):
         lowest[row, col] = values[window][valid[window]].min()
         highest[row, col] = values[window][valid[window]].max()
     return lowest, highest
+
+
+def connected_pairs(x, y, z, distance):
+    """Return all ordered pairs of points that are nearer to each other than a distance (Cao & Wu, Definition 1)."""
+    square = sum((column[:, None] - column[None, :]) ** 2 for column in (x, y, z))
+    near = square < distance * distance
+    np.fill_diagonal(near, val=False)
+    return [(int(one), int(other)) for one, other in np.argwhere(near)]
+
+
+def tree_pairs(x, y, z, distance):
+    """Return the same pairs as a search tree finds them; it takes a distance of just the limit for near."""
+    pairs = cKDTree(np.stack([x, y, z], axis=1)).query_pairs(distance, output_type="ndarray")
+    return sorted((int(one), int(other)) for a, b in pairs for one, other in ((a, b), (b, a)))
+
+
+def point_components(mask, graph):
+    """Label the components of the graph between the points of a set, in the order of their first points; 0 outside."""
+    matrix = sparse.csr_array((np.ones(graph.indices.size), graph.indices, graph.indptr), shape=(mask.size, mask.size))
+    labels = np.zeros(mask.size, dtype=np.int32)
+    if mask.any():
+        _, found = sparse.csgraph.connected_components(matrix[mask][:, mask], directed=False)
+        _, first, inverse = np.unique(found, return_index=True, return_inverse=True)
+        labels[mask] = np.argsort(np.argsort(first))[inverse] + 1
+    return labels
+
+
+def point_opening(mask, graph, threshold, weights=None):
+    """Keep the components of a set whose points weigh at least T_a together (Cao & Wu, Eq. 1)."""
+    labels = point_components(mask, graph)
+    areas = np.bincount(labels, weights=weights, minlength=1)
+    return mask & (areas >= threshold)[labels]
+
+
+def point_closing(mask, graph, threshold, weights=None):
+    """Add to a set the components of the others that weigh less than T_a together (Cao & Wu, Eq. 2)."""
+    return ~point_opening(~mask, graph, threshold, weights)

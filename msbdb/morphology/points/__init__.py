@@ -1,11 +1,28 @@
 """Morphology on the points themselves, without a lattice (Cao & Wu, C1 to C7): their cells, graph and filters."""
 
+from msbdb.morphology.points.area import (
+    PointScaleSpace,
+    area_closing,
+    area_open_close,
+    area_opening,
+    build_point_scale_space,
+    components,
+)
 from msbdb.morphology.points.cells import CellIndex, cell_at, cell_place, index_cells, strip
+from msbdb.morphology.points.graph import PointGraph, connect
 
 __all__ = [
     "CellIndex",
+    "PointGraph",
+    "PointScaleSpace",
+    "area_closing",
+    "area_open_close",
+    "area_opening",
+    "build_point_scale_space",
     "cell_at",
     "cell_place",
+    "components",
+    "connect",
     "index_cells",
     "strip",
 ]

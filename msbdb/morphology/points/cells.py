@@ -110,6 +110,7 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
             "Take larger cells, or drop the points that lie far from the others."
         )
         raise ParameterError(msg)
+    x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
     keys = _keys(x, y, (west, south, float(cell_m)), cols)
     order = _order(keys, rows * cols)
     keys = keys[order]
