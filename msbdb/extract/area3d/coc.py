@@ -1,0 +1,122 @@
+"""Change of curvature: what tells crowns from roofs among the points (Cao & Wu, Eq. 7)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from msbdb.threads import cores
+
+BATCH = 1 << 15
+"""Points worked on at once: their neighbours' coordinates stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """What the neighbourhood of each point looks like.
+
+    Parameters
+    ----------
+    curvature : (N,) ndarray of float64
+        COC of Eq. 7, from 0 on a plane to 1/3 where points fill the space evenly.
+    echo_share : (N,) ndarray of float64
+        Share of the neighbours whose pulse gave several echoes; 0 where nothing is known of echoes.
+    """
+
+    curvature: NDArray[np.float64]
+    echo_share: NDArray[np.float64]
+
+
+def measure_structure(
+    points: NDArray[np.float64], several: NDArray[np.bool_] | None, *, neighbours: int, thin_m: float
+) -> Structure:
+    """Measure the change of curvature of points, and their share of several echoes (C16, A18).
+
+    Parameters
+    ----------
+    points : (N, 3) ndarray of float64, metres
+        Points of the on-set, from an origin nearby, so that squares keep their digits.
+    several : (N,) ndarray of bool, optional
+        Which points are of pulses with several echoes; None where nothing is known of echoes.
+    neighbours : int
+        K; the point itself is one of them. Of fewer points, all.
+    thin_m : float
+        The first point in each cube of this side stands for all of them, and they get what it gets; 0 asks all points.
+
+    Notes
+    -----
+    The paper's Eq. 7 defines COC by itself; our reading (A18): the eigenvalues λ1 >= λ2 >= λ3 of the K nearest points'
+    covariance give λ3 / (λ1 + λ2 + λ3), and a point's COC is the least of its K nearest points'. So the edge of a roof
+    is as smooth as the roof beside it, and a crown has no smooth part. Equal points alone have COC 0.
+
+    The cubes lie on an absolute lattice from the points' origin. O(n log n); the order of equally near neighbours is
+    that of the points.
+    """
+    if len(points) == 0:
+        return Structure(np.zeros(0), np.zeros(0))
+    first, of = _one_a_cube(points, thin_m)
+    sample = points[first]
+    tree = cKDTree(sample, balanced_tree=False, compact_nodes=False)
+    _, around = tree.query(sample, k=np.arange(1, min(neighbours, len(sample)) + 1), workers=cores())
+    curvature = _variation(sample, around)[around].min(axis=1)
+    share = np.zeros(len(sample)) if several is None else several[first][around].mean(axis=1)
+    return Structure(curvature[of], share[of])
+
+
+def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first point of each cube, and the number of each point's cube; cubes of no size have a point each."""
+    if side_m <= 0:
+        return np.arange(len(points)), np.arange(len(points))
+    cube = np.floor(points / side_m).astype(np.int64)
+    cube -= cube.min(axis=0)
+    _, column = np.unique(cube[:, 0] * (cube[:, 1].max() + 1) + cube[:, 1], return_inverse=True)
+    _, first, of = np.unique(column * (cube[:, 2].max() + 1) + cube[:, 2], return_index=True, return_inverse=True)
+    return first, of
+
+
+def _variation(points: NDArray[np.float64], around: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return λ3 / (λ1 + λ2 + λ3) of the covariance of each (N, K) set of points."""
+    found = np.empty(len(around))
+    for start in range(0, len(around), BATCH):
+        of = slice(start, start + BATCH)
+        x, y, z = (points[:, axis][around[of]] for axis in range(3))
+        for values in (x, y, z):
+            values -= values.mean(axis=1, keepdims=True)
+        pairs = ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))
+        found[of] = smallest_share(np.stack([np.einsum("nk,nk->n", a, b) for a, b in pairs]))
+    return found
+
+
+def smallest_share(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the smallest eigenvalue of positive semidefinite symmetric 3 x 3 matrices over their trace.
+
+    Parameters
+    ----------
+    matrices : (6, N) ndarray of float64
+        Their elements xx, yy, zz, xy, xz and yz.
+
+    Returns
+    -------
+    (N,) ndarray of float64
+        From 0 to 1/3; 0 for the matrix 0.
+
+    Notes
+    -----
+    In closed form, by the trigonometric solution of the cubic [1]_: six times as fast as LAPACK's general solver, and
+    within 1e-7 of the trace of its answer, which the thresholds of 1e-3 to 1e-2 do not feel.
+
+    References
+    ----------
+    .. [1] Smith, O.K., 1961. Eigenvalues of a symmetric 3 x 3 matrix. Communications of the ACM 4 (4), 168.
+       doi:10.1145/355578.366316.
+    """
+    trace = matrices[:3].sum(axis=0)
+    a, b, c, f, g, h = matrices / np.where(trace > 0, trace, 1.0)
+    a, b, c = a - 1 / 3, b - 1 / 3, c - 1 / 3
+    p = np.sqrt((a * a + b * b + c * c + 2 * (f * f + g * g + h * h)) / 6)
+    determinant = a * (b * c - h * h) - f * (f * c - h * g) + g * (f * h - b * g)
+    cube = 2 * p**3
+    ratio = np.clip(determinant / np.where(cube > 0, cube, 1.0), -1, 1)
+    smallest = 1 / 3 + 2 * p * np.cos(np.arccos(ratio) / 3 + 2 * np.pi / 3)
+    return np.where(trace > 0, np.maximum(smallest, 0), 0.0)

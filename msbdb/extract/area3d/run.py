@@ -1,0 +1,181 @@
+"""The extraction of building regions among the points from end to end (Cao & Wu, section 2.2)."""
+
+import logging
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.errors import InputError, NodataError
+from msbdb.extract.area3d.coc import Structure, measure_structure
+from msbdb.extract.area3d.density import measure_density
+from msbdb.extract.area3d.heights import height_scales
+from msbdb.extract.area3d.regions import METHOD, Books, Cloud, Labels, describe, places
+from msbdb.extract.area3d.scales import Scene, fuse_over_heights
+from msbdb.extract.candidates import Candidates
+from msbdb.grid import GridSpec
+from msbdb.morphology.points import PointGraph, area_open_close, components, connect
+from msbdb.params import Area3dParams, Params
+from msbdb.pointcloud import PointCloud
+
+logger = logging.getLogger(__name__)
+
+ORIGIN_M = 1000.0
+"""Coordinates are counted from a multiple of this, so that their squares keep their digits."""
+
+
+def extract_area3d(
+    cloud: PointCloud,
+    heights: NDArray[np.float64],
+    *,
+    spec: GridSpec,
+    survey: str,
+    params: Params,
+    ndvi: NDArray[np.float32] | None = None,
+) -> Candidates:
+    """Extract the regions of points that may be buildings.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        All echoes, outliers gone. Classes are not looked at.
+    heights : (N,) ndarray of float64, metres
+        The normalised cloud's third coordinate: heights above ground of the points, finite.
+    spec : GridSpec
+        The survey's lattice, from which regions take their ids.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Sections ``area3d`` and, of ``surface``, the mask.
+    ndvi : (N,) ndarray of float32, optional
+        NDVI of the points, NaN where unknown.
+
+    Returns
+    -------
+    Candidates
+        Possibly without regions.
+
+    Raises
+    ------
+    InputError
+        When heights or NDVI are not one a point, or a height or a coordinate is not finite.
+    NodataError
+        When there is no point.
+
+    Notes
+    -----
+    At each height scale h_j (C14) the connected components of the opened and closed on-set (C1 to C7) lose their
+    crowns (C16), and those of the components left that are as large as T_a are judged by their shape (C8 to C12, C17,
+    C18). The fusion over heights is the union (C19): as AOC filters one function, components at a higher h_j lie
+    within those at a lower one; so a region is accepted at the lowest height that accepts it, and what lies within it
+    higher up is absorbed. Higher scales thus add regions that are joined to something else lower down.
+
+    The change of curvature is measured once, among the points of the lowest on-set, so that the components without
+    crowns are nested too.
+
+    The result does not depend on the points' order. Complexity: O(N log N) and O(N) a height scale. Border: a
+    building cut by the border is judged by what is left of it. Halo: none suffices, as components are of any extent.
+    """
+    _require(cloud, heights, ndvi)
+    order = _canonical_order(cloud, heights, ndvi)
+    scene, scales = _prepare(cloud.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
+    books = Books(scene.cloud, spec, survey)
+    accepted = fuse_over_heights(scene, scales, books)
+    regions = describe(
+        scene.cloud,
+        accepted.labels,
+        scene.shapes(accepted.labels, len(accepted.rule)),
+        rule=accepted.rule,
+        height_scale_m=accepted.height_m,
+        spec=spec,
+        survey=survey,
+    )
+    logger.info("area3d: %d regions at the heights %s m", len(regions), scales)
+    return _in_order_of_ids(accepted.labels, regions, order, books)
+
+
+def _require(cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.float32] | None) -> None:
+    """Refuse clouds without points, arrays of another length, and numbers that are none."""
+    if len(cloud) == 0:
+        msg = (
+            "There is no point among which buildings could be sought; check the extent and the classes that were read."
+        )
+        raise NodataError(msg)
+    for name, values in (("heights", heights), ("ndvi", ndvi)):
+        if values is not None and values.shape != (len(cloud),):
+            msg = f"The {name} must be one a point, of {len(cloud)}; got the shape {values.shape}."
+            raise InputError(msg)
+    for name, values in (("height above ground", heights), ("x", cloud.x), ("y", cloud.y), ("z", cloud.z)):
+        strange = len(cloud) - int(np.count_nonzero(np.isfinite(values)))
+        if strange:
+            msg = f"The {name} is NaN or infinite at {strange} of {len(cloud)} points. Drop or interpolate them first."
+            raise InputError(msg)
+
+
+def _canonical_order(
+    cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.float32] | None
+) -> NDArray[np.intp]:
+    """Return the index that sorts the points by place, and equal places by all else that counts."""
+    keys = [heights, cloud.z, cloud.y, cloud.x]
+    echoes = [values for values in (cloud.return_number, cloud.number_of_returns, ndvi) if values is not None]
+    order: NDArray[np.intp] = np.lexsort([*echoes, *keys])
+    return order
+
+
+def _prepare(
+    cloud: PointCloud,
+    heights: NDArray[np.float64],
+    ndvi: NDArray[np.float32] | None,
+    spec: GridSpec,
+    params: Params,
+) -> tuple[Scene, tuple[float, ...]]:
+    """Build what all height scales share from the points in canonical order, and choose the scales."""
+    own, mask_m = params.area3d, params.surface.mask_m
+    points = np.column_stack([cloud.x, cloud.y, cloud.z])
+    origin = np.floor(points.min(axis=0) / ORIGIN_M) * ORIGIN_M
+    points -= origin
+    x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))
+    density = measure_density(x, y, cloud.first_echo)
+    graph = connect(x, y, z, own.link_spacings * density.spacing_m)
+    filtered = _open_close(heights, graph, density.area_m2, own.smallest_m2)
+    scales = height_scales(heights, own, mask_m=mask_m)
+    several = cloud.number_of_returns > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
+    structure = _structure(points, several, filtered >= scales[0], own)
+    green = None if ndvi is None else ndvi.astype(np.float64)
+    place = places(spec, cloud.x, cloud.y)
+    known = Cloud(points, heights, density.area_m2, several, green, place, origin[:2])
+    return Scene(known, graph, filtered, density.spacing_m, structure, own, mask_m), scales
+
+
+def _open_close(
+    heights: NDArray[np.float64], graph: PointGraph, area_m2: NDArray[np.float64], smallest_m2: float
+) -> NDArray[np.float64]:
+    """Filter the heights by AOC (C6); islands of less than T_a, which no height tells on from off, are never on."""
+    filtered = area_open_close(heights, graph, smallest_m2, weights=area_m2)
+    islands, count = components(np.ones(len(heights), dtype=np.bool_), graph)
+    small = np.bincount(islands - 1, area_m2, count) < smallest_m2
+    filtered[small[islands - 1]] = -np.inf
+    return filtered
+
+
+def _structure(
+    points: NDArray[np.float64], several: NDArray[np.bool_] | None, on: NDArray[np.bool_], own: Area3dParams
+) -> Structure:
+    """Measure the structure of the points of the on-set; it is 0 for all others."""
+    found = measure_structure(
+        points[on], None if several is None else several[on], neighbours=own.neighbours, thin_m=own.thin_m
+    )
+    spread = Structure(np.zeros(len(on)), np.zeros(len(on)))
+    spread.curvature[on], spread.echo_share[on] = found.curvature, found.echo_share
+    return spread
+
+
+def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.intp], books: Books) -> Candidates:
+    """Put the regions in the order of their ids, and the labels in that of the cloud."""
+    by_id = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
+    rank = np.zeros(len(by_id) + 1, dtype=np.int32)
+    rank[by_id + 1] = np.arange(1, len(by_id) + 1)
+    found = np.empty(len(labels), dtype=np.int32)
+    found[order] = rank[labels]
+    rows = regions.iloc[by_id].reset_index(drop=True)
+    return Candidates(METHOD, found, rows, books.rejections(), books.counts)

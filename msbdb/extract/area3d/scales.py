@@ -1,0 +1,218 @@
+"""Regions at the height scales, from the on-sets to the accepted ones, and their fusion (Cao & Wu, section 2.2)."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.extract.area3d.coc import Structure
+from msbdb.extract.area3d.regions import Books, Cloud, Labels
+from msbdb.extract.area3d.regrow import grow_regions
+from msbdb.extract.area3d.rules import judge, reasons_against
+from msbdb.extract.area3d.shape import Shapes, measure_shapes
+from msbdb.morphology.points import PointGraph, components
+from msbdb.params import Area3dParams
+
+logger = logging.getLogger(__name__)
+
+WITHIN = "within a region accepted at a lower height"
+SMALL = "smaller than T_a"
+LEAVES = "change of curvature or echoes of a crown"
+REST = "smaller than T_a beside its crowns"
+CROWN = "a crown by its curvature and echoes"
+GREEN = "a crown by its NDVI"
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What all height scales share.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        The points in canonical order.
+    graph : PointGraph
+        Which points are connected (C2).
+    filtered : (N,) ndarray of float64, metres
+        Heights after opening and closing by area: the on-set of h_j is where they are no lower (C6, C7).
+    spacing_m : float
+        Mean point spacing.
+    structure : Structure
+        Of all points; measured on the lowest on-set, 0 elsewhere.
+    params : Area3dParams
+        The section of this extractor.
+    mask_m : float
+        Lower points are no building.
+    """
+
+    cloud: Cloud
+    graph: PointGraph
+    filtered: NDArray[np.float64]
+    spacing_m: float
+    structure: Structure
+    params: Area3dParams
+    mask_m: float
+
+    @property
+    def smooth(self) -> Mask:
+        """(N,) bool, which points are no crown by their neighbourhood (C16; the echoes are ours)."""
+        kept: Mask = self.structure.curvature <= self.params.max_curvature
+        return kept & (self.structure.echo_share <= self.params.max_echo_share)
+
+    def areas(self, labels: Labels, count: int) -> NDArray[np.float64]:
+        """Return (count,) the areas of labelled regions, m2 (A17)."""
+        areas: NDArray[np.float64] = np.bincount(labels, self.cloud.area_m2, count + 1)[1:].astype(np.float64)
+        return areas
+
+    def shapes(self, labels: Labels, count: int) -> Shapes:
+        """Measure labelled regions."""
+        x, y = self.cloud.points[:, 0], self.cloud.points[:, 1]
+        return measure_shapes(
+            x, y, labels, count, area_m2=self.cloud.area_m2, spacing_m=self.spacing_m, params=self.params
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Accepted:
+    """The union of the accepted regions over all height scales (C19).
+
+    Parameters
+    ----------
+    labels : (N,) ndarray of int32
+        1 to M; 0 for none.
+    rule : (M,) ndarray of int8
+        The rule that accepted each region.
+    height_m : (M,) ndarray of float64
+        The lowest height scale at which it was accepted.
+    """
+
+    labels: Labels
+    rule: NDArray[np.int8]
+    height_m: NDArray[np.float64]
+
+
+def fuse_over_heights(scene: Scene, scales: tuple[float, ...], books: Books) -> Accepted:
+    """Judge the regions at each height scale, from the lowest up, and take the union of the accepted ones (C19).
+
+    Notes
+    -----
+    Regions of a higher scale lie within those of a lower one. So each place is taken by the lowest scale that accepts
+    it, and higher scales look only at what is left.
+    """
+    labels = np.zeros(len(scene.cloud.heights), dtype=np.int32)
+    rules, heights = [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
+    for number, height_m in enumerate(scales, 1):
+        found, rule = _Level(scene, books, number, height_m, labels > 0).regions()
+        before = sum(len(values) for values in rules)
+        labels += np.where(found > 0, found + np.int32(before), np.int32(0))
+        rules.append(rule)
+        heights.append(np.full(len(rule), height_m))
+        logger.debug("area3d: %d regions at %.2f m", len(rule), height_m)
+    return Accepted(labels, np.concatenate(rules), np.concatenate(heights))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """One height scale: its steps, in their order, and what they write into the books.
+
+    ``taken`` are the points of regions that lower scales accepted.
+    """
+
+    scene: Scene
+    books: Books
+    number: int
+    height_m: float
+    taken: Mask
+
+    def regions(self) -> tuple[Labels, NDArray[np.int8]]:
+        """Return the regions accepted at this height, and the rule that accepted each."""
+        scene = self.scene
+        left = self.without_absorbed()
+        on = (scene.filtered >= self.height_m) & ~self.taken
+        opened = self.without_small(on, left)
+        labels, count = self.without_crowns(*self.without_leaves(on, opened))
+        labels = grow_regions(
+            scene.cloud.points,
+            labels,
+            (scene.cloud.heights >= scene.mask_m) & ~self.taken,
+            reach_m=scene.params.grow_spacings * scene.spacing_m,
+            step_m=scene.params.grow_step_m,
+        )
+        shapes = scene.shapes(labels, count)
+        rule = judge(shapes, scene.params)
+        labels, _ = self.drop("area3d rules", labels, reasons_against(shapes, rule, scene.params))
+        return labels, rule[rule > 0]
+
+    def without_absorbed(self) -> int:
+        """Book what lies within accepted regions; return how many components of the on-set are left (C19)."""
+        stage, graph, on = "area3d fusion", self.scene.graph, self.scene.cloud.heights >= self.height_m
+        _, left = components(on & ~self.taken, graph)
+        if not self.taken.any():
+            self.books.count(stage, left, left, 0)
+            return left
+        _, entered = components(on, graph)
+        labels, absorbed = components(on & self.taken, graph)
+        self.book(stage, labels, np.ones(absorbed, dtype=np.bool_), WITHIN)
+        self.books.count(stage, entered, left, absorbed, pieces=left + absorbed - entered)
+        return left
+
+    def without_small(self, on: Mask, entered: int) -> int:
+        """Book what the opening took from the on-set; return how many components AOC left (C4 to C6)."""
+        stage, graph = "area3d opening", self.scene.graph
+        labels, count = components((self.scene.cloud.heights >= self.height_m) & ~self.taken, graph)
+        _, opened = components(on, graph)
+        stays = np.bincount(labels, on, count + 1)[1:] > 0
+        dropped = self.book(stage, labels, ~stays, SMALL)
+        self.books.count(stage, entered, opened, dropped, pieces=opened + dropped - entered)
+        return opened
+
+    def without_leaves(self, on: Mask, entered: int) -> tuple[Labels, int]:
+        """Take the crowns' points away, and what is smaller than T_a without them (C16); return the regions left."""
+        stage, scene, smooth = "area3d curvature", self.scene, self.scene.smooth
+        labels, count = components(on & smooth, scene.graph)
+        large = scene.areas(labels, count) >= scene.params.smallest_m2
+        dropped = self.book(stage, labels, ~large, REST)
+        if self.number == 1:  # those of higher scales lie within
+            leaves, number = components(on & ~smooth, scene.graph)
+            dropped += self.book(stage, leaves, np.ones(number, dtype=np.bool_), LEAVES)
+        labels, kept = renumber(labels, large)
+        self.books.count(stage, entered, kept, dropped, pieces=kept + dropped - entered)
+        return labels, kept
+
+    def without_crowns(self, labels: Labels, count: int) -> tuple[Labels, int]:
+        """Drop the regions that are crowns as a whole (ours): by curvature and echoes together, and by NDVI."""
+        cloud, own = self.scene.cloud, self.scene.params
+        curvature = cloud.mean(self.scene.structure.curvature, labels, count)
+        if cloud.several is None:
+            crown = curvature > own.max_crown_curvature
+        else:
+            crown = curvature * cloud.mean(cloud.several, labels, count) > own.max_crown
+        reasons = np.where(crown, CROWN, "").astype(object)
+        if cloud.ndvi is not None:
+            reasons[~crown & (cloud.mean(cloud.ndvi, labels, count) > own.max_ndvi)] = GREEN
+        return self.drop("area3d crowns", labels, reasons)
+
+    def drop(self, stage: str, labels: Labels, reasons: NDArray[np.object_]) -> tuple[Labels, int]:
+        """Write the regions that have a reason into the ledger, and number the others anew."""
+        lost = reasons != ""
+        rejected, dropped = renumber(labels, lost)
+        self.books.reject(stage, reasons[lost], rejected, scale=self.number)
+        kept, left = renumber(labels, ~lost)
+        self.books.count(stage, len(reasons), left, dropped)
+        return kept, left
+
+    def book(self, stage: str, labels: Labels, chosen: Mask, reason: str) -> int:
+        """Write the chosen regions into the ledger with one reason; return how many."""
+        rejected, dropped = renumber(labels, chosen)
+        self.books.reject(stage, np.full(dropped, reason, dtype=object), rejected, scale=self.number)
+        return dropped
+
+
+def renumber(labels: Labels, keep: Mask) -> tuple[Labels, int]:
+    """Give the regions to keep new numbers from 1 on in their order, and 0 to the others; return how many."""
+    number = np.concatenate([[False], keep]).cumsum(dtype=np.int32)
+    number[1:][~keep] = 0
+    return number[labels], int(np.count_nonzero(keep))
