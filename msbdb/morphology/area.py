@@ -156,7 +156,7 @@ def _absorb(order: NDArray[np.int32], layout: Layout, threshold: int) -> NDArray
                 stop = reach_end + width if row_end < cells else 0
             while other < count and starts[other] < stop:
                 if node[other] != NOT_ENTERED:
-                    root = _root(node, other)
+                    root = find_root(node, other)
                     if root != run:
                         if node[root] > -threshold:
                             area -= node[root]
@@ -172,8 +172,8 @@ def _absorb(order: NDArray[np.int32], layout: Layout, threshold: int) -> NDArray
 
 
 @kernel
-def _root(node: NDArray[np.int32], run: int) -> int:
-    """Return the root of a run's component, and halve the way to it."""
+def find_root(node: NDArray[np.int32], run: int) -> int:
+    """Return the root of a run's component, the one with a negative mark, and halve the way to it."""
     while node[run] >= 0:
         parent = node[run]
         if node[parent] >= 0:

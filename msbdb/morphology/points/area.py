@@ -16,14 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.morphology.area import find_root
 from msbdb.morphology.kernels import kernel
 from msbdb.morphology.order import order_of
 from msbdb.morphology.points.graph import PointGraph
 
 T = TypeVar("T", bound=np.generic)
 
-NONE = -1
-"""No point: not entered yet, or none whose value to take."""
+NONE, SMALL, LARGE = -1, -2, -3
+"""Marks instead of a point's parent: it has not entered yet, or it is the root of a component of little or enough area.
+
+In a result, ``NONE`` is no point whose value to take.
+"""
 
 
 def area_opening(
@@ -300,32 +304,33 @@ def _absorb(
 
     Points enter in the order given. Each absorbs the components that it is connected to and that are still too small:
     these take its value, or in turn that of the point which absorbs it. A component of enough area is left as it is;
-    whatever is connected to it has enough too. ``areas`` becomes that of the component at its root.
+    whatever is connected to it has enough too. ``areas`` becomes that of the component at a root that is small.
     """
-    parent = np.full(order.size, NONE, dtype=np.int32)
+    node = np.full(order.size, NONE, dtype=np.int32)
     for point in order:
-        parent[point] = point
+        node[point] = SMALL
         area = areas[point]
         for place in range(indptr[point], indptr[point + 1]):
             other = indices[place]
-            if parent[other] == NONE:
+            if node[other] == NONE:
                 continue
-            root = _root(parent, other)
-            if root == point:
-                continue
-            if areas[root] < enough:
-                area += areas[root]
-                parent[root] = point
-            else:
+            root = find_root(node, other)
+            if node[root] == LARGE:
                 area = enough
-        areas[point] = min(area, enough)
+            elif root != point:
+                area += areas[root]
+                node[root] = point
+        if area >= enough:
+            node[point] = LARGE
+        else:
+            areas[point] = area
     for place in range(order.size - 1, -1, -1):
         point = order[place]
-        if parent[point] != point:
-            parent[point] = parent[parent[point]]
-        elif areas[point] < enough:
-            parent[point] = NONE
-    return parent
+        if node[point] >= 0:
+            node[point] = node[node[point]]
+        else:
+            node[point] = point if node[point] == LARGE else NONE
+    return node
 
 
 @kernel
@@ -333,34 +338,24 @@ def _number(
     mask: NDArray[np.bool_], indptr: NDArray[np.int64], indices: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], int]:
     """Join each point of the set to the earlier ones that it is connected to, under the earliest; then number them."""
-    count = mask.size
-    parent = np.arange(count).astype(np.int32)
-    for point in range(count):
+    node = np.full(mask.size, SMALL, dtype=np.int32)
+    for point in range(mask.size):
         if not mask[point]:
             continue
-        for place in range(indptr[point], indptr[point + 1]):
-            other = indices[place]
+        for other in indices[indptr[point] : indptr[point + 1]]:
             if other > point:
                 break
             if mask[other]:
-                one, two = _root(parent, point), _root(parent, other)
-                parent[max(one, two)] = min(one, two)
-    labels = np.zeros(count, dtype=np.int32)
+                one, two = find_root(node, point), find_root(node, other)
+                if one != two:
+                    node[max(one, two)] = min(one, two)
+    labels = np.zeros(mask.size, dtype=np.int32)
     found = 0
-    for point in range(count):
+    for point in range(mask.size):
         if mask[point]:
-            if parent[point] == point:
+            if node[point] < 0:
                 found += 1
                 labels[point] = found
             else:
-                labels[point] = labels[parent[point]]
+                labels[point] = labels[node[point]]
     return labels, found
-
-
-@kernel
-def _root(parent: NDArray[np.int32], point: int) -> int:
-    """Return the root of a point's component, as far as known, and halve the way to it."""
-    while parent[point] != point:
-        parent[point] = parent[parent[point]]
-        point = parent[point]
-    return point
