@@ -1,6 +1,7 @@
 """Area morphology: openings, closings, the scale-space that they build, flat zones and granulometry.
 
 Beside it the component tree, and the differential profiles and gradients that find flat regions.
+The same filters on the points themselves are in `msbdb.morphology.points`.
 """
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening

@@ -68,7 +68,7 @@ def area_opening(
     multiples of a power of two, as counts are, no order of the points matters.
 
     Complexity: O(N log N) to sort the heights, or O(N) where 32 bits hold them, and nearly O(N + E) for the sweep.
-    Memory: 13 to 25 bytes a point in passing.
+    Memory: 20 to 30 bytes a point in passing.
 
     References
     ----------
