@@ -1,0 +1,253 @@
+"""Footprints of parts and flat regions together: where both agree they stand, and what one alone found is judged anew.
+
+The classes are smoothed over metres, so that a roof lends its evidence to the crown that leans on it; the flat regions
+see no roof below their least area. Where the two differ they cut out a piece, and the piece speaks for itself.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from msbdb.errors import GridMismatchError, ParameterError
+from msbdb.grid import Grid
+from msbdb.params import Params, param
+
+Mask = NDArray[np.bool_]
+Labels = NDArray[np.int32]
+Field = NDArray[np.floating]
+
+EIGHT = np.ones((3, 3), dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True)
+class FuseParams:
+    """What decides of a piece that only one of the two systems found."""
+
+    edge_m: float = param(
+        0.5,
+        unit="m",
+        low=0.0,
+        high=20.0,
+        source="ours: twice it is the narrowest piece that is more than an edge; 0.4 to 0.75 m do alike",
+        doc="Disputed strips up to twice as wide are edges, on which the parts' word stands; at least a cell.",
+    )
+    smooth_m: float = param(
+        0.06,
+        unit="m",
+        low=0.001,
+        high=5.0,
+        source="ours: a scanner's range noise and a half; 0.05 to 0.08 m do alike",
+        doc="Median roughness up to which a piece is a roof by itself; grows with cells above 1 m.",
+    )
+    roof_share: float = param(
+        0.55,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: a little more than the even odds of the cover; 0.55 to 0.6 do alike",
+        doc="Mean probability of roof from which a piece is one by its echoes and texture.",
+    )
+    seen_share: float = param(
+        2 / 3,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="ours: most of the roof; below it the flat regions see too little for their silence to tell anything",
+        doc="Share of a building that flat regions must cover so that a piece they leave out is in doubt.",
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse values out of bounds."""
+        for item in fields(self):
+            low, high = item.metadata["low"], item.metadata["high"]
+            if not low <= getattr(self, item.name) <= high:
+                msg = (
+                    f"fuse.{item.name} must lie between {low} and {high} {item.metadata['unit']}; "
+                    f"got {getattr(self, item.name)!r}."
+                )
+                raise ParameterError(msg)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoofEvidence:
+    """What is known of each cell, apart from both systems' outlines.
+
+    Parameters
+    ----------
+    heights : Grid
+        Heights above ground, metres. Invalid cells tell nothing.
+    roughness_m : (H, W) ndarray of float
+        Residual of the best plane in the small window, metres (`msbdb.surface.texture.roughness`).
+    roof_probability : (H, W) ndarray of float
+        Of roof against vegetation from the cell's own echoes and texture, 0 to 1, before any smoothing.
+    """
+
+    heights: Grid
+    roughness_m: Field
+    roof_probability: Field
+
+
+def fuse_footprints(
+    root_labels: Labels, region_labels: Labels, evidence: RoofEvidence, params: Params, own: FuseParams | None = None
+) -> Labels:
+    """Return the footprints that parts and flat regions give together.
+
+    Parameters
+    ----------
+    root_labels : (H, W) ndarray of int32
+        Label of the root that covers a cell, 0 for none (``Forest.root_labels``). Not modified.
+    region_labels : (H, W) ndarray of int32
+        Flat regions, 0 for none (``FlatRegions.labels``), of a build that sought them.
+    evidence : RoofEvidence
+        On the same lattice.
+    params : Params
+        Of which the mask, and R and λ_min of the flat regions count here.
+    own : FuseParams, optional
+        The values of this step.
+
+    Returns
+    -------
+    (H, W) ndarray of int32
+        The roots' labels on the fused footprints. A root may vanish or fall in two; none is new.
+
+    Raises
+    ------
+    GridMismatchError
+        When the images differ in shape.
+
+    Notes
+    -----
+    The disputed cells are those that one system alone takes for building. Their pieces are the 8-connected components
+    after an opening with a square of twice ``edge_m``, so that differing edges neither count nor join pieces.
+
+    A piece of the parts alone is dropped when it is smaller than R λ_min, the least area that a flat region can have,
+    and
+
+    - lies below the mask, in a building that flat regions see: a light well that the area closing filled; or
+    - is rough, and mostly no roof by its own cells, in a building that flat regions see: a crown that leans on it; or
+    - is rough and in a building without any flat region: a crown. So small a roof is one plane or two.
+
+    A piece of a flat region alone is added when it lies above the mask, is smooth, is roof by its own cells, and
+    touches a building: an annex, which gets the label of the building that it shares most of its rim with (of equals,
+    the smaller label). What touches none stays an unexplained flat region.
+
+    Rims that the opening took follow their piece, but a rim between two pieces of unlike fate stays as the parts say.
+    Edges that a dropped piece leaves behind, joined to nothing else, go with it.
+    Border: the disputed cells go on beyond it. Nodata: invalid cells have no say in a piece's medians and means; a
+    piece without a valid cell stays as the parts say. Linear in the cells, but for one sort of the disputed ones.
+    """
+    own = own or FuseParams()
+    _require_one_shape(root_labels, region_labels, evidence)
+    cell_m = evidence.heights.spec.cell_m
+    steps = max(1, int(own.edge_m / cell_m + 0.5))
+    parts, regions = root_labels > 0, region_labels > 0
+    fused = root_labels.copy()
+    pieces, measures = _pieces(parts & ~regions, steps, evidence)
+    share = _flat_share(pieces, len(measures), parts, regions)
+    dropped = _is_false(measures.assign(flat_share=share), cell_m, params, own)
+    gone = _with_rims(pieces, dropped, parts & ~regions, steps)
+    firm = (parts & regions) | ((pieces > 0) & ~gone)
+    fused[gone | _crumbs(parts & ~gone, firm, gone)] = 0
+    pieces, measures = _pieces(regions & ~parts, steps, evidence)
+    added = _is_roof(measures, params.surface.mask_m, cell_m, own) & (measures["probability"] >= own.roof_share)
+    annexes = _with_rims(pieces, added.to_numpy(), regions & ~parts, steps)
+    return _label_annexes(fused, annexes)
+
+
+def _require_one_shape(root_labels: Labels, region_labels: Labels, evidence: RoofEvidence) -> None:
+    """Refuse images of different shapes."""
+    shapes = {
+        "roots": root_labels.shape,
+        "flat regions": region_labels.shape,
+        "heights": evidence.heights.spec.shape,
+        "roughness": evidence.roughness_m.shape,
+        "probability": evidence.roof_probability.shape,
+    }
+    if len(set(shapes.values())) > 1:
+        msg = (
+            f"Footprints are fused on one lattice; the shapes are {', '.join(f'{k} {v}' for k, v in shapes.items())}. "
+            "Take all from one build."
+        )
+        raise GridMismatchError(msg)
+
+
+def _pieces(disputed: Mask, steps: int, evidence: RoofEvidence) -> tuple[Labels, pd.DataFrame]:
+    """Label the pieces of the disputed cells, and measure them: row i is piece i, row 0 stands for no piece."""
+    size = 2 * steps + 1
+    framed = np.pad(disputed, steps, mode="edge")
+    opened = ndimage.binary_opening(framed, np.ones((size, size), dtype=np.bool_))
+    labels, count = ndimage.label(opened[steps:-steps, steps:-steps], EIGHT, output=np.int32)
+    told = (labels > 0) & evidence.heights.valid
+    cells = pd.DataFrame(
+        {
+            "piece": labels[told],
+            "height": np.asarray(evidence.heights.values)[told],
+            "roughness": evidence.roughness_m[told],
+            "probability": evidence.roof_probability[told],
+        }
+    ).groupby("piece")
+    measures = cells[["height", "roughness"]].median().join(cells[["probability"]].mean())
+    measures = measures.astype(np.float64).reindex(range(count + 1))
+    area = np.bincount(labels.ravel(), minlength=count + 1) * evidence.heights.spec.cell_area_m2
+    return labels, measures.assign(area_m2=area)
+
+
+def _is_roof(measures: pd.DataFrame, mask_m: float, cell_m: float, own: FuseParams) -> "pd.Series[bool]":
+    """Return which pieces lie above the mask and are smooth."""
+    return (measures["height"] >= mask_m) & (measures["roughness"] <= own.smooth_m * max(1.0, cell_m))
+
+
+def _is_false(measures: pd.DataFrame, cell_m: float, params: Params, own: FuseParams) -> Mask:
+    """Return which pieces of the parts alone are no building."""
+    is_unseen = measures["flat_share"] == 0
+    is_seen = ~is_unseen & (measures["flat_share"] >= own.seen_share)
+    is_low = measures["height"] < params.surface.mask_m
+    is_rough = measures["roughness"] > own.smooth_m * max(1.0, cell_m)
+    is_small = measures["area_m2"] < params.flatregions.ratio * params.flatregions.lambda_min_m2
+    is_leafy = measures["probability"] < own.roof_share
+    false = is_small & ((is_seen & (is_low | (is_rough & is_leafy))) | (is_unseen & is_rough))
+    return np.asarray(false, dtype=np.bool_)
+
+
+def _flat_share(pieces: Labels, count: int, parts: Mask, regions: Mask) -> NDArray[np.float64]:
+    """Return, for each piece, the share that flat regions cover of all connected buildings that it belongs to."""
+    blocks, blocks_count = ndimage.label(parts, EIGHT)
+    share = np.bincount(blocks[regions], minlength=blocks_count + 1) / np.maximum(np.bincount(blocks.ravel()), 1)
+    block = np.zeros(count, dtype=np.intp)
+    block[pieces[pieces > 0]] = blocks[pieces > 0]
+    return np.asarray(share[block], dtype=np.float64)
+
+
+def _with_rims(pieces: Labels, chosen: Mask, disputed: Mask, steps: int) -> Mask:
+    """Return the cells of the chosen pieces, with the rims that no other piece reaches as well."""
+    own_cells = chosen[pieces] & (pieces > 0)
+    others = (pieces > 0) & ~own_cells
+    if not own_cells.any():
+        return own_cells
+    reached = ndimage.binary_dilation(own_cells, EIGHT, iterations=steps, mask=disputed)
+    if others.any():
+        reached &= ~ndimage.binary_dilation(others, EIGHT, iterations=steps, mask=disputed)
+    return np.asarray(reached | own_cells)
+
+
+def _crumbs(left: Mask, firm: Mask, gone: Mask) -> Mask:
+    """Return what is left of a building beside a piece that is gone, and holds no more than edges."""
+    blocks, count = ndimage.label(left, EIGHT)
+    bereft = np.bincount(blocks[ndimage.binary_dilation(gone, EIGHT)], minlength=count + 1) > 0
+    bereft &= np.bincount(blocks[firm], minlength=count + 1) == 0
+    return np.asarray(bereft[blocks] & left, dtype=np.bool_)
+
+
+def _label_annexes(fused: Labels, annexes: Mask) -> Labels:
+    """Give each connected annex the label of the building with most cells beside it; those beside none stay out."""
+    found, _ = ndimage.label(annexes, EIGHT)
+    for number, window in enumerate(ndimage.find_objects(found), start=1):
+        around = tuple(slice(max(0, side.start - 1), side.stop + 1) for side in window)
+        annex = found[around] == number
+        beside = fused[around][ndimage.binary_dilation(annex, EIGHT) & ~annex]
+        if beside.any():
+            fused[around][annex] = np.bincount(beside[beside > 0]).argmax()
+    return fused
