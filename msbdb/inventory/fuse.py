@@ -31,7 +31,7 @@ class FuseParams:
         unit="m",
         low=0.0,
         high=20.0,
-        source="ours: twice it is the narrowest light well; a finer one costs a true roof on Delft 2, a wider one the wells of Delft 1",
+        source="ours: narrower costs a true roof on Delft 2, wider the light wells of Delft 1",
         doc="Disputed strips up to twice as wide are edges, on which the parts' word stands; at least a cell.",
     )
     smooth_m: float = param(
