@@ -11,8 +11,10 @@ from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.gridding import lowest
+from msbdb.surface.ground.adaptive import adaptive_ground
 from msbdb.surface.ground.interpolate import interpolate_ground, refine
 from msbdb.surface.ground.progressive import progressive_ground
+from msbdb.surface.ground.quadratic import quadratic_ground
 from msbdb.surface.ground.wavelet import wavelet_ground
 
 GROUND_CLASS = 2
@@ -35,14 +37,30 @@ class GroundFilter(Protocol):
         """
 
 
+class PointGroundFilter(Protocol):
+    """Tells which points are ground, without a grid."""
+
+    def __call__(self, points: PointCloud, params: GroundParams, /) -> NDArray[np.bool_]:
+        """Return the (N,) mask of ground points.
+
+        Parameters
+        ----------
+        points : PointCloud
+            N points, all echoes.
+        params : GroundParams
+            The filter's parameters.
+        """
+
+
 FILTERS: dict[str, GroundFilter] = {"progressive": progressive_ground, "wavelet": wavelet_ground}
+POINT_FILTERS: dict[str, PointGroundFilter] = {"quadratic": quadratic_ground, "adaptive": adaptive_ground}
 
 
 def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[Grid, str]:
     """Return the DTM on a lattice, and the name of the filter that told the ground.
 
-    The ground is told on cells of ``ground_cell_m`` (or of the lattice, where that is coarser), interpolated under
-    the off-ground, and refined bilinearly.
+    The ground is told on points or on cells, interpolated under the off-ground on cells of ``ground_cell_m`` (or of
+    the lattice, where that is coarser), and refined bilinearly.
 
     Parameters
     ----------
@@ -61,11 +79,18 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
     name = _resolve(points, params.ground_filter)
     coarse = lattice(spec.bounds, max(params.ground_cell_m, spec.cell_m), spec.crs)
     if name == "class2":
-        given = lowest(points, coarse, _class2(points))
-        return refine(interpolate_ground(given.values, given.valid, coarse), spec), name
+        return refine(_through(points, _class2(points), coarse), spec), name
+    if name in POINT_FILTERS:
+        return refine(_through(points, POINT_FILTERS[name](points, params), coarse), spec), name
     surface = lowest_surface(points, coarse, params)
     ground = FILTERS[name](surface, params)
     return refine(interpolate_ground(surface.values, ground, coarse), spec), name
+
+
+def _through(points: PointCloud, ground: NDArray[np.bool_], spec: GridSpec) -> Grid:
+    """Lay the terrain through the lowest ground point of each cell."""
+    found = lowest(points, spec, ground)
+    return interpolate_ground(found.values, found.valid, spec)
 
 
 def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> Grid:
