@@ -27,6 +27,22 @@ MONGUS: dict[str, Any] = {
 λ_max is made for square kilometres: where all the ground of a tile sums up to less, it is one flat region.
 """
 
+CAO_WU: dict[str, Any] = {
+    "mask_first": False,
+    "histogram_tail_percent": 0.0,
+    "thin_m": 0.0,
+    "max_echo_share": 1.0,
+    "max_crown": 1.0,
+    "max_crown_curvature": 1.0,
+    "max_ndvi": 1.0,
+    "grow_spacings": 0.0,
+    "rectangularity_2": 0.4,
+    "compactness": 3.0,
+    "compactness_density": 0.0,
+    "linearity": 0.45,
+}
+"""Cao & Wu as written; T_c, K, T_coc, R, E_s, n_b, n_s and σ_l, which they do not state, are ours."""
+
 
 PROFILES: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
@@ -48,6 +64,9 @@ PROFILES: dict[str, dict[str, dict[str, Any]]] = {
     "mongus2013-ds3": {
         "flatregions": {**MONGUS, "lambda_min_m2": 20.0, "lambda_step_m2": 300.0, "max_compactness": 10.5}
     },
+    "cao-wu": {"ground": {"ground_filter": "quadratic"}, "area3d": CAO_WU},
+    "cao-wu-ss": {"ground": {"ground_filter": "quadratic"}, "area3d": {**CAO_WU, "most_heights": 1}},
+    "adaptive": {"ground": {"ground_filter": "adaptive"}},
 }
 """What each profile sets otherwise than the defaults."""
 

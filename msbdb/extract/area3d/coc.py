@@ -57,11 +57,27 @@ def measure_structure(
         return Structure(np.zeros(0), np.zeros(0))
     first, of = _one_a_cube(points, thin_m)
     sample = points[first]
-    tree = cKDTree(sample, balanced_tree=False, compact_nodes=False)
-    _, around = tree.query(sample, k=np.arange(1, min(neighbours, len(sample)) + 1), workers=cores())
-    curvature = _variation(sample, around)[around].min(axis=1)
-    share = np.zeros(len(sample)) if several is None else several[first][around].mean(axis=1)
+    around = _nearest(sample, neighbours)
+    own = _variation(sample, around)
+    curvature, share = np.empty(len(sample)), np.zeros(len(sample))
+    echoes = None if several is None else several[first]
+    for start in range(0, len(sample), BATCH):
+        part = slice(start, start + BATCH)
+        curvature[part] = own[around[part]].min(axis=1)
+        if echoes is not None:
+            share[part] = echoes[around[part]].mean(axis=1)
     return Structure(curvature[of], share[of])
+
+
+def _nearest(points: NDArray[np.float64], count: int) -> NDArray[np.int32]:
+    """Return (N, K) the K nearest points of each, itself included; of fewer points, all."""
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    ranks = np.arange(1, min(count, len(points)) + 1)
+    found = np.empty((len(points), ranks.size), dtype=np.int32)
+    for start in range(0, len(points), 4 * BATCH):
+        part = slice(start, start + 4 * BATCH)
+        found[part] = tree.query(points[part], k=ranks, workers=cores())[1]
+    return found
 
 
 def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -75,7 +91,7 @@ def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.
     return first, of
 
 
-def _variation(points: NDArray[np.float64], around: NDArray[np.intp]) -> NDArray[np.float64]:
+def _variation(points: NDArray[np.float64], around: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return λ3 / (λ1 + λ2 + λ3) of the covariance of each (N, K) set of points."""
     found = np.empty(len(around))
     for start in range(0, len(around), BATCH):
