@@ -1,8 +1,36 @@
--- The schema 0003 of msbdb for postgis.
+-- The schema 0004 of msbdb for postgis.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
 CREATE EXTENSION IF NOT EXISTS postgis;
+
+CREATE TABLE inventory_building (
+  uid BIGINT NOT NULL,
+  source TEXT NOT NULL,
+  CONSTRAINT pk_inventory_building PRIMARY KEY (uid),
+  CONSTRAINT ck_inventory_building_uid CHECK (uid > 0)
+);
+
+CREATE TABLE operator_state (
+  uid BIGINT NOT NULL,
+  state TEXT NOT NULL,
+  operator TEXT NOT NULL,
+  note TEXT NOT NULL,
+  decided_at TEXT NOT NULL,
+  CONSTRAINT pk_operator_state PRIMARY KEY (uid),
+  CONSTRAINT ck_operator_state_state CHECK (state IN ('confirmed', 'refuted')),
+  CONSTRAINT ck_operator_state_operator CHECK (operator <> '')
+);
+
+CREATE TABLE roof_sample (
+  sample_id BIGINT NOT NULL,
+  material TEXT NOT NULL,
+  note TEXT NOT NULL,
+  attributes JSON,
+  CONSTRAINT pk_roof_sample PRIMARY KEY (sample_id),
+  CONSTRAINT ck_roof_sample_sample_id CHECK (sample_id > 0),
+  CONSTRAINT ck_roof_sample_material CHECK (material <> '')
+);
 
 CREATE TABLE survey (
   survey_id BIGINT NOT NULL,
@@ -23,6 +51,73 @@ CREATE TABLE survey (
   CONSTRAINT ck_survey_density CHECK (density >= 0 AND cell_m > 0),
   CONSTRAINT ck_survey_bounds CHECK (west < east AND south < north)
 );
+
+CREATE TABLE building_version (
+  version_id BIGINT NOT NULL,
+  uid BIGINT NOT NULL,
+  valid_from TEXT NOT NULL,
+  valid_to TEXT,
+  source TEXT NOT NULL,
+  survey_id BIGINT,
+  closed_by BIGINT,
+  building_id BIGINT,
+  state TEXT NOT NULL,
+  storeys BIGINT,
+  h_max DOUBLE PRECISION,
+  h_mean DOUBLE PRECISION,
+  h_p50 DOUBLE PRECISION,
+  h_p90 DOUBLE PRECISION,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  volume_m3 DOUBLE PRECISION,
+  parts BIGINT,
+  flat_share DOUBLE PRECISION,
+  area3d_share DOUBLE PRECISION,
+  adaptive_share DOUBLE PRECISION,
+  attributes JSON,
+  CONSTRAINT pk_building_version PRIMARY KEY (version_id),
+  CONSTRAINT ck_building_version_version_id CHECK (version_id > 0),
+  CONSTRAINT ck_building_version_valid_from CHECK (length(valid_from) = 10),
+  CONSTRAINT ck_building_version_valid_to CHECK (valid_to IS NULL OR (length(valid_to) = 10 AND valid_to >= valid_from)),
+  CONSTRAINT ck_building_version_source CHECK (source IN ('survey', 'import')),
+  CONSTRAINT ck_building_version_survey CHECK ((source = 'survey') = (survey_id IS NOT NULL)),
+  CONSTRAINT ck_building_version_closed_by CHECK (closed_by IS NULL OR valid_to IS NOT NULL),
+  CONSTRAINT ck_building_version_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
+  CONSTRAINT ck_building_version_area CHECK (area_m2 > 0),
+  CONSTRAINT ck_building_version_parts CHECK (storeys >= 0 AND parts >= 1),
+  CONSTRAINT ck_building_version_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
+  CONSTRAINT ck_building_version_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
+  CONSTRAINT ck_building_version_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT fk_building_version_inventory_building FOREIGN KEY(uid) REFERENCES inventory_building (uid),
+  CONSTRAINT fk_building_version_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
+  CONSTRAINT fk_building_version_closed_by FOREIGN KEY(closed_by) REFERENCES survey (survey_id)
+);
+
+CREATE INDEX ix_building_version_closed_by ON building_version (closed_by);
+
+CREATE UNIQUE INDEX ix_building_version_current ON building_version (uid) WHERE valid_to IS NULL;
+
+CREATE INDEX ix_building_version_survey_id ON building_version (survey_id);
+
+CREATE INDEX ix_building_version_uid_valid_from ON building_version (uid, valid_from);
+
+CREATE TABLE inventory_event (
+  number BIGINT NOT NULL,
+  kind TEXT NOT NULL,
+  name TEXT NOT NULL,
+  date TEXT NOT NULL,
+  survey_id BIGINT,
+  counts JSON NOT NULL,
+  content_sha256 TEXT NOT NULL,
+  CONSTRAINT pk_inventory_event PRIMARY KEY (number),
+  CONSTRAINT ck_inventory_event_number CHECK (number > 0),
+  CONSTRAINT ck_inventory_event_kind CHECK (kind IN ('import', 'update')),
+  CONSTRAINT ck_inventory_event_name CHECK (name <> ''),
+  CONSTRAINT ck_inventory_event_date CHECK (length(date) = 10),
+  CONSTRAINT ck_inventory_event_survey CHECK ((kind = 'update') = (survey_id IS NOT NULL)),
+  CONSTRAINT fk_inventory_event_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id)
+);
+
+CREATE UNIQUE INDEX ix_inventory_event_survey_id ON inventory_event (survey_id);
 
 CREATE TABLE run (
   run_id BIGINT NOT NULL,
@@ -53,6 +148,57 @@ CREATE TABLE source (
   CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
   CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
+
+CREATE TABLE survey_offset (
+  survey_id BIGINT NOT NULL,
+  dx_m DOUBLE PRECISION NOT NULL,
+  dy_m DOUBLE PRECISION NOT NULL,
+  dz_m DOUBLE PRECISION NOT NULL,
+  pairs BIGINT NOT NULL,
+  spread_m DOUBLE PRECISION,
+  CONSTRAINT pk_survey_offset PRIMARY KEY (survey_id),
+  CONSTRAINT ck_survey_offset_pairs CHECK (pairs >= 0),
+  CONSTRAINT fk_survey_offset_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id)
+);
+
+CREATE TABLE building_change (
+  change_id BIGINT NOT NULL,
+  survey_id BIGINT NOT NULL,
+  kind TEXT NOT NULL,
+  uid_before BIGINT,
+  uid_after BIGINT,
+  version_before BIGINT,
+  version_after BIGINT,
+  outline BOOLEAN NOT NULL,
+  height BOOLEAN NOT NULL,
+  parts BOOLEAN NOT NULL,
+  overlap_m2 DOUBLE PRECISION NOT NULL,
+  iou DOUBLE PRECISION NOT NULL,
+  dh_m DOUBLE PRECISION,
+  darea_m2 DOUBLE PRECISION NOT NULL,
+  note TEXT NOT NULL,
+  CONSTRAINT pk_building_change PRIMARY KEY (change_id),
+  CONSTRAINT ck_building_change_change_id CHECK (change_id > 0),
+  CONSTRAINT ck_building_change_kind CHECK (kind IN ('unchanged', 'modified', 'new', 'demolished', 'merged', 'split')),
+  CONSTRAINT ck_building_change_uid CHECK (uid_before IS NOT NULL OR uid_after IS NOT NULL),
+  CONSTRAINT ck_building_change_version CHECK ((uid_before IS NULL) = (version_before IS NULL) AND (uid_after IS NULL) = (version_after IS NULL)),
+  CONSTRAINT ck_building_change_overlap CHECK (overlap_m2 >= 0 AND iou >= 0 AND iou <= 1),
+  CONSTRAINT fk_building_change_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
+  CONSTRAINT fk_building_change_uid_before FOREIGN KEY(uid_before) REFERENCES inventory_building (uid),
+  CONSTRAINT fk_building_change_uid_after FOREIGN KEY(uid_after) REFERENCES inventory_building (uid),
+  CONSTRAINT fk_building_change_version_before FOREIGN KEY(version_before) REFERENCES building_version (version_id),
+  CONSTRAINT fk_building_change_version_after FOREIGN KEY(version_after) REFERENCES building_version (version_id)
+);
+
+CREATE INDEX ix_building_change_survey_id_kind ON building_change (survey_id, kind);
+
+CREATE INDEX ix_building_change_uid_after ON building_change (uid_after);
+
+CREATE INDEX ix_building_change_uid_before ON building_change (uid_before);
+
+CREATE INDEX ix_building_change_version_after ON building_change (version_after);
+
+CREATE INDEX ix_building_change_version_before ON building_change (version_before);
 
 CREATE TABLE candidate_region (
   candidate_id BIGINT NOT NULL,
@@ -353,6 +499,18 @@ ALTER TABLE candidate_region ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) N
 
 CREATE INDEX idx_candidate_region_geometry ON candidate_region USING gist (geometry);
 
+ALTER TABLE building_version ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NULL;
+
+CREATE INDEX idx_building_version_geometry ON building_version USING gist (geometry);
+
+ALTER TABLE inventory_event ADD COLUMN geometry geometry(MULTIPOLYGON, :srid) NOT NULL;
+
+CREATE INDEX idx_inventory_event_geometry ON inventory_event USING gist (geometry);
+
+ALTER TABLE roof_sample ADD COLUMN geometry geometry(POINT, :srid) NOT NULL;
+
+CREATE INDEX idx_roof_sample_geometry ON roof_sample USING gist (geometry);
+
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
@@ -481,6 +639,89 @@ JOIN run AS r ON r.run_id = b.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
 JOIN part AS root ON root.part_id = b.root_id;
 
+CREATE VIEW footprint_current AS
+SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
+       v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
+       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.building_id, v.attributes, v.geometry
+FROM building_version AS v
+LEFT JOIN survey AS s ON s.survey_id = v.survey_id
+LEFT JOIN operator_state AS o ON o.uid = v.uid
+WHERE v.valid_to IS NULL;
+
+CREATE VIEW building_history AS
+SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey,
+       COALESCE((SELECT MIN(c.kind) FROM building_change AS c
+                 WHERE c.version_after = v.version_id AND c.survey_id = v.survey_id), 'imported') AS began_as,
+       e.name AS ended_in,
+       (SELECT MIN(c.kind) FROM building_change AS c
+        WHERE c.version_before = v.version_id AND c.survey_id = v.closed_by) AS ended_as,
+       v.state, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
+FROM building_version AS v
+LEFT JOIN survey AS s ON s.survey_id = v.survey_id
+LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
+
+CREATE VIEW roof_material_by_class AS
+SELECT s.name AS survey, m.material, p.speindex, c.label AS class_label, COUNT(*) AS samples
+FROM roof_sample AS m
+JOIN part AS p ON ST_Intersects(p.geometry, m.geometry)
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
+WHERE NOT EXISTS (
+  SELECT 1 FROM part AS f
+  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
+)
+GROUP BY s.name, m.material, p.speindex, c.label;
+
+CREATE FUNCTION footprint_at(day date)
+RETURNS TABLE (
+  version_id bigint, uid bigint, valid_from text, valid_to text, source text, survey text, state text,
+  found_state text, operator text, note text, storeys bigint, h_max double precision, h_mean double precision,
+  h_p50 double precision, h_p90 double precision, area_m2 double precision, volume_m3 double precision, parts bigint,
+  flat_share double precision, area3d_share double precision, adaptive_share double precision, building_id bigint,
+  attributes json, geometry geometry
+)
+LANGUAGE sql STABLE AS $$
+SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
+       v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
+       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.building_id, v.attributes, v.geometry
+FROM building_version AS v
+LEFT JOIN survey AS s ON s.survey_id = v.survey_id
+LEFT JOIN operator_state AS o ON o.uid = v.uid
+WHERE v.valid_from <= to_char(day, 'YYYY-MM-DD')
+  AND (v.valid_to IS NULL OR v.valid_to > to_char(day, 'YYYY-MM-DD'))
+$$;
+
+COMMENT ON TABLE inventory_building IS 'A building of the inventory, which keeps its identity through surveys';
+
+COMMENT ON COLUMN inventory_building.uid IS 'from the survey or import in which it was born, and its place';
+
+COMMENT ON COLUMN inventory_building.source IS 'name of the survey or import in which it was born';
+
+COMMENT ON TABLE operator_state IS 'An operator''s word on a building, which wins over what the extractors say, whatever is built or updated';
+
+COMMENT ON COLUMN operator_state.uid IS 'the building of the inventory';
+
+COMMENT ON COLUMN operator_state.state IS 'confirmed or refuted';
+
+COMMENT ON COLUMN operator_state.operator IS 'who said so';
+
+COMMENT ON COLUMN operator_state.note IS 'why; may be empty';
+
+COMMENT ON COLUMN operator_state.decided_at IS 'when, UTC, ISO 8601; no part of the content';
+
+COMMENT ON TABLE roof_sample IS 'A place where the material of a roof is known (V53)';
+
+COMMENT ON COLUMN roof_sample.sample_id IS 'from the place';
+
+COMMENT ON COLUMN roof_sample.material IS 'the material';
+
+COMMENT ON COLUMN roof_sample.note IS 'what else there is to say; may be empty';
+
+COMMENT ON COLUMN roof_sample.attributes IS 'the other columns of the file it came from';
+
+COMMENT ON COLUMN roof_sample.geometry IS 'in the database''s CRS [m]';
+
 COMMENT ON TABLE survey IS 'A survey: where and when the data were taken';
 
 COMMENT ON COLUMN survey.survey_id IS 'from the name';
@@ -506,6 +747,70 @@ COMMENT ON COLUMN survey.south IS 'southern edge [m]';
 COMMENT ON COLUMN survey.east IS 'eastern edge [m]';
 
 COMMENT ON COLUMN survey.north IS 'northern edge [m]';
+
+COMMENT ON TABLE building_version IS 'A state of a building of the inventory, with the interval in which it holds';
+
+COMMENT ON COLUMN building_version.version_id IS 'from the building and the survey or import that made it';
+
+COMMENT ON COLUMN building_version.uid IS 'the building';
+
+COMMENT ON COLUMN building_version.valid_from IS 'first day on which it holds, ISO 8601';
+
+COMMENT ON COLUMN building_version.valid_to IS 'first day on which it holds no more, ISO 8601; null for the current version';
+
+COMMENT ON COLUMN building_version.source IS 'what made it: survey or import';
+
+COMMENT ON COLUMN building_version.survey_id IS 'the survey that made it; null for an import';
+
+COMMENT ON COLUMN building_version.closed_by IS 'the survey that ended it; null for the current version';
+
+COMMENT ON COLUMN building_version.building_id IS 'the building of the survey''s run that it was taken from, which a rebuild may replace';
+
+COMMENT ON COLUMN building_version.state IS 'confirmed by the classes and by at least half of the other extractors that were heard; unsure; or refuted';
+
+COMMENT ON COLUMN building_version.storeys IS 'storeys of its tallest part [storeys]';
+
+COMMENT ON COLUMN building_version.h_max IS 'largest height above ground [m]';
+
+COMMENT ON COLUMN building_version.h_mean IS 'mean height above ground [m]';
+
+COMMENT ON COLUMN building_version.h_p50 IS 'median height above ground [m]';
+
+COMMENT ON COLUMN building_version.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN building_version.area_m2 IS 'area of the footprint [m2]';
+
+COMMENT ON COLUMN building_version.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
+
+COMMENT ON COLUMN building_version.parts IS 'number of parts, the root included [count]';
+
+COMMENT ON COLUMN building_version.flat_share IS 'share of the footprint that flat regions cover; null when they were not extracted [1]';
+
+COMMENT ON COLUMN building_version.area3d_share IS 'share of the footprint that candidates of area3d cover; null when they were not extracted [1]';
+
+COMMENT ON COLUMN building_version.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when they were not extracted [1]';
+
+COMMENT ON COLUMN building_version.attributes IS 'what an imported inventory tells of it, by the names of its columns';
+
+COMMENT ON COLUMN building_version.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON TABLE inventory_event IS 'An import into the inventory or an update of it: what was applied, in which order, and where';
+
+COMMENT ON COLUMN inventory_event.number IS '1 to n, in the order in which they were applied';
+
+COMMENT ON COLUMN inventory_event.kind IS 'import or update';
+
+COMMENT ON COLUMN inventory_event.name IS 'name of the survey or import';
+
+COMMENT ON COLUMN inventory_event.date IS 'the day from which its versions hold, ISO 8601';
+
+COMMENT ON COLUMN inventory_event.survey_id IS 'the survey; null for an import';
+
+COMMENT ON COLUMN inventory_event.counts IS 'rows that it wrote: changes by kind, and versions';
+
+COMMENT ON COLUMN inventory_event.content_sha256 IS 'digest of all that decides of its outcome';
+
+COMMENT ON COLUMN inventory_event.geometry IS 'in the database''s CRS [m]';
 
 COMMENT ON TABLE run IS 'The run that built a survey, a survey''s only one; it is written whole or not at all';
 
@@ -542,6 +847,52 @@ COMMENT ON COLUMN source.role IS 'what the file gave: points, ortho, dsm, dtm, n
 COMMENT ON COLUMN source.sha256 IS 'checksum of the file';
 
 COMMENT ON COLUMN source.bytes IS 'size of the file [bytes]';
+
+COMMENT ON TABLE survey_offset IS 'How a survey lies to the inventory: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) there';
+
+COMMENT ON COLUMN survey_offset.survey_id IS 'the survey';
+
+COMMENT ON COLUMN survey_offset.dx_m IS 'to the east; 0 where too few buildings tell it [m]';
+
+COMMENT ON COLUMN survey_offset.dy_m IS 'to the north [m]';
+
+COMMENT ON COLUMN survey_offset.dz_m IS 'of the heights above ground [m]';
+
+COMMENT ON COLUMN survey_offset.pairs IS 'pairs of like buildings that tell it';
+
+COMMENT ON COLUMN survey_offset.spread_m IS 'robust standard deviation of a pair''s shift; null without pairs [m]';
+
+COMMENT ON TABLE building_change IS 'What a survey did to a building of the inventory; for merged and split, to each pair of buildings';
+
+COMMENT ON COLUMN building_change.change_id IS 'from the survey, the kind and the two buildings';
+
+COMMENT ON COLUMN building_change.survey_id IS 'the survey';
+
+COMMENT ON COLUMN building_change.kind IS 'unchanged, modified, new, demolished, merged or split';
+
+COMMENT ON COLUMN building_change.uid_before IS 'the building before; null for new';
+
+COMMENT ON COLUMN building_change.uid_after IS 'the building after; null when gone';
+
+COMMENT ON COLUMN building_change.version_before IS 'its version before';
+
+COMMENT ON COLUMN building_change.version_after IS 'its version after; that of before where it is unchanged';
+
+COMMENT ON COLUMN building_change.outline IS 'its outline changed';
+
+COMMENT ON COLUMN building_change.height IS 'its height changed';
+
+COMMENT ON COLUMN building_change.parts IS 'only a part of it changed its height';
+
+COMMENT ON COLUMN building_change.overlap_m2 IS 'area that both footprints share, the inventory shifted by the offset [m2]';
+
+COMMENT ON COLUMN building_change.iou IS 'that area over the area that either covers [1]';
+
+COMMENT ON COLUMN building_change.dh_m IS 'median change of height where both are known [m]';
+
+COMMENT ON COLUMN building_change.darea_m2 IS 'change of the footprint''s area; all of it for new and demolished [m2]';
+
+COMMENT ON COLUMN building_change.note IS 'what else there is to say; often empty';
 
 COMMENT ON TABLE candidate_region IS 'A region that an extractor on the points themselves takes for a roof';
 
@@ -847,5 +1198,5 @@ COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area 
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
 

@@ -1,8 +1,36 @@
--- The schema 0003 of msbdb for spatialite.
+-- The schema 0004 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
 SELECT InitSpatialMetaData(0, 'NONE');
+
+CREATE TABLE inventory_building (
+  uid INTEGER NOT NULL,
+  source TEXT NOT NULL,
+  CONSTRAINT pk_inventory_building PRIMARY KEY (uid),
+  CONSTRAINT ck_inventory_building_uid CHECK (uid > 0)
+);
+
+CREATE TABLE operator_state (
+  uid INTEGER NOT NULL,
+  state TEXT NOT NULL,
+  operator TEXT NOT NULL,
+  note TEXT NOT NULL,
+  decided_at TEXT NOT NULL,
+  CONSTRAINT pk_operator_state PRIMARY KEY (uid),
+  CONSTRAINT ck_operator_state_state CHECK (state IN ('confirmed', 'refuted')),
+  CONSTRAINT ck_operator_state_operator CHECK (operator <> '')
+);
+
+CREATE TABLE roof_sample (
+  sample_id INTEGER NOT NULL,
+  material TEXT NOT NULL,
+  note TEXT NOT NULL,
+  attributes JSON,
+  CONSTRAINT pk_roof_sample PRIMARY KEY (sample_id),
+  CONSTRAINT ck_roof_sample_sample_id CHECK (sample_id > 0),
+  CONSTRAINT ck_roof_sample_material CHECK (material <> '')
+);
 
 CREATE TABLE survey (
   survey_id INTEGER NOT NULL,
@@ -23,6 +51,73 @@ CREATE TABLE survey (
   CONSTRAINT ck_survey_density CHECK (density >= 0 AND cell_m > 0),
   CONSTRAINT ck_survey_bounds CHECK (west < east AND south < north)
 );
+
+CREATE TABLE building_version (
+  version_id INTEGER NOT NULL,
+  uid BIGINT NOT NULL,
+  valid_from TEXT NOT NULL,
+  valid_to TEXT,
+  source TEXT NOT NULL,
+  survey_id BIGINT,
+  closed_by BIGINT,
+  building_id BIGINT,
+  state TEXT NOT NULL,
+  storeys BIGINT,
+  h_max DOUBLE,
+  h_mean DOUBLE,
+  h_p50 DOUBLE,
+  h_p90 DOUBLE,
+  area_m2 DOUBLE NOT NULL,
+  volume_m3 DOUBLE,
+  parts BIGINT,
+  flat_share DOUBLE,
+  area3d_share DOUBLE,
+  adaptive_share DOUBLE,
+  attributes JSON,
+  CONSTRAINT pk_building_version PRIMARY KEY (version_id),
+  CONSTRAINT ck_building_version_version_id CHECK (version_id > 0),
+  CONSTRAINT ck_building_version_valid_from CHECK (length(valid_from) = 10),
+  CONSTRAINT ck_building_version_valid_to CHECK (valid_to IS NULL OR (length(valid_to) = 10 AND valid_to >= valid_from)),
+  CONSTRAINT ck_building_version_source CHECK (source IN ('survey', 'import')),
+  CONSTRAINT ck_building_version_survey CHECK ((source = 'survey') = (survey_id IS NOT NULL)),
+  CONSTRAINT ck_building_version_closed_by CHECK (closed_by IS NULL OR valid_to IS NOT NULL),
+  CONSTRAINT ck_building_version_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
+  CONSTRAINT ck_building_version_area CHECK (area_m2 > 0),
+  CONSTRAINT ck_building_version_parts CHECK (storeys >= 0 AND parts >= 1),
+  CONSTRAINT ck_building_version_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
+  CONSTRAINT ck_building_version_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
+  CONSTRAINT ck_building_version_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT fk_building_version_inventory_building FOREIGN KEY(uid) REFERENCES inventory_building (uid),
+  CONSTRAINT fk_building_version_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
+  CONSTRAINT fk_building_version_closed_by FOREIGN KEY(closed_by) REFERENCES survey (survey_id)
+);
+
+CREATE INDEX ix_building_version_closed_by ON building_version (closed_by);
+
+CREATE UNIQUE INDEX ix_building_version_current ON building_version (uid) WHERE valid_to IS NULL;
+
+CREATE INDEX ix_building_version_survey_id ON building_version (survey_id);
+
+CREATE INDEX ix_building_version_uid_valid_from ON building_version (uid, valid_from);
+
+CREATE TABLE inventory_event (
+  number INTEGER NOT NULL,
+  kind TEXT NOT NULL,
+  name TEXT NOT NULL,
+  date TEXT NOT NULL,
+  survey_id BIGINT,
+  counts JSON NOT NULL,
+  content_sha256 TEXT NOT NULL,
+  CONSTRAINT pk_inventory_event PRIMARY KEY (number),
+  CONSTRAINT ck_inventory_event_number CHECK (number > 0),
+  CONSTRAINT ck_inventory_event_kind CHECK (kind IN ('import', 'update')),
+  CONSTRAINT ck_inventory_event_name CHECK (name <> ''),
+  CONSTRAINT ck_inventory_event_date CHECK (length(date) = 10),
+  CONSTRAINT ck_inventory_event_survey CHECK ((kind = 'update') = (survey_id IS NOT NULL)),
+  CONSTRAINT fk_inventory_event_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id)
+);
+
+CREATE UNIQUE INDEX ix_inventory_event_survey_id ON inventory_event (survey_id);
 
 CREATE TABLE run (
   run_id INTEGER NOT NULL,
@@ -53,6 +148,57 @@ CREATE TABLE source (
   CONSTRAINT ck_source_bytes CHECK (bytes >= 0),
   CONSTRAINT fk_source_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
+
+CREATE TABLE survey_offset (
+  survey_id BIGINT NOT NULL,
+  dx_m DOUBLE NOT NULL,
+  dy_m DOUBLE NOT NULL,
+  dz_m DOUBLE NOT NULL,
+  pairs BIGINT NOT NULL,
+  spread_m DOUBLE,
+  CONSTRAINT pk_survey_offset PRIMARY KEY (survey_id),
+  CONSTRAINT ck_survey_offset_pairs CHECK (pairs >= 0),
+  CONSTRAINT fk_survey_offset_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id)
+);
+
+CREATE TABLE building_change (
+  change_id INTEGER NOT NULL,
+  survey_id BIGINT NOT NULL,
+  kind TEXT NOT NULL,
+  uid_before BIGINT,
+  uid_after BIGINT,
+  version_before BIGINT,
+  version_after BIGINT,
+  outline BOOLEAN NOT NULL,
+  height BOOLEAN NOT NULL,
+  parts BOOLEAN NOT NULL,
+  overlap_m2 DOUBLE NOT NULL,
+  iou DOUBLE NOT NULL,
+  dh_m DOUBLE,
+  darea_m2 DOUBLE NOT NULL,
+  note TEXT NOT NULL,
+  CONSTRAINT pk_building_change PRIMARY KEY (change_id),
+  CONSTRAINT ck_building_change_change_id CHECK (change_id > 0),
+  CONSTRAINT ck_building_change_kind CHECK (kind IN ('unchanged', 'modified', 'new', 'demolished', 'merged', 'split')),
+  CONSTRAINT ck_building_change_uid CHECK (uid_before IS NOT NULL OR uid_after IS NOT NULL),
+  CONSTRAINT ck_building_change_version CHECK ((uid_before IS NULL) = (version_before IS NULL) AND (uid_after IS NULL) = (version_after IS NULL)),
+  CONSTRAINT ck_building_change_overlap CHECK (overlap_m2 >= 0 AND iou >= 0 AND iou <= 1),
+  CONSTRAINT fk_building_change_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
+  CONSTRAINT fk_building_change_uid_before FOREIGN KEY(uid_before) REFERENCES inventory_building (uid),
+  CONSTRAINT fk_building_change_uid_after FOREIGN KEY(uid_after) REFERENCES inventory_building (uid),
+  CONSTRAINT fk_building_change_version_before FOREIGN KEY(version_before) REFERENCES building_version (version_id),
+  CONSTRAINT fk_building_change_version_after FOREIGN KEY(version_after) REFERENCES building_version (version_id)
+);
+
+CREATE INDEX ix_building_change_survey_id_kind ON building_change (survey_id, kind);
+
+CREATE INDEX ix_building_change_uid_after ON building_change (uid_after);
+
+CREATE INDEX ix_building_change_uid_before ON building_change (uid_before);
+
+CREATE INDEX ix_building_change_version_after ON building_change (version_after);
+
+CREATE INDEX ix_building_change_version_before ON building_change (version_before);
 
 CREATE TABLE candidate_region (
   candidate_id INTEGER NOT NULL,
@@ -353,6 +499,18 @@ SELECT AddGeometryColumn('candidate_region', 'geometry', :srid, 'MULTIPOLYGON', 
 
 SELECT CreateSpatialIndex('candidate_region', 'geometry');
 
+SELECT AddGeometryColumn('building_version', 'geometry', :srid, 'MULTIPOLYGON', 'XY', 1);
+
+SELECT CreateSpatialIndex('building_version', 'geometry');
+
+SELECT AddGeometryColumn('inventory_event', 'geometry', :srid, 'MULTIPOLYGON', 'XY', 1);
+
+SELECT CreateSpatialIndex('inventory_event', 'geometry');
+
+SELECT AddGeometryColumn('roof_sample', 'geometry', :srid, 'POINT', 'XY', 1);
+
+SELECT CreateSpatialIndex('roof_sample', 'geometry');
+
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
@@ -497,7 +655,45 @@ JOIN part AS root ON root.part_id = b.root_id;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_evidence', 'geometry', 'building_id', 'building', 'geometry', 1);
 
+CREATE VIEW footprint_current AS
+SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
+       v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
+       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.building_id, v.attributes, v.geometry
+FROM building_version AS v
+LEFT JOIN survey AS s ON s.survey_id = v.survey_id
+LEFT JOIN operator_state AS o ON o.uid = v.uid
+WHERE v.valid_to IS NULL;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('footprint_current', 'geometry', 'version_id', 'building_version', 'geometry', 1);
+
+CREATE VIEW building_history AS
+SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey,
+       COALESCE((SELECT MIN(c.kind) FROM building_change AS c
+                 WHERE c.version_after = v.version_id AND c.survey_id = v.survey_id), 'imported') AS began_as,
+       e.name AS ended_in,
+       (SELECT MIN(c.kind) FROM building_change AS c
+        WHERE c.version_before = v.version_id AND c.survey_id = v.closed_by) AS ended_as,
+       v.state, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
+FROM building_version AS v
+LEFT JOIN survey AS s ON s.survey_id = v.survey_id
+LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_history', 'geometry', 'version_id', 'building_version', 'geometry', 1);
+
+CREATE VIEW roof_material_by_class AS
+SELECT s.name AS survey, m.material, p.speindex, c.label AS class_label, COUNT(*) AS samples
+FROM roof_sample AS m
+JOIN part AS p ON ST_Intersects(p.geometry, m.geometry)
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
+WHERE NOT EXISTS (
+  SELECT 1 FROM part AS f
+  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
+)
+GROUP BY s.name, m.material, p.speindex, c.label;
+
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
 

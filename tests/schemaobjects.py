@@ -16,6 +16,10 @@ UNION ALL
 SELECT 'comment', c.relname || '.' || d.objsubid, d.description
 FROM pg_description d JOIN pg_class c ON c.oid = d.objoid WHERE c.relnamespace = 'public'::regnamespace
 UNION ALL
+SELECT 'function', p.proname, pg_get_functiondef(p.oid) FROM pg_proc p
+WHERE p.pronamespace = 'public'::regnamespace
+  AND NOT EXISTS (SELECT 1 FROM pg_depend d WHERE d.objid = p.oid AND d.deptype = 'e')
+UNION ALL
 SELECT 'geometry', f_table_name, type || srid FROM geometry_columns
 """
 

@@ -8,7 +8,7 @@ from msbdb.database.dialect import Dialect as Hooks
 from msbdb.database.examples import example_queries
 from msbdb.database.models import SPATIAL, Base
 from msbdb.database.upgrade import VERSION_TABLE, comment_ddl, head_version
-from msbdb.database.views import VIEWS
+from msbdb.database.views import TABLE_VIEWS, VIEWS
 
 _NOTE = "Written by scripts/generate_schema; change the models and the migrations instead."
 _HOOKS: dict[str, tuple[Hooks, Dialect, str]] = {
@@ -45,6 +45,8 @@ def statements(dialect: str, srid: int | str) -> list[str]:
     for view in VIEWS:
         made.append(f"CREATE VIEW {view.name} AS\n{view.sql}")
         made += hooks.view_ddl(view.name, view.key, view.base)
+    made += [f"CREATE VIEW {view.name} AS\n{view.sql}" for view in TABLE_VIEWS]
+    made += hooks.function_ddl()
     if compiler.supports_comments:
         made += comment_ddl()
     made.append(f"CREATE TABLE {VERSION_TABLE} (version_num VARCHAR(32) NOT NULL PRIMARY KEY)")
@@ -65,6 +67,8 @@ def dictionary() -> str:
         lines += _table_entry(table)
     lines += ["", "# Views", ""]
     lines += [f"- `{view.name}`, with the geometry of `{view.base}`: {view.doc}" for view in VIEWS]
+    lines += [f"- `{view.name}`, without geometry: {view.doc}" for view in TABLE_VIEWS]
+    lines += ["", "On PostGIS also the function `footprint_at(date)`: the inventory as it was on a day."]
     lines += ["", "# Example queries", "", "In `schema/queries/`; each runs on both dialects.", ""]
     lines += [f"- `{query.name}`: {query.title}" for query in example_queries().values()]
     return "\n".join(lines) + "\n"

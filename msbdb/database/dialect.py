@@ -32,6 +32,9 @@ class Dialect(Protocol):
     def view_ddl(self, view: str, key: str, base: str) -> list[str]:
         """Return the statements that register a view's geometry, after the view's own creation."""
 
+    def function_ddl(self) -> list[str]:
+        """Return the statements that create the database's own functions, after all tables and views."""
+
     def drop_geometry_ddl(self, table: str) -> list[str]:
         """Return the statements by which a migration forgets a geometry column, before it drops the table."""
 

@@ -17,11 +17,15 @@ DECIMALS = 6
 """Decimals of numbers: a micrometre."""
 COORDINATE_DECIMALS = 4
 
-_LEFT_OUT = {"timings", "content_sha256"}
-"""Timings differ between equal runs; the digest stands for more decimals than the dump shows."""
+_LEFT_OUT = {"timings", "content_sha256", "decided_at"}
+"""Timings differ between equal runs, and so does the hour of a decision; the digest stands for more decimals than the
+dump shows."""
 
-_PROVENANCE = {"source", "notices"}
-"""The table and the column that tell of files: the same points in another order are another file."""
+_OF_FILES = {"source"}
+"""The table that tells of files: the same points in another order are another file."""
+
+_ON_FILES = {"notices"}
+"""The column that names files."""
 
 
 def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]:
@@ -43,9 +47,9 @@ def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]
         First a line of names for each table, then its rows, without line ends.
     """
     with guarded(engine.url), engine.connect() as connection:
-        left_out = _LEFT_OUT if provenance else _LEFT_OUT | _PROVENANCE
+        left_out = _LEFT_OUT if provenance else _LEFT_OUT | _ON_FILES
         for table in sorted(Base.metadata.tables.values(), key=lambda t: t.name):
-            if table.name not in left_out:
+            if provenance or table.name not in _OF_FILES:
                 yield from _table_lines(connection, table, left_out)
 
 

@@ -36,6 +36,16 @@ from msbdb.database.columns import (
     shares,
     text,
 )
+from msbdb.database.inventory import (
+    INVENTORY_SPATIAL,
+    BuildingChange,
+    BuildingVersion,
+    InventoryBuilding,
+    InventoryEvent,
+    OperatorState,
+    RoofSample,
+    SurveyOffset,
+)
 from msbdb.database.regions import CandidateRegion, FlatRegion, FlatRegionCandidate, PartCandidate, PartFlatRegion
 from msbdb.tables import (
     BUILDING,
@@ -50,13 +60,19 @@ __all__ = [
     "SPATIAL",
     "Base",
     "Building",
+    "BuildingChange",
+    "BuildingVersion",
     "CandidateRegion",
     "FlatRegion",
     "FlatRegionCandidate",
+    "InventoryBuilding",
+    "InventoryEvent",
+    "OperatorState",
     "Part",
     "PartCandidate",
     "PartFlatRegion",
     "Rejection",
+    "RoofSample",
     "Run",
     "RunState",
     "Scale",
@@ -64,6 +80,7 @@ __all__ = [
     "SpectralClass",
     "SpectralClassBand",
     "Survey",
+    "SurveyOffset",
 ]
 
 BUILDING_STATES = ("confirmed", "unsure", "refuted")
@@ -326,5 +343,6 @@ SPATIAL: dict[str, str] = {
     "rejection": "POINT",
     "flat_region": "MULTIPOLYGON",
     "candidate_region": "MULTIPOLYGON",
+    **INVENTORY_SPATIAL,
 }
 """Geometry type of each table that has one; the column is always ``geometry``."""

@@ -12,6 +12,7 @@ from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, inspect
 from sqlalchemy.exc import DBAPIError
 
 from msbdb.database.canonical import to_json
+from msbdb.database.inventory_views import FOOTPRINT_AT_FUNCTION
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError
 
 logger = logging.getLogger(__name__)
@@ -34,6 +35,13 @@ _CONTENT = (
     "candidate_region",
     "part_candidate",
     "flat_region_candidate",
+    "inventory_building",
+    "building_version",
+    "building_change",
+    "survey_offset",
+    "inventory_event",
+    "operator_state",
+    "roof_sample",
 )
 
 
@@ -83,6 +91,11 @@ def geometry_ddl(table: str, kind: str, srid: int | str) -> list[str]:
 def view_ddl(view: str, key: str, base: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
     """Return nothing: PostGIS reads a view's geometry type and SRID off the view itself."""
     return []
+
+
+def function_ddl() -> list[str]:
+    """Return the statement that creates ``footprint_at``."""
+    return [FOOTPRINT_AT_FUNCTION]
 
 
 def drop_geometry_ddl(table: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)

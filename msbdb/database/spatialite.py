@@ -149,6 +149,11 @@ def view_ddl(view: str, key: str, base: str) -> list[str]:
     return [f"INSERT INTO views_geometry_columns ({columns}) VALUES ({values})"]  # noqa: S608  (names are the views')
 
 
+def function_ddl() -> list[str]:
+    """Return nothing: SQLite keeps no functions; `msbdb.database.footprint_at` serves."""
+    return []
+
+
 def drop_geometry_ddl(table: str) -> list[str]:
     """Return the statements that take the column ``geometry`` out of the register, before its table is dropped."""
     return [

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+from msbdb.database.inventory_views import BUILDING_HISTORY as HISTORY_SQL
+from msbdb.database.inventory_views import FOOTPRINT_CURRENT as CURRENT_SQL
+from msbdb.database.inventory_views import ROOF_MATERIAL_BY_CLASS as MATERIAL_SQL
 from msbdb.tables import CONFIRMING_CLASS_SHARE, CONFIRMING_COVER
 
 EXPLAINED_SHARE = 0.5
@@ -10,7 +13,7 @@ EXPLAINED_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A view with a geometry: its key and geometry are those of a base table.
+    """A view: its key and geometry are those of a base table; one without geometry has neither base nor key.
 
     ``key`` is both the view's and the base table's key column, by which the base table's spatial index serves the view.
     A ``complete`` view has one row for every row of its base table, and so its extent.
@@ -235,6 +238,39 @@ JOIN part AS root ON root.part_id = b.root_id
 """.strip(),  # noqa: S608  (the numbers are ours)
 )
 
+FOOTPRINT_CURRENT = View(
+    "footprint_current",
+    key="version_id",
+    base="building_version",
+    complete=False,
+    doc=(
+        "The inventory as it is now: the current version of each building, with the operators' states winning over "
+        "those found (found_state)."
+    ),
+    sql=CURRENT_SQL,
+)
+
+BUILDING_HISTORY = View(
+    "building_history",
+    key="version_id",
+    base="building_version",
+    complete=True,
+    doc="All versions of the inventory's buildings, with the change by which each began and ended.",
+    sql=HISTORY_SQL,
+)
+
+ROOF_MATERIAL_BY_CLASS = View(
+    "roof_material_by_class",
+    key="",
+    base="",
+    complete=False,
+    doc=(
+        "Cross table of roof materials and classes (V53): how many samples lie on finest parts of each class, by "
+        "survey; samples beside all parts are not counted."
+    ),
+    sql=MATERIAL_SQL,
+)
+
 VIEWS = (
     FOOTPRINT,
     PART_TREE,
@@ -244,4 +280,10 @@ VIEWS = (
     CANDIDATE_EVIDENCE,
     UNEXPLAINED_CANDIDATE,
     BUILDING_EVIDENCE,
+    FOOTPRINT_CURRENT,
+    BUILDING_HISTORY,
 )
+"""The views with a geometry, which are layers of GIS clients."""
+
+TABLE_VIEWS = (ROOF_MATERIAL_BY_CLASS,)
+"""The views without one."""

@@ -62,6 +62,9 @@ from msbdb.database.views import VIEWS
 from msbdb.errors import InputError, LoadError, TableError
 from msbdb.tables import TABLES, Build
 
+FILLED = {table.name for table in TABLES}
+"""The tables that a build fills; those of the inventory have tests of their own."""
+
 
 def changed(build: Build, table: str, row: int = 0, **columns: Any) -> Build:
     """Return a build with other values in one row of a table."""
@@ -469,7 +472,7 @@ def test_the_dump_is_the_content_and_nothing_else(engine: Engine) -> None:
     """Timings stay out; a metre of height shows."""
     write_build(engine, small_build())
     before = list(canonical_dump(engine))
-    assert not any("timings" in line or "read" in line for line in before)
+    assert not any('"timings"' in line or '"read"' in line for line in before)
     assert '["scale", ' in "".join(before)
     write_build(engine, changed(small_build(), "building", h_max=22.5))
     after = list(canonical_dump(engine))
@@ -486,7 +489,7 @@ def test_both_dialects_dump_the_same(tmp_path, new_postgis) -> None:
         write_build(engine, small_build("A c", shift=2000))
     one, two = (list(canonical_dump(engine)) for engine in engines)
     assert one == two
-    for view, key in ((view.name, view.key) for view in VIEWS):
+    for view, key in ((view.name, view.key) for view in VIEWS if view.base in FILLED):
         frames = []
         for engine in engines:
             with engine.connect() as connection:

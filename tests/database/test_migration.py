@@ -209,9 +209,11 @@ def test_indexes_and_keys_of_the_widened_table_work(target: str, revision: str) 
             figures = "SELECT view_name, row_count FROM views_geometry_columns_statistics ORDER BY view_name"
             assert connection.execute(text(figures)).all() == [
                 ("building_evidence", 4),
+                ("building_history", 0),
                 ("building_summary", 4),
                 ("candidate_evidence", 0),
                 ("footprint", 4),
+                ("footprint_current", 0),
                 ("part_evidence", 6),
                 ("part_tree", 6),
                 ("unexplained_candidate", 0),
