@@ -4,6 +4,7 @@ A stage has one frozen dataclass. Each field carries its unit, bounds, meaning a
 requirement number where a paper gives the value, or ``ours`` with the reason. A profile is a set of other values.
 """
 
+from msbdb.params.adaptive import AdaptiveParams
 from msbdb.params.area3d import Area3dParams
 from msbdb.params.cover import CoverParams
 from msbdb.params.declare import param
@@ -18,6 +19,7 @@ from msbdb.params.vector import VectorParams
 
 __all__ = [
     "PROFILES",
+    "AdaptiveParams",
     "Area3dParams",
     "CoverParams",
     "FlatRegionParams",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from msbdb.errors import FileError, ParameterError
+from msbdb.params.adaptive import AdaptiveParams
 from msbdb.params.area3d import Area3dParams
 from msbdb.params.cover import CoverParams
 from msbdb.params.flatregions import FlatRegionParams
@@ -29,6 +30,7 @@ class Params:
     spectral: SpectralParams = field(default_factory=SpectralParams)
     flatregions: FlatRegionParams = field(default_factory=FlatRegionParams)
     area3d: Area3dParams = field(default_factory=Area3dParams)
+    adaptive: AdaptiveParams = field(default_factory=AdaptiveParams)
     vector: VectorParams = field(default_factory=VectorParams)
 
 

@@ -1,0 +1,50 @@
+"""Cells that hold points, numbered without the emptiness between islands that lie far apart."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Axis:
+    """The cells of coordinates along one axis.
+
+    Parameters
+    ----------
+    cell : (N,) ndarray of int64
+        Packed number of each coordinate's cell, from 0.
+    occupied, number : (M,) ndarray of int64
+        The cells that hold a coordinate on the absolute lattice, ascending; and their packed numbers.
+    """
+
+    cell: Ints
+    occupied: Ints
+    number: Ints
+
+    def absolute(self, cell: Ints) -> Ints:
+        """Return the absolute numbers of packed cells, by the shift of the nearest one that is occupied."""
+        after = np.clip(np.searchsorted(self.number, cell), 1, max(len(self.number) - 1, 1))
+        before, after = after - 1, np.minimum(after, len(self.number) - 1)
+        nearest = np.where(cell - self.number[before] <= np.abs(self.number[after] - cell), before, after)
+        return np.asarray(cell + (self.occupied - self.number)[nearest])
+
+
+def pack(values: Floats, side_m: float, gap: int) -> Axis:
+    """Return the cells along one axis, numbered so that at most ``gap`` - 1 empty ones follow each other.
+
+    Parameters
+    ----------
+    values : (N,) ndarray of float64, metres
+        Coordinates; one at least.
+    side_m : float
+        Side of a cell, metres; corners lie at whole multiples of it.
+    gap : int
+        Largest step between two occupied cells that is left.
+    """
+    occupied, place = np.unique(np.floor(values / side_m).astype(np.int64), return_inverse=True)
+    number = np.cumsum(np.minimum(np.diff(occupied, prepend=occupied[:1]), gap))
+    return Axis(number[place], occupied, number)

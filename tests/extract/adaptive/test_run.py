@@ -1,0 +1,397 @@
+"""The extraction by clustering as a whole: clouds with known answers, bad input, and real tiles."""
+
+import os
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyproj import CRS
+from scenes import BUILDING, courtyard, under_trees
+
+from msbdb.errors import InputError
+from msbdb.evaluate import PointReference, evaluate
+from msbdb.extract.adaptive import extract_adaptive
+from msbdb.extract.adaptive.clusters import ladder
+from msbdb.grid import lattice
+from msbdb.io.las import read_points
+from msbdb.params import Params, profile, with_values
+from msbdb.pointcloud import PointCloud
+from msbdb.surface.gridding import cell_size, density
+from msbdb.surface.ground import terrain
+from msbdb.surface.heights import heights_above
+from msbdb.tables import CANDIDATE_REGION, REJECTION
+from msbdb.vector.outlines import outline_regions
+
+UTM = CRS.from_epsg(32633)
+SPACING = 0.5
+WEST, SOUTH = 389_000.0, 5_821_000.0
+
+
+def plane(west, south, width, depth, height, *, seed=0, slope=0.0):
+    """Return jittered points of a plane roof or of the ground: x, y, z."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(0, width, SPACING), np.arange(0, depth, SPACING))
+    x, y = x.ravel() + rng.uniform(0, SPACING, x.size), y.ravel() + rng.uniform(0, SPACING, x.size)
+    z = height + slope * x + rng.normal(0, 0.02, x.size)
+    inside = (x <= width) & (y <= depth)
+    return np.column_stack((west + x, south + y, z))[inside]
+
+
+def crown(west, south, radius, height, *, seed=0):
+    """Return points scattered all through a ball."""
+    rng = np.random.default_rng(seed)
+    count = int(4 * np.pi * radius**2 * 3)
+    points = rng.normal(size=(count, 3))
+    points *= radius * rng.uniform(0.2, 1, (count, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1, keepdims=True)
+    return points + np.array([west, south, height])
+
+
+def cloud_of(roofs, crowns=(), *, ground=(0, 0, 60, 50), echoes=True, shift=(WEST, SOUTH)):
+    """Return a cloud of level ground, roofs and crowns; the pulses of crowns have several echoes."""
+    parts = [plane(*ground, 0.0, seed=99), *roofs, *crowns]
+    several = np.repeat([False, *[False for _ in roofs], *[True for _ in crowns]], [len(p) for p in parts])
+    points = np.concatenate(parts)
+    returns = np.where(several, 3, 1).astype(np.uint8) if echoes else None
+    first = np.ones(len(points), dtype=np.uint8) if echoes else None
+    x, y = points[:, 0] + shift[0], points[:, 1] + shift[1]
+    return PointCloud(x, y, points[:, 2], UTM, return_number=first, number_of_returns=returns)
+
+
+def extract(cloud, params=None, *, heights=None, ndvi=None):
+    """Extract on a lattice of half a metre; the ground is level at 0."""
+    heights = cloud.z if heights is None else heights
+    spec = lattice(cloud.bounds, 0.5, cloud.crs)
+    return extract_adaptive(cloud, heights, spec=spec, survey="test", params=params or Params(), ndvi=ndvi)
+
+
+def outlines_of(cloud, found, params=None):
+    """Return the outlines of candidates."""
+    inside = np.flatnonzero(found.labels)
+    return outline_regions(
+        cloud.x[inside],
+        cloud.y[inside],
+        found.labels[inside],
+        len(found.regions),
+        spacing_m=1 / np.sqrt(density(cloud)),
+        params=(params or Params()).vector,
+    )
+
+
+def check(cloud, found):
+    """Check what holds of every result: declared tables, labels that fit the rows, and books that balance."""
+    for frame, table in ((found.regions, CANDIDATE_REGION), (found.rejections, REJECTION)):
+        assert list(frame.columns) == table.names
+        assert {c.name: c.dtype for c in table.columns if c.dtype != "str"}.items() <= {
+            name: str(dtype) for name, dtype in frame.dtypes.items()
+        }.items()
+    regions = found.regions
+    assert found.labels.shape == (len(cloud),)
+    assert (np.bincount(found.labels, minlength=len(regions) + 1)[1:] == regions["points"]).all()
+    assert regions["candidate_id"].is_unique
+    assert regions["candidate_id"].is_monotonic_increasing
+    assert found.rejections["region_id"].is_unique
+    counts = list(found.counts.values())
+    assert all(name.startswith("adaptive ") for name in found.counts)
+    assert all(count["in"] == count["kept"] + count["dropped"] for count in counts)
+    assert all(a["kept"] + b["pieces"] == b["in"] for a, b in pairwise(counts))
+    assert counts[-1]["kept"] == len(regions)
+    assert sum(count["booked"] for count in counts) == len(found.rejections)
+
+
+HOUSE = plane(10, 10, 12, 9, 6.0, seed=1)
+ELL = np.concatenate([plane(30, 10, 16, 6, 5.0, seed=2), plane(30, 16, 6, 10, 5.0, seed=3)])
+TREE = crown(20, 38, 4, 7, seed=4)
+
+
+def test_a_roof_is_one_region_with_its_attributes():
+    """Number of points, area, height and rectangularity are those of the house."""
+    cloud = cloud_of([HOUSE])
+    found = extract(cloud)
+    check(cloud, found)
+    (row,) = found.regions.itertuples()
+    assert (row.method, row.rule, row.perimeter) == ("adaptive", "clustering", 0)
+    assert abs(row.points - len(HOUSE)) <= 2
+    assert abs(row.area_m2 / (12 * 9) - 1) < 0.6  # ground below the roof is seen as well, and shares its area
+    assert abs(row.mbr_m2 / (12 * 9) - 1) < 0.15
+    assert abs(row.h_p50 - 6.0) < 0.05
+    assert abs(row.xcen - WEST - 16) < 0.3
+    assert abs(row.ycen - SOUTH - 14.5) < 0.3
+    assert np.isnan([row.height_scale_m, row.compactness, row.linearity, row.direction_1, row.ndvi]).all()
+
+
+def test_areas_are_those_of_the_roofs_where_they_hide_the_ground():
+    """Without points below the roofs, the local density gives the roofs' areas."""
+    cloud = cloud_of([HOUSE, ELL])
+    hidden = (cloud.z < 1) & ((abs(cloud.x - WEST - 16) < 6) & (abs(cloud.y - SOUTH - 14.5) < 4.5))
+    cloud = cloud.take(~hidden)
+    areas = extract(cloud).regions
+    house = areas[abs(areas["xcen"] - WEST - 16) < 1]
+    assert abs(house["area_m2"].iloc[0] / 108 - 1) < 0.1
+
+
+def test_a_courtyard_stays_open_in_the_outline():
+    """A roof around a court is one region, whose outline has the court as a hole."""
+    wings = [plane(10, 10, 24, 7, 6, seed=1), plane(10, 27, 24, 7, 6, seed=2)]
+    wings += [plane(10, 17, 7, 10, 6, seed=3), plane(27, 17, 7, 10, 6, seed=4)]
+    cloud = cloud_of(wings)
+    found = extract(cloud)
+    check(cloud, found)
+    (outline,) = outlines_of(cloud, found)
+    assert sum(len(part.interiors) for part in outline.geoms) == 1
+    assert abs(outline.area / (24 * 24 - 100) - 1) < 0.1
+
+
+@pytest.mark.parametrize("echoes", [True, False])
+def test_a_tree_is_no_region_but_a_row_of_the_ledger(echoes):
+    """A crown is vegetation by its echoes and its surface, or by its surface alone."""
+    cloud = cloud_of([HOUSE], [TREE], echoes=echoes)
+    found = extract(cloud)
+    check(cloud, found)
+    assert len(found.regions) == 1
+    near = found.rejections[np.hypot(found.rejections["xcen"] - WEST - 20, found.rejections["ycen"] - SOUTH - 38) < 3]
+    assert len(near)
+    assert near["stage"].isin(list(found.counts)).all()
+
+
+def test_roofs_are_one_region_or_two_by_the_distance_between_them():
+    """Nearer than the last step's distance they are joined, farther they are not."""
+    cloud = cloud_of([HOUSE])
+    distance_m = ladder(Params().adaptive, 1 / np.sqrt(density(cloud)))[-1].distance_m
+    for gap, regions in ((distance_m * 0.4, 1), (distance_m * 2.5, 2)):
+        cloud = cloud_of([plane(10, 10, 10, 8, 6, seed=1), plane(20 + gap, 10, 10, 8, 6, seed=2)])
+        assert len(extract(cloud).regions) == regions
+
+
+def test_each_step_is_at_least_as_hard_as_the_one_before():
+    """Distances fall, and thresholds rise, from the first given value to the last."""
+    steps = ladder(Params().adaptive, 0.8)
+    assert len(steps) == Params().adaptive.steps
+    for one, other in pairwise(steps):
+        assert other.distance_m <= one.distance_m
+        for name in ("points", "area_m2", "height_m", "level", "level_per_split"):
+            assert getattr(other, name) >= getattr(one, name)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"area_m2": [4.0, 500.0]}, "m2"),
+        ({"height_m": [2.0, 9.0]}, "lower than"),
+        ({"points": [3.0, 900_000.0]}, "points"),
+        ({"width_m": [0.0, 50.0]}, "narrower"),
+        ({"level_shares": [0.0, 1.0], "level_m": 0.02, "least_odds": -50.0}, "level to less"),
+    ],
+)
+def test_the_ledger_says_which_step_and_threshold(changes, reason):
+    """A roof that fails a threshold is booked under its step, with the threshold in words."""
+    cloud = cloud_of([HOUSE])
+    found = extract(cloud, with_values(Params(), {"adaptive": changes}))
+    check(cloud, found)
+    assert found.regions.empty
+    assert found.rejections["reason"].str.contains(reason).any()
+    assert found.rejections["stage"].str.startswith("adaptive step").any()
+
+
+def test_ndvi_removes_a_smooth_hedge_and_spares_a_planted_roof():
+    """Green points go where the surface is not level; NDVI is given in the rows."""
+    rng = np.random.default_rng(8)
+    hedge = plane(35, 25, 12, 8, 3.0, seed=5) + np.column_stack(
+        (np.zeros(384), np.zeros(384), rng.normal(0, 0.11, 384))
+    )
+    planted = plane(10, 30, 12, 9, 6.0, seed=6)
+    cloud = cloud_of([HOUSE, hedge, planted])
+    green = np.zeros(len(cloud), dtype=np.float32) - 0.1
+    start = len(cloud) - len(planted) - len(hedge)
+    green[start:] = 0.6
+    without, found = extract(cloud), extract(cloud, ndvi=green + rng.normal(0, 0.02, len(cloud)).astype(np.float32))
+    check(cloud, found)
+    assert len(without.regions) == 3
+    assert len(found.regions) == 2
+    assert found.rejections["reason"].str.contains("NDVI").any()
+    assert sorted(found.regions["ndvi"].round(1)) == [-0.1, 0.6]
+    unknown = extract(cloud, ndvi=np.full(len(cloud), np.nan, dtype=np.float32))
+    assert (unknown.labels == without.labels).all()
+
+
+def test_the_order_of_points_does_not_matter():
+    """Shuffled, duplicates included: the same rows, ledger and labels of the points."""
+    cloud = cloud_of([HOUSE, ELL], [TREE])
+    cloud = cloud.take(np.concatenate((np.arange(len(cloud)), np.arange(0, len(cloud), 7))))
+    ndvi = np.random.default_rng(1).uniform(-0.2, 0.1, len(cloud)).astype(np.float32)
+    order = np.random.default_rng(2).permutation(len(cloud))
+    one, other = extract(cloud, ndvi=ndvi), extract(cloud.take(order), ndvi=ndvi[order])
+    assert one.regions.equals(other.regions)
+    assert one.rejections.equals(other.rejections)
+    assert one.counts == other.counts
+    assert (one.labels[order] == other.labels).all()
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (10_000_000.0, 10_000_000.0)])
+def test_offsets_change_no_region(shift):
+    """At ten million metres the regions have the same points as at the usual place."""
+    near, far = (cloud_of([HOUSE, ELL], [TREE], shift=at) for at in ((WEST, SOUTH), shift))
+    assert ((extract(near).labels > 0) == (extract(far).labels > 0)).mean() > 0.999
+
+
+def test_two_far_islands_are_extracted_as_each_alone():
+    """Islands a thousand kilometres apart cost nothing, and both have their house."""
+    near = cloud_of([HOUSE])
+    far = cloud_of([HOUSE], shift=(WEST + 1e6, SOUTH + 1e6))
+    fields = ("x", "y", "z", "return_number", "number_of_returns")
+    both = replace(near, **{name: np.concatenate((getattr(near, name), getattr(far, name))) for name in fields})
+    found = extract(both)
+    check(both, found)
+    assert len(found.regions) == 2
+    assert found.regions["points"].nunique() == 1
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [(0, 0, 5)],
+        [(0, 0, 5)] * 50,
+        [(i * 0.3, 0, 5) for i in range(60)],
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0)],
+        [(3 * i, 3 * j, 6) for i in range(5) for j in range(5)],
+    ],
+    ids=["one point", "one point 50 times", "on a line", "ground alone", "sparse"],
+)
+def test_clouds_without_a_building_give_an_empty_table(points):
+    """Whatever is too little for a building is booked, and never an error."""
+    x, y, z = np.array(points, dtype=np.float64).T
+    cloud = PointCloud(x + WEST, y + SOUTH, z, UTM)
+    found = extract(cloud)
+    check(cloud, found)
+    assert len(found.regions) <= (len(points) == 25)
+
+
+def test_an_empty_cloud_gives_empty_tables():
+    """No point: no region, and the declared columns."""
+    empty = cloud_of([HOUSE]).take(np.zeros(0, dtype=np.int64))
+    spec = lattice((WEST, SOUTH, WEST + 1, SOUTH + 1), 0.5, UTM)
+    found = extract_adaptive(empty, empty.z, spec=spec, survey="test", params=Params())
+    check(empty, found)
+    assert found.regions.empty
+
+
+def test_trees_alone_give_nothing():
+    """A wood holds no region."""
+    trees = [crown(9 + 8 * i, 9 + 8 * j, 3.5, 7, seed=10 * i + j) for i in range(5) for j in range(4)]
+    cloud = cloud_of([], trees)
+    found = extract(cloud)
+    check(cloud, found)
+    assert found.regions.empty
+
+
+def test_a_cloud_of_one_plane_is_one_region():
+    """All points on one roof, without any ground, are one region."""
+    x, y, z = plane(0, 0, 30, 20, 8.0).T
+    cloud = PointCloud(x + WEST, y + SOUTH, z, UTM)
+    found = extract(cloud)
+    check(cloud, found)
+    assert len(found.regions) == 1
+    assert (found.labels == 1).mean() > 0.99
+    assert abs(found.regions["area_m2"].iloc[0] / 600 - 1) < 0.1
+    assert abs(found.regions["rectangularity"].iloc[0] - 1) < 0.1
+
+
+@pytest.mark.parametrize("what", ["heights", "x", "z", "length", "ndvi length"])
+def test_what_is_not_finite_or_does_not_fit_is_refused(what):
+    """The error says what is wrong and how many points it concerns."""
+    cloud = cloud_of([HOUSE])
+    heights, ndvi, words = cloud.z.copy(), None, "1 of"
+    if what == "heights":
+        heights[3] = np.nan
+    elif what in ("x", "z"):
+        values = getattr(cloud, what).copy()
+        values[5] = np.inf
+        spec = lattice(cloud.bounds, 0.5, UTM)
+        with pytest.raises(InputError, match=words):
+            extract_adaptive(replace(cloud, **{what: values}), heights, spec=spec, survey="t", params=Params())
+        return
+    elif what == "length":
+        heights, words = heights[1:], "one a point"
+    else:
+        ndvi, words = np.zeros(4, dtype=np.float32), "one a point"
+    with pytest.raises(InputError, match=words):
+        extract(cloud, heights=heights, ndvi=ndvi)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 1000), st.integers(1, 3), st.floats(2.5, 20))
+def test_separate_roofs_are_found_one_by_one(seed, count, height):
+    """So many roofs far apart, so many regions, whatever their height; nothing of the ground."""
+    roofs = [plane(5 + 18 * i, 12, 9, 7, height, seed=seed + i, slope=0.2) for i in range(count)]
+    cloud = cloud_of(roofs)
+    found = extract(cloud)
+    check(cloud, found)
+    assert len(found.regions) == count
+    assert (cloud.z[found.labels > 0] > 2).all()
+
+
+def test_the_profile_takes_the_slides_own_ground():
+    """The profile of the slides filters ground as they do."""
+    assert profile("adaptive").ground.ground_filter == "adaptive"
+
+
+@pytest.mark.parametrize("scene", [courtyard, under_trees])
+def test_simulated_scenes_are_found(scene):
+    """On scanned scenes of four points a square metre, most of the roofs' points are found, and few others."""
+    made = scene(density=4.0)
+    dtm, _ = terrain(made.points, made.spec, Params().ground)
+    heights = heights_above(made.points, dtm)
+    found = extract(made.points, heights=heights)
+    check(made.points, found)
+    truth = (made.labels == BUILDING) & (heights >= 2)
+    both = np.count_nonzero(truth & (found.labels > 0))
+    assert both > 0.85 * truth.sum()
+    assert both > 0.85 * np.count_nonzero(found.labels)
+
+
+FLOORS = {
+    ("beziers", None): (0.84, 0.70),
+    ("delft_2", 4.0): (0.90, 0.95),
+    ("delft_2", 2.0): (0.87, 0.95),
+    ("montpellier", 4.0): (0.80, 0.65),
+}
+"""Area quality, and that of objects of at least 50 m2: a little below what was measured."""
+
+FILES = {
+    "beziers": ("beziers/points_left.laz", "beziers/points_right.laz"),
+    "delft_2": ("delft/delft_2.laz",),
+    "montpellier": ("montpellier/points.laz",),
+}
+
+
+@cache
+def tile(name):
+    """Return the points of a real tile."""
+    folder = Path(os.environ["MSBDB_DATA"])
+    crs = "EPSG:28992" if name.startswith("delft") else None
+    return read_points([folder / file for file in FILES[name]], crs=crs)[0]
+
+
+@pytest.mark.data
+@pytest.mark.skipif("MSBDB_DATA" not in os.environ, reason="needs the real tiles")
+@pytest.mark.parametrize(("name", "points_m2"), FLOORS, ids=str)
+def test_real_tiles_reach_their_floors(name, points_m2):
+    """At the density that the slides' method was made for, areas and large objects agree as measured."""
+    full = tile(name)
+    cloud = replace(full, classification=None)
+    if points_m2 is not None:
+        all_m2 = density(full) * len(full) / np.count_nonzero(full.first_echo)
+        cloud = cloud.take(np.random.default_rng(0).random(len(full)) < points_m2 / all_m2)
+    dtm, _ = terrain(cloud, lattice(cloud.bounds, cell_size(density(cloud)), cloud.crs), Params().ground)
+    found = extract(cloud, heights=heights_above(cloud, dtm))
+    check(cloud, found)
+    frame = gpd.GeoDataFrame(geometry=list(outlines_of(cloud, found)), crs=cloud.crs)
+    truth = PointReference(full.x, full.y, np.equal(full.classification, 6), full.crs, full.first_echo)
+    score = evaluate(frame, truth)
+    assert score.area.rates.quality > FLOORS[name, points_m2][0]
+    assert score.large_objects.rates.quality > FLOORS[name, points_m2][1]
