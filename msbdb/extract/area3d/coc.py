@@ -88,7 +88,10 @@ def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.
     cube -= cube.min(axis=0)
     _, column = np.unique(cube[:, 0] * (cube[:, 1].max() + 1) + cube[:, 1], return_inverse=True)
     _, first, of = np.unique(column * (cube[:, 2].max() + 1) + cube[:, 2], return_index=True, return_inverse=True)
-    return first, of
+    order = np.argsort(first)  # in the points' own order, neighbours lie together in memory
+    rank = np.empty_like(order)
+    rank[order] = np.arange(order.size)
+    return first[order], rank[of]
 
 
 def _variation(points: NDArray[np.float64], around: NDArray[np.int32]) -> NDArray[np.float64]:
