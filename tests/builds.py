@@ -182,6 +182,39 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
     return Build(survey, base.run, frames, base.state)
 
 
+LOST = (
+    ("flat denoising", "sharp peak"),
+    ("flat denoising", "steep valley"),
+    ("flat ratio", "too rough for its size in every zone"),
+    ("flat opening", "thinner than the opening"),
+)
+"""Stages and reasons of the ledger's rows in ``ledger_build``."""
+
+
+def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: float = 0.0, **run: Any) -> Build:
+    """Return the small build with a ledger of so many rows: single cells of 0.4 m on a square, in no order."""
+    base = small_build(survey, shift=shift, **run)
+    rng = np.random.default_rng(7)
+    side = int(np.ceil(np.sqrt(2 * count)))
+    row, col = np.divmod(rng.choice(side * side, count, replace=False), side)
+    kind = rng.integers(0, len(LOST), count)
+    x, y = WEST + 0.2 + 0.4 * col, SOUTH + 0.2 + 0.4 * row + north_m
+    rows = pd.DataFrame(
+        {
+            "region_id": BASE + 1000 + shift + rng.permutation(count),
+            "stage": np.array([stage for stage, _ in LOST], dtype=object)[kind],
+            "reason": np.array([reason for _, reason in LOST], dtype=object)[kind],
+            "scale": 0,
+            "area_m2": 0.16,
+            "xcen": x,
+            "ycen": y,
+        }
+    )
+    ledger = rows.astype({c.name: c.dtype for c in REJECTION.columns})
+    geo = gpd.GeoDataFrame(ledger, geometry=shapely.points(x, y), crs=f"EPSG:{EPSG}")
+    return Build(base.survey, base.run, {**base.frames, "rejection": geo}, base.state)
+
+
 def _box(west: float, south: float, width: float, height: float, hole: shapely.Polygon | None = None) -> Any:
     shape = shapely.box(WEST + west, SOUTH + south, WEST + west + width, SOUTH + south + height)
     return shapely.MultiPolygon([shape if hole is None else shape.difference(hole)])

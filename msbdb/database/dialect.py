@@ -1,6 +1,6 @@
 """What the database room asks of a dialect; ``spatialite`` and ``postgis`` answer with the same names."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
@@ -47,11 +47,14 @@ class Dialect(Protocol):
     def writing(self, engine: Engine) -> AbstractContextManager[Connection]:
         """Open the one transaction of a writer: readers are not disturbed, and a kill leaves the old state."""
 
+    def in_bulk(self, connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:
+        """Prepare for so many rows to come into each table, in place of old ones or beside them, and tidy up after."""
+
     def encode(self, geometries: NDArray[Any], srid: int) -> list[Any]:
         """Return geometries as ``insert_rows`` takes them."""
 
     def insert_rows(
-        self, connection: Connection, table: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], srid: int
+        self, connection: Connection, table: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]], srid: int
     ) -> None:
         """Insert rows in bulk; a column ``geometry`` holds what ``encode`` gave."""
 

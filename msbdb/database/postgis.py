@@ -1,11 +1,10 @@
 """The hooks of PostGIS."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
-import numpy as np
 import shapely
 from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, inspect, text
@@ -20,6 +19,8 @@ logger = logging.getLogger(__name__)
 VERSION_TABLE = "msbdb_schema_version"
 _WRITER_LOCK = 0x6D73626462
 """Number of the advisory lock that one writer of a database holds: 'msbdb' in ASCII."""
+_HAS_SRID = 0x20
+"""Flag in the highest byte of a type's number in extended WKB."""
 _CONTENT = (
     "survey",
     "source",
@@ -122,17 +123,26 @@ def writing(engine: Engine) -> Iterator[Connection]:
         yield connection
 
 
+def in_bulk(connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:  # noqa: ARG001
+    """Do nothing: leaving an index out would lock readers out of its table."""
+    return nullcontext()
+
+
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
     """Return extended WKB in hexadecimal digits, which carries the SRID."""
-    with_srid = shapely.set_srid(geometries, srid)
-    return list(np.asarray(shapely.to_wkb(with_srid, hex=True, include_srid=True, byte_order=1)))
+    number = srid.to_bytes(4, "little")
+    # The type's flag and the SRID are put into plain WKB, as shapely would copy every geometry to give it an SRID.
+    return [
+        (wkb[:4] + bytes([wkb[4] | _HAS_SRID]) + number + wkb[5:]).hex()
+        for wkb in shapely.to_wkb(geometries, byte_order=1)
+    ]
 
 
 def insert_rows(
     connection: Connection,
     table: str,
     columns: Sequence[str],
-    rows: Sequence[Sequence[Any]],
+    rows: Sequence[tuple[Any, ...]],
     srid: int,  # noqa: ARG001  (SpatiaLite takes it here)
 ) -> None:
     """Insert rows by COPY."""

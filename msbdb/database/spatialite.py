@@ -4,8 +4,8 @@ import logging
 import os
 import sqlite3
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, event, text
 from sqlalchemy.exc import DBAPIError, IntegrityError
 
+from msbdb.database import bulk
 from msbdb.database.canonical import to_json
-from msbdb.database.models import SPATIAL
-from msbdb.database.views import VIEWS
+from msbdb.database.figures import update_figures
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, SchemaVersionError
 
 logger = logging.getLogger(__name__)
@@ -197,47 +197,34 @@ def writing(engine: Engine) -> Iterator[Connection]:
             logger.info("The database stays in write-ahead mode, as somebody reads it: %s", error)
 
 
+def in_bulk(connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:
+    """Leave out the triggers of geometry columns while rows come and go, and make up for them at the end."""
+    return bulk.in_bulk(connection, coming)
+
+
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:  # noqa: ARG001  (PostGIS needs the SRID here)
     """Return WKB in the order of bytes that every machine writes alike."""
     return list(np.asarray(shapely.to_wkb(geometries, byte_order=1)))
 
 
 def insert_rows(
-    connection: Connection, table: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], srid: int
+    connection: Connection, table: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]], srid: int
 ) -> None:
     """Insert rows by one prepared statement."""
     if not rows:
         return
     values = ", ".join(f"ST_GeomFromWKB(?, {srid})" if name == "geometry" else "?" for name in columns)
     statement = f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({values})"  # noqa: S608  (names are the models')
-    connection.exec_driver_sql(statement, [tuple(row) for row in rows])
+    connection.exec_driver_sql(statement, list(rows))
 
 
 def settle(connection: Connection) -> None:
     """Do nothing: SQLite counts the open references as rows come and go."""
 
 
-_COPY_STATISTICS = """
-INSERT OR REPLACE INTO views_geometry_columns_statistics
-  (view_name, view_geometry, last_verified, row_count, extent_min_x, extent_min_y, extent_max_x, extent_max_y)
-SELECT :view, 'geometry', last_verified, row_count, extent_min_x, extent_min_y, extent_max_x, extent_max_y
-FROM geometry_columns_statistics WHERE f_table_name = :base AND f_geometry_column = 'geometry'
-"""
-
-
 def after_load(connection: Connection) -> None:
-    """Bring the registered extents and the planner's statistics up to date.
-
-    A view with a row for every row of its base table takes the base's figures, as counting a recursive view is slow.
-    """
-    update = text("SELECT UpdateLayerStatistics(:layer, 'geometry')")
-    for table in SPATIAL:
-        connection.execute(update, {"layer": table})
-    for view in VIEWS:
-        if view.complete:
-            connection.execute(text(_COPY_STATISTICS), {"view": view.name, "base": view.base})
-        else:
-            connection.execute(update, {"layer": view.name})
+    """Bring the registered figures and the planner's statistics up to date."""
+    update_figures(connection)
     connection.execute(text("ANALYZE"))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from builds import EPSG, big_build, small_build
+from sqlalchemy import Engine, text
 
 from msbdb.database import canonical_dump, open_database, read_parts, write_build
 
@@ -46,14 +47,24 @@ def killed_load(target: str, function: str) -> None:
     process.stdout.close()
 
 
+def triggers_of(engine: Engine) -> list[str]:
+    """Return the triggers of a SpatiaLite file, which are off during a load; none of PostGIS."""
+    if engine.dialect.name != "sqlite":
+        return []
+    with engine.connect() as connection:
+        return list(connection.scalars(text("SELECT sql FROM sqlite_master WHERE type = 'trigger' ORDER BY name")))
+
+
 @pytest.mark.parametrize("function", ["insert_rows", "after_load"])
 def test_a_kill_during_a_load_leaves_the_old_state(target: str, function: str) -> None:
     """Whether rows are half written or all but committed, readers see what was there before."""
     engine = open_database(target, create=True, srid=EPSG)
     write_build(engine, small_build())
     before = list(canonical_dump(engine))
+    triggers = triggers_of(engine)
     killed_load(target, function)
     assert list(canonical_dump(open_database(target))) == before
+    assert triggers_of(engine) == triggers
     assert write_build(engine, big_build(3000)).status == "replaced"
     assert len(read_parts(engine)) == 6000
     if engine.dialect.name == "sqlite":
