@@ -27,8 +27,8 @@ SLOPE_FACTOR, SLOPE_MORE = 1.5, 0.1
 """How much steeper than measured beside a feature terrain may be beneath it: slopes change, and heights are noisy."""
 CUT = 4
 """What part of the reach a building that the end of the data cuts may take of it."""
-ROWS = 64
-"""Rows of cells that a thread takes at a time."""
+BAND = 64
+"""Rows or columns of cells that a thread takes at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,31 +85,25 @@ def feature_sizes(low: LowPoints, heights: Floats, firm: Mask, cell_m: float, pr
     The point stands on a feature where an axis has falls in both senses. Where the data end (for the rest of the
     reach), so that a building may be cut, one fall is enough if the part seen is no longer than a quarter of it.
     """
-    field = Field(
-        low.at,
-        (low.u, low.v, heights),
-        firm,
-        np.empty((2, heights.size)),
-        cell_m,
-        max(int(profile.reach_m / cell_m), 1),
-        profile.step_m,
-        profile.fall_m,
-        profile.slope,
-    )
-    sizes = np.zeros(heights.size)
-    bands = range(0, low.at.shape[0], ROWS)
-    in_threads(lambda first: _write_slopes(field, first), bands)
-    in_threads(lambda first: _write_sizes(field, first, sizes), bands)
+    reach = max(int(profile.reach_m / cell_m), 1)
+    rules = Rules(cell_m, reach, profile.step_m, profile.fall_m, profile.slope)
+    points = (low.u, low.v, heights, firm)
+    nearest = np.minimum(_along(low.at, points, rules), _along(low.at.T, points, rules))
+    return np.where(np.isfinite(nearest), nearest, 0.0)
+
+
+def _along(at: Index, points: tuple[Floats, Floats, Floats, Mask], rules: "Rules") -> Floats:
+    """Return how far each point is from its foot along the rows of ``at``; infinity without a feature."""
+    lines = np.ascontiguousarray(at)
+    sizes = np.full(points[2].size, np.inf)
+    bands = [lines[first : first + BAND] for first in range(0, lines.shape[0], BAND)]
+    in_threads(lambda band: _measure(band, points, rules, sizes), bands)
     return sizes
 
 
-class Field(NamedTuple):
-    """What the profiles run over, and their rules, for kernels; lengths in metres, the reach in cells."""
+class Rules(NamedTuple):
+    """What `Profile` says, for kernels; the reach in cells."""
 
-    at: Index
-    points: tuple[Floats, Floats, Floats]
-    firm: Mask
-    slopes: Floats
     cell: float
     reach: int
     step: float
@@ -117,94 +111,121 @@ class Field(NamedTuple):
     steepest: float
 
 
-@kernel
-def _next(at: Index, start: tuple[int, int], sense: tuple[int, int], i: int, reach: int) -> tuple[int, int]:
-    """Return the next point after ``i`` cells of a profile, -1 where there is none within reach, and its cell."""
-    rows, cols = at.shape
-    for j in range(i + 1, reach + 1):
-        row, col = start[0] + j * sense[0], start[1] + j * sense[1]
-        if row < 0 or col < 0 or row >= rows or col >= cols:
-            break
-        if at[row, col] >= 0:
-            return at[row, col], j
-    return -1, reach
+class Line(NamedTuple):
+    """The points of a row or column of cells in the order of a profile, for kernels."""
+
+    place: Index
+    u: Floats
+    v: Floats
+    z: Floats
+    firm: Mask
+    slope: Floats
 
 
 @kernel
-def _write_slopes(field: Field, first: int) -> None:
-    """Write the steepest slope that the terrain beside each point of a band may have, along columns and rows."""
-    for row in range(first, min(first + ROWS, field.at.shape[0])):
-        for col in range(field.at.shape[1]):
-            p = field.at[row, col]
-            if p < 0:
-                continue
-            for axis in range(2):
-                down, across = 1 - axis, axis
-                one, ahead = _level_end(field, (row, col), (down, across))
-                other, behind = _level_end(field, (row, col), (-down, -across))
-                field.slopes[axis, p] = field.steepest / 2
-                if ahead + behind >= FEWEST:
-                    measured = abs(one - other) / ((ahead + behind) * field.cell)
-                    field.slopes[axis, p] = min(SLOPE_FACTOR * measured + SLOPE_MORE, field.steepest)
+def _measure(lines: Index, points: tuple[Floats, Floats, Floats, Mask], rules: Rules, sizes: Floats) -> None:
+    """Write how far each point of some lines of cells is from its foot along its line; infinity without a feature."""
+    u, v, z, firm = points
+    longest_cut = rules.reach * rules.cell / CUT
+    for number in range(lines.shape[0]):
+        place = np.flatnonzero(lines[number] >= 0)
+        if place.size == 0:
+            continue
+        ids = lines[number][place]
+        line = Line(place, u[ids], v[ids], z[ids], firm[ids], np.empty(place.size))
+        _write_slopes(line, rules)
+        one, near = _runs(line, rules)
+        back = Line(
+            place[-1] - place[::-1],
+            line.u[::-1].copy(),
+            line.v[::-1].copy(),
+            line.z[::-1].copy(),
+            line.firm[::-1].copy(),
+            line.slope[::-1].copy(),
+        )
+        other, far = _runs(back, rules)
+        other, far = other[::-1], far[::-1]
+        for k in range(ids.size):
+            if one[k] > END and other[k] > END:
+                sizes[ids[k]] = min(near[k], far[k])
+            elif max(one[k], other[k]) > END and min(one[k], other[k]) == END and near[k] + far[k] <= longest_cut:
+                sizes[ids[k]] = near[k] if one[k] > END else far[k]
 
 
 @kernel
-def _level_end(field: Field, start: tuple[int, int], sense: tuple[int, int]) -> tuple[float, int]:
-    """Follow the level of a point through gentle changes; return the height at its end, and the cells to there."""
-    at, z = field.at, field.points[2]
-    p = at[start]
-    last, length = z[p], 0
+def _write_slopes(line: Line, rules: Rules) -> None:
+    """Write the steepest slope that the terrain beside each point may have along a line."""
+    place, z, slope = line.place, line.z, line.slope
+    for k in range(z.size):
+        first, last = (
+            _level_end(place, z, line.firm, (k, -1), rules.step),
+            _level_end(place, z, line.firm, (k, 1), rules.step),
+        )
+        length = place[last] - place[first]
+        slope[k] = rules.steepest / 2
+        if length >= FEWEST:
+            slope[k] = min(SLOPE_FACTOR * abs(z[last] - z[first]) / (length * rules.cell) + SLOPE_MORE, rules.steepest)
+
+
+@kernel
+def _level_end(place: Index, z: Floats, firm: Mask, start: tuple[int, int], step: float) -> int:
+    """Follow the level of a point through gentle changes in one sense; return where on the line it ends."""
+    k, sense = start
+    end = k
     while True:
-        q, i = _next(at, start, sense, length, STRETCH)
-        if q < 0 or field.firm[q] != field.firm[p] or abs(z[q] - last) > field.step:
-            return last, length
-        last, length = z[q], i
+        i = end + sense
+        if i < 0 or i >= z.size or abs(place[i] - place[k]) > STRETCH:
+            return end
+        if firm[i] != firm[k] or abs(z[i] - z[end]) > step:
+            return end
+        end = i
 
 
 @kernel
-def _write_sizes(field: Field, first: int, sizes: Floats) -> None:
-    """Write the sizes of the points of a band."""
-    longest_cut = field.reach * field.cell / CUT
-    for row in range(first, min(first + ROWS, field.at.shape[0])):
-        for col in range(field.at.shape[1]):
-            if field.at[row, col] < 0:
-                continue
-            nearest = np.inf
-            for axis in range(2):
-                down, across = 1 - axis, axis
-                one, near = _run(field, (row, col), (down, across), axis)
-                if one == NOTHING:
-                    continue
-                other, far = _run(field, (row, col), (-down, -across), axis)
-                if one > END and other > END:
-                    nearest = min(nearest, near, far)
-                elif max(one, other) > END and min(one, other) == END and near + far <= longest_cut:
-                    nearest = min(nearest, near if one > END else far)
-            sizes[field.at[row, col]] = nearest if np.isfinite(nearest) else 0.0
+def _runs(line: Line, rules: Rules) -> tuple[Index, Floats]:
+    """Follow the profiles of all points of a line; return what `_run` does."""
+    place, z, firm = line.place, line.z, line.firm
+    count = z.size
+    # Up to the event after it, a profile that is at a point meets but gentle changes.
+    event = np.empty(count, dtype=np.int64)
+    event[count - 1] = count
+    for k in range(count - 2, -1, -1):
+        gentle = firm[k] and firm[k + 1] and abs(z[k + 1] - z[k]) <= rules.step
+        event[k] = event[k + 1] if gentle else k + 1
+    codes = np.empty(count, dtype=np.int64)
+    feet = np.empty(count)
+    stop = 0
+    for k in range(count):
+        while stop + 1 < count and place[stop + 1] - place[k] <= rules.reach:
+            stop += 1
+        codes[k], feet[k] = _run(line, rules, event, k, stop)
+    return codes, feet
 
 
 @kernel
-def _run(field: Field, start: tuple[int, int], sense: tuple[int, int], axis: int) -> tuple[int, float]:
-    """Follow one profile; return what it comes to, and how far the foot of its fall, or the end of the data, is."""
-    at, (u, v, z), firms, slopes = field.at, field.points, field.firm, field.slopes[axis]
-    cell, reach, step, fall = field.cell, field.reach, field.step, field.fall
-    p = at[start]
-    last, last_i, slope = z[p], 0, slopes[p]
-    brink, brink_i = z[p], 0
+def _run(line: Line, rules: Rules, event: Index, p: int, stop: int) -> tuple[int, float]:
+    """Follow one profile as far as a point; return what it comes to, and how far its foot, or the data's end, is."""
+    place, u, v, z, firm, slopes = line
+    cell, reach, step, fall, _ = rules
+    last, last_i, slope = z[p], place[p], slopes[p]
+    brink, brink_i = z[p], place[p]
     steep, above, fallen = False, False, False
     onto, foot = NOTHING, 0.0
-    i = 0
+    q = p
     while True:
-        seen = i
-        q, i = _next(at, start, sense, i, reach)
-        if q < 0 and not fallen:
+        if event[q] > q + 1 and not above and not fallen:
+            q = min(event[q] - 1, stop)
+            last, last_i, slope, steep = z[q], place[q], slopes[q], False
+        q += 1
+        if q > stop and not fallen:
+            seen = place[stop] - place[p]
             return (END if CUT * seen <= reach and not above else NOTHING), seen * cell
-        if q < 0:
+        if q > stop:
             return onto, foot
-        here, gap, firm = z[q], i - last_i - 1, firms[q]
+        here, gap = z[q], place[q] - last_i - 1
         if above:
-            fallen = here < brink - fall - slope * cell * (i - brink_i)
-            above, steep = not (fallen or (firm and here <= brink + step)), fallen
+            fallen = here < brink - fall - slope * cell * (place[q] - brink_i)
+            above, steep = not (fallen or (firm[q] and here <= brink + step)), fallen
         elif here - last < -step - slope * cell * gap:
             brink, brink_i = (brink, brink_i) if steep else (last, last_i)
             steep = True
@@ -212,13 +233,13 @@ def _run(field: Field, start: tuple[int, int], sense: tuple[int, int], axis: int
             fallen = min(brink, z[p] + fall - step) - here >= fall + slope * cell * gap
         elif fallen:
             return onto, foot
-        elif not firm:
+        elif not firm[q]:
             continue
         else:
             steep, above = False, here - last > step + slope * cell * min(gap, NARROW)
             brink, brink_i = (last, last_i) if above else (brink, brink_i)
         if fallen:
-            onto, foot = (FALL if firm else SINK), max(abs(u[q] - u[p]), abs(v[q] - v[p]))
-        if firm or fallen:
-            last, last_i = here, i
+            onto, foot = (FALL if firm[q] else SINK), max(abs(u[q] - u[p]), abs(v[q] - v[p]))
+        if firm[q] or fallen:
+            last, last_i = here, place[q]
             slope = slope if above else slopes[q]

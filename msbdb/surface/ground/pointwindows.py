@@ -1,5 +1,7 @@
 """Erosion, dilation and opening on points, each with a window of its own (S3)."""
 
+from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -7,9 +9,13 @@ from numpy.typing import NDArray
 
 from msbdb.morphology.kernels import kernel
 from msbdb.surface.ground.lowpoints import LowPoints
+from msbdb.threads import in_threads
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+PARTS = 2
+"""Parts of the points that threads work on; the results are joined by maxima, so that their number changes nothing."""
 
 
 class Windows(NamedTuple):
@@ -57,12 +63,14 @@ def erosion(low: LowPoints, heights: Floats, half_m: Floats, cell_m: float) -> F
     """
     windows = Windows(low.at, low.u, low.v, half_m, cell_m)
     level = _levels(windows)
+    parts = _parts(level.size)
     found = heights.copy()
     table = np.where(low.at >= 0, heights[low.at], np.inf)
     for k in range(-1, int(level.max()) + 1):
         if k > 0:
             table = _coarser(table, 2 ** (k - 1))
-        _query(windows, (level, k), (heights, table), found)
+        values, now = (heights, table), (level, k)
+        in_threads(partial(_query, windows, now, values, found), parts)
     return found
 
 
@@ -70,16 +78,30 @@ def dilation(low: LowPoints, eroded: Floats, half_m: Floats, cell_m: float) -> F
     """Take for each point the highest of the values whose windows hold it; arguments as of `opening`."""
     windows = Windows(low.at, low.u, low.v, half_m, cell_m)
     level = _levels(windows)
-    found = eroded.copy()
+    work = partial(_dilated, windows, level, eroded)
+    found: Floats = np.maximum.reduce(in_threads(work, _parts(level.size)))
+    return found
+
+
+def _parts(count: int) -> list[tuple[int, int]]:
+    """Cut the points in parts for threads; those of a part lie together, since low points are in order of cells."""
+    cuts = [count * part // PARTS for part in range(PARTS + 1)]
+    return list(pairwise(cuts))
+
+
+def _dilated(windows: Windows, level: Index, eroded: Floats, part: tuple[int, int]) -> Floats:
+    """Dilate the values of a part of the points."""
+    found = np.full(eroded.size, -np.inf)
+    found[part[0] : part[1]] = eroded[part[0] : part[1]]
+    shape = windows.at.shape
     top = int(level.max())
-    shape = low.at.shape
-    table = np.full(shape if top < 1 else _shrunk(shape, 2**top), -np.inf)
+    table = np.full(_shrunk(shape, 2 ** max(top, 0)), -np.inf)
     for k in range(top, -2, -1):
-        _spread(windows, (level, k), (eroded, table), found)
+        _spread(windows, (level, k), (eroded, table), found, part)
         if k > 0:
             table = _finer(table, _shrunk(shape, 2 ** (k - 1)), 2 ** (k - 1))
-    there = low.at >= 0
-    found[low.at[there]] = np.maximum(found[low.at[there]], table[there])
+    there = windows.at >= 0
+    found[windows.at[there]] = np.maximum(found[windows.at[there]], table[there])
     return found
 
 
@@ -174,12 +196,14 @@ def _most_rim(windows: Windows) -> int:
 
 
 @kernel
-def _query(windows: Windows, levels: tuple[Index, int], values: tuple[Floats, Floats], found: Floats) -> None:
+def _query(
+    windows: Windows, levels: tuple[Index, int], values: tuple[Floats, Floats], found: Floats, part: tuple[int, int]
+) -> None:
     """Lower ``found`` to the minimum over the window, for the points whose blocks are of one level."""
     level, k = levels
     heights, table = values
     rim = np.empty(_most_rim(windows), dtype=np.int64)
-    for p in range(found.size):
+    for p in range(part[0], part[1]):
         if level[p] != k:
             continue
         best = heights[p]
@@ -195,12 +219,14 @@ def _query(windows: Windows, levels: tuple[Index, int], values: tuple[Floats, Fl
 
 
 @kernel
-def _spread(windows: Windows, levels: tuple[Index, int], values: tuple[Floats, Floats], found: Floats) -> None:
+def _spread(
+    windows: Windows, levels: tuple[Index, int], values: tuple[Floats, Floats], found: Floats, part: tuple[int, int]
+) -> None:
     """Raise the blocks in ``table`` and the rim in ``found`` to each value, for the windows of one level."""
     level, k = levels
     eroded, table = values
     rim = np.empty(_most_rim(windows), dtype=np.int64)
-    for p in range(found.size):
+    for p in range(part[0], part[1]):
         if level[p] != k:
             continue
         value = eroded[p]
