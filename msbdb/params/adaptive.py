@@ -89,11 +89,11 @@ class AdaptiveParams:
         doc="Points of smaller log-odds are vegetation; a large negative value keeps all.",
     )
     steps: int = param(
-        3,
+        2,
         unit="count",
         low=1,
         high=20,
-        source="ours: S6 clusters and tightens step by step, without numbers",
+        source="ours: S6 clusters and tightens step by step, without numbers; 2 and 4 give the same regions",
         doc="Steps of the clustering; distance and thresholds go evenly from the first to the last.",
     )
     link_factors: tuple[float, ...] = param(

@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import VectorParams
-from msbdb.vector.alphashape import alpha_shapes, thinned
+from msbdb.vector.alphashape import alpha_shapes, enclosed, thinned
 from msbdb.vector.outlines import outline_points, outline_regions, without_residuals
 
 METHODS = ("alpha", "grid", "hull")
@@ -140,6 +140,17 @@ def test_points_that_span_no_shape_have_an_outline(method, points):
     assert shapely.area(found) > 0
     assert shapely.intersects_xy(shapely.buffer(found, 0.01), x, y).all()
     assert shapely.area(found) < 20
+
+
+def test_holes_that_touch_at_a_corner_stay_open():
+    """Two holes with a common corner, one of them touching the shell, are holes, and an island in a hole is solid."""
+    rings = [shapely.box(0, 0, 8, 8), shapely.box(1, 1, 3, 3), shapely.box(3, 3, 6, 6), shapely.box(4, 4, 5, 5)]
+    rings.append(shapely.Polygon([(8, 8), (7, 8 - 1e-3), (7, 7)]))
+    coords = [shapely.get_coordinates(ring) for ring in rings]
+    start, end = (np.concatenate([ring[cut] for ring in coords]) for cut in (slice(None, -1), slice(1, None)))
+    (found,) = enclosed(start, end, np.ones(len(start), dtype=np.int32), 1)
+    assert found.is_valid
+    assert found.area == pytest.approx(64 - 4 - 9 + 1 - rings[-1].area)
 
 
 @pytest.mark.parametrize("method", METHODS)

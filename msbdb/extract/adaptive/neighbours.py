@@ -17,7 +17,10 @@ LEAST_POINTS = 5
 """Through fewer points a plane fits always, or nearly."""
 
 SPLITS = 2
-"""Cells to the radius: finer ones than the radius let the window fit the disc better."""
+"""Cells to the radius of a sphere: finer ones than the radius let the window fit the disc better."""
+
+SHARING = 4
+"""Cells to the radius of means: the points of one cell share theirs."""
 
 PARTS = 16
 """Work is cut into so many parts; their borders change nothing."""
@@ -58,7 +61,7 @@ def plane_residuals(x: Floats, y: Floats, z: Floats, radius_m: float) -> NDArray
 
 
 def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: float) -> NDArray[np.float32]:
-    """Return the means over all points within a radius in plan, the point itself included.
+    """Return the means over all points within a radius in plan.
 
     Parameters
     ----------
@@ -72,8 +75,13 @@ def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: fl
     Returns
     -------
     (N, K) ndarray of float32
+
+    Notes
+    -----
+    The means vary little over a quarter of the radius. So points in a cell of that side share the mean over the disc
+    about the middle of them, which takes a fraction of the time where points are dense.
     """
-    index = index_cells(x, y, radius_m / SPLITS)
+    index = index_cells(x, y, radius_m / SHARING)
     found = np.empty(values.shape, dtype=np.float32)
     sorted_points = Sorted(index, x[index.order], y[index.order], radius_m)
     sorted_values = np.ascontiguousarray(values[index.order])
@@ -93,10 +101,9 @@ def _residuals(points: Sorted, z: Floats, part: tuple[int, int], found: NDArray[
     """Fill in the residuals of the points of a part of the cells; z comes in the order of the cells."""
     index, x, y, radius_m = points
     limit = radius_m * radius_m
-    reach = SPLITS
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
-        strips = [strip(index, other, col - reach, col + reach) for other in range(row - reach, row + reach + 1)]
+        strips = [strip(index, other, col - SPLITS, col + SPLITS) for other in range(row - SPLITS, row + SPLITS + 1)]
         for point in range(index.starts[cell], index.starts[cell + 1]):
             n, sx, sy, sz = 0, 0.0, 0.0, 0.0
             xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -138,21 +145,22 @@ def _means(points: Sorted, values: NDArray[np.float32], part: tuple[int, int], f
     """Fill in the means about the points of a part of the cells; the values come in the order of the cells."""
     index, x, y, radius_m = points
     limit = radius_m * radius_m
-    reach = SPLITS
     width = values.shape[1]
     sums = np.zeros(width, dtype=np.float64)
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
-        strips = [strip(index, other, col - reach, col + reach) for other in range(row - reach, row + reach + 1)]
-        for point in range(index.starts[cell], index.starts[cell + 1]):
-            sums[:] = 0.0
-            n = 0
-            for first, stop in strips:
-                for other in range(first, stop):
-                    dx, dy = x[other] - x[point], y[other] - y[point]
-                    if dx * dx + dy * dy <= limit:
-                        n += 1
-                        for k in range(width):
-                            sums[k] += values[other, k]
+        begin, end = index.starts[cell], index.starts[cell + 1]
+        east, north = x[begin:end].mean(), y[begin:end].mean()
+        sums[:] = 0.0
+        n = 0
+        for other_row in range(row - SHARING, row + SHARING + 1):
+            first, stop = strip(index, other_row, col - SHARING, col + SHARING)
+            for other in range(first, stop):
+                dx, dy = x[other] - east, y[other] - north
+                if dx * dx + dy * dy <= limit:
+                    n += 1
+                    for k in range(width):
+                        sums[k] += values[other, k]
+        for point in range(begin, end):
             for k in range(width):
                 found[index.order[point], k] = sums[k] / n

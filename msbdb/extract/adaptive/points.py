@@ -29,7 +29,7 @@ PLACES = 2**31
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffGround:
-    """The points of at least the mask's height, sorted by x, y, z, then by all else that is known of them.
+    """The points of at least the mask's height, sorted by x, y and z, then by all else that is known of them.
 
     Parameters
     ----------
@@ -143,11 +143,15 @@ def _areas(x: Floats, y: Floats, cell_m: float) -> Floats:
 def _canonical(
     cloud: PointCloud, heights: Floats, ndvi: NDArray[np.float32] | None, chosen: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return the order of chosen points by place; by all else where points share a place."""
-    x, y, z = cloud.x[chosen], cloud.y[chosen], cloud.z[chosen]
-    order = np.lexsort((z, y, x))
-    same = (np.diff(x[order]) == 0) & (np.diff(y[order]) == 0) & (np.diff(z[order]) == 0)
-    if same.any():
-        known = (ndvi, heights, cloud.number_of_returns, cloud.return_number)
-        order = np.lexsort((*(values[chosen] for values in known if values is not None), z, y, x))
+    """Return the order of chosen points by x and y, then by z and all else where points share a place in plan."""
+    # By ranks of x and y in one number, since sorting by one is much faster than by several.
+    east, north = (np.unique(values[chosen], return_inverse=True)[1].astype(np.int64) for values in (cloud.x, cloud.y))
+    key = east * (int(north.max(initial=0)) + 1) + north
+    order = np.argsort(key)
+    same = np.diff(key[order]) == 0
+    tied = np.append(same, False) | np.append(False, same)
+    if tied.any():
+        some = order[tied]
+        known = (ndvi, heights, cloud.number_of_returns, cloud.return_number, cloud.z)
+        order[tied] = some[np.lexsort((*(v[chosen[some]] for v in known if v is not None), key[some]))]
     return np.asarray(order, dtype=np.int64)
