@@ -70,10 +70,11 @@ Z_UNITS = ("auto", "m", "ft", "us-ft")
 @click.option(
     "--extract",
     type=extractors,
-    default="multiscale,flatregions",
+    default="multiscale,flatregions,area3d,adaptive",
     show_default=True,
     metavar="NAME,NAME",
-    help="Extractors: multiscale finds buildings as trees of parts, flatregions finds flat regions as evidence.",
+    help="Extractors: multiscale finds buildings as trees of parts, flatregions finds flat regions, area3d and "
+    "adaptive find candidate regions on the points themselves, as evidence.",
 )
 @click.option(
     "--denoising-figure",
@@ -132,6 +133,7 @@ def emit_report(report: "BuildReport") -> None:
         "buildings": report.buildings,
         "parts": report.parts,
         "flat regions": report.flat_regions,
+        **{f"{name} regions": count for name, count in report.candidate_regions.items()},
         "rejected regions": report.rejected,
         "database": "written" if report.changed else "unchanged: this build was there already",
         "seconds": float(sum(report.timings.values())),

@@ -16,17 +16,17 @@ from msbdb.cli.options import OUTPUT_FILE, shared
 @click.option("--out", type=OUTPUT_FILE, required=True, metavar="FILE.png", help="The picture to write.")
 @click.option(
     "--of",
-    type=click.Choice(["buildings", "flatregions"]),
+    type=click.Choice(["buildings", "flatregions", "area3d", "adaptive"]),
     default="buildings",
     show_default=True,
     help="What to draw.",
 )
 @shared("survey")
 def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
-    """Draw a map of the buildings, or of the flat regions.
+    """Draw a map of the buildings, or of what another extractor found.
 
-    Parts of buildings are outlined by scale and filled by height, flat regions are coloured by their zone, on a
-    hillshade of the surface.
+    Parts of buildings are outlined by scale and filled by height, flat regions are coloured by their zone, candidate
+    regions by the height scale that accepted them or by their height, on a hillshade of the surface.
     """
     from msbdb import pipeline
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.bands import Bands
 from msbdb.database import check_target, open_database, write_build
 from msbdb.errors import ParameterError
 from msbdb.extract.multiscale.run import extract_parts
@@ -15,20 +16,23 @@ from msbdb.grid import Grid
 from msbdb.params import Params, as_dict
 from msbdb.params import profile as named_profile
 from msbdb.pipeline.assemble import make_frames, outline_parts
+from msbdb.pipeline.candidates import METHODS, CandidateLayer, find_regions, point_ndvi
 from msbdb.pipeline.cover import Cover, classify_cover
 from msbdb.pipeline.flat import Flat, find_flat_regions, no_flat_regions
 from msbdb.pipeline.inputs import Inputs, collect_notices, make_surface, read_cloud, read_ortho, record_survey
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import pack_state
+from msbdb.pointcloud import PointCloud
 from msbdb.spectral.bands import spectral_bands
-from msbdb.surface import cover_from_surface
+from msbdb.surface import Surface, cover_from_surface
 from msbdb.tables import Build, Run, Survey
 from msbdb.version import __version__
 
-EXTRACTORS = ("multiscale", "flatregions")
+EXTRACTORS = ("multiscale", "flatregions", "area3d", "adaptive")
 """The extractors that there are; all of them by default."""
 
 NO_IMAGERY = "There is no imagery: roofs and vegetation are told by height texture and echoes alone."
+NO_POINTS = "There are no points: {names}, which {take} the points themselves, {were} left out."
 NO_ECHOES = "No pulse has a second echo, or the source does not tell: height texture alone tells roofs from vegetation."
 
 
@@ -40,6 +44,7 @@ class BuildReport:
     buildings: int
     parts: int
     flat_regions: int
+    candidate_regions: dict[str, int]
     rejected: int
     notices: tuple[str, ...]
     timings: dict[str, float]
@@ -96,7 +101,8 @@ def build(
     profile : str
         Name of the profile that the parameters come from.
     extract : sequence of str
-        ``multiscale`` finds buildings as trees of parts, ``flatregions`` finds flat regions as their evidence.
+        ``multiscale`` finds buildings as trees of parts; ``flatregions`` finds flat regions, and ``area3d`` and
+        ``adaptive`` find candidate regions on the points themselves, as their evidence.
     denoising_figure : path, optional
         PNG of the surface before and after the denoising for the flat regions.
     progress : callable, optional
@@ -114,14 +120,14 @@ def build(
     params = params or named_profile(profile)
     as_paths = [Path(path) for path in points], [Path(path) for path in ortho]
     inputs = Inputs(tuple(as_paths[0]), tuple(as_paths[1]), dsm, dtm, ndsm, crs, ortho_crs, z_unit)
-    methods = check_extractors(extract)
+    notices: list[str] = []
+    methods = possible_extractors(check_extractors(extract), inputs, notices)
     check_target(db)
     stages = Stages(progress)
-    notices: list[str] = []
     with collect_notices(notices):
         job = Job(inputs, params, survey or inputs.default_survey(), date or "", methods, denoising_figure)
         result = run(job, stages, notices)
-    record, cover, flat, regions, frames, heights = result
+    record, cover, flat, candidates, regions, frames, heights = result
     counts: dict[str, object] = {
         "regions": regions,
         "cells": _cells(heights, cover),
@@ -130,7 +136,7 @@ def build(
     values: dict[str, object] = dict(as_dict(params))
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
-        whole = Build(record, entry, frames, pack_state(heights, cover, flat, ()))
+        whole = Build(record, entry, frames, pack_state(heights, cover, flat, candidates))
         changed = store(whole, db)
     return report_of(whole, stages, changed=changed)
 
@@ -162,9 +168,32 @@ def check_extractors(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(sorted(set(names)))
 
 
+def possible_extractors(names: tuple[str, ...], inputs: Inputs, notices: list[str]) -> tuple[str, ...]:
+    """Leave out, with a notice, the extractors that take the points themselves, where the build is from rasters.
+
+    Raises
+    ------
+    ParameterError
+        When no other was asked for.
+    """
+    without = [name for name in names if name in METHODS]
+    if inputs.points or not without:
+        return names
+    several = len(without) > 1
+    told = NO_POINTS.format(
+        names=" and ".join(without), take="take" if several else "takes", were="were" if several else "was"
+    )
+    left = tuple(name for name in names if name not in METHODS)
+    if not left:
+        msg = f"{told} Give LAS or LAZ files by --points, or ask for multiscale or flatregions."
+        raise ParameterError(msg)
+    notices.append(told)
+    return left
+
+
 def run(
     job: Job, stages: Stages, notices: list[str]
-) -> tuple[Survey, Cover, Flat, dict[str, dict[str, int]], dict[str, Any], Grid]:
+) -> tuple[Survey, Cover, Flat, tuple[CandidateLayer, ...], dict[str, dict[str, int]], dict[str, Any], Grid]:
     """Take one tile through all stages, up to the tables that the database takes.
 
     Points and surfaces are let go as soon as no later stage needs them, for the peak of memory.
@@ -183,11 +212,13 @@ def run(
     if "flatregions" in job.methods:
         with stages.stage("flat regions"):
             flat = find_flat_regions(surface, cloud, params, survey=job.survey, figure=job.denoising_figure)
-    del surface
-    with stages.stage("classes"):
+    with stages.stage("bands"):
         ortho = read_ortho(inputs, ndsm.spec)
         bands = spectral_bands(ortho, cloud, ndsm.spec, max_gap_m=params.surface.max_gap_m)
-        del cloud, ortho
+        del ortho
+    candidates = find_candidates(job, stages, surface, cloud, bands)
+    del surface, cloud
+    with stages.stage("classes"):
         cover = classify_cover(structure, bands, ndsm, roughness_m, params, echoes=echoes)
         notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
         del bands, structure, roughness_m
@@ -196,8 +227,25 @@ def run(
         forest = extract_parts(searched, cover.classes, survey=job.survey, params=params)
     with stages.stage("outlines"):
         parts = outline_parts(forest, ndsm, params.vector)
-        frames = make_frames(forest, parts, cover, flat, (), ndsm=ndsm)
-    return record, cover, flat, forest.counts | flat.counts, frames, ndsm
+        frames = make_frames(forest, parts, cover, flat, candidates, ndsm=ndsm)
+    counts = forest.counts | flat.counts
+    for layer in candidates:
+        counts |= layer.counts
+    return record, cover, flat, candidates, counts, frames, ndsm
+
+
+def find_candidates(
+    job: Job, stages: Stages, surface: Surface, cloud: PointCloud | None, bands: Bands | None
+) -> tuple[CandidateLayer, ...]:
+    """Find the candidate regions of each extractor on points that was asked for, a stage each."""
+    layers = []
+    for method in METHODS:
+        if cloud is None or method not in job.methods:
+            continue
+        with stages.stage(method):
+            ndvi = point_ndvi(bands, cloud)
+            layers.append(find_regions(method, cloud, surface, ndvi=ndvi, params=job.params, survey=job.survey))
+    return tuple(layers)
 
 
 def store(build: Build, db: str | Path) -> bool:
@@ -219,6 +267,12 @@ def _cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
     return {"all": int(ndsm.valid.size), "valid": int(np.count_nonzero(ndsm.valid)), **by_label}
 
 
+def candidates_by_method(build: Build) -> dict[str, int]:
+    """Count the candidate regions of each extractor on points that was run."""
+    found = build.frames["candidate_region"]["method"]
+    return {name: int((found == name).sum()) for name in METHODS if name in build.run.method.split(",")}
+
+
 def report_of(build: Build, stages: Stages, *, changed: bool) -> BuildReport:
     """Sum up a build."""
     return BuildReport(
@@ -226,6 +280,7 @@ def report_of(build: Build, stages: Stages, *, changed: bool) -> BuildReport:
         buildings=len(build.frames["building"]),
         parts=len(build.frames["part"]),
         flat_regions=len(build.frames["flat_region"]),
+        candidate_regions=candidates_by_method(build),
         rejected=len(build.frames["rejection"]),
         notices=build.run.notices,
         timings={name: round(seconds, 3) for name, seconds in stages.timings.items()},

@@ -7,6 +7,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from msbdb.bands import Bands
+from msbdb.extract.adaptive.run import extract_adaptive
+from msbdb.extract.area3d.run import extract_area3d
+from msbdb.extract.candidates import Candidates
+from msbdb.params import Params
+from msbdb.pointcloud import PointCloud
+from msbdb.surface import Surface, density, heights_above
+from msbdb.surface.ground.quadratic import ground_heights
+from msbdb.vector.outlines import outline_regions
+from msbdb.vector.polygons import rasterise
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateLayer:
@@ -31,3 +42,69 @@ class CandidateLayer:
     regions: gpd.GeoDataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
+
+
+METHODS = ("adaptive", "area3d")
+"""The extractors that take the points themselves."""
+
+
+def point_heights(cloud: PointCloud, surface: Surface, params: Params) -> NDArray[np.float64]:
+    """Return the points' heights above ground, metres.
+
+    The quadratic ground filter gives them itself (C13, Eq. 6); any other filter gives a terrain to subtract.
+    """
+    if surface.ground_filter == "quadratic":
+        return np.asarray(cloud.z - ground_heights(cloud, params.ground))
+    return heights_above(cloud, surface.dtm)
+
+
+def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | None:
+    """Return the vegetation index (nir - red) / (nir + red) of each point's cell.
+
+    Parameters
+    ----------
+    bands : Bands, optional
+        Of an orthophoto, or gridded from the points.
+    cloud : PointCloud
+        N points in the bands' CRS.
+
+    Returns
+    -------
+    (N,) ndarray of float32 or None
+        From -1 to 1; NaN where the cell has no colours or is black, or there is no cell. None without the bands
+        ``red`` and ``nir``.
+    """
+    red, nir = (None, None) if bands is None else (bands.band("red"), bands.band("nir"))
+    if bands is None or red is None or nir is None:
+        return None
+    total = red + nir
+    usable = bands.valid & (total > 0)
+    index = np.full(red.shape, np.nan, dtype=np.float32)
+    np.divide(nir - red, total, out=index, where=usable)
+    row, col = bands.spec.rowcol(cloud.x, cloud.y)
+    inside = (row >= 0) & (col >= 0) & (row < red.shape[0]) & (col < red.shape[1])
+    result = np.full(len(cloud), np.nan, dtype=np.float32)
+    result[inside] = index[row[inside], col[inside]]
+    return result
+
+
+def point_candidates(
+    method: str, cloud: PointCloud, surface: Surface, *, ndvi: NDArray[np.float32] | None, params: Params, survey: str
+) -> Candidates:
+    """Extract the candidate regions of one of ``METHODS``."""
+    extract = extract_area3d if method == "area3d" else extract_adaptive
+    heights = point_heights(cloud, surface, params)
+    return extract(cloud, heights, spec=surface.ndsm.spec, survey=survey, params=params, ndvi=ndvi)
+
+
+def find_regions(
+    method: str, cloud: PointCloud, surface: Surface, *, ndvi: NDArray[np.float32] | None, params: Params, survey: str
+) -> CandidateLayer:
+    """Extract the candidate regions of one of ``METHODS``, and draw their outlines."""
+    found = point_candidates(method, cloud, surface, ndvi=ndvi, params=params, survey=survey)
+    spec = surface.ndsm.spec
+    outlines = outline_regions(
+        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=1 / density(cloud) ** 0.5, params=params.vector
+    )
+    regions = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
+    return CandidateLayer(method, rasterise(outlines, spec), regions, found.rejections, found.counts)

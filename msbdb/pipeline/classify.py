@@ -17,6 +17,7 @@ from msbdb.io.laswrite import check_output, write_classes
 from msbdb.params import Params
 from msbdb.params import profile as named_profile
 from msbdb.pipeline.build import check_extractors
+from msbdb.pipeline.candidates import point_candidates, point_ndvi
 from msbdb.pipeline.cover import classify_cover
 from msbdb.pipeline.flat import find_flat_regions
 from msbdb.pipeline.inputs import Inputs, collect_notices, read_ortho
@@ -194,36 +195,6 @@ def points_in(cells: Mask, spec: GridSpec, cloud: PointCloud, heights: NDArray[n
     return result & (heights >= least_m)
 
 
-def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | None:
-    """Return the vegetation index (nir - red) / (nir + red) of each point's cell.
-
-    Parameters
-    ----------
-    bands : Bands, optional
-        Of an orthophoto, or gridded from the points.
-    cloud : PointCloud
-        N points in the bands' CRS.
-
-    Returns
-    -------
-    (N,) ndarray of float32 or None
-        From -1 to 1; NaN where the cell has no colours or is black, or there is no cell. None without the bands
-        ``red`` and ``nir``.
-    """
-    red, nir = (None, None) if bands is None else (bands.band("red"), bands.band("nir"))
-    if bands is None or red is None or nir is None:
-        return None
-    total = red + nir
-    usable = bands.valid & (total > 0)
-    index = np.full(red.shape, np.nan, dtype=np.float32)
-    np.divide(nir - red, total, out=index, where=usable)
-    row, col = bands.spec.rowcol(cloud.x, cloud.y)
-    inside = (row >= 0) & (col >= 0) & (row < red.shape[0]) & (col < red.shape[1])
-    result = np.full(len(cloud), np.nan, dtype=np.float32)
-    result[inside] = index[row[inside], col[inside]]
-    return result
-
-
 def _prepare(inputs: Inputs, cloud: PointCloud, params: Params, stages: Stages) -> _Scene:
     """Make the surface, the heights of the points, and the bands."""
     with stages.stage("surface"):
@@ -265,8 +236,6 @@ def _find_flat(scene: _Scene) -> tuple[Mask, int]:
 
 def _find_candidates(method: str, scene: _Scene) -> tuple[Mask, int]:
     """Return the points of the candidate regions of an extractor on points, and the number of regions."""
-    from msbdb.pipeline.candidates import point_candidates  # type: ignore[attr-defined]
-
     ndvi = point_ndvi(scene.bands, scene.cloud)
     found = point_candidates(method, scene.cloud, scene.surface, ndvi=ndvi, params=scene.params, survey=scene.survey)
     return found.labels > 0, len(found.regions)

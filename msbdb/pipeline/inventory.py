@@ -12,6 +12,7 @@ from msbdb.database import (
     list_runs,
     open_database,
     read_buildings,
+    read_candidates,
     read_classes,
     read_flat_regions,
     read_parts,
@@ -67,6 +68,10 @@ class Inventory:
         """Return the flat regions."""
         return read_flat_regions(self.engine, survey)
 
+    def candidates(self, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+        """Return the candidate regions of the extractors on points, or of one of them: area3d or adaptive."""
+        return read_candidates(self.engine, survey, method)
+
     def scales(self, survey: str | None = None) -> pd.DataFrame:
         """Return the scales with their thresholds."""
         return read_scales(self.engine, survey)
@@ -80,7 +85,7 @@ class Inventory:
         return read_rejections(self.engine, survey)
 
     def view(self, out: str | Path, survey: str | None = None, *, of: str = "buildings") -> None:
-        """Draw a map on a hillshade, as PNG: of the buildings by scale and height, or of the flat regions by zone."""
+        """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""
         reports.view(self.db, Path(out), survey=survey, of=of)
 
     def export(self, out: str | Path, survey: str | None = None, *, overwrite: bool = False) -> None:

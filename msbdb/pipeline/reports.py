@@ -35,10 +35,12 @@ from msbdb.io.las import read_points
 from msbdb.io.vector import read_polygons
 from msbdb.params import Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.build import BuildReport, report_of, store
+from msbdb.pipeline.build import BuildReport, candidates_by_method, report_of, store
+from msbdb.pipeline.candidates import METHODS
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import lattice_of, pack_state, unpack_candidates, unpack_cover, unpack_flat, unpack_heights
 from msbdb.tables import CANDIDATE_METHODS, Build
+from msbdb.view.candidates import draw_candidates
 from msbdb.view.figure import draw_map
 from msbdb.view.flat import draw_zones
 
@@ -125,8 +127,8 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
         The picture.
     survey : str, optional
         Not needed where the database holds one.
-    of : {'buildings', 'flatregions'}
-        Footprints and parts by scale and height, or flat regions by their zone.
+    of : {'buildings', 'flatregions', 'area3d', 'adaptive'}
+        Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height.
     """
     with opened(db) as engine:
         build = read_build(engine, survey)
@@ -137,6 +139,12 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
     if of == "flatregions":
         title = f"{build.survey.name}: {len(regions)} flat regions"
         draw_zones(gpd.GeoDataFrame(regions), relief, Path(out), title=title, subtitle=subtitle)
+        return
+    if of in METHODS:
+        frame = build.frames["candidate_region"]
+        chosen = gpd.GeoDataFrame(frame[frame["method"] == of])
+        title = f"{build.survey.name}: {len(chosen)} candidate regions of {of}"
+        draw_candidates(chosen, relief, Path(out), title=title, subtitle=subtitle)
         return
     draw_map(
         build.frames["part"],
@@ -244,6 +252,7 @@ def _counts(build: Build) -> dict[str, Any]:
         "buildings": len(buildings),
         "parts": len(parts),
         "flat_regions": len(build.frames["flat_region"]),
+        "candidate_regions": candidates_by_method(build),
         "rejected": len(build.frames["rejection"]),
         "footprint_m2": round(float(buildings["area_m2"].sum()), 1),
         "volume_m3": round(float(buildings["volume_m3"].sum()), 1),

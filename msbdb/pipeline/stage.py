@@ -10,7 +10,19 @@ logger = logging.getLogger(__name__)
 Progress = Callable[[str, int, int], None]
 """Called with the stage's name, the steps done and the steps in all."""
 
-STAGES = ("read", "surface", "cover", "flat regions", "classes", "parts", "outlines", "write")
+STAGES = (
+    "read",
+    "surface",
+    "cover",
+    "flat regions",
+    "bands",
+    "adaptive",
+    "area3d",
+    "classes",
+    "parts",
+    "outlines",
+    "write",
+)
 
 
 class Stages:

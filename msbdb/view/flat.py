@@ -4,7 +4,6 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PathCollection
@@ -12,6 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from msbdb.grid import Grid
+from msbdb.view.colourbar import colour_bar
 from msbdb.view.figure import draw_relief, furnish, require_png, sheet, write_picture
 from msbdb.view.outlines import outlines
 
@@ -50,7 +50,7 @@ def draw_zones(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: str
         paths = outlines(regions.geometry.to_numpy())
         fills = PathCollection(paths, facecolors=colours, edgecolors="black", linewidths=0.5, zorder=2)
         axes.add_collection(fills, autolim=False)
-        _zone_bar(figure, axes, mapper)
+        colour_bar(figure, axes, mapper, "Zone i")
     furnish(figure, axes, title, subtitle)
     write_picture(figure, out)
 
@@ -90,14 +90,3 @@ def draw_denoising(before: Grid, after: Grid, out: Path, *, title: str) -> None:
         draw_relief(axes, grid)
         axes.set_aspect("equal")
     write_picture(figure, out)
-
-
-def _zone_bar(figure: Figure, axes: Axes, mapper: ScalarMappable) -> None:
-    """Explain the colours of the zones beside the map."""
-    box = axes.get_position()
-    width, height = figure.get_figwidth(), figure.get_figheight()
-    length = min(2.4 / height, box.y1)
-    bar = figure.add_axes((box.x1 + 0.2 / width, box.y1 - length - 0.4 / height, 0.16 / width, length))
-    figure.colorbar(mapper, cax=bar)
-    bar.tick_params(labelsize=8)
-    bar.set_title("Zone i", fontsize=9, loc="left", pad=8)

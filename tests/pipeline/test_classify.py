@@ -64,10 +64,7 @@ def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch,
         labels = (np.arange(len(cloud)) % 3).astype(np.int32)
         return Candidates(name, labels, CANDIDATE_REGION.empty(), REJECTION.empty(), {})
 
-    monkeypatch.setattr(
-        sys.modules["msbdb.pipeline.build"], "EXTRACTORS", ("adaptive", "area3d", "flatregions", "multiscale")
-    )
-    monkeypatch.setattr("msbdb.pipeline.candidates.point_candidates", point_candidates, raising=False)
+    monkeypatch.setattr(module, "point_candidates", point_candidates)
     report = msbdb.pipeline.classify(source, tmp_path / "out.laz", extract=(method,))
     cloud, _ = read_points(source)
     np.testing.assert_array_equal(laspy.read(tmp_path / "out.laz").classification == 6, np.arange(len(cloud)) % 3 > 0)

@@ -11,6 +11,7 @@ import msbdb
 from msbdb.database import read_part_flat_regions
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
+from msbdb.tables import EXTRACTOR_SHARES
 
 MULTISCALE = ("multiscale",)
 
@@ -48,15 +49,16 @@ def test_flat_regions_confirm_the_house_and_no_crown(town):
 
 
 def test_extractors_do_not_change_each_other(points, town, tmp_path):
-    """Parts and buildings are the same with and without flat regions, but for the flat share that is not known."""
+    """Parts and buildings are the same with and without the others, but for the shares that are not known."""
     msbdb.build([points], db=tmp_path / "alone.sqlite", extract=MULTISCALE)
     with msbdb.open(tmp_path / "alone.sqlite") as alone, msbdb.open(town[0]) as both:
         assert alone.parts().equals(both.parts())
-        assert alone.buildings()["flat_share"].isna().all()
-        assert alone.buildings().drop(columns="flat_share").equals(both.buildings().drop(columns="flat_share"))
+        shares = list(EXTRACTOR_SHARES.values())
+        assert alone.buildings()[shares].isna().all(axis=None)
+        assert alone.buildings().drop(columns=shares).equals(both.buildings().drop(columns=shares))
         assert len(alone.flat_regions()) == 0
         assert alone.runs()["method"].tolist() == ["multiscale"]
-        assert both.runs()["method"].tolist() == ["flatregions,multiscale"]
+        assert both.runs()["method"].tolist() == ["adaptive,area3d,flatregions,multiscale"]
 
 
 def test_flat_regions_alone_make_no_building(points, tmp_path):
@@ -152,5 +154,5 @@ def test_zones_that_make_no_sense_are_refused(points, tmp_path, values):
 
 def test_an_unknown_extractor_is_refused_before_anything_is_read(tmp_path):
     """The message lists the extractors that there are."""
-    with pytest.raises(ParameterError, match="multiscale, flatregions; got windows"):
+    with pytest.raises(ParameterError, match="multiscale, flatregions, area3d, adaptive; got windows"):
         msbdb.build([tmp_path / "nothing.laz"], db=tmp_path / "none.sqlite", extract=["windows"])
