@@ -6,6 +6,18 @@ from msbdb.database.crs import srid_of
 from msbdb.database.dump import canonical_dump
 from msbdb.database.engine import check_target, open_database, shown, upgrade_database
 from msbdb.database.examples import ExampleQuery, example_queries, run_example
+from msbdb.database.inventory_read import (
+    first_day,
+    footprint_at,
+    read_changes,
+    read_history,
+    read_material_classes,
+    read_roof_samples,
+    read_states,
+)
+from msbdb.database.inventory_standing import Standing, read_standing, survey_key
+from msbdb.database.inventory_words import write_import, write_samples, write_state
+from msbdb.database.inventory_write import Advance, OutdatedError, write_advance
 from msbdb.database.load import WriteReport, write_build
 from msbdb.database.query import (
     list_runs,
@@ -27,32 +39,48 @@ from msbdb.database.query import (
 )
 
 __all__ = [
+    "Advance",
     "Engine",
     "ExampleQuery",
+    "OutdatedError",
+    "Standing",
     "WriteReport",
     "canonical_dump",
     "check_target",
     "example_queries",
+    "first_day",
+    "footprint_at",
     "list_runs",
     "open_database",
     "read_build",
     "read_buildings",
     "read_candidates",
+    "read_changes",
     "read_class_bands",
     "read_classes",
     "read_flat_region_candidates",
     "read_flat_regions",
+    "read_history",
+    "read_material_classes",
     "read_part_candidates",
     "read_part_flat_regions",
     "read_parts",
     "read_rejections",
+    "read_roof_samples",
     "read_run",
     "read_scales",
+    "read_standing",
     "read_state",
+    "read_states",
     "read_survey",
     "run_example",
     "shown",
     "srid_of",
+    "survey_key",
     "upgrade_database",
+    "write_advance",
     "write_build",
+    "write_import",
+    "write_samples",
+    "write_state",
 ]

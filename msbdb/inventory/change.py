@@ -37,6 +37,7 @@ CHANGE_COLUMNS = {
     "kind": "str",
     "before": "int64",
     "after": "int64",
+    "version": "int64",
     "outline": "bool",
     "height": "bool",
     "parts": "bool",
@@ -58,7 +59,8 @@ class Comparison:
         How the survey lies to the inventory.
     changes : DataFrame
         A row a building, or a pair of buildings for ``merged`` and ``split``: ``kind``; ``before`` and ``after``, row
-        numbers of the two frames or -1; what was modified (``outline``, ``height``, ``parts``); ``overlap_m2`` and
+        numbers of the two frames or -1; ``version``, row number of the building's new state in ``versions`` or -1; what
+        was modified (``outline``, ``height``, ``parts``); ``overlap_m2`` and
         ``iou`` of the pair; ``dh_m``, median change of height where both stand; ``darea_m2``; ``note``.
     versions : GeoDataFrame
         The new state of every building that changed: ``before`` (row whose identity it continues, or -1 for a new
@@ -227,9 +229,9 @@ class _Book:
         a = self.links[keeper][0]
         self.used.update(a for i in group for a in self.links.get(i, ()))
         shape, adopted = self._outline(group, a)
+        version = self._enter(keeper, a, shape, adopted=adopted)
         for i in group:
-            self._note("merged", i, a, outline=True)
-        self.versions.append((keeper - 1, a - 1, adopted, shape))
+            self._note("merged", i, a, version=version, outline=True)
 
     def _alone(self, i: int) -> None:
         """Decide on one building that was joined with no other."""
@@ -255,8 +257,8 @@ class _Book:
             common = int(np.count_nonzero(stood & (self.epochs.after[box] > 0)))
             shape, adopted = self._outline((i,), own[0])
             in_part = 0 < lifted < self.params.gone_share * common
-            self._note("modified", i, own[0], outline=outline, height=height, parts=bool(in_part))
-            self.versions.append((i - 1, own[0] - 1, adopted, shape))
+            version = self._enter(i, own[0], shape, adopted=adopted)
+            self._note("modified", i, own[0], version=version, outline=outline, height=height, parts=bool(in_part))
         else:
             self._note("unchanged", i, own[0])
 
@@ -275,11 +277,9 @@ class _Book:
     def _split(self, i: int, parted: list[int]) -> None:
         """Part a building into several, of which the one that shares most keeps its identity."""
         for n, a in enumerate(parted):
-            self._note("split", i, a, outline=True)
-            shape, adopted = self._outline((i,), a) if n == 0 else (self.after.geometry.iloc[a - 1], True)
-            if len(parted) > 1 and not adopted:
-                shape, adopted = self.after.geometry.iloc[a - 1], True
-            self.versions.append((i - 1 if n == 0 else -1, a - 1, adopted, shape))
+            # Of several parts each has the survey's own outline, as the old one would take them all in.
+            version = self._enter(i if n == 0 else 0, a, self.after.geometry.iloc[a - 1], adopted=True)
+            self._note("split", i, a, version=version, outline=True)
 
     def _rose_by_attributes(self, i: int, a: int) -> bool:
         """Tell by the buildings' own heights where the earlier lattice has none."""
@@ -315,15 +315,14 @@ class _Book:
             kind, note = "unchanged", STOOD_BEFORE
         else:
             kind, note = "new", "" if known else FIRST_SURVEY
-        self._note(kind, 0, a, note=note)
-        self.versions.append((-1, a - 1, True, self.after.geometry.iloc[a - 1]))
+        version = self._enter(0, a, self.after.geometry.iloc[a - 1], adopted=True)
+        self._note(kind, 0, a, version=version, note=note)
 
     def _detached(self, piece: int, a: int) -> None:
         """Enter a building that stands apart from those that its footprint was joined with."""
         box = self.box_gain[piece]
         shape = polygonise((self.pieces.gain[box] == piece).astype(np.int32), self.spec.crop(*box), 1)[0]
-        self._note("new", 0, a)
-        self.versions.append((-1, a - 1, False, shape))
+        self._note("new", 0, a, version=self._enter(0, a, shape, adopted=False))
 
     def _outline(self, group: tuple[int, ...], a: int) -> tuple[shapely.Geometry, bool]:
         """Return buildings' new outline: the survey's own where it is theirs alone, else theirs with the change."""
@@ -336,12 +335,18 @@ class _Book:
         cells = kept | np.isin(self.pieces.gain[box], gains or [-1])
         return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
 
+    def _enter(self, i: int, a: int, shape: shapely.Geometry, *, adopted: bool) -> int:
+        """Write a new state and return its row number; 0 stands for a building that begins with it."""
+        self.versions.append((i - 1, a - 1, adopted, shape))
+        return len(self.versions) - 1
+
     def _note(
         self,
         kind: str,
         i: int,
         a: int,
         *,
+        version: int = -1,
         outline: bool = False,
         height: bool = False,
         parts: bool = False,
@@ -359,6 +364,7 @@ class _Book:
                 "kind": kind,
                 "before": i - 1,
                 "after": a - 1,
+                "version": version,
                 "outline": outline,
                 "height": height,
                 "parts": parts,

@@ -83,14 +83,16 @@ def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Gr
 def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     """Find the pieces of change.
 
-    A cell of one footprint alone counts where its height changed as well, or where the earlier height is not known.
+    A cell of one footprint alone counts where its height changed as well; where the earlier height is not known, what
+    is open now is gone, and what stands in the later footprint alone was built.
     What two extractions merely saw otherwise (a crown that leans on a roof, a courtyard) is no change, and neither is
     a sliver along an outline.
     """
     in_before, in_after, rise = epochs.before > 0, epochs.after > 0, epochs.rise
     values = np.asarray(rise.values)
     rose = ~rise.valid | (values >= params.rise_m)
-    fell = ~rise.valid | (values <= -params.rise_m)
+    # Where the earlier height is not known, a building is gone only where its place is open now.
+    fell = np.where(rise.valid, values <= -params.rise_m, np.asarray(epochs.heights.values) < params.rise_m)
     # A courtyard that an extraction closed over carries no roof.
     stood = in_before & ~(epochs.earlier.valid & (np.asarray(epochs.earlier.values) < params.rise_m))
     stands = in_after & (np.asarray(epochs.heights.values) >= params.rise_m)

@@ -6,6 +6,7 @@ requirement number where a paper gives the value, or ``ours`` with the reason. A
 
 from msbdb.params.adaptive import AdaptiveParams
 from msbdb.params.area3d import Area3dParams
+from msbdb.params.change import ChangeParams
 from msbdb.params.cover import CoverParams
 from msbdb.params.declare import param
 from msbdb.params.flatregions import FlatRegionParams
@@ -21,6 +22,7 @@ __all__ = [
     "PROFILES",
     "AdaptiveParams",
     "Area3dParams",
+    "ChangeParams",
     "CoverParams",
     "FlatRegionParams",
     "GranulometryParams",

@@ -9,6 +9,7 @@ from typing import Any
 from msbdb.errors import FileError, ParameterError
 from msbdb.params.adaptive import AdaptiveParams
 from msbdb.params.area3d import Area3dParams
+from msbdb.params.change import ChangeParams
 from msbdb.params.cover import CoverParams
 from msbdb.params.flatregions import FlatRegionParams
 from msbdb.params.ground import GroundParams
@@ -32,6 +33,7 @@ class Params:
     area3d: Area3dParams = field(default_factory=Area3dParams)
     adaptive: AdaptiveParams = field(default_factory=AdaptiveParams)
     vector: VectorParams = field(default_factory=VectorParams)
+    change: ChangeParams = field(default_factory=ChangeParams)
 
 
 def sections(params: Params) -> Iterator[tuple[str, Any]]:

@@ -1,0 +1,260 @@
+"""Reading the living inventory: what stood at a date, what surveys changed, and what was applied in which order."""
+
+import json
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from pyproj import CRS
+from sqlalchemy import ColumnElement, Connection, Engine, Select, TextClause, and_, func, null, or_, select, text
+
+from msbdb.database.crs import FIRST_OWN_SRID
+from msbdb.database.dialect import dialect_of
+from msbdb.database.engine import guarded
+from msbdb.database.inventory import (
+    BuildingChange,
+    BuildingVersion,
+    InventoryBuilding,
+    InventoryEvent,
+    OperatorState,
+    RoofSample,
+    SurveyOffset,
+)
+from msbdb.database.inventory_views import FOOTPRINT_AT
+from msbdb.database.models import Survey
+
+Bounds = tuple[float, float, float, float]
+
+_WINDOWS = {
+    "sqlite": (
+        "building_version.version_id IN (SELECT rowid FROM SpatialIndex WHERE f_table_name = 'building_version' "
+        "AND search_frame = BuildMbr(:west, :south, :east, :north))"
+    ),
+    "postgresql": "building_version.geometry && ST_MakeEnvelope(:west, :south, :east, :north, :srid)",
+}
+"""The condition that a version's bounds meet a window, by the spatial index."""
+
+
+def footprint_at(engine: Engine, date: str) -> gpd.GeoDataFrame:
+    """Return the inventory as it was on a day, operators' states winning over those found.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    date : str
+        The day, ISO 8601; of a month or year its first day.
+
+    Returns
+    -------
+    GeoDataFrame
+        The columns of the view ``footprint_current``, in order of ``uid``.
+    """
+    with guarded(engine.url), engine.connect() as connection:
+        query = text(f"SELECT f.*, ST_AsBinary(f.geometry) AS wkb FROM ({FOOTPRINT_AT}) AS f ORDER BY uid")  # noqa: S608  (our own text)
+        return _frame(connection, query, {"date": first_day(date)})
+
+
+def first_day(date: str) -> str:
+    """Return the first day of a day, month or year of ISO 8601.
+
+    Examples
+    --------
+    >>> first_day("2021"), first_day("2021-05"), first_day("2021-05-31")
+    ('2021-01-01', '2021-05-01', '2021-05-31')
+    """
+    return date + "0000-01-01"[len(date) :]
+
+
+def read_history(engine: Engine, uid: int | None = None) -> gpd.GeoDataFrame:
+    """Return the versions of a building of the inventory, or of all: columns of ``building_version``, and geometry."""
+    query = select(*_version_columns()).order_by(BuildingVersion.uid, BuildingVersion.valid_from, "version_id")
+    if uid is not None:
+        query = query.where(BuildingVersion.uid == uid)
+    with guarded(engine.url), engine.connect() as connection:
+        return _frame(connection, query)
+
+
+def read_events(connection: Connection) -> gpd.GeoDataFrame:
+    """Return what was applied to the inventory, in that order: columns of ``inventory_event``, and geometry."""
+    columns = [c for c in InventoryEvent.__table__.columns if c.name != "geometry"]
+    query = select(*columns, func.ST_AsBinary(InventoryEvent.geometry).label("wkb")).order_by(InventoryEvent.number)
+    return _frame(connection, query)
+
+
+def read_offsets(connection: Connection) -> pd.DataFrame:
+    """Return how each survey lies to the inventory: columns of ``survey_offset``."""
+    rows = connection.execute(select(SurveyOffset.__table__)).mappings().all()
+    return pd.DataFrame([dict(row) for row in rows], columns=list(SurveyOffset.__table__.columns.keys()))
+
+
+def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.GeoDataFrame:
+    """Return the versions within a window that were current before a survey, which may have been applied.
+
+    Parameters
+    ----------
+    connection : Connection
+        An open one.
+    bounds : tuple of float
+        West, south, east and north, metres.
+    survey_id : int
+        Versions that this survey made do not count, those that it ended do.
+
+    Returns
+    -------
+    GeoDataFrame
+        Columns of ``building_version``, in order of ``uid``; heights are NaN where unknown.
+    """
+    others = or_(BuildingVersion.survey_id.is_(None), BuildingVersion.survey_id != survey_id)
+    stood = or_(and_(BuildingVersion.valid_to.is_(None), others), BuildingVersion.closed_by == survey_id)
+    query = select(*_version_columns()).where(stood, window(connection, bounds)).order_by(BuildingVersion.uid)
+    return _frame(connection, query)
+
+
+def read_born(connection: Connection, survey_id: int) -> gpd.GeoDataFrame:
+    """Return the versions with which buildings began in a survey: columns of ``building_version``."""
+    earlier = BuildingVersion.__table__.alias("earlier")
+    before = or_(earlier.c.survey_id.is_(None), earlier.c.survey_id != survey_id)
+    has_earlier = select(null()).where(earlier.c.uid == BuildingVersion.uid, before).exists()
+    query = select(*_version_columns()).where(BuildingVersion.survey_id == survey_id, ~has_earlier)
+    return _frame(connection, query.order_by(BuildingVersion.uid))
+
+
+def window(connection: Connection, bounds: Bounds) -> ColumnElement[bool]:
+    """Return the condition that a version's bounds meet a window, which the spatial index answers."""
+    values: dict[str, Any] = dict(zip(("west", "south", "east", "north"), bounds, strict=True))
+    if connection.dialect.name == "postgresql":
+        values["srid"] = dialect_of(connection.engine.url).database_srid(connection)
+    return text(_WINDOWS[connection.dialect.name]).bindparams(**values)  # type: ignore[return-value]  # a condition
+
+
+def read_changes(engine: Engine, since: str | None = None, until: str | None = None) -> gpd.GeoDataFrame:
+    """Return what surveys did to the buildings.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    since, until : str, optional
+        Surveys later than the one day, and up to the other; all by default.
+
+    Returns
+    -------
+    GeoDataFrame
+        A row a change (a pair of buildings for merged and split): columns of ``building_change``, and ``survey``,
+        ``date``, and state, storeys, heights, area and attributes before and after; the geometry is that of after, or
+        of before where nothing is left. In order of date, survey and change.
+    """
+    one, two = (BuildingVersion.__table__.alias(name) for name in ("version_1", "version_2"))
+    told = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
+    columns = [c for c in BuildingChange.__table__.columns if c.name != "survey_id"]
+    query = (
+        select(
+            Survey.name.label("survey"),
+            InventoryEvent.date,
+            *columns,
+            *(v.c[name].label(f"{name}_{which}") for name in told for v, which in ((one, "before"), (two, "after"))),
+            func.ST_AsBinary(func.coalesce(two.c.geometry, one.c.geometry)).label("wkb"),
+        )
+        .select_from(BuildingChange)
+        .join(Survey, Survey.survey_id == BuildingChange.survey_id)
+        .join(InventoryEvent, InventoryEvent.survey_id == BuildingChange.survey_id)
+        .outerjoin(one, one.c.version_id == BuildingChange.version_before)
+        .outerjoin(two, two.c.version_id == BuildingChange.version_after)
+        .order_by(InventoryEvent.date, InventoryEvent.number, BuildingChange.change_id)
+    )
+    query = query.where(*_between(since, until))
+    with guarded(engine.url), engine.connect() as connection:
+        return _frame(connection, query)
+
+
+def read_states(engine: Engine) -> pd.DataFrame:
+    """Return the operators' words on buildings: columns of ``operator_state``, in order of ``uid``."""
+    with guarded(engine.url), engine.connect() as connection:
+        query = select(OperatorState.__table__).order_by(OperatorState.uid)
+        rows = connection.execute(query).mappings().all()
+    return pd.DataFrame([dict(row) for row in rows], columns=list(OperatorState.__table__.columns.keys()))
+
+
+def read_roof_samples(engine: Engine) -> gpd.GeoDataFrame:
+    """Return the roof samples: columns of ``roof_sample``, and geometry."""
+    columns = [c for c in RoofSample.__table__.columns if c.name != "geometry"]
+    query = select(*columns, func.ST_AsBinary(RoofSample.geometry).label("wkb")).order_by(RoofSample.sample_id)
+    with guarded(engine.url), engine.connect() as connection:
+        return _frame(connection, query)
+
+
+def read_material_classes(engine: Engine) -> pd.DataFrame:
+    """Return the cross table of roof materials and classes (V53), the view ``roof_material_by_class``."""
+    columns = ["survey", "material", "speindex", "class_label", "samples"]
+    query = text(f"SELECT {', '.join(columns)} FROM roof_material_by_class")  # noqa: S608  (our own names)
+    with guarded(engine.url), engine.connect() as connection:
+        rows = pd.DataFrame([tuple(row) for row in connection.execute(query)], columns=columns)
+    return rows.sort_values(columns[:3], ignore_index=True)
+
+
+def has_building(connection: Connection, uid: int) -> bool:
+    """Tell whether the inventory has a building."""
+    return bool(connection.scalar(select(func.count()).where(InventoryBuilding.uid == uid)))
+
+
+def database_crs(connection: Connection) -> CRS:
+    """Return the database's CRS, as it is registered there."""
+    srid = dialect_of(connection.engine.url).database_srid(connection)
+    if srid < FIRST_OWN_SRID:
+        return CRS.from_epsg(srid)
+    query = text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid")
+    return CRS.from_wkt(str(connection.scalar(query, {"srid": srid})))
+
+
+def _between(since: str | None, until: str | None) -> list[ColumnElement[bool]]:
+    """Return the conditions that a survey lies between two days, the first one excluded."""
+    conditions = []
+    if since is not None:
+        conditions.append(InventoryEvent.date > first_day(since))
+    if until is not None:
+        conditions.append(InventoryEvent.date <= first_day(until))
+    return conditions
+
+
+def _version_columns() -> list[ColumnElement[Any]]:
+    """Return the columns of building_version, with the geometry as WKB."""
+    columns = [c for c in BuildingVersion.__table__.columns if c.name != "geometry"]
+    return [*columns, func.ST_AsBinary(BuildingVersion.geometry).label("wkb")]
+
+
+_INTEGERS = {
+    "version_id", "uid", "survey_id", "closed_by", "building_id", "storeys", "parts", "change_id", "uid_before",
+    "uid_after", "version_before", "version_after", "storeys_before", "storeys_after", "number", "sample_id",
+}  # fmt: skip
+_WORDS = {
+    "valid_from", "valid_to", "source", "state", "found_state", "survey", "operator", "note", "kind", "name", "date",
+    "content_sha256", "state_before", "state_after", "material",
+}  # fmt: skip
+_OBJECTS = {"attributes", "attributes_before", "attributes_after", "counts"}
+_FLAGS = {"outline", "height"}
+
+
+def _frame(
+    connection: Connection, query: Select[Any] | TextClause, values: dict[str, Any] | None = None
+) -> gpd.GeoDataFrame:
+    """Return the rows of a query with a column ``wkb`` as a frame of settled dtypes."""
+    result = connection.execute(query, values or {})
+    names = list(result.keys())
+    columns = dict(zip(names, zip(*result.all(), strict=True), strict=False))
+    shapes = shapely.from_wkb(np.array([bytes(blob) for blob in columns.get("wkb", ())], dtype=object))
+    found = {name: _settled(name, list(columns.get(name, ()))) for name in names if name not in ("wkb", "geometry")}
+    return gpd.GeoDataFrame(found, geometry=shapes, crs=database_crs(connection))
+
+
+def _settled(name: str, values: list[Any]) -> Any:  # noqa: ANN401  (a pandas array of any dtype)
+    """Return a column's values in the dtype that its name has everywhere in the inventory."""
+    if name in _OBJECTS:
+        return pd.Series([json.loads(v) if isinstance(v, str) else v for v in values], dtype=object)
+    if name in _FLAGS or (values and isinstance(values[0], bool)):
+        return pd.Series(values, dtype=bool)
+    if name in _INTEGERS:
+        return pd.Series(values, dtype="Int64")
+    return pd.Series(values, dtype="object" if name in _WORDS else "float64")

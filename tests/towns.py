@@ -1,0 +1,79 @@
+"""Small towns of box-shaped houses as surveys, built by the real stages from heights above ground that are known."""
+
+import geopandas as gpd
+import numpy as np
+from pyproj import CRS
+from shapely import box
+
+from msbdb.classmap import ClassMap
+from msbdb.extract.multiscale.run import extract_parts
+from msbdb.grid import Grid, lattice
+from msbdb.params import Params, as_dict
+from msbdb.pipeline.assemble import make_frames, outline_parts
+from msbdb.pipeline.cover import Cover
+from msbdb.pipeline.flat import no_flat_regions
+from msbdb.pipeline.state import pack_state
+from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Build, Run, Source, Survey
+from msbdb.vector.polygons import rasterise
+
+EPSG = 32631
+UTM = CRS.from_epsg(EPSG)
+WEST, SOUTH = 500_000.0, 4_000_000.0
+
+House = tuple[float, float, float, float, float]
+"""West, south, east and north in metres from the corner, and the height."""
+
+ROW: list[House] = [(10.0 + 20 * n, 10.0, 22.0 + 20 * n, 22.0, 6.0 + n) for n in range(8)]
+"""Eight houses of 12 x 12 m, which most tests leave as they are, so that the offset can be told."""
+
+BOUNDS = (0.0, 0.0, 200.0, 120.0)
+"""West, south, east and north of a town, metres from the corner."""
+
+
+def outline(house: House, shift: float = 0.0) -> object:
+    """Return a house's footprint."""
+    west, south, east, north, _ = house
+    return box(WEST + west + shift, SOUTH + south, WEST + east + shift, SOUTH + north)
+
+
+def footprints(houses: list[House]) -> gpd.GeoDataFrame:
+    """Return footprints with heights, as an office may have them."""
+    shapes = [outline(house) for house in houses]
+    return gpd.GeoDataFrame({"HGT": [house[4] for house in houses]}, geometry=shapes, crs=UTM)
+
+
+def town_heights(
+    houses: list[House], *, bounds: tuple[float, float, float, float] = BOUNDS, shift: float = 0.0
+) -> Grid:
+    """Return the heights above ground of a town, shifted to the east; the last house lies on top."""
+    west, south, east, north = bounds
+    spec = lattice((WEST + west, SOUTH + south, WEST + east - 0.01, SOUTH + north - 0.01), 0.5, UTM)
+    labels = rasterise([outline(house, shift) for house in houses], spec)
+    heights = np.concatenate([[0.0], [house[4] for house in houses]])
+    return Grid(heights[labels].astype(np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
+
+
+def town_build(
+    name: str,
+    date: str,
+    houses: list[House],
+    *,
+    bounds: tuple[float, float, float, float] = BOUNDS,
+    shift: float = 0.0,
+    version: str = "1",
+) -> Build:
+    """Return the build of a survey of a town."""
+    ndsm = town_heights(houses, bounds=bounds, shift=shift)
+    params = Params()
+    roofs = (np.asarray(ndsm.values) > 2).astype(np.uint8)
+    structure = ClassMap(roofs, {1: "building", 2: "vegetation"}, ndsm.spec)
+    cover = Cover(structure, None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), False, False, {})
+    flat = no_flat_regions(ndsm.spec)
+    forest = extract_parts(ndsm, cover.classes, survey=name, params=params)
+    parts = outline_parts(forest, ndsm, params.vector).assign(speindex=0)
+    frames = make_frames(forest, parts, cover, flat, (), ndsm=ndsm)
+    source = Source(f"{name}.tif", "ndsm", "ab" * 32, 1000)
+    survey = Survey(name, date, UTM.to_wkt(), EPSG, "", 10.0, ndsm.spec.cell_m, ndsm.spec.bounds, (source,))
+    counts: dict[str, object] = {"regions": dict(forest.counts)}
+    run = Run("multiscale", "default", version, dict(as_dict(params)), counts, {}, ())
+    return Build(survey, run, frames, pack_state(ndsm, cover, flat, ()))
