@@ -149,7 +149,7 @@ class GroundParams:
         unit="m",
         low=2.0,
         high=1000.0,
-        source="C13 gives none; ours: holds ground beside most blocks; 40 and 100 m err more",
+        source="C13 gives none; ours: holds ground beside most blocks; in an old town 40 and 100 m err more",
         doc="Quadratic filter: width w of a window, rounded to whole steps.",
     )
     quadratic_step_m: float = param(
@@ -157,7 +157,7 @@ class GroundParams:
         unit="m",
         low=1.0,
         high=500.0,
-        source="C13 gives none; ours: each point lies in nine windows; 10 m gains nothing and takes four times as long",
+        source="C13 gives none; ours: each point lies in nine windows; 10 m gains little and takes four times as long",
         doc="Quadratic filter: sliding step ss.",
     )
     quadratic_area_m2: float = param(
