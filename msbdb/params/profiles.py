@@ -64,8 +64,11 @@ PROFILES: dict[str, dict[str, dict[str, Any]]] = {
     "mongus2013-ds3": {
         "flatregions": {**MONGUS, "lambda_min_m2": 20.0, "lambda_step_m2": 300.0, "max_compactness": 10.5}
     },
-    "cao-wu": {"ground": {"ground_filter": "quadratic"}, "area3d": CAO_WU},
-    "cao-wu-ss": {"ground": {"ground_filter": "quadratic"}, "area3d": {**CAO_WU, "most_heights": 1}},
+    "cao-wu": {"ground": {"ground_filter": "quadratic", "quadratic_passes": 1}, "area3d": CAO_WU},
+    "cao-wu-ss": {
+        "ground": {"ground_filter": "quadratic", "quadratic_passes": 1},
+        "area3d": {**CAO_WU, "most_heights": 1},
+    },
     "adaptive": {"ground": {"ground_filter": "adaptive"}},
 }
 """What each profile sets otherwise than the defaults."""
