@@ -11,7 +11,19 @@ import pytest
 import scenes
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "bench"
-STAGES = ["read", "surface", "cover", "flat regions", "classes", "parts", "outlines", "write"]
+STAGES = [
+    "read",
+    "surface",
+    "cover",
+    "flat regions",
+    "bands",
+    "adaptive",
+    "area3d",
+    "classes",
+    "parts",
+    "outlines",
+    "write",
+]
 
 
 def run(*arguments):
