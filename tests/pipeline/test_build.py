@@ -161,7 +161,7 @@ def test_the_forest_and_the_ledger_balance(town):
         engine.dispose()
     validate_parts(parts)
     assert all(stage["in"] == stage["kept"] + stage["dropped"] for stage in counts.values())
-    # Specks of flat regions share a row; the stage says how many rows it wrote.
+    # Specks of candidate regions share a row; the stage says how many rows it wrote.
     dropped = {
         name: stage.get("booked", stage["dropped"]) for name, stage in counts.items() if name not in COUNTED_ONLY
     }

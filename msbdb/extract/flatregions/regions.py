@@ -14,9 +14,6 @@ from msbdb.identity import part_ids
 from msbdb.morphology import label_zones
 from msbdb.tables import FLAT_REGION, REJECTION, Table
 
-SPECK_M2 = 1.0
-"""Rejected regions below this area are booked together."""
-
 KIND = "\0flat region"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
@@ -32,17 +29,17 @@ class Books:
         self.survey = survey
         self.counts: dict[str, dict[str, int]] = {}
         self._lost: list[pd.DataFrame] = [_typed(REJECTION.empty(), REJECTION)]
+        self._rows: dict[str, int] = {}
 
     def count(self, stage: str, entered: int, kept: int, dropped: int, pieces: int = 0) -> None:
         """Note the numbers of a stage, which cut so many pieces itself; negative where it joined regions.
 
-        To be called when all that the stage rejected is written: ``booked`` counts its rows in the ledger, fewer than
-        it dropped where specks share a row.
+        To be called when all that the stage rejected is written.
 
         Raises
         ------
         TableError
-            When in = kept + dropped does not hold.
+            When in = kept + dropped does not hold, or the stage has not a row for each region that it dropped.
         """
         if entered + pieces != kept + dropped:
             msg = (
@@ -50,31 +47,25 @@ class Books:
                 f"but {kept} kept and {dropped} dropped. This is a fault of msbdb; please report it."
             )
             raise TableError(msg)
-        booked = sum(int((rows["stage"] == stage).sum()) for rows in self._lost)
-        counts = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped, "booked": booked}
-        self.counts[stage] = counts
+        rows = self._rows.get(stage, 0)
+        if rows != dropped:
+            msg = (
+                f"The stage '{stage}' dropped {dropped} regions, but wrote {rows} rows into the ledger. "
+                "This is a fault of msbdb; please report it."
+            )
+            raise TableError(msg)
+        self.counts[stage] = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped}
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
-        """Write the 8-connected regions of a mask, or those of labels, into the ledger; return how many.
-
-        Those smaller than ``SPECK_M2``, mostly single cells by the hundred thousand, are booked as one row, with their
-        areas summed up.
-        """
+        """Write the 8-connected regions of a mask, or those of labels, into the ledger, a row each; return how many."""
         labels, count = label_zones(regions.astype(np.int32))
         table = measure(labels, count)
-        is_speck = table["area"].to_numpy() * self.spec.cell_area_m2 < SPECK_M2
-        if is_speck.any():
-            sums = table[is_speck].sum()
-            specks = table[is_speck].head(1).assign(area=sums["area"], row_sum=sums["row_sum"], col_sum=sums["col_sum"])
-            table = pd.concat([table[~is_speck], specks])
-        reasons = np.full(len(table), reason, dtype=object)
-        reasons[len(table) - int(is_speck.any()) :] = f"{reason}, all of less than {SPECK_M2:g} m2 together"
         xcen, ycen = centroids(table, self.spec)
         rows = pd.DataFrame(
             {
                 "region_id": region_ids(table, self.spec, self.survey, stage=1 + STAGES.index(stage)),
                 "stage": stage,
-                "reason": reasons,
+                "reason": reason,
                 "scale": 0,
                 "area_m2": table["area"] * self.spec.cell_area_m2,
                 "xcen": xcen,
@@ -82,6 +73,7 @@ class Books:
             }
         )
         self._lost.append(_typed(rows, REJECTION))
+        self._rows[stage] = self._rows.get(stage, 0) + count
         return count
 
     def rejections(self) -> pd.DataFrame:
