@@ -16,6 +16,7 @@ on half of the shed, and on half of the flat region without any part.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import geopandas as gpd
@@ -118,7 +119,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
         "timings": {"read": 0.5},
         "notices": ("The heights were in feet.",),
     }
-    index = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    row, col = np.indices((100, 400))
     return Build(
         survey=Survey(
             name=survey,
@@ -136,7 +137,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
         ),
         run=Run(**{**values, **run}),
         frames=frames,
-        state={"class_index": index, "ndsm": np.linspace(0, 20, 12, dtype=np.float32).reshape(3, 4)},
+        state={"class_index": (col % 4).astype(np.uint8), "ndsm": (row / 5).astype(np.float32)},
     )
 
 
@@ -178,8 +179,10 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
     none = {table.name: base.frames[table.name][:0] for table in witnesses}
     heard = dict.fromkeys(CANDIDATE_METHODS, none["part_candidate"]) | {"flatregions": none["part_flat_region"]}
     frames = {**base.frames, **none, "part": parts, "building": _buildings(parts, heard)}
-    survey = Survey(**{**{f: getattr(base.survey, f) for f in base.survey.__dataclass_fields__}, "epsg": epsg})
-    return Build(survey, base.run, frames, base.state)
+    lattice = max(-(-count // cols), 5), max(cols, 20)
+    north, east = (20.0 * cells for cells in lattice)
+    survey = replace(base.survey, epsg=epsg, cell_m=20.0, bounds=(WEST, SOUTH, WEST + east, SOUTH + north))
+    return Build(survey, base.run, frames, {"ndsm": np.full(lattice, height_m, dtype=np.float32)})
 
 
 LOST = (

@@ -5,6 +5,7 @@ import click
 from msbdb.cli.build import build
 from msbdb.cli.classes import classes
 from msbdb.cli.classify import classify
+from msbdb.cli.db import db
 from msbdb.cli.evaluate import evaluate
 from msbdb.cli.export import export
 from msbdb.cli.info import info
@@ -22,7 +23,7 @@ def cli() -> None:
     """
 
 
-for _command in (build, info, classes, view, export, evaluate, classify, params):
+for _command in (build, info, classes, view, export, evaluate, classify, db, params):
     cli.add_command(_command)
 
 

@@ -177,10 +177,14 @@ def _heading(title: str) -> None:
 
 
 def _print(table: "Table") -> None:
-    """Print a table; where the output is no terminal, as wide as it needs to be, so that no cell is cut."""
+    """Print a table; where the output is no terminal, as wide as it needs to be, so that no cell is cut.
+
+    Cells are data, in which nothing is markup: a survey may be called '[/red]'.
+    """
     from rich.console import Console
 
-    console = Console()
+    console = Console(markup=False, emoji=False)
     if not console.is_terminal:
-        console = Console(width=Console(width=10_000).measure(table).maximum, no_color=True)
+        wide = Console(width=10_000, markup=False, emoji=False)
+        console = Console(width=wide.measure(table).maximum, no_color=True, markup=False, emoji=False)
     console.print(table)

@@ -2,10 +2,13 @@
 
 from sqlalchemy import Engine
 
+from msbdb.database.admin import Loss, create_database, downgrade_schema, upgrade_schema
+from msbdb.database.copy import copy_database
 from msbdb.database.crs import srid_of
 from msbdb.database.dump import canonical_dump
 from msbdb.database.engine import check_target, open_database, shown, upgrade_database
 from msbdb.database.examples import ExampleQuery, example_queries, run_example
+from msbdb.database.integrity import CHECKS, Finding, check_database
 from msbdb.database.inventory_read import (
     first_day,
     footprint_at,
@@ -37,15 +40,25 @@ from msbdb.database.query import (
     read_state,
     read_survey,
 )
+from msbdb.database.roles import ROLES, grant_role
 
 __all__ = [
+    "CHECKS",
+    "ROLES",
     "Advance",
     "Engine",
     "ExampleQuery",
+    "Finding",
+    "Loss",
     "OutdatedError",
     "Standing",
     "WriteReport",
     "canonical_dump",
+    "check_database",
+    "copy_database",
+    "create_database",
+    "downgrade_schema",
+    "grant_role",
     "check_target",
     "example_queries",
     "first_day",
@@ -78,6 +91,7 @@ __all__ = [
     "srid_of",
     "survey_key",
     "upgrade_database",
+    "upgrade_schema",
     "write_advance",
     "write_build",
     "write_import",

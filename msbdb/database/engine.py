@@ -1,6 +1,7 @@
 """Opening and creating databases."""
 
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike, fspath
@@ -13,6 +14,7 @@ from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 from msbdb.database import upgrade
 from msbdb.database.crs import srid_of
 from msbdb.database.dialect import Dialect, dialect_of
+from msbdb.database.rights import kept_rights
 from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionError
 
 logger = logging.getLogger(__name__)
@@ -74,7 +76,7 @@ def open_database(
             if not create:
                 msg = (
                     f"The database {shown(url)} has an older schema than this msbdb. "
-                    "Build any survey into it with 'msbdb build' to upgrade it; nothing in it is lost."
+                    "Upgrade it with 'msbdb db upgrade'; nothing in it is lost."
                 )
                 raise SchemaVersionError(msg)
             upgrade_database(engine)
@@ -108,7 +110,8 @@ def upgrade_database(engine: Engine) -> None:
     dialect = dialect_of(engine.url)
     with guarded(engine.url), dialect.writing(engine) as connection:
         before = upgrade.schema_version(connection)
-        upgrade.migrate(connection, dialect, dialect.database_srid(connection))
+        with kept_rights(connection):
+            upgrade.migrate(connection, dialect, dialect.database_srid(connection))
         dialect.after_load(connection)
         logger.info("Schema of %s upgraded from %s to %s", shown(engine.url), before, upgrade.head_version())
 
@@ -125,14 +128,19 @@ def database_url(target: str | PathLike[str] | URL) -> URL:
         url = target
     else:
         words = fspath(target)
+        # What may hold a password is not shown.
+        unreadable = "The database URL cannot be read. Give one such as postgresql://user@host:5432/name."
+        if _LIBPQ.match(words):
+            raise DatabaseError(unreadable)
         if "://" not in words:
             return URL.create("sqlite+pysqlite", database=str(Path(words).absolute()))
         try:
             url = make_url(words)
         except (ArgumentError, ValueError) as error:
-            # The text may hold a password, so that it is not shown.
-            msg = "The database URL cannot be read. Give one such as postgresql://user@host:5432/name."
-            raise DatabaseError(msg) from error
+            raise DatabaseError(unreadable) from error
+        if "@" in (url.host or ""):
+            msg = f"{unreadable} Write an @ in a password as %40."
+            raise DatabaseError(msg)
     if url.drivername in ("postgresql", "postgres", "postgis"):
         url = url.set(drivername="postgresql+psycopg")
     if url.get_backend_name() == "sqlite" and not url.database:
@@ -145,9 +153,16 @@ def shown(url: URL) -> str:
     """Return a URL as it may be shown: a file's path, or a server's URL without the password."""
     if url.get_backend_name() == "sqlite":
         return str(url.database)
-    if "password" in url.query:
-        url = url.update_query_dict({"password": "***"})
+    secret = dict.fromkeys(set(url.query) - _HARMLESS, "***")
+    url = url.set(query={**url.query, **secret})
     return url.render_as_string(hide_password=True)
+
+
+_LIBPQ = re.compile(r"\s*((host|hostaddr|port|dbname|user|password|service)\s*=|postgres(ql)?:(?!//))")
+"""How PostgreSQL's own connection strings begin, and URLs that lost a slash: no names of files."""
+
+_HARMLESS = {"host", "port", "dbname", "user", "connect_timeout", "sslmode", "application_name", "service"}
+"""The words of a URL's query that may be shown; there is more than one kind of password, and words are mistyped."""
 
 
 @contextmanager

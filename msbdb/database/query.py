@@ -75,14 +75,19 @@ def read_build(engine: Engine, survey: str | None = None) -> Build:
         When there is no such survey, or no name was given and there are several.
     """
     with guarded(engine.url), engine.connect() as connection:
-        run = _find_run(connection, survey, shown(engine.url))
-        record = _survey_record(connection, run.survey_id)
-        return Build(
-            survey=record,
-            run=_run_record(run),
-            frames={table.name: _read_table(connection, table, run.run_id, record) for table in TABLES},
-            state=_read_state(connection, run.run_id),
-        )
+        return build_of(connection, survey)
+
+
+def build_of(connection: Connection, survey: str | None) -> Build:
+    """Return a run as ``read_build`` does, as an open transaction sees it."""
+    run = _find_run(connection, survey, shown(connection.engine.url))
+    record = _survey_record(connection, run.survey_id)
+    return Build(
+        survey=record,
+        run=_run_record(run),
+        frames={table.name: _read_table(connection, table, run.run_id, record) for table in TABLES},
+        state=_read_state(connection, run.run_id),
+    )
 
 
 def read_survey(engine: Engine, survey: str | None = None) -> SurveyRecord:

@@ -11,6 +11,7 @@ from sqlalchemy import Connection, text
 from msbdb.database.crs import crs_from, register
 from msbdb.database.dialect import Dialect
 from msbdb.database.models import Base
+from msbdb.database.views import TABLE_VIEWS, VIEWS
 from msbdb.errors import DatabaseError, SchemaVersionError
 
 VERSION_TABLE = "msbdb_schema_version"
@@ -54,9 +55,7 @@ def migrate(connection: Connection, dialect: Dialect, srid: int) -> None:
 
     Comments are documentation, not schema: they are written afresh from the models, so that no migration copies them.
     """
-    config = _config()
-    config.attributes.update(connection=connection, dialect=dialect, srid=srid)
-    command.upgrade(config, "head")
+    command.upgrade(configured(connection, dialect, srid), "head")
     if connection.dialect.supports_comments:
         for statement in comment_ddl():
             connection.execute(text(statement.replace(":", r"\:")))
@@ -81,8 +80,26 @@ def require_version(connection: Connection, where: str) -> bool:
     return found == head_version()
 
 
+def configured(connection: Connection, dialect: Dialect, srid: int) -> Config:
+    """Return Alembic's configuration with what the migrations ask for."""
+    config = _config()
+    config.attributes.update(connection=connection, dialect=dialect, srid=srid)
+    return config
+
+
+def older_versions(version: str) -> list[str]:
+    """Return the versions to which a schema of this one can be brought down, the nearest first."""
+    older = []
+    scripts = ScriptDirectory.from_config(_config())
+    script = scripts.get_revision(version)
+    while script.down_revision is not None and hasattr(script.module, "downgrade"):
+        script = scripts.get_revision(str(script.down_revision))
+        older.append(script.revision)
+    return older
+
+
 def comment_ddl() -> list[str]:
-    """Return the statements that comment tables and columns, for dialects that keep comments."""
+    """Return the statements that comment tables, columns and views, for dialects that keep comments."""
     statements = []
     for table in Base.metadata.sorted_tables:
         statements.append(f"COMMENT ON TABLE {table.name} IS {_quoted(table.comment or '')}")
@@ -90,6 +107,8 @@ def comment_ddl() -> list[str]:
             f"COMMENT ON COLUMN {table.name}.{column.name} IS {_quoted(column.comment or '')}"
             for column in table.columns
         ]
+    for view in (*VIEWS, *TABLE_VIEWS):
+        statements.append(f"COMMENT ON VIEW {view.name} IS {_quoted(view.doc)}")
     return statements
 
 

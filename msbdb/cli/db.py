@@ -1,0 +1,203 @@
+"""``msbdb db``: looking after a database."""
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from msbdb.cli.command import Command, command
+from msbdb.cli.options import OUTPUT_FILE, crs_name, shared
+from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
+
+UNSOUND = 1
+"""Exit code of a check that found something."""
+
+
+class Commands(click.Group):
+    """A command that consists of others, with their examples at the end of its help."""
+
+    @property
+    def examples(self) -> tuple[str, ...]:
+        """The examples of all of its commands."""
+        return tuple(line for made in self.commands.values() if isinstance(made, Command) for line in made.examples)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Close the help with the examples."""
+        super().format_epilog(ctx, formatter)
+        with formatter.section("Examples"):
+            for example in self.examples:
+                formatter.write(f"{'':>{formatter.current_indent}}{example}\n")
+
+
+@click.group("db", cls=Commands)
+def db() -> None:
+    """Look after a database: make, check, dump and copy it, change its schema, and say who may do what."""
+
+
+@command("create", examples=("msbdb db create town.sqlite --crs EPSG:28992",))
+@shared("db")
+@click.option("--crs", type=crs_name, required=True, metavar="EPSG", help="The database's one CRS, like EPSG:28992.")
+@shared("json")
+def create(*, db: str, crs: str, as_json: bool) -> None:
+    """Create an empty database; one that is there is left as it is.
+
+    The CRS must be projected, in metres. 'msbdb build' creates a database by itself in the CRS of its data.
+    """
+    from msbdb.database import create_database
+
+    made = create_database(db, crs)
+    if as_json:
+        emit_json({"database": _shown(db), "crs": crs, "created": made})
+    else:
+        click.echo(f"{'Created' if made else 'Left as it was:'} {_shown(db)}.")
+
+
+@command("upgrade", examples=("msbdb db upgrade town.sqlite",))
+@shared("db", "json")
+def upgrade(*, db: str, as_json: bool) -> None:
+    """Bring the schema of a database to this msbdb's; nothing in it is lost."""
+    from msbdb.database import upgrade_schema
+
+    before, after = upgrade_schema(db)
+    _tell_schema(db, before, after, [], as_json=as_json)
+
+
+@command(
+    "downgrade",
+    examples=("msbdb db downgrade town.sqlite", "msbdb db downgrade town.sqlite --to 0002 --force"),
+)
+@shared("db")
+@click.option("--to", metavar="REVISION", help="The schema to go back to.  [default: the one before]")
+@click.option("--force", is_flag=True, help="Also where rows or values are lost.")
+@shared("json")
+def downgrade(*, db: str, to: str | None, force: bool, as_json: bool) -> None:
+    """Bring the schema of a database to an older msbdb's.
+
+    What the older schema has no place for would be lost: then nothing is changed, and it is said what, unless --force
+    is given.
+    """
+    from msbdb.database import downgrade_schema
+
+    before, after, lost = downgrade_schema(db, to, force=force)
+    _tell_schema(db, before, after, [str(loss) for loss in lost], as_json=as_json)
+
+
+@command("check", examples=("msbdb db check town.sqlite", "msbdb db check town.sqlite --json"))
+@shared("db", "json")
+def check(*, db: str, as_json: bool) -> None:
+    """Hold every row against what msbdb promises of it, and say row by row what is wrong.
+
+    Keys and rules (also where they were not enforced), the forest of parts, buildings and their trees, geometries with
+    their SRIDs, extents and spatial indexes, the ledger, the kept rasters, the digest of what each run wrote, and the
+    intervals of the inventory's versions. Nothing is changed. The exit code is 1 when something is wrong.
+    """
+    from dataclasses import asdict
+
+    from msbdb.database import CHECKS, check_database, open_database
+
+    engine = open_database(db)
+    with progress_bars() as progress:
+        findings = check_database(engine, progress=progress)
+    engine.dispose()
+    if as_json:
+        emit_json({"database": _shown(db), "checks": list(CHECKS), "findings": [asdict(found) for found in findings]})
+    elif findings:
+        emit_table([asdict(found) for found in findings])
+        click.echo(f"{len(findings)} findings in {_shown(db)}.")
+    else:
+        click.echo(f"{len(CHECKS)} checks found nothing wrong in {_shown(db)}.")
+    if findings:
+        raise click.exceptions.Exit(UNSOUND)
+
+
+@command("dump", examples=("msbdb db dump town.sqlite", "msbdb db dump town.sqlite --provenance --out town.txt"))
+@shared("db")
+@click.option("--provenance", is_flag=True, help="Also the source files and the notices that name them.")
+@click.option("--out", type=OUTPUT_FILE, metavar="FILE", help="Write to this file, whole or not at all.")
+def dump(*, db: str, provenance: bool, out: Path | None) -> None:
+    """Print the content as text, byte for byte the same for the same content in either kind of database.
+
+    A line of names for each table and a line for each row, as JSON. Timings are left out.
+    """
+    from msbdb.database import canonical_dump, open_database
+    from msbdb.io.atomic import write_atomic
+
+    engine = open_database(db)
+    lines = (f"{line}\n".encode() for line in canonical_dump(engine, provenance=provenance))
+    if out is None:
+        _write_lines(lines, sys.stdout.buffer)
+        return
+    with write_atomic(out) as growing, growing.open("wb") as file:
+        _write_lines(lines, file)
+    click.echo(f"Wrote {out}.")
+
+
+@command("copy", examples=("msbdb db copy town.sqlite postgresql://me@localhost/town",))
+@click.argument("source", metavar="FROM")
+@click.argument("target", metavar="TO")
+@shared("json")
+def copy(*, source: str, target: str, as_json: bool) -> None:
+    """Copy a database into another, of the same or the other kind.
+
+    All rows go over in one transaction: TO must be new or empty, and stays so when the copy does not come to its end.
+    """
+    from msbdb.database import copy_database
+
+    with progress_bars() as progress:
+        rows = copy_database(source, target, progress=progress)
+    if as_json:
+        emit_json({"from": _shown(source), "to": _shown(target), "rows": rows})
+    else:
+        emit_pairs({"from": _shown(source), "to": _shown(target), "rows": sum(rows.values())})
+
+
+@command("grant", examples=("msbdb db grant postgresql://me@localhost/town --role reader --to anna",))
+@shared("db")
+@click.option(
+    "--role",
+    type=click.Choice(("reader", "operator", "owner", "none")),
+    required=True,
+    help="reader selects; operator also changes builds, states and samples; owner does all; none does nothing.",
+)
+@click.option("--to", "user", required=True, metavar="USER", help="A user of the PostgreSQL server.")
+def grant(*, db: str, role: str, user: str) -> None:
+    """Give a user of a PostGIS database a role, in place of the one that it had.
+
+    Rights outlive upgrades of the schema. A SpatiaLite file has none but those of the file system.
+    """
+    from msbdb.database import grant_role, open_database
+
+    engine = open_database(db)
+    grant_role(engine, role, user)
+    engine.dispose()
+    click.echo(f"The user {user} has the role {role} in {_shown(db)}.")
+
+
+for _command in (create, upgrade, downgrade, check, dump, copy, grant):
+    db.add_command(_command)
+
+
+def _shown(target: str) -> str:
+    """Return a path or URL without its password."""
+    from msbdb.database import shown
+    from msbdb.database.engine import database_url
+
+    return shown(database_url(target))
+
+
+def _tell_schema(target: str, before: str, after: str, lost: list[str], *, as_json: bool) -> None:
+    """Tell which schema a database had and has."""
+    told: dict[str, Any] = {"database": _shown(target), "before": before, "after": after, "lost": lost}
+    if as_json:
+        emit_json(told)
+    else:
+        emit_pairs(told)
+
+
+def _write_lines(lines: Iterable[bytes], file: Any) -> None:  # noqa: ANN401  (any binary stream)
+    """Write lines as they come."""
+    for line in lines:
+        file.write(line)
+    file.flush()

@@ -1,0 +1,144 @@
+"""Copying a whole database into an empty one, of the same or the other dialect."""
+
+import logging
+from collections.abc import Callable, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import shapely
+from sqlalchemy import JSON, URL, Connection, Table, func, literal_column, select, text
+
+from msbdb.database import upgrade
+from msbdb.database.canonical import to_json
+from msbdb.database.crs import FIRST_OWN_SRID
+from msbdb.database.dialect import Dialect, dialect_of
+from msbdb.database.engine import TIMEOUT_S, database_url, guarded, open_database, require_srid, shown
+from msbdb.database.models import Base
+from msbdb.database.snapshot import snapshot
+from msbdb.errors import DatabaseError, ParameterError
+
+logger = logging.getLogger(__name__)
+
+BATCH = 10_000
+"""Rows that are held at once."""
+
+Progress = Callable[[str, int, int], None]
+
+
+def copy_database(
+    source: str | PathLike[str] | URL,
+    target: str | PathLike[str] | URL,
+    *,
+    timeout_s: float = TIMEOUT_S,
+    progress: Progress | None = None,
+) -> dict[str, int]:
+    """Copy all rows of all tables in one transaction of the target.
+
+    Parameters
+    ----------
+    source, target : str, path or URL
+        Databases of either dialect. The target is created where there is none, and must be empty otherwise.
+    progress : callable, optional
+        Called with 'copy', the tables done and the tables in all.
+
+    Returns
+    -------
+    dict
+        The number of rows by table.
+
+    Raises
+    ------
+    ParameterError
+        When both are the same.
+    DatabaseError
+        When the target holds rows, or either cannot be opened; nothing was written.
+    SchemaVersionError
+        When either has an older schema.
+    CRSError
+        When the target has another CRS.
+    LoadError
+        When the target refuses rows; nothing was written.
+
+    Notes
+    -----
+    The source is read as one committed state, whatever is written to it meanwhile. A kill leaves a target without
+    rows, and the copy can be made again. The canonical dumps of both are equal afterwards.
+    """
+    origin, place = open_database(source, timeout_s=timeout_s), database_url(target)
+    if origin.url == place:
+        msg = f"A database cannot be copied onto itself; both are {shown(place)}. Give another place to copy to."
+        raise ParameterError(msg)
+    dialect = dialect_of(place)
+    with snapshot(origin) as reading:
+        srid = dialect_of(origin.url).database_srid(reading)
+        _prepare(place, dialect, srid, _definition(reading, srid), timeout_s)
+        into = open_database(place, timeout_s=timeout_s)
+        with guarded(place), dialect.writing(into) as writing:
+            require_srid(writing, dialect, srid, shown(place))
+            _require_empty(writing, shown(place))
+            coming = {table.name: _rows_of(reading, table) for table in Base.metadata.sorted_tables}
+            with dialect.in_bulk(writing, coming):
+                for number, table in enumerate(Base.metadata.sorted_tables, start=1):
+                    _copy_table(reading, writing, dialect, table, srid)
+                    if progress is not None:
+                        progress("copy", number, len(coming))
+            dialect.after_load(writing)
+    logger.info("Copied %d rows from %s to %s", sum(coming.values()), shown(origin.url), shown(place))
+    return coming
+
+
+def _prepare(place: URL, dialect: Dialect, srid: int, definition: str, timeout_s: float) -> None:
+    """Create the target where there is none, in the source's CRS and under its SRID."""
+    with guarded(place):
+        if not dialect.exists(place, timeout_s):
+            dialect.create(
+                place, timeout_s, lambda connection: upgrade.initialise(connection, dialect, srid, definition)
+            )
+
+
+def _definition(connection: Connection, srid: int) -> str:
+    """Return a CRS of the user's own as the database has it; one with an EPSG code is PROJ's."""
+    if srid < FIRST_OWN_SRID:
+        return ""
+    return str(connection.scalar(text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid"), {"srid": srid}))
+
+
+def _require_empty(connection: Connection, where: str) -> None:
+    held = [table.name for table in Base.metadata.sorted_tables if _rows_of(connection, table)]
+    if held:
+        msg = (
+            f"The database {where} is not empty: there are rows in {', '.join(held)}. A copy needs a new or an empty "
+            "database; give another place."
+        )
+        raise DatabaseError(msg)
+
+
+def _rows_of(connection: Connection, table: Table) -> int:
+    return int(connection.scalar(select(func.count()).select_from(table)) or 0)
+
+
+def _copy_table(reading: Connection, writing: Connection, dialect: Dialect, table: Table, srid: int) -> None:
+    """Copy a table's rows in batches, in the order of its key."""
+    columns = [column for column in table.columns if column.computed is None]
+    chosen: list[Any] = [literal_column("ST_AsBinary(geometry)") if c.name == "geometry" else c for c in columns]
+    documents = [isinstance(column.type, JSON) for column in columns]
+    query = select(*chosen).select_from(table).order_by(*table.primary_key.columns)
+    result = reading.execute(query, execution_options={"yield_per": BATCH})
+    names = [column.name for column in columns]
+    for rows in result.partitions():
+        values = [
+            _written(own, is_document) for own, is_document in zip(zip(*rows, strict=True), documents, strict=True)
+        ]
+        if "geometry" in names:
+            place = names.index("geometry")
+            shapes = shapely.from_wkb(np.array([bytes(blob) for blob in values[place]], dtype=object))
+            values[place] = dialect.encode(shapes, srid)
+        dialect.insert_rows(writing, table.name, names, list(zip(*values, strict=True)), srid)
+
+
+def _written(values: Sequence[Any], is_document: bool) -> Sequence[Any]:
+    """Return a column's values as the drivers take them."""
+    if is_document:
+        return [None if value is None else to_json(value) for value in values]
+    return values

@@ -1,0 +1,55 @@
+"""The living inventory: versions follow each other without overlap, and nothing hangs in the air."""
+
+from collections.abc import Iterator
+
+from sqlalchemy import Connection, exists, func, select
+
+from msbdb.database.integrity.finding import Finding, by_id
+from msbdb.database.models import Base, BuildingVersion, InventoryBuilding, Run, Survey
+
+
+def check_intervals(connection: Connection) -> Iterator[Finding]:
+    """Yield versions of a building that overlap, end before they begin, or are current beside another."""
+    columns = (BuildingVersion.uid, BuildingVersion.version_id, BuildingVersion.valid_from, BuildingVersion.valid_to)
+    # A version without an end comes last among those of one beginning.
+    rows = sorted(connection.execute(select(*columns)), key=lambda row: (row[0], row[2], row[3] or "~", row[1]))
+    before_uid: int | None = None
+    latest: str | None = ""
+    for uid, version, begins, ends in rows:
+        key = by_id("building_version", "version_id", version)
+        if uid != before_uid:
+            before_uid, latest = uid, ""
+        if latest is None:
+            what = f"building {uid} has an earlier version that is current, beside this one from {begins}"
+            yield Finding("intervals", "building_version", key, what, "one current version, the last")
+        elif begins < latest:
+            what = f"it begins on {begins}, before the version before it ended on {latest}"
+            yield Finding("intervals", "building_version", key, what, f"a beginning from {latest} on")
+        if ends is not None and ends < begins:
+            yield Finding("intervals", "building_version", key, f"it ends on {ends}", f"an end from {begins} on")
+        latest = None if ends is None or latest is None else max(latest, ends)
+
+
+def check_orphans(connection: Connection) -> Iterator[Finding]:
+    """Yield surveys without a run, buildings of the inventory without a version, and changes of other buildings."""
+    surveys = select(Survey.survey_id).where(~exists().where(Run.survey_id == Survey.survey_id))
+    for survey_id in connection.scalars(surveys):
+        yield Finding(
+            "orphans", "survey", by_id("survey", "survey_id", survey_id), "it has no run", "the run that built it"
+        )
+    buildings = select(InventoryBuilding.uid).where(~exists().where(BuildingVersion.uid == InventoryBuilding.uid))
+    for uid in connection.scalars(buildings):
+        key = by_id("inventory_building", "uid", uid)
+        yield Finding("orphans", "inventory_building", key, "it has no version", "one version or more")
+    for side in ("before", "after"):
+        change, version = Base.metadata.tables["building_change"].c, Base.metadata.tables["building_version"].c
+        named = change[f"uid_{side}"]
+        query = (
+            select(change.change_id, named, version.uid)
+            .where(version.version_id == change[f"version_{side}"])
+            .where(func.coalesce(named, 0) != version.uid)
+        )
+        for number, uid, its in connection.execute(query):
+            key = by_id("building_change", "change_id", number)
+            what = f"uid_{side} is {uid}, but version_{side} is one of building {its}"
+            yield Finding("links", "building_change", key, what, str(its))

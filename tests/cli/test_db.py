@@ -1,0 +1,142 @@
+"""``msbdb db`` on real files: what each command prints, writes and ends with."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from builds import EPSG, small_build
+from click.testing import CliRunner
+from olddatabases import HOSTILE, place_old_database
+
+from msbdb.cli.db import db as commands
+from msbdb.cli.main import cli
+from msbdb.database import canonical_dump, check_database, open_database, write_build
+
+
+def run(*args: str) -> Any:
+    """Run a command line of msbdb db."""
+    return CliRunner().invoke(cli, ["db", *args], prog_name="msbdb")
+
+
+def told(*args: str, code: int = 0) -> Any:
+    """Return what a command line prints as JSON, and nothing else."""
+    result = run(*args, "--json")
+    assert result.exit_code == code, result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.fixture
+def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return a database of two surveys, one with a hostile name, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    engine = open_database("town.sqlite", create=True, srid=EPSG)
+    write_build(engine, small_build())
+    write_build(engine, small_build(HOSTILE, shift=1000))
+    return "town.sqlite"
+
+
+def test_create_tells_whether_it_did(tmp_path: Path) -> None:
+    """The first time and the second."""
+    place = str(tmp_path / "new.sqlite")
+    assert told("create", place, "--crs", "28992") == {"database": place, "crs": "EPSG:28992", "created": True}
+    assert told("create", place, "--crs", "EPSG:28992")["created"] is False
+    assert "Left as it was" in run("create", place, "--crs", "EPSG:28992").stdout
+    assert run("create", place).exit_code == 2
+
+
+def test_upgrade_and_downgrade_tell_the_versions(tmp_path: Path) -> None:
+    """Before and after, and what was lost."""
+    place = str(tmp_path / "old.sqlite")
+    place_old_database(place, "0001")
+    assert run("check", place).exit_code == 1
+    assert "msbdb db upgrade" in run("check", place).stderr
+    told_up = told("upgrade", place)
+    assert (told_up["before"], told_up["lost"]) == ("0001", [])
+    assert told("downgrade", place, "--to", "0002")["after"] == "0002"
+    assert "0002" in run("upgrade", place).stdout
+
+
+def test_a_downgrade_with_losses_ends_with_1(town: str) -> None:
+    """It names what would be lost; forced, it lists what was."""
+    refused = run("downgrade", town, "--to", "0002")
+    assert refused.exit_code == 1
+    assert "16 rows of candidate_region" in refused.stderr
+    assert "16 rows of candidate_region" in told("downgrade", town, "--to", "0002", "--force")["lost"]
+
+
+def test_a_sound_database_ends_with_0(town: str) -> None:
+    """In words and as JSON."""
+    result = run("check", town)
+    assert (result.exit_code, "found nothing wrong" in result.stdout) == (0, True)
+    found = told("check", town)
+    assert found["findings"] == []
+    assert "forest" in found["checks"]
+
+
+def test_an_unsound_database_ends_with_1_and_says_why(town: str) -> None:
+    """A row a finding: check, table, key, what, expected; a hostile name is shown as it is."""
+    engine = open_database(town)
+    connection = engine.raw_connection()
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA foreign_keys = OFF")
+    cursor.execute("UPDATE survey SET name = '[/red] ' || name")
+    connection.close()
+    result = run("check", town)
+    assert result.exit_code == 1
+    assert f"[/red] {HOSTILE}" in result.stdout
+    assert "2 findings" in result.stdout
+    [one, two] = told("check", town, code=1)["findings"]
+    assert set(one) == {"check", "table", "key", "what", "expected"}
+    assert {one["check"], two["check"]} == {"content"}
+
+
+def test_dump_is_the_same_twice_and_in_a_file(town: str) -> None:
+    """To the byte, with and without what tells of files."""
+    expected = "".join(f"{line}\n" for line in canonical_dump(open_database(town))).encode()
+    assert run("dump", town).stdout_bytes == run("dump", town).stdout_bytes == expected
+    assert run("dump", town, "--out", "a.txt").exit_code == 0
+    assert Path("a.txt").read_bytes() == expected
+    assert run("dump", town, "--provenance", "--out", "b.txt").exit_code == 0
+    assert b"tile.laz" in Path("b.txt").read_bytes()
+    assert b"tile.laz" not in expected
+    assert run("dump", town, "--out", "no/where.txt").exit_code == 1
+
+
+def test_copy_tells_the_rows(town: str) -> None:
+    """By table as JSON, in all in words; a target with rows is refused."""
+    rows = told("copy", town, "copy.sqlite")["rows"]
+    assert (rows["survey"], rows["part"]) == (2, 12)
+    assert run("copy", town, "copy.sqlite").exit_code == 1
+    assert str(sum(rows.values())) in run("copy", town, "again.sqlite").stdout
+    assert check_database(open_database("copy.sqlite")) == []
+
+
+def test_grant_is_for_servers(town: str) -> None:
+    """A file has no users; the message says what to do instead."""
+    refused = run("grant", town, "--role", "reader", "--to", "anna")
+    assert refused.exit_code == 1
+    assert "file system" in refused.stderr
+    assert run("grant", town, "--role", "king", "--to", "anna").exit_code == 2
+
+
+@pytest.mark.parametrize("line", commands.examples)
+def test_every_example_runs_as_it_stands(line: str, town: str) -> None:
+    """On a town, but for servers that are not there, which are told as such."""
+    words = shlex.split(line)[2:]
+    if words[0] == "create":
+        Path(town).unlink()
+    result = run(*words)
+    if "postgresql" in line:
+        assert (result.exit_code, "me@localhost/town" in result.stderr) == (1, True)
+    else:
+        assert result.exit_code == 0, result.stderr
+
+
+def test_the_group_lists_its_commands() -> None:
+    """The help of the group names each, with the examples."""
+    shown = run("--help").stdout
+    for name, made in commands.commands.items():
+        assert name in shown
+        assert all(line in shown for line in made.examples)

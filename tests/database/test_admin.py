@@ -1,0 +1,233 @@
+"""Creating, upgrading, downgrading and copying databases on purpose."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from builds import EPSG, small_build
+from olddatabases import HOSTILE, REVISIONS, ROWS, place_old_database
+from pyproj import CRS
+from sqlalchemy import func, select
+
+from msbdb.database import (
+    canonical_dump,
+    check_database,
+    copy_database,
+    create_database,
+    downgrade_schema,
+    list_runs,
+    open_database,
+    read_build,
+    srid_of,
+    upgrade,
+    upgrade_schema,
+    write_build,
+)
+from msbdb.database.admin import open_any, version_of
+from msbdb.database.models import Base
+from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionError
+
+ROOT = Path(__file__).resolve().parents[2]
+BOTH = ["spatialite", pytest.param("postgis", marks=pytest.mark.postgis)]
+
+
+@pytest.fixture(params=BOTH)
+def other(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Return a second place, on each dialect, so that with ``target`` all pairs are tried."""
+    if request.param == "spatialite":
+        return str(tmp_path / "other.sqlite")
+    return request.getfixturevalue("new_postgis")()
+
+
+def dump(target: str) -> list[str]:
+    """Return all content, source files included."""
+    return list(canonical_dump(open_database(target), provenance=True))
+
+
+def counts(target: str) -> dict[str, int]:
+    """Return the rows by table."""
+    with open_database(target).connect() as connection:
+        return {
+            name: connection.scalar(select(func.count()).select_from(table))
+            for name, table in Base.metadata.tables.items()
+        }
+
+
+def test_a_created_database_is_empty_sound_and_in_its_crs(target: str) -> None:
+    """Created once; the second time it is left as it is, rows and all."""
+    assert create_database(target, "EPSG:28992")
+    engine = open_database(target, srid=EPSG)
+    assert set(counts(target).values()) == {0}
+    assert check_database(engine) == []
+    write_build(engine, small_build())
+    before = dump(target)
+    assert not create_database(target, "EPSG:28992")
+    assert dump(target) == before
+
+
+@pytest.mark.parametrize(
+    ("crs", "says"),
+    [("EPSG:25832", "28992.*25832"), ("EPSG:4326", "28992.*4326"), ("EPSG:1", "not known"), ("x", "EPSG")],
+)
+def test_another_crs_is_refused(target: str, crs: str, says: str) -> None:
+    """A database has one CRS, projected in metres."""
+    create_database(target, "EPSG:28992")
+    with pytest.raises(CRSError, match=says):
+        create_database(target, crs)
+
+
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_old_databases_upgrade_with_all_they_hold(target: str, revision: str) -> None:
+    """Refused before, sound afterwards; every row is there, and today's loader goes on from it."""
+    place_old_database(target, revision)
+    with pytest.raises(SchemaVersionError, match="msbdb db upgrade"):
+        open_database(target)
+    with pytest.raises(SchemaVersionError, match="msbdb db upgrade"):
+        create_database(target, "EPSG:28992")
+    assert upgrade_schema(target) == (revision, upgrade.head_version())
+    assert upgrade_schema(target) == (upgrade.head_version(), upgrade.head_version())
+    engine = open_database(target)
+    assert check_database(engine) == []
+    assert {name: rows for name, rows in counts(target).items() if name in ROWS} == ROWS
+    assert list_runs(engine)["survey"].tolist() == ["delft", HOSTILE]
+    again = read_build(engine, HOSTILE)
+    assert write_build(engine, again).status in ("unchanged", "replaced")
+    assert check_database(engine) == []
+
+
+@pytest.mark.postgis
+@pytest.mark.parametrize("revision", REVISIONS)
+def test_old_databases_of_both_kinds_become_equal(
+    tmp_path: Path, new_postgis: Callable[[], str], revision: str
+) -> None:
+    """The canonical dumps after the upgrade are the same to the byte."""
+    places = [str(tmp_path / "old.sqlite"), new_postgis()]
+    for place in places:
+        place_old_database(place, revision)
+        upgrade_schema(place)
+    assert dump(places[0]) == dump(places[1])
+
+
+def test_a_downgrade_says_what_would_be_lost_and_does_nothing(target: str) -> None:
+    """Rows of tables that go, and values of columns that go from rows that stay."""
+    write_build(open_database(target, create=True, srid=EPSG), small_build())
+    before = dump(target)
+    with pytest.raises(SchemaVersionError) as refused:
+        downgrade_schema(target, "0002")
+    for word in (
+        "8 rows of candidate_region",
+        "10 rows of part_candidate",
+        "4 values of building.area3d_share",
+        "--force",
+    ):
+        assert word in str(refused.value)
+    assert version_of(open_any(target)) == upgrade.head_version()
+    assert dump(target) == before
+
+
+def test_a_forced_downgrade_loses_just_what_it_says(target: str) -> None:
+    """The way up is open again, and the lost rows are missed by the check until the survey is built again."""
+    engine = open_database(target, create=True, srid=EPSG)
+    write_build(engine, small_build())
+    before = dump(target)
+    _, after, lost = downgrade_schema(target, "0002", force=True)
+    assert (after, version_of(open_any(target))) == ("0002", "0002")
+    assert "8 rows of candidate_region" in map(str, lost)
+    upgrade_schema(target)
+    assert {finding.check for finding in check_database(engine)} == {"content"}
+    assert write_build(engine, small_build()).status == "replaced"
+    assert dump(target) == before
+    assert check_database(engine) == []
+
+
+def test_a_downgrade_that_loses_nothing_needs_no_force(target: str) -> None:
+    """By default one step, and back."""
+    engine = open_database(target, create=True, srid=EPSG)
+    write_build(engine, small_build())
+    before = dump(target)
+    assert downgrade_schema(target) == ("0004", "0003", [])
+    upgrade_schema(target)
+    assert dump(target) == before
+    assert check_database(engine) == []
+
+
+@pytest.mark.parametrize("to", ["0001", "0004", "9", "head", "-1", "base", "x'; DROP TABLE part; --"])
+def test_only_older_schemas_with_a_way_back_are_taken(target: str, to: str) -> None:
+    """Each refusal names those that can be had."""
+    create_database(target, "EPSG:28992")
+    with pytest.raises(SchemaVersionError, match="0002, 0003"):
+        downgrade_schema(target, to, force=True)
+
+
+def test_the_first_schema_has_no_way_back(target: str) -> None:
+    """Nothing older is known."""
+    place_old_database(target, "0001")
+    with pytest.raises(SchemaVersionError, match="brought down to: none"):
+        downgrade_schema(target)
+
+
+def test_a_copy_holds_all_rows_whatever_the_kinds(target: str, other: str) -> None:
+    """Dumps are equal, the copy is sound, and there is nothing in it to copy onto again."""
+    engine = open_database(target, create=True, srid=EPSG)
+    write_build(engine, small_build())
+    write_build(engine, small_build(HOSTILE, shift=1000))
+    steps: list[tuple[str, int, int]] = []
+    rows = copy_database(target, other, progress=lambda *step: steps.append(step))
+    assert rows == counts(target) == counts(other)
+    assert dump(other) == dump(target)
+    assert check_database(open_database(other)) == []
+    assert steps[-1] == ("copy", len(rows), len(rows))
+    with pytest.raises(DatabaseError, match=r"is not empty: .*survey"):
+        copy_database(target, other)
+    assert write_build(open_database(other), small_build()).status == "unchanged"
+
+
+def test_a_copy_goes_into_a_database_that_was_created_empty(target: str, other: str) -> None:
+    """In the same CRS; another one is refused."""
+    write_build(open_database(target, create=True, srid=EPSG), small_build())
+    create_database(other, "EPSG:25832")
+    with pytest.raises(CRSError, match="25832"):
+        copy_database(target, other)
+    with pytest.raises(ParameterError, match="onto itself"):
+        copy_database(target, target)
+
+
+def test_a_crs_without_code_is_copied(target: str, other: str) -> None:
+    """Under the same number, with the same definition."""
+    wkt = CRS.from_proj4("+proj=tmerc +lat_0=10 +lon_0=20 +k=1 +x_0=500 +y_0=0 +ellps=GRS80 +units=m").to_wkt()
+    create_database(target, wkt)
+    copy_database(target, other)
+    open_database(other, srid=0, crs_wkt=wkt)
+    assert srid_of(0, wkt) >= 910_000
+
+
+COPIER = """
+import os, signal, sys
+from msbdb.database import copy
+original = copy._copy_table
+def stopped(reading, writing, dialect, table, srid):
+    original(reading, writing, dialect, table, srid)
+    if table.name == sys.argv[3]:
+        os.kill(os.getpid(), signal.SIGKILL)
+copy._copy_table = stopped
+copy.copy_database(sys.argv[1], sys.argv[2])
+"""
+
+
+@pytest.mark.parametrize("table", ["survey", "part_flat_region"])
+def test_a_killed_copy_leaves_nothing_and_can_be_repeated(target: str, tmp_path: Path, table: str) -> None:
+    """Whether one table is over or all but the last, the target is empty, and the source as it was."""
+    source = str(tmp_path / "source.sqlite")
+    write_build(open_database(source, create=True, srid=EPSG), small_build())
+    before = dump(source)
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", COPIER, source, target, table], env=env, check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert set(counts(target).values()) == {0}
+    assert check_database(open_database(target)) == []
+    copy_database(source, target)
+    assert dump(target) == before == dump(source)
