@@ -1,12 +1,13 @@
 """``msbdb build``: from points or rasters to a database."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msbdb.cli.command import command, notice
-from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, crs_name, extractors, iso_date, scales_m2, setting, shared
+from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, F, crs_name, extractors, iso_date, scales_m2, setting, shared
 from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 from msbdb.params import PROFILES, Params
 
@@ -14,6 +15,89 @@ if TYPE_CHECKING:
     from msbdb.pipeline import BuildReport
 
 Z_UNITS = ("auto", "m", "ft", "us-ft")
+
+
+_HEIGHTS = (
+    click.option(
+        "--points", type=INPUT_FILE, multiple=True, metavar="FILE...", help="LAS, LAZ or COPC files of one survey."
+    ),
+    click.option(
+        "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."
+    ),
+    click.option("--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster; needs --dtm."),
+    click.option("--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster."),
+    click.option("--ndsm", type=INPUT_FILE, metavar="FILE", help="Heights above ground as a raster."),
+    click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."),
+)
+"""Options of what a survey is made from."""
+
+_VALUES = (
+    click.option(
+        "--crs", type=crs_name, metavar="EPSG", help="The data's CRS where the files do not state it, like EPSG:2154."
+    ),
+    click.option("--ortho-crs", type=crs_name, metavar="EPSG", help="The orthophotos' CRS where they do not state it."),
+    click.option(
+        "--z-unit",
+        type=click.Choice(Z_UNITS),
+        default="auto",
+        show_default=True,
+        help="Unit of the heights; auto follows the CRS.",
+    ),
+    click.option(
+        "--scales",
+        type=scales_m2,
+        metavar="auto|M2,M2,...",
+        help="Area thresholds in m2, or 'auto' to find them by granulometry.",
+    ),
+    click.option(
+        "--profile", type=click.Choice(list(PROFILES)), default="default", show_default=True, help="Set of values."
+    ),
+    click.option(
+        "--params", "params_file", type=INPUT_FILE, metavar="FILE.toml", help="Values over those of the profile."
+    ),
+    click.option(
+        "--set",
+        "settings",
+        type=setting,
+        multiple=True,
+        metavar="SECTION.NAME=VALUE",
+        help="One value over all others; repeatable.",
+    ),
+    click.option(
+        "--extract",
+        type=extractors,
+        default="multiscale,flatregions,area3d,adaptive",
+        show_default=True,
+        metavar="NAME,NAME",
+        help="Extractors: multiscale finds buildings as trees of parts, flatregions finds flat regions, area3d and "
+        "adaptive find candidate regions on the points themselves, as evidence.",
+    ),
+    click.option(
+        "--denoising-figure",
+        type=OUTPUT_FILE,
+        metavar="FILE.png",
+        help="Also draw the surface before and after the denoising for the flat regions.",
+    ),
+    click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Also draw the map of 'msbdb view'."),
+)
+"""Options of how it is made."""
+
+
+def inputs(function: F) -> F:
+    """Decorate a command with the options of a survey's files."""
+    return _decorated(function, _HEIGHTS)
+
+
+def values(function: F) -> F:
+    """Decorate a command with the options of CRS, units, parameters and extractors, and of the map."""
+    return _decorated(function, _VALUES)
+
+
+def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
+    """Add options in the order in which the help lists them."""
+    for option in reversed(options):
+        function = option(function)
+    return function
 
 
 @command(
@@ -26,78 +110,25 @@ Z_UNITS = ("auto", "m", "ft", "us-ft")
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
     ),
 )
-@click.option(
-    "--points", type=INPUT_FILE, multiple=True, metavar="FILE...", help="LAS, LAZ or COPC files of one survey."
-)
-@click.option(
-    "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."
-)
-@click.option("--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster; needs --dtm.")
-@click.option("--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster.")
-@click.option("--ndsm", type=INPUT_FILE, metavar="FILE", help="Heights above ground as a raster.")
-@click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL.")
+@inputs
 @click.option("--survey", metavar="NAME", help="Name of the survey. [default: the first file's name]")
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
-@click.option(
-    "--crs", type=crs_name, metavar="EPSG", help="The data's CRS where the files do not state it, like EPSG:2154."
-)
-@click.option("--ortho-crs", type=crs_name, metavar="EPSG", help="The orthophotos' CRS where they do not state it.")
-@click.option(
-    "--z-unit",
-    type=click.Choice(Z_UNITS),
-    default="auto",
-    show_default=True,
-    help="Unit of the heights; auto follows the CRS.",
-)
-@click.option(
-    "--scales",
-    type=scales_m2,
-    metavar="auto|M2,M2,...",
-    help="Area thresholds in m2, or 'auto' to find them by granulometry.",
-)
-@click.option(
-    "--profile", type=click.Choice(list(PROFILES)), default="default", show_default=True, help="Set of values."
-)
-@click.option("--params", "params_file", type=INPUT_FILE, metavar="FILE.toml", help="Values over those of the profile.")
-@click.option(
-    "--set",
-    "settings",
-    type=setting,
-    multiple=True,
-    metavar="SECTION.NAME=VALUE",
-    help="One value over all others; repeatable.",
-)
-@click.option(
-    "--extract",
-    type=extractors,
-    default="multiscale,flatregions,area3d,adaptive",
-    show_default=True,
-    metavar="NAME,NAME",
-    help="Extractors: multiscale finds buildings as trees of parts, flatregions finds flat regions, area3d and "
-    "adaptive find candidate regions on the points themselves, as evidence.",
-)
-@click.option(
-    "--denoising-figure",
-    type=OUTPUT_FILE,
-    metavar="FILE.png",
-    help="Also draw the surface before and after the denoising for the flat regions.",
-)
-@click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Also draw the map of 'msbdb view'.")
+@values
 @shared("json")
-def build(*, as_json: bool, figure: Path | None, **inputs: Any) -> None:  # noqa: ANN401
+def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401
     """Build or extend a database of buildings from one survey.
 
     Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes tell roofs from trees; an
     orthophoto, or the colours of the points, add spectral classes. Building the same survey again changes nothing.
     """
-    _check_inputs(inputs)
-    params = parameters(inputs["profile"], inputs.pop("params_file"), inputs.pop("settings"), inputs.pop("scales"))
+    check_inputs(given)
+    params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
     from msbdb import pipeline
 
     with progress_bars() as progress:
-        report = pipeline.build(inputs.pop("points"), **inputs, params=params, progress=progress)
+        report = pipeline.build(given.pop("points"), **given, params=params, progress=progress)
     if figure is not None:
-        pipeline.view(inputs["db"], figure, survey=report.survey)
+        pipeline.view(given["db"], figure, survey=report.survey)
     if as_json:
         emit_json(report.as_dict())
     else:
@@ -141,7 +172,7 @@ def emit_report(report: "BuildReport") -> None:
     emit_pairs(pairs)
 
 
-def _check_inputs(inputs: dict[str, Any]) -> None:
+def check_inputs(inputs: dict[str, Any]) -> None:
     """Refuse a set of inputs that cannot make heights above ground."""
     given = [name for name in ("points", "dsm", "ndsm") if inputs[name]]
     if not given:

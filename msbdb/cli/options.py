@@ -67,6 +67,21 @@ def extractors(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
+def assignment(text: str) -> tuple[str, str]:
+    """Return name and column of an assignment written NAME=COLUMN.
+
+    Examples
+    --------
+    >>> assignment("height=HGT")
+    ('height', 'HGT')
+    """
+    name, _, column = text.partition("=")
+    if not name.strip() or not column.strip():
+        msg = f"{text!r} is no assignment like height=HGT."
+        raise click.BadParameter(msg)
+    return name.strip(), column.strip()
+
+
 def class_label(text: str) -> tuple[int, str]:
     """Return an operator's label of a class, written NUMBER=LABEL (V36)."""
     from msbdb.classmap import LABELS

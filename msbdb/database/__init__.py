@@ -10,6 +10,7 @@ from msbdb.database.engine import check_target, open_database, shown, upgrade_da
 from msbdb.database.examples import ExampleQuery, example_queries, run_example
 from msbdb.database.integrity import CHECKS, Finding, check_database
 from msbdb.database.inventory_read import (
+    database_crs_of,
     first_day,
     footprint_at,
     read_changes,
@@ -21,6 +22,7 @@ from msbdb.database.inventory_read import (
 from msbdb.database.inventory_standing import Standing, read_standing, survey_key
 from msbdb.database.inventory_words import write_import, write_samples, write_state
 from msbdb.database.inventory_write import Advance, OutdatedError, write_advance
+from msbdb.database.labels import read_labelled_classes
 from msbdb.database.load import WriteReport, write_build
 from msbdb.database.query import (
     list_runs,
@@ -55,14 +57,15 @@ __all__ = [
     "WriteReport",
     "canonical_dump",
     "check_database",
+    "check_target",
     "copy_database",
     "create_database",
+    "database_crs_of",
     "downgrade_schema",
-    "grant_role",
-    "check_target",
     "example_queries",
     "first_day",
     "footprint_at",
+    "grant_role",
     "list_runs",
     "open_database",
     "read_build",
@@ -74,6 +77,7 @@ __all__ = [
     "read_flat_region_candidates",
     "read_flat_regions",
     "read_history",
+    "read_labelled_classes",
     "read_material_classes",
     "read_part_candidates",
     "read_part_flat_regions",

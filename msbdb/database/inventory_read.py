@@ -200,6 +200,12 @@ def has_building(connection: Connection, uid: int) -> bool:
     return bool(connection.scalar(select(func.count()).where(InventoryBuilding.uid == uid)))
 
 
+def database_crs_of(engine: Engine) -> CRS:
+    """Return the database's CRS."""
+    with guarded(engine.url), engine.connect() as connection:
+        return database_crs(connection)
+
+
 def database_crs(connection: Connection) -> CRS:
     """Return the database's CRS, as it is registered there."""
     srid = dialect_of(connection.engine.url).database_srid(connection)

@@ -217,7 +217,7 @@ def write_versions(connection: Connection, dialect: Dialect, rows: gpd.GeoDataFr
     columns = ["version_id", "uid", "valid_from", "source", "survey_id", "building_id", *MEASURES]
     cells: list[list[Any]] = [_values(rows[name]) for name in columns]
     cells.append([None if value is None else to_json(value) for value in rows["attributes"]])
-    cells.append(dialect.encode(_multi(rows.geometry.to_numpy()), srid))
+    cells.append(list(dialect.encode(_multi(rows.geometry.to_numpy()), srid)))
     names = [*columns, "attributes", "geometry"]
     dialect.insert_rows(connection, "building_version", names, list(zip(*cells, strict=True)), srid)
 
@@ -245,7 +245,7 @@ def write_event(connection: Connection, dialect: Dialect, event: dict[str, Any],
     last = connection.scalar(select(func.max(InventoryEvent.number))) or 0
     srid = dialect.database_srid(connection)
     row = {"number": event.pop("number", 0) or last + 1, **event, "counts": to_json(event["counts"])}
-    row["geometry"] = dialect.encode(np.array([area], dtype=object), srid)[0]
+    [row["geometry"]] = dialect.encode(np.array([area], dtype=object), srid)
     dialect.insert_rows(connection, "inventory_event", list(row), [tuple(row.values())], srid)
 
 

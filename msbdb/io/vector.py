@@ -18,8 +18,8 @@ from msbdb.io.vectorwrite import write_layers
 
 logger = logging.getLogger(__name__)
 
-POLYGON, MULTIPOLYGON, COLLECTION = 3, 6, 7
-"""Shapely's type numbers of the geometries that hold areas."""
+POINT, POLYGON, MULTIPOLYGON, COLLECTION = 0, 3, 6, 7
+"""Shapely's type numbers of points, and of the geometries that hold areas."""
 
 
 def read_polygons(
@@ -77,6 +77,52 @@ def read_polygons(
     frame = frame.set_geometry(gpd.GeoSeries(geometry, index=frame.index, crs=frame.crs))
     frame = frame[kept].reset_index(drop=True)
     logger.info("read %d polygons from %s", len(frame), path)
+    return frame if to is None else frame.to_crs(parse_crs(to))
+
+
+def read_point_features(
+    path: str | os.PathLike[str], *, layer: str | None = None, crs: CrsLike | None = None, to: CrsLike | None = None
+) -> gpd.GeoDataFrame:
+    """Read the points of a layer, two-dimensional, with their attributes.
+
+    Parameters
+    ----------
+    path, layer, crs, to
+        As for `read_polygons`.
+
+    Returns
+    -------
+    GeoDataFrame
+        Points in the file's order, the index from 0; a multipoint of one point counts as that point.
+
+    Raises
+    ------
+    FileError, InputError, CRSError
+        As `read_polygons`.
+    NodataError
+        If there are no points.
+
+    Warns
+    -----
+    MsbdbWarning
+        If geometries were left out.
+    """
+    path = Path(path)
+    frame = _read(path, layer)
+    found = None if frame.crs is None else CRS.from_user_input(frame.crs)
+    frame = frame.set_crs(settle(found, crs, path.name), allow_override=True)
+    geometry = shapely.force_2d(np.asarray(frame.geometry.array))
+    single = shapely.get_num_geometries(geometry) == 1
+    geometry[single] = shapely.get_geometry(geometry[single], 0)
+    kept = (shapely.get_type_id(geometry) == POINT) & ~shapely.is_empty(geometry)
+    if not kept.any():
+        msg = f"{path} holds no points. Give a layer of points."
+        raise NodataError(msg)
+    if not kept.all():
+        warnings.warn(
+            f"{path.name}: {(~kept).sum()} geometries were left out, being no points.", MsbdbWarning, stacklevel=2
+        )
+    frame = frame.set_geometry(gpd.GeoSeries(geometry, index=frame.index, crs=frame.crs))[kept].reset_index(drop=True)
     return frame if to is None else frame.to_crs(parse_crs(to))
 
 

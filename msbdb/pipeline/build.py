@@ -1,15 +1,16 @@
 """The main job, from end to end: from LiDAR and imagery to a multi-scale building database."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.database import check_target, open_database, write_build
+from msbdb.database import check_target, open_database, read_labelled_classes, write_build
 from msbdb.errors import ParameterError
 from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
@@ -20,6 +21,7 @@ from msbdb.pipeline.candidates import METHODS, CandidateLayer, find_regions, poi
 from msbdb.pipeline.cover import Cover, classify_cover
 from msbdb.pipeline.flat import Flat, find_flat_regions, no_flat_regions
 from msbdb.pipeline.inputs import Inputs, collect_notices, make_surface, read_cloud, read_ortho, record_survey
+from msbdb.pipeline.labels import keep_labels
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import pack_state
 from msbdb.pointcloud import PointCloud
@@ -125,25 +127,30 @@ def build(
     check_target(db)
     stages = Stages(progress)
     with collect_notices(notices):
-        job = Job(inputs, params, survey or inputs.default_survey(), date or "", methods, denoising_figure)
+        name = survey or inputs.default_survey()
+        labelled = read_labelled_classes(db, name)
+        job = Job(inputs, params, name, date or "", methods, denoising_figure, labelled)
         result = run(job, stages, notices)
     record, cover, flat, candidates, regions, frames, heights = result
     counts: dict[str, object] = {
         "regions": regions,
-        "cells": _cells(heights, cover),
+        "cells": count_cells(heights, cover),
         "cover": {"colours_decide": int(cover.colours_decide), "green_decides": int(cover.green_decides)},
+        "stated": inputs.stated(),
     }
     values: dict[str, object] = dict(as_dict(params))
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
         whole = Build(record, entry, frames, pack_state(heights, cover, flat, candidates))
         changed = store(whole, db)
-    return report_of(whole, stages, changed=changed)
+    report = report_of(whole, stages, changed=changed)
+    # What is said once of labels is no part of the content: built once more, all would be the same.
+    return replace(report, notices=(*report.notices, *job.lost))
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What one run is to do: inputs, parameters, the survey's name and date, and the extractors."""
+    """What one run is to do: inputs, parameters, the survey's name and date, extractors, and an operator's labels."""
 
     inputs: Inputs
     params: Params
@@ -151,6 +158,8 @@ class Job:
     date: str
     methods: tuple[str, ...]
     denoising_figure: Path | None
+    labelled: pd.DataFrame
+    lost: list[str] = field(default_factory=list)
 
 
 def check_extractors(names: Sequence[str]) -> tuple[str, ...]:
@@ -204,7 +213,7 @@ def run(
     with stages.stage("surface"):
         surface = make_surface(inputs, cloud, params)
     with stages.stage("cover"):
-        structure, roughness_m = cover_from_surface(surface, cloud, params)
+        structure = cover_from_surface(surface, cloud, params)
         echoes = cloud is not None and cloud.has_echoes
     record = record_survey(inputs, name=job.survey, date=job.date, surface=surface, cloud=cloud)
     ndsm = surface.ndsm
@@ -219,9 +228,10 @@ def run(
     candidates = find_candidates(job, stages, surface, cloud, bands)
     del surface, cloud
     with stages.stage("classes"):
-        cover = classify_cover(structure, bands, ndsm, roughness_m, params, echoes=echoes)
+        cover = classify_cover(structure.cover, bands, ndsm, structure.roughness_m, params, echoes=echoes)
+        cover = keep_labels(cover, job.labelled, job.lost)
         notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
-        del bands, structure, roughness_m
+        del bands, structure
     with stages.stage("parts"):
         searched = ndsm if "multiscale" in job.methods else Grid(ndsm.values, np.zeros_like(ndsm.valid), ndsm.spec)
         forest = extract_parts(searched, cover.classes, survey=job.survey, params=params)
@@ -257,7 +267,7 @@ def store(build: Build, db: str | Path) -> bool:
         engine.dispose()
 
 
-def _cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
+def count_cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
     """Count the cells: all, valid, and a class label each."""
     labels = cover.classes.labels
     found: NDArray[np.int64] = np.bincount(cover.classes.index.ravel(), minlength=256)

@@ -51,6 +51,11 @@ class Inputs:
         yield from ((path, role) for path, role in ((self.dsm, "dsm"), (self.dtm, "dtm"), (self.ndsm, "ndsm")) if path)
         yield from ((path, "ortho") for path in self.ortho)
 
+    def stated(self) -> dict[str, str]:
+        """Return what the user stated of the files, as far as it is not the default."""
+        words = {"crs": self.crs, "ortho_crs": self.ortho_crs, "z_unit": self.z_unit if self.z_unit != "auto" else None}
+        return {name: str(word) for name, word in words.items() if word is not None}
+
     def default_survey(self) -> str:
         """Name the survey after the first file."""
         return next(self.files())[0].stem.removesuffix(".copc")

@@ -35,7 +35,7 @@ from msbdb.io.las import read_points
 from msbdb.io.vector import read_polygons
 from msbdb.params import Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.build import BuildReport, candidates_by_method, report_of, store
+from msbdb.pipeline.build import BuildReport, candidates_by_method, count_cells, report_of, store
 from msbdb.pipeline.candidates import METHODS
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import lattice_of, pack_state, unpack_candidates, unpack_cover, unpack_flat, unpack_heights
@@ -108,7 +108,7 @@ def relabel(
     regions = forest.counts | flat.counts
     for layer in candidates:
         regions |= layer.counts
-    counts = {**old.run.counts, "regions": regions}
+    counts = {**old.run.counts, "regions": regions, "cells": count_cells(heights, cover)}
     run = replace(old.run, counts=counts, timings={**old.run.timings, **stages.timings})
     with stages.stage("write"):
         build = Build(old.survey, run, frames, pack_state(heights, cover, flat, candidates))

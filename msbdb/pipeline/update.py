@@ -28,18 +28,22 @@ from msbdb.database import (
     survey_key,
     write_advance,
 )
+from msbdb.database.canonical import to_json
 from msbdb.errors import DatabaseError, InputError
 from msbdb.grid import Grid
 from msbdb.inventory.change import Comparison, compare
 from msbdb.inventory.measure import measure
 from msbdb.io.vector import read_polygons
-from msbdb.params import Params, with_values
+from msbdb.params import Params, as_dict, with_values
+from msbdb.params import profile as named_profile
 from msbdb.params.change import ChangeParams
-from msbdb.pipeline.build import BuildReport, build
+from msbdb.pipeline.build import EXTRACTORS, BuildReport, build, check_extractors, possible_extractors
+from msbdb.pipeline.inputs import Inputs
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import lattice_of, unpack_heights
 from msbdb.tables import EXTRACTOR_SHARES, Survey
 from msbdb.vector.polygons import rasterise
+from msbdb.version import __version__
 
 logger = logging.getLogger(__name__)
 
@@ -74,14 +78,14 @@ class AdvanceReport:
 
 @dataclass(frozen=True, slots=True)
 class UpdateReport:
-    """What the build of a survey did, and the update of the inventory by it."""
+    """What the build of a survey did, None where it was built already, and the update of the inventory by it."""
 
-    build: BuildReport
+    build: BuildReport | None
     inventory: AdvanceReport
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {"build": self.build.as_dict(), "inventory": self.inventory.as_dict()}
+        return {"build": None if self.build is None else self.build.as_dict(), "inventory": self.inventory.as_dict()}
 
 
 def update(
@@ -119,12 +123,53 @@ def update(
     ------
     MsbdbError
         One of its kinds. A build that was written stays; repeating the update completes it.
+
+    Notes
+    -----
+    A survey that was built from the same files with the same values by the same msbdb is not built again.
     """
     _require_date(survey, date)
-    built = build(points, db=db, survey=survey, date=date, progress=progress, **options)
     stages = Stages(progress)
+    built = None
+    if not is_built(points, db=db, survey=survey, date=date, **options):
+        built = build(points, db=db, survey=survey, date=date, progress=progress, **options)
     with stages.stage("inventory"):
         return UpdateReport(built, advance(db, survey, aoi=aoi))
+
+
+def is_built(
+    points: Sequence[Path],
+    *,
+    db: str | Path,
+    survey: str,
+    date: str,
+    ortho: Sequence[Path] = (),
+    params: Params | None = None,
+    profile: str = "default",
+    extract: Sequence[str] = EXTRACTORS,
+    denoising_figure: Path | None = None,
+    **given: Any,  # noqa: ANN401  (the other inputs of build)
+) -> bool:
+    """Tell whether a survey was built from the same files, with the same values, by the same msbdb.
+
+    The parameters are those of `msbdb.pipeline.build`.
+    """
+    inputs = Inputs(tuple(map(Path, points)), tuple(map(Path, ortho)), **given)
+    methods = possible_extractors(check_extractors(extract), inputs, [])
+    try:
+        engine = open_database(db)
+    except DatabaseError:
+        return False
+    try:
+        record, run = read_survey(engine, survey), read_run(engine, survey)
+    except InputError:
+        return False
+    finally:
+        engine.dispose()
+    wanted = to_json([as_dict(params or named_profile(profile)), profile, __version__, ",".join(methods), date])
+    found = to_json([run.parameters, run.profile, run.version, run.method, record.date])
+    stated = run.counts.get("stated") == inputs.stated()
+    return denoising_figure is None and stated and wanted == found and set(record.sources) == set(inputs.sources())
 
 
 def advance(db: str | Path, survey: str, *, aoi: Path | None = None) -> AdvanceReport:
@@ -188,7 +233,7 @@ def _area(record: Survey, aoi: Path | None) -> shapely.MultiPolygon:
     if aoi is not None:
         wanted = read_polygons(aoi, to=record.crs_wkt).union_all()
         shape = shapely.intersection(shape, wanted)
-    parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
+    parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon" and not part.is_empty]
     if not parts:
         msg = f"The area of interest does not overlap the survey '{record.name}'. Check both, and the CRS of the area."
         raise InputError(msg)

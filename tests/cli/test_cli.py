@@ -48,6 +48,7 @@ class FakeReport:
     buildings: int = 3
     parts: int = 7
     flat_regions: int = 5
+    candidate_regions: dict[str, int] = field(default_factory=lambda: {"adaptive": 4, "area3d": 6})
     rejected: int = 2
     notices: tuple[str, ...] = ("No imagery: classes come from height texture.",)
     timings: dict[str, float] = field(default_factory=lambda: {"read": 0.5, "surface": 0.25})
@@ -91,7 +92,7 @@ class FakePipeline(types.ModuleType):
         z_unit="auto",
         params,
         profile="default",
-        extract=("multiscale", "flatregions"),
+        extract=("multiscale", "flatregions", "area3d", "adaptive"),
         denoising_figure=None,
         progress=None,
     ):
@@ -174,6 +175,42 @@ class FakePipeline(types.ModuleType):
         told = {**counts, "notices": ("It is COPC.",), "timings": {"read": 0.5}}
         return types.SimpleNamespace(**told, as_dict=lambda: told)
 
+    def update(self, points=(), *, aoi=None, **options):
+        """Return the reports of a build and of an update."""
+        self._note("update", points=points, aoi=aoi, **options)
+        offset = {"dx_m": 0.5, "dy_m": 0.0, "dz_m": 0.1, "pairs": 9, "spread_m": 0.2}
+        counts = {"new": 1, "unchanged": 2, "versions": 1}
+        told = {"survey": "spring", "date": "2024-04-20", "status": "created", "counts": counts, "offset": offset}
+        inventory = types.SimpleNamespace(**told, notices=("Few pairs.",))
+        return types.SimpleNamespace(build=FakeReport(), inventory=inventory, as_dict=lambda: {"inventory": told})
+
+    def changes(self, db, *, since=None, until=None, survey=None, aoi=None, out=None, figure=None):
+        """Return counts."""
+        values = {name: value for name, value in locals().items() if name != "self"}
+        self._note("changes", **values)
+        return types.SimpleNamespace(counts={"new": 1, "unchanged": 2})
+
+    def summary(self, found):
+        """Return one change."""
+        row = {"date": "2024-04-20", "kind": "new", "uid_before": None, "uid_after": 7, "dh_m": 6.5, "darea_m2": 90.0}
+        return {"counts": found.counts, "changes": [row | {"note": ""}]}
+
+    def import_inventory(self, db, file, **options):
+        """Return a report."""
+        self._note("import_inventory", db=db, file=file, options=options)
+        told = {"name": "cadastre", "date": "2019-01-01", "status": "created", "rows": 3}
+        return types.SimpleNamespace(**told, as_dict=lambda: told)
+
+    def import_roof_samples(self, db, file, **options):
+        """Return a report."""
+        self._note("import_roof_samples", db=db, file=file, options=options)
+        told = {"name": "roofs", "date": "", "status": "created", "rows": 3}
+        return types.SimpleNamespace(**told, as_dict=lambda: told)
+
+    def set_state(self, db, uid, state, *, operator, note=""):
+        """Write nothing."""
+        self._note("set_state", db=db, uid=uid, state=state, operator=operator, note=note)
+
 
 @pytest.fixture
 def pipeline(monkeypatch, tmp_path):
@@ -231,7 +268,7 @@ def test_every_example_runs(line, pipeline):
     for word in shlex.split(line.partition(" > ")[0])[1:]:
         words += ["tiles/a.laz", "tiles/b.laz"] if "*" in word else [word]
     for word in words:
-        if Path(word).suffix in {".laz", ".tif", ".gpkg"}:
+        if Path(word).suffix in {".laz", ".tif", ".gpkg", ".geojson"}:
             Path(word).touch()
     result = run(*words)
     assert result.exit_code == 0, result.stderr

@@ -1,0 +1,136 @@
+"""Surveys brought into the inventory by the pipeline: from points, twice, after an interruption, and with labels."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scenes
+from files import write_points
+from towns import EPSG, ROW, town_build
+
+import msbdb
+from msbdb import pipeline
+from msbdb.database import canonical_dump, footprint_at, open_database, write_build
+from msbdb.errors import InputError
+from msbdb.params import profile, with_values
+
+MODULE = sys.modules["msbdb.pipeline.update"]
+"""The module; the package has the function of this name."""
+
+ONLY = {"extract": ("multiscale",)}
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the points of a small scene, without colours."""
+    cloud = replace(scenes.podium_tower().points, colours=None, colour_names=())
+    return write_points(tmp_path_factory.mktemp("points") / "town.laz", cloud)
+
+
+def dump(db: Path) -> list[str]:
+    """Return the content, with all that tells of files."""
+    engine = open_database(db)
+    lines = list(canonical_dump(engine, provenance=True))
+    engine.dispose()
+    return lines
+
+
+def test_an_update_is_a_build_and_an_advance(points: Path, tmp_path: Path) -> None:
+    """Both ways end in the same content, and a repeat builds nothing."""
+    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
+    report = pipeline.update([points], db=tmp_path / "one.sqlite", **survey)
+    assert report.build is not None
+    assert report.inventory.counts == {"new": report.build.buildings, "versions": report.build.buildings}
+    msbdb.build([points], db=tmp_path / "two.sqlite", **survey)
+    assert pipeline.advance(tmp_path / "two.sqlite", "spring").status == "created"
+    assert dump(tmp_path / "one.sqlite") == dump(tmp_path / "two.sqlite")
+    again = pipeline.update([points], db=tmp_path / "one.sqlite", **survey)
+    assert (again.build, again.inventory.status) == (None, "unchanged")
+    assert dump(tmp_path / "one.sqlite") == dump(tmp_path / "two.sqlite")
+
+
+@pytest.mark.parametrize(
+    "other", [{"params": {"scale": {"merge_slivers": False}}}, {"z_unit": "m"}, {"date": "2024-05"}]
+)
+def test_other_files_or_values_build_the_survey_again(points: Path, tmp_path: Path, other: dict[str, object]) -> None:
+    """What decides of a build is compared, what was stated by the user included."""
+    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
+    pipeline.update([points], db=tmp_path / "town.sqlite", **survey)
+    if "params" in other:
+        other = {"params": with_values(profile(), other["params"])}
+    report = pipeline.update([points], db=tmp_path / "town.sqlite", **{**survey, **other})
+    assert report.build is not None
+    assert report.inventory.status == "replaced"
+
+
+def test_an_update_without_a_date_is_refused_before_any_work(points: Path, tmp_path: Path) -> None:
+    """The message names the option."""
+    with pytest.raises(InputError, match="--date"):
+        pipeline.update([points], db=tmp_path / "town.sqlite", survey="spring", date="")
+    assert not (tmp_path / "town.sqlite").exists()
+
+
+def test_an_interruption_between_build_and_advance_is_repaired_by_repeating(
+    points: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The build stays, and the repeat only advances."""
+    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
+    pipeline.update([points], db=tmp_path / "whole.sqlite", **survey)
+    with monkeypatch.context() as patch:
+
+        def killed(*_: object, **__: object) -> None:
+            raise KeyboardInterrupt
+
+        patch.setattr(MODULE, "write_advance", killed)
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.update([points], db=tmp_path / "town.sqlite", **survey)
+    assert footprint_at(open_database(tmp_path / "town.sqlite"), "2025").empty
+    report = pipeline.update([points], db=tmp_path / "town.sqlite", **survey)
+    assert (report.build, report.inventory.status) == (None, "created")
+    assert dump(tmp_path / "town.sqlite") == dump(tmp_path / "whole.sqlite")
+
+
+def test_an_update_is_computed_again_when_others_change_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between reading and writing another survey is applied; the update sees its buildings."""
+    db = tmp_path / "town.sqlite"
+    engine = open_database(db, create=True, srid=EPSG)
+    write_build(engine, town_build("one", "2020", ROW))
+    write_build(engine, town_build("two", "2021", ROW))
+    compare = MODULE.compare
+    seen = []
+
+    def compared(before, *rest, **options):
+        seen.append(len(before))
+        if len(seen) == 1:
+            pipeline.advance(db, "one")
+        return compare(before, *rest, **options)
+
+    monkeypatch.setattr(MODULE, "compare", compared)
+    assert pipeline.advance(db, "two").counts == {"unchanged": 8, "versions": 0}
+    assert seen == [0, 0, 8]
+
+
+def test_operators_labels_survive_that_a_survey_is_built_again(points: Path, tmp_path: Path) -> None:
+    """Labels of classes that are the same stay, others are told; building once more changes nothing."""
+    db = tmp_path / "town.sqlite"
+    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
+    msbdb.build([points], db=db, **survey)
+    number = int(pipeline.classes(db).query("source == 'structure'")["speindex"].min())
+    msbdb.relabel(db, {number: "building"})
+    labelled = dump(db)
+    report = msbdb.build([points], db=db, **survey)
+    assert not report.changed
+    assert dump(db) == labelled
+    coarse = with_values(profile(), {"scale": {"merge_slivers": False}})
+    msbdb.build([points], db=db, params=coarse, **survey)
+    table = pipeline.classes(db).set_index("speindex")
+    assert table.loc[number, ["label", "labelled_by"]].tolist() == ["building", "operator"]
+    wide = with_values(profile(), {"surface": {"cell_m": 1.0}})
+    report = msbdb.build([points], db=db, params=wide, **survey)
+    assert any(f"label 'building' of class {number} was not kept" in sentence for sentence in report.notices)
+    assert not msbdb.build([points], db=db, params=wide, **survey).changed
+    assert np.all(pipeline.classes(db)["labelled_by"] == "automatic")
