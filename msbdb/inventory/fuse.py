@@ -4,71 +4,22 @@ The classes are smoothed over metres, so that a roof lends its evidence to the c
 see no roof below their least area. Where the two differ they cut out a piece, and the piece speaks for itself.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from msbdb.errors import GridMismatchError, ParameterError
+from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
-from msbdb.params import Params, param
+from msbdb.params import FuseParams, Params
 
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.int32]
 Field = NDArray[np.floating]
 
 EIGHT = np.ones((3, 3), dtype=np.bool_)
-
-
-@dataclass(frozen=True, slots=True)
-class FuseParams:
-    """What decides of a piece that only one of the two systems found."""
-
-    edge_m: float = param(
-        0.5,
-        unit="m",
-        low=0.0,
-        high=20.0,
-        source="ours: narrower costs a true roof on Delft 2, wider the light wells of Delft 1",
-        doc="Disputed strips up to twice as wide are edges, on which the parts' word stands; at least a cell.",
-    )
-    smooth_m: float = param(
-        0.06,
-        unit="m",
-        low=0.001,
-        high=5.0,
-        source="ours: a scanner's range noise and a half; 0.05 to 0.08 m do alike, 0.04 m costs a true roof on Delft 2",
-        doc="Median roughness up to which a piece is a roof by itself; grows with cells above 1 m.",
-    )
-    roof_share: float = param(
-        0.55,
-        unit="1",
-        low=0.0,
-        high=1.0,
-        source="ours: a little more than the even odds of the cover; 0.55 to 0.6 do alike",
-        doc="Mean probability of roof from which a piece is one by its echoes and texture.",
-    )
-    seen_share: float = param(
-        2 / 3,
-        unit="1",
-        low=0.0,
-        high=1.0,
-        source="ours: most of the roof; below it the flat regions see too little for their silence to tell anything",
-        doc="Share of a building that flat regions must cover so that a piece they leave out is in doubt.",
-    )
-
-    def __post_init__(self) -> None:
-        """Refuse values out of bounds."""
-        for item in fields(self):
-            low, high = item.metadata["low"], item.metadata["high"]
-            if not low <= getattr(self, item.name) <= high:
-                msg = (
-                    f"fuse.{item.name} must lie between {low} and {high} {item.metadata['unit']}; "
-                    f"got {getattr(self, item.name)!r}."
-                )
-                raise ParameterError(msg)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,9 +41,7 @@ class RoofEvidence:
     roof_probability: Field
 
 
-def fuse_footprints(
-    root_labels: Labels, region_labels: Labels, evidence: RoofEvidence, params: Params, own: FuseParams | None = None
-) -> Labels:
+def fuse_footprints(root_labels: Labels, region_labels: Labels, evidence: RoofEvidence, params: Params) -> Labels:
     """Return the footprints that parts and flat regions give together.
 
     Parameters
@@ -104,9 +53,7 @@ def fuse_footprints(
     evidence : RoofEvidence
         On the same lattice.
     params : Params
-        Of which the mask, and R and λ_min of the flat regions count here.
-    own : FuseParams, optional
-        The values of this step.
+        Section ``fuse``, the mask, and R and λ_min of the flat regions.
 
     Returns
     -------
@@ -139,7 +86,7 @@ def fuse_footprints(
     Border: the disputed cells go on beyond it. Nodata: invalid cells have no say in a piece's medians and means; a
     piece without a valid cell stays as the parts say. Linear in the cells, but for one sort of the disputed ones.
     """
-    own = own or FuseParams()
+    own = params.fuse
     _require_one_shape(root_labels, region_labels, evidence)
     cell_m = evidence.heights.spec.cell_m
     steps = max(1, int(own.edge_m / cell_m + 0.5))
@@ -147,7 +94,7 @@ def fuse_footprints(
     fused = root_labels.copy()
     pieces, measures = _pieces(parts & ~regions, steps, evidence)
     share = _flat_share(pieces, len(measures), parts, regions)
-    dropped = _is_false(measures.assign(flat_share=share), cell_m, params, own)
+    dropped = _is_false(measures.assign(flat_share=share), cell_m, params)
     gone = _with_rims(pieces, dropped, parts & ~regions, steps)
     firm = (parts & regions) | ((pieces > 0) & ~gone)
     fused[gone | _crumbs(parts & ~gone, firm, gone)] = 0
@@ -200,8 +147,9 @@ def _is_roof(measures: pd.DataFrame, mask_m: float, cell_m: float, own: FusePara
     return (measures["height"] >= mask_m) & (measures["roughness"] <= own.smooth_m * max(1.0, cell_m))
 
 
-def _is_false(measures: pd.DataFrame, cell_m: float, params: Params, own: FuseParams) -> Mask:
+def _is_false(measures: pd.DataFrame, cell_m: float, params: Params) -> Mask:
     """Return which pieces of the parts alone are no building."""
+    own = params.fuse
     is_unseen = measures["flat_share"] == 0
     is_seen = ~is_unseen & (measures["flat_share"] >= own.seen_share)
     is_low = measures["height"] < params.surface.mask_m

@@ -10,6 +10,7 @@ from msbdb.params.change import ChangeParams
 from msbdb.params.cover import CoverParams
 from msbdb.params.declare import param
 from msbdb.params.flatregions import FlatRegionParams
+from msbdb.params.fuse import FuseParams
 from msbdb.params.ground import GroundParams
 from msbdb.params.profiles import PROFILES, profile
 from msbdb.params.scale import GranulometryParams, ScaleParams
@@ -25,6 +26,7 @@ __all__ = [
     "ChangeParams",
     "CoverParams",
     "FlatRegionParams",
+    "FuseParams",
     "GranulometryParams",
     "GroundParams",
     "Params",

@@ -12,6 +12,7 @@ from msbdb.params.area3d import Area3dParams
 from msbdb.params.change import ChangeParams
 from msbdb.params.cover import CoverParams
 from msbdb.params.flatregions import FlatRegionParams
+from msbdb.params.fuse import FuseParams
 from msbdb.params.ground import GroundParams
 from msbdb.params.scale import GranulometryParams, ScaleParams
 from msbdb.params.spectral import SpectralParams
@@ -32,6 +33,7 @@ class Params:
     flatregions: FlatRegionParams = field(default_factory=FlatRegionParams)
     area3d: Area3dParams = field(default_factory=Area3dParams)
     adaptive: AdaptiveParams = field(default_factory=AdaptiveParams)
+    fuse: FuseParams = field(default_factory=FuseParams)
     vector: VectorParams = field(default_factory=VectorParams)
     change: ChangeParams = field(default_factory=ChangeParams)
 

@@ -219,8 +219,8 @@ def _find(method: str, scene: _Scene) -> tuple[Mask, int]:
 def _find_parts(scene: _Scene) -> tuple[Mask, int]:
     """Return the points in the parts of the multi-scale extraction, and the number of buildings."""
     surface, cloud, params = scene.surface, scene.cloud, scene.params
-    structure, roughness_m = cover_from_surface(surface, cloud, params)
-    cover = classify_cover(structure, scene.bands, surface.ndsm, roughness_m, params, echoes=cloud.has_echoes)
+    found = cover_from_surface(surface, cloud, params)
+    cover = classify_cover(found.cover, scene.bands, surface.ndsm, found.roughness_m, params, echoes=cloud.has_echoes)
     forest = extract_parts(surface.ndsm, cover.classes, survey=scene.survey, params=params)
     cells = np.logical_or.reduce([labels > 0 for labels in forest.labels])
     buildings = int((forest.parts["supid"] == 0).sum())

@@ -1,7 +1,7 @@
 """From points to surfaces: gridding, ground, heights above ground, and the texture of the surface."""
 
 from msbdb.surface.build import Surface, build_surface, cover_from_surface, grid_surface, surface_from_rasters
-from msbdb.surface.cover import drop_green_regions, structural_cover
+from msbdb.surface.cover import Structure, drop_green_regions, structural_cover
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.ground import terrain
 from msbdb.surface.heights import heights_above, normalise
@@ -10,6 +10,7 @@ from msbdb.surface.texture import Echoes, echoes, roughness
 __all__ = [
     "Echoes",
     "Samples",
+    "Structure",
     "Surface",
     "build_surface",
     "cell_size",

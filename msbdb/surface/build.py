@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msbdb.classmap import ClassMap
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.params import Params
 from msbdb.pointcloud import PointCloud
-from msbdb.surface.cover import structural_cover
+from msbdb.surface.cover import Structure, structural_cover
 from msbdb.surface.gridding import Samples, cell_size, density, fill_gaps, sample_nearest
 from msbdb.surface.ground import terrain
 from msbdb.surface.heights import normalise
@@ -102,9 +100,7 @@ def surface_from_rasters(dsm: Grid, dtm: Grid) -> Surface:
     return Surface(dsm, dtm, normalise(dsm, dtm), grid_samples(dsm), GIVEN_GROUND, 1 / dsm.spec.cell_area_m2)
 
 
-def cover_from_surface(
-    surface: Surface, points: PointCloud | None, params: Params
-) -> tuple[ClassMap, NDArray[np.float32]]:
+def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
     """Tell roofs from vegetation by texture, and by echoes where there are any.
 
     Parameters
@@ -118,10 +114,9 @@ def cover_from_surface(
 
     Returns
     -------
-    cover : ClassMap
-        Building and vegetation above the mask.
-    roughness : (H, W) ndarray of float32, metres
-        In the small window.
+    Structure
+        Building and vegetation above the mask, each cell's own probability of roof, and the roughness in the small
+        window.
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
     rough, wide = in_threads(partial(roughness, surface.samples), (small_m, wide_m))
@@ -130,5 +125,4 @@ def cover_from_surface(
         if points is None
         else echoes(points, surface.ndsm, surface.dtm, small_m=small_m, wide_m=wide_m, mask_m=mask_m)
     )
-    cover = structural_cover(surface.ndsm, rough, wide, found, mask_m=mask_m, params=params.cover)
-    return cover, rough
+    return structural_cover(surface.ndsm, rough, wide, found, mask_m=mask_m, params=params.cover)

@@ -5,6 +5,7 @@ again a region at a time. All values are ours, calibrated together on tiles of f
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -26,6 +27,26 @@ Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """What structure alone tells of the cells.
+
+    Parameters
+    ----------
+    cover : ClassMap
+        Class 1 (building) and 2 (vegetation) above the mask, 0 below it and where not valid.
+    roof_probability : (H, W) ndarray of float32
+        Of roof against vegetation, 0 to 1, by each cell's own echoes and texture, before any smoothing; also below
+        the mask, where it tells little.
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small window.
+    """
+
+    cover: ClassMap
+    roof_probability: Field
+    roughness_m: Field
+
+
 def structural_cover(
     ndsm: Grid,
     roughness_m: Field,
@@ -34,7 +55,7 @@ def structural_cover(
     *,
     mask_m: float,
     params: CoverParams,
-) -> ClassMap:
+) -> Structure:
     """Tell roofs from vegetation on every cell above the mask.
 
     Parameters
@@ -52,18 +73,19 @@ def structural_cover(
 
     Returns
     -------
-    ClassMap
-        Class 1 (building) and 2 (vegetation) above the mask, 0 below it and where not valid.
+    Structure
     """
     raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
     odds = _echo_odds(roughness_m, echoes, params) if echoes else _rough_odds(roughness_m, wide_roughness_m, params)
-    roof = smooth_share(odds, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
+    probability = _sigmoid(odds)
+    roof = smooth_share(probability, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
     neck_m = params.neck_m if echoes else params.blind_neck_m
     roof = _tidy(roof & raised, raised, ndsm.spec.cell_m, neck_m, params)
     roof = _judge_regions(roof, roughness_m, echoes, ndsm.spec.cell_m, params)
     roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), ndsm.spec.cell_m, params)
     index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
-    return ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
+    cover = ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
+    return Structure(cover, probability, roughness_m)
 
 
 def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field:
@@ -85,9 +107,14 @@ def _rough_odds(roughness_m: Field, wide_m: Field, params: CoverParams) -> Field
     return np.asarray(-params.rough_weight * (small + wide), dtype=np.float32)
 
 
-def smooth_share(odds: Field, raised: Mask, sigma_cells: float) -> Field:
+def _sigmoid(odds: Field) -> Field:
+    """Probabilities of log-odds."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))), dtype=np.float32)
+
+
+def smooth_share(probability: Field, raised: Mask, sigma_cells: float) -> Field:
     """Mean probability of roof around a cell, over raised cells only (normalised Gaussian)."""
-    probability = np.where(raised, 1 / (1 + np.exp(-np.clip(odds, -30, 30))), 0).astype(np.float32)
+    probability = np.where(raised, probability, np.float32(0))
     sigma = max(sigma_cells, 0.7)
     blur = partial(gaussian_filter, sigma=sigma, mode="constant", truncate=2.5)
     share, weight = in_threads(blur, (probability, raised.astype(np.float32)))

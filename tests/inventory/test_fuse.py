@@ -13,8 +13,8 @@ from scipy.ndimage import label
 
 from msbdb.errors import GridMismatchError, ParameterError
 from msbdb.grid import Grid, GridSpec
-from msbdb.inventory.fuse import FuseParams, RoofEvidence, fuse_footprints
-from msbdb.params import Params
+from msbdb.inventory.fuse import RoofEvidence, fuse_footprints
+from msbdb.params import Params, with_values
 
 SHAPE = (60, 60)
 HOUSE = np.s_[10:50, 10:40]
@@ -265,4 +265,4 @@ def test_images_of_different_shapes_are_refused():
 def test_values_out_of_bounds_are_refused():
     """The message names the value, its bounds and its unit."""
     with pytest.raises(ParameterError, match=r"fuse\.smooth_m must lie between 0\.001 and 5\.0 m; got 0"):
-        FuseParams(smooth_m=0)
+        with_values(Params(), {"fuse": {"smooth_m": 0}})

@@ -26,7 +26,7 @@ def without_echoes(points: PointCloud) -> PointCloud:
 def found_roofs(scene: Scene, points: PointCloud) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Roofs found and true, on the scene's lattice; border cells of the lattice excepted."""
     surface = build_surface(points, PARAMS)
-    cover, _ = cover_from_surface(surface, points, PARAMS)
+    cover = cover_from_surface(surface, points, PARAMS).cover
     row, col = np.indices(scene.spec.shape)
     r, c = surface.dsm.spec.rowcol(*scene.spec.xy(row, col))
     inside = (r >= 0) & (c >= 0) & (r < cover.spec.shape[0]) & (c < cover.spec.shape[1])
@@ -61,7 +61,8 @@ def test_every_cell_above_the_mask_has_a_class_and_no_other():
     """Building or vegetation above 2 m; nothing below it, nor where there is no height."""
     scene = scenes.under_trees()
     surface = build_surface(scene.points, PARAMS)
-    cover, rough = cover_from_surface(surface, scene.points, PARAMS)
+    found = cover_from_surface(surface, scene.points, PARAMS)
+    cover, rough = found.cover, found.roughness_m
     raised = surface.ndsm.valid & (np.asarray(surface.ndsm.values) >= PARAMS.surface.mask_m)
     np.testing.assert_array_equal(cover.index > 0, raised)
     assert set(np.unique(cover.index)) <= {0, ROOF, VEGETATION}
@@ -77,10 +78,10 @@ def test_the_order_of_the_points_does_not_matter():
     for name in ("dsm", "dtm", "ndsm"):
         np.testing.assert_array_equal(getattr(one, name).values, getattr(other, name).values)
         np.testing.assert_array_equal(getattr(one, name).valid, getattr(other, name).valid)
-    a, rough_a = cover_from_surface(one, points, PARAMS)
-    b, rough_b = cover_from_surface(other, shuffled, PARAMS)
-    np.testing.assert_array_equal(a.index, b.index)
-    np.testing.assert_array_equal(rough_a, rough_b)
+    a, b = cover_from_surface(one, points, PARAMS), cover_from_surface(other, shuffled, PARAMS)
+    np.testing.assert_array_equal(a.cover.index, b.cover.index)
+    np.testing.assert_array_equal(a.roughness_m, b.roughness_m)
+    np.testing.assert_array_equal(a.roof_probability, b.roof_probability)
 
 
 def test_the_surfaces_are_those_of_the_scene():
@@ -106,7 +107,7 @@ def test_the_cell_follows_the_density_unless_given():
 def test_an_empty_field_has_no_roofs():
     """Nothing stands above the mask, so nothing is classified."""
     points = scenes.flat_field().points
-    assert not cover_from_surface(build_surface(points, PARAMS), points, PARAMS)[0].index.any()
+    assert not cover_from_surface(build_surface(points, PARAMS), points, PARAMS).cover.index.any()
 
 
 def test_rasters_make_a_surface_of_their_own():
@@ -117,7 +118,7 @@ def test_rasters_make_a_surface_of_their_own():
     np.testing.assert_array_equal(surface.ndsm.values, given.ndsm.values)
     assert surface.ground_filter == "given"
     assert surface.density == 4.0
-    cover, _ = cover_from_surface(surface, None, PARAMS)
+    cover = cover_from_surface(surface, None, PARAMS).cover
     assert np.count_nonzero(cover.labelled("building")) * 0.25 == pytest.approx(1200, rel=0.1)
 
 
@@ -131,8 +132,25 @@ def test_heights_need_one_lattice():
 
 def test_smoothing_counts_raised_cells_alone():
     """The mean beside a wall is that of the roof, not of roof and ground."""
-    odds = np.full((20, 20), 4.0, dtype=np.float32)
     raised = np.zeros((20, 20), dtype=bool)
     raised[5:15, 5:15] = True
-    share = smooth_share(np.where(raised, odds, -9), raised, 2.0)
-    np.testing.assert_allclose(share[raised], 1 / (1 + np.exp(-4.0)), rtol=1e-4)
+    share = smooth_share(np.where(raised, np.float32(0.98), np.float32(0.01)), raised, 2.0)
+    np.testing.assert_allclose(share[raised], 0.98, rtol=1e-4)
+
+
+@pytest.mark.parametrize("echoed", [True, False])
+def test_each_cell_s_own_probability_tells_roofs_from_crowns(echoed):
+    """Before any smoothing it is a probability, high on the roof and low on the crowns beside it, in the mean."""
+    scene = scenes.under_trees()
+    points = scene.points if echoed else without_echoes(scene.points)
+    surface = build_surface(points, PARAMS)
+    found = cover_from_surface(surface, points, PARAMS).roof_probability
+    assert found.dtype == np.float32
+    assert ((found >= 0) & (found <= 1)).all()
+    row, col = surface.dsm.spec.rowcol(*scene.spec.xy(*np.indices(scene.spec.shape)))
+    inside = (row >= 0) & (col >= 0) & (row < found.shape[0]) & (col < found.shape[1])
+    own = np.full(scene.spec.shape, np.nan)
+    own[inside] = found[row[inside], col[inside]]
+    crowns = scene.cover == scenes.VEGETATION
+    assert np.nanmean(own[(scene.buildings > 0) & ~crowns]) > 0.75
+    assert np.nanmean(own[crowns & (scene.buildings == 0)]) < 0.4
