@@ -1,6 +1,7 @@
 """``msbdb db`` on real files: what each command prints, writes and ends with."""
 
 import json
+import re
 import shlex
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from olddatabases import HOSTILE, place_old_database
 
 from msbdb.cli.db import db as commands
 from msbdb.cli.main import cli
-from msbdb.database import canonical_dump, check_database, open_database, write_build
+from msbdb.database import CHECKS, ROLES, canonical_dump, check_database, open_database, write_build
 
 
 def run(*args: str) -> Any:
@@ -140,3 +141,29 @@ def test_the_group_lists_its_commands() -> None:
     for name, made in commands.commands.items():
         assert name in shown
         assert all(line in shown for line in made.examples)
+
+
+GUIDE = (Path(__file__).resolve().parents[2] / "docs" / "database.md").read_text(encoding="utf-8")
+
+
+def test_the_guide_s_commands_run_in_their_order(town: str) -> None:
+    """On a file as they stand; those for a server fail for want of one alone."""
+    lines = [line for block in re.findall(r"```sh\n(.*?)```", GUIDE, flags=re.DOTALL) for line in block.splitlines()]
+    assert len(lines) >= 8
+    for line in lines:
+        words = shlex.split(line)[2:]
+        result = run(*words)
+        if "postgresql" in line:
+            assert (result.exit_code, "keeper@localhost/town" in result.stderr) == (1, True)
+        else:
+            assert result.exit_code == 0, f"{line}: {result.stderr}"
+        if words[0] == "downgrade":
+            run("upgrade", town)
+
+
+def test_the_guide_names_every_check_and_role() -> None:
+    """Each has its line in a table."""
+    for name in CHECKS:
+        assert f"| {name} |" in GUIDE
+    for name in ROLES:
+        assert f"| `{name}` |" in GUIDE
