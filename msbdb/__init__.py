@@ -19,17 +19,20 @@ from msbdb.version import __version__
 
 if TYPE_CHECKING:
     from msbdb.params import Params, profile
-    from msbdb.pipeline import BuildReport, Inventory, build, info, open, relabel
+    from msbdb.pipeline import BuildReport, Inventory, build, changes, classify, info, open, relabel, update
 
 _HOMES = {
     "BuildReport": "msbdb.pipeline",
     "Inventory": "msbdb.pipeline",
     "Params": "msbdb.params",
     "build": "msbdb.pipeline",
+    "changes": "msbdb.pipeline",
+    "classify": "msbdb.pipeline",
     "info": "msbdb.pipeline",
     "open": "msbdb.pipeline",
     "profile": "msbdb.params",
     "relabel": "msbdb.pipeline",
+    "update": "msbdb.pipeline",
 }
 
 __all__ = [
@@ -39,10 +42,13 @@ __all__ = [
     "Params",
     "__version__",
     "build",
+    "changes",
+    "classify",
     "info",
     "open",
     "profile",
     "relabel",
+    "update",
 ]
 
 
