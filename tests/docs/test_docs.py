@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 from msbdb.cli.main import cli
@@ -115,6 +116,8 @@ def test_command_lines_of_the_docs_exist(page):
     assert found
     for words in found:
         command = cli.commands[words[0]]
+        if isinstance(command, click.Group):
+            command = command.commands[words[1]]
         known = {opt for param in command.params for opt in param.opts}
         assert {word for word in words if word.startswith("-")} <= known, words
 

@@ -1,11 +1,11 @@
 """The living inventory: versions follow each other without overlap, and nothing hangs in the air."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from sqlalchemy import Connection, exists, func, select
 
 from msbdb.database.integrity.finding import Finding, by_id
-from msbdb.database.models import Base, BuildingVersion, InventoryBuilding, Run, Survey
+from msbdb.database.models import Base, BuildingChange, BuildingVersion, InventoryBuilding, InventoryEvent, Run, Survey
 
 
 def check_intervals(connection: Connection) -> Iterator[Finding]:
@@ -28,6 +28,44 @@ def check_intervals(connection: Connection) -> Iterator[Finding]:
         if ends is not None and ends < begins:
             yield Finding("intervals", "building_version", key, f"it ends on {ends}", f"an end from {begins} on")
         latest = None if ends is None or latest is None else max(latest, ends)
+
+
+def check_events(connection: Connection) -> Iterator[Finding]:
+    """Yield imports and updates whose rows are not as many as they counted, and gaps in their order."""
+    changes: dict[int | None, dict[str, int]] = {}
+    for survey, kind, rows in connection.execute(
+        select(BuildingChange.survey_id, BuildingChange.kind, func.count()).group_by(
+            BuildingChange.survey_id, BuildingChange.kind
+        )
+    ):
+        changes.setdefault(survey, {})[kind] = rows
+    made = select(BuildingVersion.survey_id, func.count()).group_by(BuildingVersion.survey_id)
+    versions: dict[int | None, int] = dict(connection.execute(made).tuples())
+    imported = 0
+    columns = (InventoryEvent.number, InventoryEvent.kind, InventoryEvent.survey_id, InventoryEvent.counts)
+    for place, (number, kind, survey, counts) in enumerate(
+        connection.execute(select(*columns).order_by(InventoryEvent.number)), start=1
+    ):
+        key = by_id("inventory_event", "number", number)
+        if number != place:
+            yield Finding("events", "inventory_event", key, f"event {place} is missing", "numbers without a gap")
+            return
+        if kind == "import":
+            imported += counts["versions"]
+            continue
+        found = {**changes.pop(survey, {}), "versions": versions.get(survey, 0)}
+        if {name: rows for name, rows in found.items() if rows} != {n: rows for n, rows in counts.items() if rows}:
+            yield Finding("events", "inventory_event", key, f"the survey has {_told(found)}", _told(counts))
+    if versions.get(None, 0) != imported:
+        what = f"{versions.get(None, 0)} versions are of imports"
+        yield Finding("events", "building_version", "", what, f"{imported}, as the imports counted")
+    for unknown in changes:
+        key = by_id("survey", "survey_id", unknown)
+        yield Finding("events", "building_change", key, "its changes are of no event", "the update that made them")
+
+
+def _told(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{rows} {name}" for name, rows in sorted(counts.items()))
 
 
 def check_orphans(connection: Connection) -> Iterator[Finding]:
