@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, TableError
 from msbdb.tables import CANDIDATE_METHODS, TABLES, Build, Table, validate, validate_parts
+from msbdb.threads import cores, in_threads
 
 _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
 _TABLES = {table.name: table for table in TABLES}
@@ -77,7 +78,8 @@ def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
     allowed = _SHAPES.get(str(table.geometry), _POINT)
     _require(np.isin(kind, [int(k) for k in allowed]), frame, table, f"the geometry is no {table.geometry}")
     _require(~shapely.is_empty(shapes), frame, table, "the geometry is empty")
-    _require(shapely.is_valid(shapes), frame, table, "the geometry is not valid")
+    valid = in_threads(shapely.is_valid, np.array_split(shapes, cores()))
+    _require(np.concatenate(valid), frame, table, "the geometry is not valid")
 
 
 def _check_keys(frames: dict[str, pd.DataFrame]) -> None:

@@ -6,12 +6,30 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import shapely
+from geoalchemy2 import Geometry
 from numpy.typing import NDArray
-from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, inspect, text
+from sqlalchemy import (
+    JSON,
+    URL,
+    BigInteger,
+    Boolean,
+    Connection,
+    Double,
+    Engine,
+    Integer,
+    LargeBinary,
+    NullPool,
+    Text,
+    create_engine,
+    inspect,
+    text,
+)
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.types import TypeEngine
 
 from msbdb.database.canonical import to_json
 from msbdb.database.inventory_views import FOOTPRINT_AT_FUNCTION
+from msbdb.database.models import Base
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError
 
 logger = logging.getLogger(__name__)
@@ -19,6 +37,17 @@ logger = logging.getLogger(__name__)
 VERSION_TABLE = "msbdb_schema_version"
 _WRITER_LOCK = 0x6D73626462
 """Number of the advisory lock that one writer of a database holds: 'msbdb' in ASCII."""
+_WIRE: dict[type[TypeEngine[Any]], str] = {
+    BigInteger: "int8",
+    Boolean: "bool",
+    Double: "float8",
+    Geometry: "bytea",
+    Integer: "int4",
+    JSON: "text",
+    LargeBinary: "bytea",
+    Text: "text",
+}
+"""Types of the models' columns as they are sent, the narrower ones first; JSON comes as its text."""
 _HAS_SRID = 0x20
 """Flag in the highest byte of a type's number in extended WKB."""
 _CONTENT = (
@@ -44,6 +73,17 @@ _CONTENT = (
     "operator_state",
     "roof_sample",
 )
+
+_OUTDATED = """
+SELECT c.relname
+FROM pg_class AS c JOIN pg_namespace AS n ON n.oid = c.relnamespace
+WHERE n.nspname = current_schema() AND c.relname = ANY(:tables)
+  AND (c.reltuples <= 0
+       OR COALESCE(pg_stat_get_mod_since_analyze(c.oid), 0) + pg_stat_get_xact_tuples_inserted(c.oid)
+          + pg_stat_get_xact_tuples_updated(c.oid) + pg_stat_get_xact_tuples_deleted(c.oid) > 0.25 * c.reltuples)
+ORDER BY c.relname
+"""
+"""The tables whose statistics no longer fit: never made, or a quarter of the rows came, changed or went since."""
 
 
 def exists(url: URL, timeout_s: float) -> bool:
@@ -129,12 +169,11 @@ def in_bulk(connection: Connection, coming: Mapping[str, int]) -> AbstractContex
 
 
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
-    """Return extended WKB in hexadecimal digits, which carries the SRID."""
+    """Return extended WKB, which carries the SRID."""
     number = srid.to_bytes(4, "little")
     # The type's flag and the SRID are put into plain WKB, as shapely would copy every geometry to give it an SRID.
     return [
-        (wkb[:4] + bytes([wkb[4] | _HAS_SRID]) + number + wkb[5:]).hex()
-        for wkb in shapely.to_wkb(geometries, byte_order=1)
+        wkb[:4] + bytes([wkb[4] | _HAS_SRID]) + number + wkb[5:] for wkb in shapely.to_wkb(geometries, byte_order=1)
     ]
 
 
@@ -145,11 +184,22 @@ def insert_rows(
     rows: Sequence[tuple[Any, ...]],
     srid: int,  # noqa: ARG001  (SpatiaLite takes it here)
 ) -> None:
-    """Insert rows by COPY."""
-    statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN"
+    """Insert rows by COPY, in binary: the server reads numbers and geometries as they are."""
+    own = Base.metadata.tables[table].columns
+    statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN (FORMAT BINARY)"
     with connection.connection.cursor() as cursor, cursor.copy(statement) as copy:  # type: ignore[attr-defined]  # psycopg's own
+        copy.set_types([_wire_type(own[name].type) for name in columns])
         for row in rows:
             copy.write_row(row)
+
+
+def _wire_type(kind: TypeEngine[Any]) -> str:
+    """Return the type of the server whose binary form a column's values are sent in."""
+    for known, name in _WIRE.items():
+        if isinstance(kind, known):
+            return name
+    msg = f"No rows can be sent into a column of the type {kind!r}. Add the type to the dialect's."
+    raise NotImplementedError(msg)
 
 
 def settle(connection: Connection) -> None:
@@ -162,8 +212,12 @@ def settle(connection: Connection) -> None:
 
 
 def after_load(connection: Connection) -> None:
-    """Bring the planner's statistics up to date, before the commit checks the new rows' keys by them."""
-    for table in _CONTENT:
+    """Bring the planner's statistics up to date, before the commit checks the new rows' keys by them.
+
+    Only of tables that changed by a quarter since they were last looked at: to sample a large table takes longer than
+    to load a survey. The server's own autovacuum looks at tables that changed by a tenth.
+    """
+    for table in connection.scalars(text(_OUTDATED), {"tables": list(_CONTENT)}).all():
         connection.execute(text(f"ANALYZE {table}"))
 
 
