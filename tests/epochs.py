@@ -41,7 +41,9 @@ class Epoch:
 SHIFT_M = 0.5
 NOISE_M = 0.03
 FLOOR_M = 0.5
-"""Below this height above ground a place is open."""
+"""Below this height above ground nothing stands."""
+OPEN_M = 1.0
+"""Below this height above ground a place is open: grass and parked bicycles make way for a building."""
 
 
 def second_epoch(
@@ -120,12 +122,12 @@ def _open_places(
     touching: bool,
     rng: np.random.Generator,
 ) -> list[tuple[shapely.Geometry, float]]:
-    """Find open rectangles of 8 x 9 m that touch just one building, or of 12 x 10 m that touch none; and heights."""
+    """Find open rectangles of 8 x 9 m that touch just one building, or of 9 x 8 m that touch none; and heights."""
     spec = ndsm.spec
-    width, depth = (8.0, 9.0) if touching else (12.0, 10.0)
+    width, depth = (8.0, 9.0) if touching else (9.0, 8.0)
     labels = rasterise(buildings.geometry, spec)
     # A touching rectangle overlaps the building's own edge, whose cells are no open ground.
-    blocked = ~ndsm.valid | ((np.asarray(ndsm.values) > FLOOR_M) & (not touching or labels == 0))
+    blocked = ~ndsm.valid | ((np.asarray(ndsm.values) > OPEN_M) & (not touching or labels == 0))
     west, south, east, north = spec.bounds
     found: list[tuple[shapely.Geometry, float]] = []
     step = 1.0
@@ -137,7 +139,7 @@ def _open_places(
         if place.intersects(taken) or (high if not touching else blocked)[rows, cols].any():
             continue
         under = labels[rows, cols]
-        if not touching and not labels[_wider(rows, 6, spec), _wider(cols, 6, spec)].any():
+        if not touching and not labels[_wider(rows, 4, spec), _wider(cols, 4, spec)].any():
             found.append((place, 7.0))
         own = np.unique(under[under > 0])
         edge = np.count_nonzero(under) * spec.cell_area_m2

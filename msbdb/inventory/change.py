@@ -238,7 +238,8 @@ class _Book:
         own = self.links.get(i, [])
         box = self.box_before[i]
         stood = self.epochs.before[box] == i
-        gone = np.count_nonzero(self.pieces.loss[box][stood])
+        # A slender building leaves no thick piece; where no footprint is left of it, its cells tell.
+        gone = np.count_nonzero((self.pieces.loss[box] if own else self.pieces.fallen[box])[stood])
         lost = self._own(self.pieces.loss, i)
         if gone >= self.params.gone_share * max(int(self.seen[i]), 1):
             self._note("demolished", i, 0)

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 LIKE_OVERLAP = 0.6
 """Two footprints are taken for one building, to measure the offset, when they share this much of both."""
 
+AGREEMENT_M = 0.5
+"""Differences of height within this of one agree: a few times the noise of two surveys, far below a storey."""
+
 MEDIAN_FACTOR = 1.4826
 """Times the median absolute deviation gives the standard deviation of normal errors."""
 
@@ -45,9 +48,10 @@ def estimate_offset(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, *, least_
 
     Notes
     -----
-    The medians, over pairs of footprints that share most of both, of the differences of the centres of their bounds and
-    of their heights: a building that changed moves no median. Bounds follow a shift even where the offset itself
-    keeps footprints from lying on each other; so the pairs are sought again after a first shift.
+    The median, over pairs of footprints that share most of both, of the differences of the centres of their bounds: a
+    building that changed moves no median. Bounds follow a shift even where the offset itself keeps footprints from
+    lying on each other; so the pairs are sought again after a first shift. Heights change by storeys, so that half of
+    a few buildings may have risen as one: theirs is the difference on which most pairs agree.
     """
     dx = dy = 0.0
     pairs = np.zeros((2, 0), dtype=np.int64)
@@ -60,9 +64,16 @@ def estimate_offset(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, *, least_
         dx, dy = (float(middle) for middle in np.median(shift, axis=0))
     rise = after["h_p90"].to_numpy(dtype=np.float64)[pairs[1]] - before["h_p90"].to_numpy(dtype=np.float64)[pairs[0]]
     known = rise[np.isfinite(rise)]
-    dz = float(np.median(known)) if len(known) >= least_pairs else 0.0
+    dz = _agreed(known) if len(known) >= least_pairs else 0.0
     spread = MEDIAN_FACTOR * float(np.median(np.abs(shift - (dx, dy))))
     return Offset(dx, dy, dz, pairs.shape[1], spread)
+
+
+def _agreed(rise: NDArray[np.float64]) -> float:
+    """Return the median of the largest group of differences that lie close together, of equal groups the lowest."""
+    near = np.abs(rise[:, None] - rise[None, :]) <= AGREEMENT_M
+    first = np.lexsort((np.abs(rise), -near.sum(axis=1)))[0]
+    return float(np.median(rise[near[first]]))
 
 
 def moved(shapes: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.object_]:

@@ -45,11 +45,15 @@ class Epochs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """Labelled pieces of change, each of ``least_m2`` and thick: ``gain``, ``loss`` and ``lift``, 0 for none."""
+    """Labelled pieces of change, each of ``least_m2`` and thick: ``gain``, ``loss`` and ``lift``, 0 for none.
+
+    ``fallen`` has all cells of the earlier footprints whose heights are gone, thick or not.
+    """
 
     gain: Labels
     loss: Labels
     lift: Labels
+    fallen: Mask
 
 
 def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Grid:
@@ -102,7 +106,8 @@ def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     # Raised and sunken parts may touch, but are not one piece.
     up, down = (thick(lift & side, rise.spec, params) for side in (values > 0, values < 0))
     down[down > 0] += up.max(initial=0)
-    return Pieces(thick(gain, rise.spec, params), thick(loss, rise.spec, params), np.where(up > 0, up, down))
+    lifts = np.where(up > 0, up, down)
+    return Pieces(thick(gain, rise.spec, params), thick(loss, rise.spec, params), lifts, loss)
 
 
 def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dict[int, set[int]]:

@@ -50,6 +50,9 @@ logger = logging.getLogger(__name__)
 ATTEMPTS = 5
 """How often an update is computed again, when others change the same place of the inventory meanwhile."""
 
+PATIENCE_S = 60.0
+"""How long an update waits for other writers, each of whom is done in seconds."""
+
 MEASURED_FIRST = "its heights are known for the first time"
 
 WITNESSED = ("state", "storeys", "parts", *EXTRACTOR_SHARES.values())
@@ -201,7 +204,7 @@ def advance(db: str | Path, survey: str, *, aoi: Path | None = None) -> AdvanceR
     nothing. The comparison is made outside of the transaction, which begins with the question whether what it was
     made from still holds; if not, it is made again (`ATTEMPTS` times).
     """
-    engine = open_database(db)
+    engine = open_database(db, timeout_s=PATIENCE_S)
     try:
         record = read_survey(engine, survey)
         _require_date(survey, record.date)

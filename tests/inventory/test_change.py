@@ -206,3 +206,35 @@ def test_rows_come_in_order_and_of_known_kinds() -> None:
     found = compared(ROW, [*ROW[1:], (60, 60, 75, 75, 9)], params=ChangeParams())
     assert found.changes["before"].tolist() == [*range(8), -1]
     assert set(found.changes["kind"]) <= set(KINDS)
+
+
+def test_a_slender_building_that_is_gone_is_demolished() -> None:
+    """It leaves no piece that a disc fits into, but no footprint and no height either."""
+    slender: House = (20, 60, 80, 61.5, 5)
+    found = compared([*ROW, slender], ROW)
+    assert kinds(found) == [("demolished", 8, -1)]
+
+
+def test_an_inventory_of_bare_footprints_loses_only_what_is_open_now() -> None:
+    """A house that the extraction missed stands while its heights stand."""
+    found = compare(town(ROW), town(ROW[:7]), heights=ground(ROW))
+    assert kinds(found) == [("unchanged", 7, -1)]
+    found = compare(town(ROW), town(ROW[:7]), heights=ground(ROW[:7]))
+    assert kinds(found) == [("demolished", 7, -1)]
+
+
+def test_half_of_the_houses_raised_is_no_vertical_offset() -> None:
+    """Of two equal groups the one that stayed tells it."""
+    raised = [(*house[:4], house[4] + 4 * (n % 2)) for n, house in enumerate(ROW)]
+    found = estimate_offset(town(ROW), town(raised), least_pairs=5)
+    assert found.dz_m == 0
+
+
+def test_each_change_names_the_new_state_of_its_building() -> None:
+    """Merged buildings share one, unchanged and demolished ones have none."""
+    pair: list[House] = [(20, 60, 40, 80, 8), (46, 60, 60, 80, 8)]
+    found = compared([*ROW, *pair], [*ROW[1:], (20, 60, 60, 80, 8), (100, 60, 115, 75, 9)])
+    rows = found.changes.set_index("before")["version"]
+    assert rows[0] == rows[1] == -1
+    assert rows[8] == rows[9] >= 0
+    assert sorted({rows[8], rows[-1]}) == [0, 1]
