@@ -57,7 +57,7 @@ BY_DATABASE = ("of", "survey")
 )
 @click.option(
     "--of",
-    type=click.Choice(["buildings", "confirmed", "parts", "flatregions", "area3d", "adaptive"]),
+    type=click.Choice(["buildings", "confirmed", "together", "parts", "flatregions", "area3d", "adaptive"]),
     default="buildings",
     show_default=True,
     help="What to compare with the reference.",

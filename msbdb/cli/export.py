@@ -23,9 +23,10 @@ from msbdb.cli.options import shared
 def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     """Write footprints and parts to a file.
 
-    OUT names the format by its ending: .gpkg (GeoPackage with the layers footprint, part, flat_region and
-    candidate_region), .shp (Shapefile of the parts with the paper's names of at most ten characters) or .geojson (the
-    parts in longitude and latitude).
+    OUT names the format by its ending: .gpkg (GeoPackage with the layers footprint, part, flat_region,
+    candidate_region and, where there are any, together: the footprints of parts and flat regions together), .shp
+    (Shapefile of the parts with the paper's names of at most ten characters) or .geojson (the parts in longitude and
+    latitude).
     """
     from msbdb import pipeline
 

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.database import check_target, open_database, read_labelled_classes, write_build
+from msbdb.database import check_target, read_labelled_classes, store_build
 from msbdb.errors import ParameterError
 from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
@@ -24,6 +24,7 @@ from msbdb.pipeline.inputs import Inputs, collect_notices, make_surface, read_cl
 from msbdb.pipeline.labels import keep_labels
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import pack_state
+from msbdb.pipeline.together import Together, fuse, keep_evidence
 from msbdb.pointcloud import PointCloud
 from msbdb.spectral.bands import spectral_bands
 from msbdb.surface import Surface, cover_from_surface
@@ -131,7 +132,7 @@ def build(
         labelled = read_labelled_classes(db, name)
         job = Job(inputs, params, name, date or "", methods, denoising_figure, labelled)
         result = run(job, stages, notices)
-    record, cover, flat, candidates, regions, frames, heights = result
+    record, cover, flat, candidates, together, regions, frames, heights = result
     counts: dict[str, object] = {
         "regions": regions,
         "cells": count_cells(heights, cover),
@@ -141,7 +142,7 @@ def build(
     values: dict[str, object] = dict(as_dict(params))
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
-        whole = Build(record, entry, frames, pack_state(heights, cover, flat, candidates))
+        whole = Build(record, entry, frames, pack_state(heights, cover, flat, candidates, together))
         changed = store(whole, db)
     report = report_of(whole, stages, changed=changed)
     # What is said once of labels is no part of the content: built once more, all would be the same.
@@ -202,7 +203,9 @@ def possible_extractors(names: tuple[str, ...], inputs: Inputs, notices: list[st
 
 def run(
     job: Job, stages: Stages, notices: list[str]
-) -> tuple[Survey, Cover, Flat, tuple[CandidateLayer, ...], dict[str, dict[str, int]], dict[str, Any], Grid]:
+) -> tuple[
+    Survey, Cover, Flat, tuple[CandidateLayer, ...], Together | None, dict[str, dict[str, int]], dict[str, Any], Grid
+]:
     """Take one tile through all stages, up to the tables that the database takes.
 
     Points and surfaces are let go as soon as no later stage needs them, for the peak of memory.
@@ -231,17 +234,20 @@ def run(
         cover = classify_cover(structure.cover, bands, ndsm, structure.roughness_m, params, echoes=echoes)
         cover = keep_labels(cover, job.labelled, job.lost)
         notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
+        evidence = keep_evidence(structure) if {"multiscale", "flatregions"} <= set(job.methods) else None
         del bands, structure
     with stages.stage("parts"):
         searched = ndsm if "multiscale" in job.methods else Grid(ndsm.values, np.zeros_like(ndsm.valid), ndsm.spec)
         forest = extract_parts(searched, cover.classes, survey=job.survey, params=params)
+    with stages.stage("together"):
+        together = fuse(forest, flat, evidence, ndsm, params)
     with stages.stage("outlines"):
         parts = outline_parts(forest, ndsm, params.vector)
         frames = make_frames(forest, parts, cover, flat, candidates, ndsm=ndsm)
     counts = forest.counts | flat.counts
     for layer in candidates:
         counts |= layer.counts
-    return record, cover, flat, candidates, counts, frames, ndsm
+    return record, cover, flat, candidates, together, counts, frames, ndsm
 
 
 def find_candidates(
@@ -260,11 +266,7 @@ def find_candidates(
 
 def store(build: Build, db: str | Path) -> bool:
     """Write a build in one transaction; return whether the database changed."""
-    engine = open_database(db, create=True, srid=build.survey.epsg, crs_wkt=build.survey.crs_wkt)
-    try:
-        return write_build(engine, build).status != "unchanged"
-    finally:
-        engine.dispose()
+    return store_build(db, build).status != "unchanged"
 
 
 def count_cells(ndsm: Grid, cover: Cover) -> dict[str, int]:

@@ -21,6 +21,7 @@ from msbdb.database import (
 )
 from msbdb.evaluate import Evaluation
 from msbdb.pipeline import reports
+from msbdb.pipeline.footprints import read_together
 
 
 class Inventory:
@@ -67,6 +68,10 @@ class Inventory:
     def flat_regions(self, survey: str | None = None) -> gpd.GeoDataFrame:
         """Return the flat regions."""
         return read_flat_regions(self.engine, survey)
+
+    def together(self, survey: str | None = None) -> gpd.GeoDataFrame:
+        """Return the footprints that parts and flat regions give together, with their heights measured anew."""
+        return read_together(self.engine, survey)
 
     def candidates(self, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
         """Return the candidate regions of the extractors on points, or of one of them: area3d or adaptive."""

@@ -37,8 +37,18 @@ from msbdb.params import Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
 from msbdb.pipeline.build import BuildReport, candidates_by_method, count_cells, report_of, store
 from msbdb.pipeline.candidates import METHODS
+from msbdb.pipeline.footprints import has_together, read_together
 from msbdb.pipeline.stage import Progress, Stages
-from msbdb.pipeline.state import lattice_of, pack_state, unpack_candidates, unpack_cover, unpack_flat, unpack_heights
+from msbdb.pipeline.state import (
+    lattice_of,
+    pack_state,
+    unpack_candidates,
+    unpack_cover,
+    unpack_evidence,
+    unpack_flat,
+    unpack_heights,
+)
+from msbdb.pipeline.together import fuse
 from msbdb.tables import CANDIDATE_METHODS, Build
 from msbdb.view.candidates import draw_candidates
 from msbdb.view.figure import draw_map
@@ -102,6 +112,8 @@ def relabel(
     searched = heights if "multiscale" in old.run.method else Grid(heights.values, np.zeros_like(heights.valid), spec)
     with stages.stage("parts"):
         forest = extract_parts(searched, cover.classes, survey=old.survey.name, params=params)
+    with stages.stage("together"):
+        together = fuse(forest, flat, unpack_evidence(old.state), heights, params)
     with stages.stage("outlines"):
         parts = outline_parts(forest, heights, params.vector)
         frames = make_frames(forest, parts, cover, flat, candidates, ndsm=heights)
@@ -111,7 +123,7 @@ def relabel(
     counts = {**old.run.counts, "regions": regions, "cells": count_cells(heights, cover)}
     run = replace(old.run, counts=counts, timings={**old.run.timings, **stages.timings})
     with stages.stage("write"):
-        build = Build(old.survey, run, frames, pack_state(heights, cover, flat, candidates))
+        build = Build(old.survey, run, frames, pack_state(heights, cover, flat, candidates, together))
         changed = store(build, db)
     return report_of(build, stages, changed=changed)
 
@@ -166,6 +178,8 @@ def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: b
             "flat_region": read_flat_regions(engine, survey),
             "candidate_region": read_candidates(engine, survey),
         }
+        if has_together(engine, survey):
+            layers["together"] = read_together(engine, survey)
     write_export(layers, Path(out), overwrite=overwrite)
 
 
@@ -202,9 +216,10 @@ def evaluate(
         Share that counts as found; cell of the grid on which areas are compared, metres.
     survey : str, optional
         Not needed where the database holds one.
-    of : {'buildings', 'confirmed', 'parts', 'flatregions', 'area3d', 'adaptive'}
-        What is compared: the buildings' footprints, those of the confirmed ones, the parts of all scales, the flat
-        regions alone, or the candidate regions of an extractor on points.
+    of : {'buildings', 'confirmed', 'together', 'parts', 'flatregions', 'area3d', 'adaptive'}
+        What is compared: the buildings' footprints, those of the confirmed ones, those that parts and flat regions
+        give together, the parts of all scales, the flat regions alone, or the candidate regions of an extractor on
+        points.
     """
     with opened(db) as engine:
         outlines = compared(engine, survey, of)
@@ -275,12 +290,14 @@ def compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
     if of in ("buildings", "confirmed"):
         buildings = read_buildings(engine, survey)
         return buildings if of == "buildings" else buildings[buildings["state"] == "confirmed"]
+    if of == "together":
+        return read_together(engine, survey)
     if of == "flatregions":
         return read_flat_regions(engine, survey)
     if of == "parts":
         return read_parts(engine, survey)
     if of in CANDIDATE_METHODS:
         return read_candidates(engine, survey, of)
-    known = ", ".join(("buildings", "confirmed", "parts", "flatregions", *CANDIDATE_METHODS))
+    known = ", ".join(("buildings", "confirmed", "together", "parts", "flatregions", *CANDIDATE_METHODS))
     msg = f"There is nothing called '{of}' to evaluate; there are {known}."
     raise InputError(msg)

@@ -20,6 +20,7 @@ STAGES = (
     "area3d",
     "classes",
     "parts",
+    "together",
     "outlines",
     "write",
 )

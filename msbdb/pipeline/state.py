@@ -14,6 +14,7 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.pipeline.candidates import CandidateLayer
 from msbdb.pipeline.cover import Cover
 from msbdb.pipeline.flat import STAGES, Flat, no_flat_regions
+from msbdb.pipeline.together import Evidence, Together
 from msbdb.surface.heights import PER_METRE
 from msbdb.tables import CANDIDATE_METHODS, REJECTION, Build, Survey
 
@@ -21,9 +22,12 @@ State = Mapping[str, NDArray[np.generic]]
 
 
 def pack_state(
-    ndsm: Grid, cover: Cover, flat: Flat, candidates: Sequence[CandidateLayer]
+    ndsm: Grid, cover: Cover, flat: Flat, candidates: Sequence[CandidateLayer], together: Together | None = None
 ) -> dict[str, NDArray[np.generic]]:
-    """Return the rasters to keep: heights in whole centimetres, where they hold, class maps, labels of the regions."""
+    """Return the rasters to keep: heights in whole centimetres, where they hold, class maps, labels of the regions.
+
+    Of the fused footprints, the labels of the buildings and the evidence from which they can be fused again.
+    """
     state: dict[str, NDArray[np.generic]] = {
         "ndsm_cm": np.round(np.asarray(ndsm.values, dtype=np.float64) * PER_METRE).astype(np.int32),
         "valid": ndsm.valid.astype(np.uint8),
@@ -33,7 +37,8 @@ def pack_state(
         state["spectral"] = cover.spectral.index
     if flat.extracted:
         state["flat"] = flat.labels
-    return state | {layer.method: layer.labels for layer in candidates}
+    state |= {layer.method: layer.labels for layer in candidates}
+    return state if together is None else state | together.state()
 
 
 def unpack_flat(build: Build, spec: GridSpec) -> Flat:
@@ -63,6 +68,13 @@ def _written_by(build: Build, stages: str) -> tuple[pd.DataFrame, dict[str, dict
     own = ledger.loc[ledger["stage"].str.startswith(stages), REJECTION.names]
     regions: dict[str, dict[str, int]] = build.run.counts["regions"]  # type: ignore[assignment]  # plain nested values
     return own, {stage: values for stage, values in regions.items() if stage.startswith(stages)}
+
+
+def unpack_evidence(state: State) -> Evidence | None:
+    """Return each cell's evidence of roof, as a kept run has it; None where the run has none."""
+    if "roof_probability" not in state:
+        return None
+    return Evidence(state["roughness_mm"].astype(np.uint16), state["roof_probability"].astype(np.uint8))
 
 
 def lattice_of(survey: Survey, state: State) -> GridSpec:
