@@ -123,6 +123,11 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
     ),
     ("doubtful_buildings", {}, ["building_id", "extractors_for", "adaptive_share"], [(SHED, 1, 0.5)]),
     ("doubtful_buildings", {"witnesses": 3}, ["building_id"], [(BLOCK,), (HOUSE,), (SHED,)]),
+    # The small build is in no inventory; what these find is tested with the inventory.
+    ("inventory_at_date", {}, ["state", "buildings"], []),
+    ("changes_by_survey", {}, ["survey", "kind", "changes"], []),
+    ("history_of_building", {}, ["uid", "valid_from"], []),
+    ("roof_materials_by_class", {}, ["material", "speindex", "samples"], []),
     ("parts_with_candidates", {}, ["part_id", "area3d_share", "adaptive_share"], [(SLAB, 1.0, 1.0), (LIFT, 1.0, 1.0)]),
     ("parts_with_candidates", {"share": 0.25}, ["part_id"], [(PODIUM,), (SLAB,), (LIFT,)]),
 ]

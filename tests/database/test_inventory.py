@@ -19,6 +19,7 @@ from msbdb.database import (
     read_history,
     read_material_classes,
     read_states,
+    run_example,
     write_build,
     write_import,
     write_samples,
@@ -313,7 +314,30 @@ def test_roof_samples_are_crossed_with_the_classes_of_finest_parts(engine: Engin
     assert write_samples(engine, frame) == 4
     assert write_samples(engine, frame.assign(material=["metal", "metal", "metal", "slate"])) == 4
     told = read_material_classes(engine)
+    assert run_example(engine, "roof_materials_by_class")["samples"].tolist() == [3]
     assert told.to_numpy().tolist() == [["s1", "metal", 0, None, 3]]
+
+
+def test_the_example_queries_tell_of_the_inventory(engine: Engine) -> None:
+    """What stood at a date, what surveys did, and the life of one building."""
+    apply(engine, *FIRST)
+    apply(engine, *SECOND)
+    columns = ["state", "source", "buildings"]
+    found = [run_example(engine, "inventory_at_date", **at)[columns] for at in ({}, {"date": "2019-12-31"})]
+    assert [frame.to_numpy().tolist() for frame in found] == [[["confirmed", "survey", 8]], []]
+    told = run_example(engine, "changes_by_survey")[["number", "survey", "kind", "changes"]]
+    assert told.to_numpy().tolist() == [
+        [1, "s1", "new", 8],
+        [2, "s2", "demolished", 1],
+        [2, "s2", "modified", 1],
+        [2, "s2", "new", 1],
+        [2, "s2", "unchanged", 6],
+    ]
+    life = run_example(engine, "history_of_building")
+    assert life["valid_from"].tolist() == ["2020-01-01", "2021-05-01"]
+    assert life["began_as"].tolist() == ["new", "modified"]
+    again = run_example(engine, "history_of_building", uid=int(life["uid"][0]))
+    assert again["ended_as"].fillna("").tolist() == ["modified", ""]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,7 @@
+-- What did each survey do to the inventory: how many buildings of each kind of change, and how much ground?
+SELECT e.number, e.date, s.name AS survey, c.kind, COUNT(*) AS changes, SUM(c.darea_m2) AS darea_m2
+FROM building_change AS c
+JOIN survey AS s ON s.survey_id = c.survey_id
+JOIN inventory_event AS e ON e.survey_id = c.survey_id
+GROUP BY e.number, e.date, s.name, c.kind
+ORDER BY e.number, c.kind;

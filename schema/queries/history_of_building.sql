@@ -1,0 +1,9 @@
+-- What has become of one building: its versions, by what each began and ended, and how high it was?
+--
+-- :uid = null  the building of the inventory; null takes the one of most versions
+SELECT h.uid, h.valid_from, h.valid_to, h.survey, h.began_as, h.ended_as, h.state, h.storeys, h.h_p90, h.area_m2
+FROM building_history AS h
+WHERE h.uid = COALESCE(
+  CAST(:uid AS BIGINT), (SELECT uid FROM building_version GROUP BY uid ORDER BY COUNT(*) DESC, uid LIMIT 1)
+)
+ORDER BY h.valid_from, h.version_id;
