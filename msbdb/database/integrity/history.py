@@ -40,7 +40,9 @@ def check_events(connection: Connection) -> Iterator[Finding]:
     ):
         changes.setdefault(survey, {})[kind] = rows
     made = select(BuildingVersion.survey_id, func.count()).group_by(BuildingVersion.survey_id)
-    versions: dict[int | None, int] = dict(connection.execute(made).tuples())
+    versions: dict[int | None, int] = {}
+    for maker, rows in connection.execute(made):
+        versions[maker] = rows
     imported = 0
     columns = (InventoryEvent.number, InventoryEvent.kind, InventoryEvent.survey_id, InventoryEvent.counts)
     for place, (number, kind, survey, counts) in enumerate(

@@ -178,23 +178,32 @@ def _spatialite_index(connection: Connection, table: Table) -> Iterator[Finding]
         f"SELECT t.{key.name}, i.pkid, {box}, i.xmin, i.xmax, i.ymin, i.ymax "  # noqa: S608  (names are the models')
         f"FROM {table.name} AS t LEFT JOIN {index} AS i ON i.pkid = t.{key.name}"
     )
-    for number, entry, *edges in connection.execute(sql(query)):
-        if entry is None:
-            yield Finding("spatial index", table.name, keyed(table, [number]), "the index lacks the row", "its box")
-        elif None not in edges and not _holds(*np.array(edges, dtype=np.float64).reshape(2, 4)):
-            what = f"the index has it at {', '.join(f'{edge:.2f}' for edge in edges[4:])}"
-            expected = f"the box {', '.join(f'{edge:.2f}' for edge in edges[:4])}"
-            yield Finding("spatial index", table.name, keyed(table, [number]), what, expected)
+    for rows in connection.execute(sql(query), execution_options={"yield_per": _BATCH}).partitions():
+        columns = list(zip(*rows, strict=True))
+        own, entry = (np.array(columns[start : start + 4], dtype=np.float64) for start in (2, 6))
+        held = _holds(own, entry)
+        for place in np.flatnonzero(~held).tolist():
+            number, pkid, *edges = rows[place]
+            what = "the index lacks the row" if pkid is None else f"the index has it at {_box(edges[4:])}"
+            yield Finding("spatial index", table.name, keyed(table, [number]), what, f"the box {_box(edges[:4])}")
     orphans = f"SELECT pkid FROM {index} WHERE pkid NOT IN (SELECT {key.name} FROM {table.name})"  # noqa: S608  (as above)
     for number in connection.scalars(sql(orphans)):
         yield Finding("spatial index", table.name, keyed(table, [number]), "the index has a box without a row", "none")
 
 
-def _holds(own: NDArray[np.float64], entry: NDArray[np.float64]) -> bool:
-    """Tell whether an index entry is a geometry's box: west, east, south and north, in single precision."""
+def _holds(own: NDArray[np.float64], entry: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return (N,) which index entries are their geometries' boxes: (4, N) west, east, south, north, single precision.
+
+    A geometry that cannot be read has no box, and is told by another check.
+    """
     slack = 4 * np.spacing(np.abs(own).astype(np.float32)).astype(np.float64)
-    outwards = np.array([-1.0, 1.0, -1.0, 1.0]) * (entry - own)
-    return bool(np.all((outwards >= 0) & (outwards <= slack)))
+    outwards = np.array([[-1.0], [1.0], [-1.0], [1.0]]) * (entry - own)
+    right: NDArray[np.bool_] = np.all((outwards >= 0) & (outwards <= slack), axis=0) | np.isnan(own).any(axis=0)
+    return right
+
+
+def _box(edges: Sequence[float | None]) -> str:
+    return ", ".join("none" if edge is None else f"{edge:.2f}" for edge in edges)
 
 
 def _postgis_index(connection: Connection, table: Table) -> Iterator[Finding]:
