@@ -162,12 +162,9 @@ def test_the_forest_and_the_ledger_balance(town):
         engine.dispose()
     validate_parts(parts)
     assert all(stage["in"] == stage["kept"] + stage["dropped"] for stage in counts.values())
-    # Specks of candidate regions share a row; the stage says how many rows it wrote.
-    dropped = {
-        name: stage.get("booked", stage["dropped"]) for name, stage in counts.items() if name not in COUNTED_ONLY
-    }
-    booked = rejections.groupby("stage").size().to_dict()
-    assert booked == {name: number for name, number in dropped.items() if number}
+    dropped = {name: stage["dropped"] for name, stage in counts.items() if name not in COUNTED_ONLY}
+    rows = rejections.groupby("stage").size().to_dict()
+    assert rows == {name: number for name, number in dropped.items() if number}
     assert counts["fake fathers"]["kept"] == len(parts)
 
 

@@ -18,9 +18,6 @@ RULE = "clustering"
 KIND = "\0adaptive"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
-SPECK_M2 = 1.0
-"""Rejected regions below this area are booked together."""
-
 
 class Books:
     """What the stages took in, kept and dropped; and the regions that were lost, to become ``tables.REJECTION``."""
@@ -33,13 +30,12 @@ class Books:
     def count(self, stage: str, entered: int, kept: int, dropped: int, pieces: int = 0) -> None:
         """Note the numbers of a stage, which cut so many pieces itself; negative where it joined regions.
 
-        To be called when all that the stage rejected is written: ``booked`` counts its rows in the ledger, fewer than
-        it dropped where specks share a row.
+        To be called when all that the stage rejected is written.
 
         Raises
         ------
         TableError
-            When in = kept + dropped does not hold.
+            When in = kept + dropped does not hold, or the ledger holds another number of its rows.
         """
         if entered + pieces != kept + dropped:
             msg = (
@@ -47,9 +43,14 @@ class Books:
                 f"but {kept} kept and {dropped} dropped. This is a fault of msbdb; please report it."
             )
             raise TableError(msg)
-        booked = sum(int((rows["stage"] == stage).sum()) for rows in self._lost)
-        counts = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped, "booked": booked}
-        self.counts[stage] = counts
+        rows = sum(int((frame["stage"] == stage).sum()) for frame in self._lost)
+        if rows != dropped:
+            msg = (
+                f"The stage '{stage}' dropped {dropped} regions, but the ledger has {rows} of them. "
+                "This is a fault of msbdb; please report it."
+            )
+            raise TableError(msg)
+        self.counts[stage] = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped}
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, number: int) -> int:
         """Write labelled clusters into the ledger; return how many.
@@ -64,11 +65,6 @@ class Books:
             1 to M, each with a point; 0 for none.
         number : int
             Number of the stage and kind, from 1; part of the ids.
-
-        Notes
-        -----
-        Those smaller than ``SPECK_M2``, mostly single points, are booked as one row a reason, with their areas summed
-        up and the place of the first.
         """
         count = len(reasons)
         first, piece = first_places(self.points, labels, count)
@@ -84,7 +80,7 @@ class Books:
                 "ycen": ycen,
             }
         )
-        self._lost.append(_typed(_specks_together(rows), REJECTION))
+        self._lost.append(_typed(rows, REJECTION))
         return count
 
     def rejections(self) -> pd.DataFrame:
@@ -182,18 +178,6 @@ def _mean(values: NDArray[np.floating], labels: Labels, count: int) -> Floats:
     total = np.bincount(labels[use], values[use], count + 1)[1:]
     size = np.bincount(labels[use], minlength=count + 1)[1:]
     return np.where(size > 0, total / np.maximum(size, 1), np.nan)
-
-
-def _specks_together(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows with those of specks put together, one a reason."""
-    is_speck = rows["area_m2"] < SPECK_M2
-    if not is_speck.any():
-        return rows
-    specks = rows[is_speck].copy()
-    specks["area_m2"] = specks.groupby("reason")["area_m2"].transform("sum")
-    specks = specks.drop_duplicates("reason")
-    specks["reason"] = specks["reason"] + f", all of less than {SPECK_M2:g} m2 together"
-    return pd.concat([rows[~is_speck], specks])
 
 
 def _typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:

@@ -18,9 +18,6 @@ METHOD = "area3d"
 KIND = "\0area3d"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
-SPECK_M2 = 1.0
-"""Rejected regions below this area are booked together."""
-
 STAGES = ("area3d fusion", "area3d opening", "area3d curvature", "area3d crowns", "area3d rules")
 """The stages that reject regions, in order."""
 
@@ -90,12 +87,12 @@ class Books:
         self._lost: list[pd.DataFrame] = [_typed(REJECTION.empty(), REJECTION)]
 
     def count(self, stage: str, entered: int, kept: int, dropped: int, pieces: int = 0) -> None:
-        """Add the numbers of a stage at one height scale.
+        """Add the numbers of a stage at one height scale, when all that it rejected there is written.
 
         Raises
         ------
         TableError
-            When in = kept + dropped does not hold.
+            When in = kept + dropped does not hold, or the ledger holds another number of its rows.
         """
         if entered + pieces != kept + dropped:
             msg = (
@@ -103,10 +100,16 @@ class Books:
                 f"but {kept} kept and {dropped} dropped. This is a fault of msbdb; please report it."
             )
             raise TableError(msg)
-        sums = self.counts.setdefault(stage, dict.fromkeys(("in", "pieces", "kept", "dropped", "booked"), 0))
+        sums = self.counts.setdefault(stage, dict.fromkeys(("in", "pieces", "kept", "dropped"), 0))
         for name, value in (("in", entered + pieces), ("pieces", pieces), ("kept", kept), ("dropped", dropped)):
             sums[name] += value
-        sums["booked"] = sum(int((rows["stage"] == stage).sum()) for rows in self._lost)
+        rows = sum(int((frame["stage"] == stage).sum()) for frame in self._lost)
+        if rows != sums["dropped"]:
+            msg = (
+                f"The stage '{stage}' dropped {sums['dropped']} regions, but the ledger has {rows} of them. "
+                "This is a fault of msbdb; please report it."
+            )
+            raise TableError(msg)
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, *, scale: int) -> None:
         """Write labelled regions into the ledger.
@@ -121,11 +124,6 @@ class Books:
             1 to M; 0 for none.
         scale : int
             Number of the height scale, from 1.
-
-        Notes
-        -----
-        Those smaller than ``SPECK_M2``, mostly single points, are booked as one row a height scale and reason, with
-        their areas summed up and the place of the first.
         """
         count = len(reasons)
         first, piece = self.cloud.first_places(labels, count)
@@ -142,23 +140,11 @@ class Books:
                 "ycen": ycen,
             }
         )
-        self._lost.append(_typed(_with_specks_together(rows), REJECTION))
+        self._lost.append(_typed(rows, REJECTION))
 
     def rejections(self) -> pd.DataFrame:
         """Return all lost regions in the order of the height scales and stages."""
         return pd.concat([rows for rows in self._lost if len(rows)] or self._lost, ignore_index=True)
-
-
-def _with_specks_together(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows with those of specks put together, one a reason."""
-    is_speck = rows["area_m2"] < SPECK_M2
-    if not is_speck.any():
-        return rows
-    specks = rows[is_speck].copy()
-    specks["area_m2"] = specks.groupby("reason")["area_m2"].transform("sum")
-    specks = specks.drop_duplicates("reason")
-    specks["reason"] = specks["reason"] + f", all of less than {SPECK_M2:g} m2 together"
-    return pd.concat([rows[~is_speck], specks])
 
 
 def describe(

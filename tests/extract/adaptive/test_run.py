@@ -101,7 +101,7 @@ def check(cloud, found):
     assert all(count["in"] == count["kept"] + count["dropped"] for count in counts)
     assert all(a["kept"] + b["pieces"] == b["in"] for a, b in pairwise(counts))
     assert counts[-1]["kept"] == len(regions)
-    assert sum(count["booked"] for count in counts) == len(found.rejections)
+    assert sum(count["dropped"] for count in counts) == len(found.rejections)
 
 
 HOUSE = plane(10, 10, 12, 9, 6.0, seed=1)

@@ -219,7 +219,7 @@ def test_the_ledger_balances(scene):
     assert stages == [f"area3d {name}" for name in ("fusion", "opening", "curvature", "crowns", "rules")]
     for name, count in found.counts.items():
         assert count["in"] == count["kept"] + count["dropped"]
-        assert count["booked"] == (found.rejections["stage"] == name).sum()
+        assert count["dropped"] == (found.rejections["stage"] == name).sum()
     for before, after in pairwise(stages):
         assert found.counts[before]["kept"] == found.counts[after]["in"] - found.counts[after]["pieces"]
     assert found.counts["area3d rules"]["kept"] == len(found.regions)
