@@ -15,7 +15,7 @@ from msbdb.errors import InputError
 from msbdb.params import Params, with_values
 from msbdb.pipeline import evaluate_points
 from msbdb.pipeline.state import lattice_of, unpack_evidence
-from msbdb.pipeline.together import keep_evidence
+from msbdb.pipeline.together import fuse, keep_evidence
 from msbdb.surface import build_surface, cover_from_surface
 from msbdb.vector.polygons import rasterise
 
@@ -166,3 +166,8 @@ def test_the_values_of_the_fusion_are_parameters_of_the_build(folder, town, tmp_
     with msbdb.open(db) as opened, msbdb.open(town) as plain:
         assert opened.together().geometry.area.sum() == pytest.approx(opened.buildings().geometry.area.sum(), rel=1e-3)
         assert opened.buildings().drop(columns="geometry").equals(plain.buildings().drop(columns="geometry"))
+
+
+def test_without_evidence_nothing_is_fused():
+    """A run that an older msbdb kept has none; labelled anew it still has none."""
+    assert fuse(None, None, None, None, Params()) is None

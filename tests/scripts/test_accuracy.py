@@ -1,0 +1,78 @@
+"""The pages of accuracy and density: what is compared, and what their tables say of it."""
+
+import sys
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+def load(name):
+    """Load a script that has no suffix."""
+    loader = SourceFileLoader(f"script_{name}", str(SCRIPTS / name))
+    module = module_from_spec(spec_from_loader(loader.name, loader))
+    sys.modules[loader.name] = module
+    loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def accuracy():
+    """Return scripts/accuracy."""
+    return load("accuracy")
+
+
+def result(of, *, tile="delft_1", profile="default", classes="wiped", points=None, written=None):
+    """Return what a run gives, all rates 0.8 but those by point."""
+    rates = dict.fromkeys(("completeness", "correctness", "quality"), 0.8)
+    score = {name: {"rates": rates} for name in ("area", "objects", "large_objects")}
+    score |= {name: dict.fromkeys(rates, share) for name, share in (("points", points), ("written", written)) if share}
+    return {"tile": tile, "profile": profile, "classes": classes, "of": of, "density": 11.26, "score": score}
+
+
+def test_aims_that_are_missed_are_bold(accuracy):
+    """Each extractor has its own aims; what was written back goes before what lies in the footprints."""
+    page = accuracy.aims([result("area3d", points=0.8, written=0.9), result("adaptive", points=0.7, written=0.7)])
+    assert "| delft_1 | 11.3 | area3d | 80.0 | 90.0 (of 88) | 80.0 | 80.0 |" in page
+    assert "| delft_1 | 11.3 | adaptive | **80.0** (of 82) | 70.0 | 80.0 | **80.0** (of 90) |" in page
+
+
+def test_aims_are_of_the_default_profile_without_classes(accuracy):
+    """Other profiles, given classes, confirmed buildings and tiles without an aim are not judged."""
+    others = [
+        result("buildings", profile="vu2009"),
+        result("buildings", classes="given"),
+        result("confirmed"),
+        result("buildings", tile="alexandria", classes="raster"),
+    ]
+    assert len(accuracy.aims(others).splitlines()) == 2
+
+
+def test_points_have_a_table_where_they_were_scored(accuracy):
+    """A tile with footprints as truth has no row; who writes nothing back has dashes."""
+    page = accuracy.point_table([result("buildings", points=0.8), result("buildings", tile="goteborg")])
+    assert page.splitlines()[2:] == [
+        "| delft_1 | default | wiped | buildings | 80.0 | 80.0 | 80.0 | \N{EN DASH} | \N{EN DASH} | \N{EN DASH} |"
+    ]
+
+
+def test_rasters_have_no_extractors_on_points(accuracy):
+    """Neither are they built, nor compared, nor are their profiles run."""
+    tiles = {tile.name: tile for tile in accuracy.TILES}
+    assert {profile for profile, _ in accuracy.runs(tiles["goteborg"])} == {"default", "vu2009", "mongus2013"}
+    assert {profile for profile, _ in accuracy.runs(tiles["delft_1"])} == set(accuracy.PROFILES)
+    work = accuracy.Work(tiles["goteborg"], "default", "raster", Path(), Path())
+    assert accuracy.extractors(work) == ["flatregions", "multiscale"]
+    assert accuracy.compared(work) == ["buildings", "confirmed", "flatregions", "together"]
+
+
+def test_the_density_page_has_a_row_a_density_and_a_column_an_outline():
+    """In the order of what is compared."""
+    density = load("density")
+    found = [density.Score("delft_1", 4.0, of, n, n, n) for n, of in enumerate(density.OF)]
+    lines = density.table(found, "area").splitlines()
+    assert lines[0] == "| tile | density | multiscale | flatregions | multiscale and flatregions | area3d | adaptive |"
+    assert lines[2:] == ["| delft_1 | 4.0 | 0.0 | 1.0 | 2.0 | 3.0 | 4.0 |"]
