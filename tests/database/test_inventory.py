@@ -1,5 +1,7 @@
 """The living inventory on both dialects: versions, changes, identity, order, repeats, and what people say."""
 
+import shutil
+import subprocess
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -127,6 +129,28 @@ def test_the_function_of_postgis_tells_the_state_at_a_date(new_postgis: Callable
             )
         )
     assert "idx_building_version_geometry" in plan
+
+
+@pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="GDAL's tools (gdal-bin) are not installed")
+def test_gis_clients_read_the_layers_of_the_inventory(engine: Engine) -> None:
+    """Tables and views have type, CRS, extent and count right, and a window finds what lies in it."""
+    apply(engine, *FIRST)
+    apply(engine, *SECOND)
+    url = engine.url
+    source = str(url.database)
+    if engine.dialect.name == "postgresql":
+        source = f"PG:host={url.query['host']} dbname={url.database} user={url.username}"
+    window = ["-spat", *(str(v) for v in (WEST + 58, SOUTH + 58, WEST + 80, SOUTH + 80))]
+    for layer, count in {"building_version": 10, "footprint_current": 8, "building_history": 10}.items():
+        told = subprocess.run(["ogrinfo", "-ro", "-so", source, layer], capture_output=True, text=True, check=True)
+        assert "Warning" not in told.stderr
+        assert f"Feature Count: {count}\n" in told.stdout
+        assert "Geometry: Multi Polygon" in told.stdout
+        assert f'ID["EPSG",{EPSG}]]' in told.stdout
+        near = subprocess.run(
+            ["ogrinfo", "-ro", "-so", source, layer, *window], capture_output=True, text=True, check=True
+        )
+        assert "Feature Count: 1\n" in near.stdout
 
 
 def test_a_repeat_changes_nothing(engine: Engine) -> None:
