@@ -556,85 +556,73 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE VIEW part_evidence AS
 SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
-       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_share, 0.0) END AS area3d_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_regions, 0) END AS area3d_regions,
-       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_share, 0.0) END AS adaptive_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_regions, 0) END
-         AS adaptive_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE((
+         SELECT SUM(l.part_share) FROM part_flat_region AS l WHERE l.part_id = p.part_id), 0.0) END AS flat_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN (
+         SELECT COUNT(*) FROM part_flat_region AS l WHERE l.part_id = p.part_id) END AS flat_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE((
+         SELECT SUM(l.part_share) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'area3d'), 0.0) END AS area3d_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN (
+         SELECT COUNT(*) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'area3d') END AS area3d_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE((
+         SELECT SUM(l.part_share) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'adaptive'), 0.0) END AS adaptive_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN (
+         SELECT COUNT(*) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'adaptive') END AS adaptive_regions,
        p.geometry
 FROM part AS p
 JOIN run AS r ON r.run_id = p.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN (
-  SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
-) AS e ON e.part_id = p.part_id
-LEFT JOIN (
-  SELECT l.part_id,
-         SUM(CASE WHEN k.method = 'area3d' THEN l.part_share END) AS area3d_share,
-         COUNT(CASE WHEN k.method = 'area3d' THEN 1 END) AS area3d_regions,
-         SUM(CASE WHEN k.method = 'adaptive' THEN l.part_share END) AS adaptive_share,
-         COUNT(CASE WHEN k.method = 'adaptive' THEN 1 END) AS adaptive_regions
-  FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
-  GROUP BY l.part_id
-) AS c ON c.part_id = p.part_id;
+JOIN survey AS s ON s.survey_id = r.survey_id;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_evidence', 'geometry', 'part_id', 'part', 'geometry', 1);
 
 CREATE VIEW unexplained_flat_region AS
 SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
        f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
-       COALESCE(e.explained_share, 0.0) AS explained_share, f.geometry
+       COALESCE((
+         SELECT SUM(l.region_share) FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.region_id = f.region_id AND root.supid = 0), 0.0) AS explained_share, f.geometry
 FROM flat_region AS f
 JOIN run AS r ON r.run_id = f.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN (
-  SELECT l.region_id, SUM(l.region_share) AS explained_share
-  FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
-  WHERE root.supid = 0
-  GROUP BY l.region_id
-) AS e ON e.region_id = f.region_id
-WHERE COALESCE(e.explained_share, 0.0) < 0.5;
+WHERE COALESCE((
+         SELECT SUM(l.region_share) FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.region_id = f.region_id AND root.supid = 0), 0.0) < 0.5;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('unexplained_flat_region', 'geometry', 'region_id', 'flat_region', 'geometry', 1);
 
 CREATE VIEW candidate_evidence AS
 SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
        k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
-       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE(e.explained_share, 0.0) END
+       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE((
+         SELECT SUM(l.candidate_share) FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) END
          AS explained_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(f.flat_share, 0.0) END AS flat_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE((
+         SELECT SUM(l.candidate_share) FROM flat_region_candidate AS l WHERE l.candidate_id = k.candidate_id), 0.0) END
+         AS flat_share,
        k.geometry
 FROM candidate_region AS k
 JOIN run AS r ON r.run_id = k.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN (
-  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
-  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
-  WHERE root.supid = 0
-  GROUP BY l.candidate_id
-) AS e ON e.candidate_id = k.candidate_id
-LEFT JOIN (
-  SELECT candidate_id, SUM(candidate_share) AS flat_share FROM flat_region_candidate GROUP BY candidate_id
-) AS f ON f.candidate_id = k.candidate_id;
+JOIN survey AS s ON s.survey_id = r.survey_id;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('candidate_evidence', 'geometry', 'candidate_id', 'candidate_region', 'geometry', 1);
 
 CREATE VIEW unexplained_candidate AS
 SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
        k.compactness, k.linearity, k.ndvi, k.h_max, k.h_mean, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
-       COALESCE(e.explained_share, 0.0) AS explained_share, k.geometry
+       COALESCE((
+         SELECT SUM(l.candidate_share) FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) AS explained_share, k.geometry
 FROM candidate_region AS k
 JOIN run AS r ON r.run_id = k.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN (
-  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
-  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
-  WHERE root.supid = 0
-  GROUP BY l.candidate_id
-) AS e ON e.candidate_id = k.candidate_id
-WHERE COALESCE(e.explained_share, 0.0) < 0.5;
+WHERE COALESCE((
+         SELECT SUM(l.candidate_share) FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) < 0.5;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('unexplained_candidate', 'geometry', 'candidate_id', 'candidate_region', 'geometry', 1);
 

@@ -1,4 +1,7 @@
-"""The living inventory: its buildings, their versions and changes, operators' states and roof samples."""
+"""The living inventory: its buildings, their versions and changes, operators' states and roof samples.
+
+The views of evidence are made anew: they sum up the links of each row that is asked for, no longer those of all rows.
+"""
 
 import sqlalchemy as sa
 from alembic import op
@@ -11,7 +14,7 @@ SPATIAL = {"building_version": "MULTIPOLYGON", "inventory_event": "MULTIPOLYGON"
 
 
 def upgrade() -> None:
-    """Create the tables, their views, and on PostGIS the function ``footprint_at``."""
+    """Create the tables, their views, and on PostGIS ``footprint_at``; the views of evidence look row by row."""
     opts = op.get_context().opts
     hooks, srid = opts["hooks"], opts["srid"]
     create_buildings()
@@ -21,9 +24,9 @@ def upgrade() -> None:
     create_words()
     for table, kind in SPATIAL.items():
         run_all(hooks.geometry_ddl(table, kind, srid))
-    for view, key, base, sql in VIEWS:
-        op.execute(f"CREATE VIEW {view} AS\n{sql.strip()}")
-        run_all(hooks.view_ddl(view, key, base))
+    drop_views(hooks, OLD_EVIDENCE)
+    create_views(hooks, EVIDENCE)
+    create_views(hooks, VIEWS)
     op.execute(f"CREATE VIEW roof_material_by_class AS\n{ROOF_MATERIAL_BY_CLASS.strip()}")
     if op.get_bind().dialect.name == "postgresql":
         op.execute(FOOTPRINT_AT.strip())
@@ -35,9 +38,9 @@ def downgrade() -> None:
     if op.get_bind().dialect.name == "postgresql":
         op.execute("DROP FUNCTION footprint_at(date)")
     op.execute("DROP VIEW roof_material_by_class")
-    for view, *_ in VIEWS:
-        run_all(hooks.drop_view_ddl(view))
-        op.execute(f"DROP VIEW {view}")
+    drop_views(hooks, VIEWS)
+    drop_views(hooks, EVIDENCE)
+    create_views(hooks, OLD_EVIDENCE)
     op.drop_table("building_change")
     op.drop_table("survey_offset")
     op.drop_table("operator_state")
@@ -51,6 +54,20 @@ def run_all(statements: list[str]) -> None:
     """Run statements of the dialect's hooks."""
     for statement in statements:
         op.execute(statement)
+
+
+def drop_views(hooks: object, views: tuple[tuple[str, str, str, str], ...]) -> None:
+    """Drop views and forget their geometries."""
+    for view, *_ in views:
+        run_all(hooks.drop_view_ddl(view))
+        op.execute(f"DROP VIEW {view}")
+
+
+def create_views(hooks: object, views: tuple[tuple[str, str, str, str], ...]) -> None:
+    """Create views and register their geometries."""
+    for view, key, base, sql in views:
+        op.execute(f"CREATE VIEW {view} AS\n{sql.strip()}")
+        run_all(hooks.view_ddl(view, key, base))
 
 
 def words(*names: str, nullable: bool = False) -> list[sa.Column]:
@@ -287,4 +304,166 @@ $$
 VIEWS = (
     ("footprint_current", "version_id", "building_version", FOOTPRINT_CURRENT),
     ("building_history", "version_id", "building_version", BUILDING_HISTORY),
+)
+
+OLD_PART_EVIDENCE = """
+SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_share, 0.0) END AS flat_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(e.flat_regions, 0) END AS flat_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_share, 0.0) END AS area3d_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE(c.area3d_regions, 0) END AS area3d_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_share, 0.0) END AS adaptive_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE(c.adaptive_regions, 0) END
+         AS adaptive_regions,
+       p.geometry
+FROM part AS p
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT part_id, SUM(part_share) AS flat_share, COUNT(*) AS flat_regions FROM part_flat_region GROUP BY part_id
+) AS e ON e.part_id = p.part_id
+LEFT JOIN (
+  SELECT l.part_id,
+         SUM(CASE WHEN k.method = 'area3d' THEN l.part_share END) AS area3d_share,
+         COUNT(CASE WHEN k.method = 'area3d' THEN 1 END) AS area3d_regions,
+         SUM(CASE WHEN k.method = 'adaptive' THEN l.part_share END) AS adaptive_share,
+         COUNT(CASE WHEN k.method = 'adaptive' THEN 1 END) AS adaptive_regions
+  FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+  GROUP BY l.part_id
+) AS c ON c.part_id = p.part_id
+"""
+
+PART_EVIDENCE = """
+SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE((
+         SELECT SUM(l.part_share) FROM part_flat_region AS l WHERE l.part_id = p.part_id), 0.0) END AS flat_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN (
+         SELECT COUNT(*) FROM part_flat_region AS l WHERE l.part_id = p.part_id) END AS flat_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE((
+         SELECT SUM(l.part_share) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'area3d'), 0.0) END AS area3d_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN (
+         SELECT COUNT(*) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'area3d') END AS area3d_regions,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE((
+         SELECT SUM(l.part_share) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'adaptive'), 0.0) END AS adaptive_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN (
+         SELECT COUNT(*) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
+         WHERE l.part_id = p.part_id AND k.method = 'adaptive') END AS adaptive_regions,
+       p.geometry
+FROM part AS p
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+"""
+
+OLD_UNEXPLAINED_FLAT_REGION = """
+SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
+       f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, f.geometry
+FROM flat_region AS f
+JOIN run AS r ON r.run_id = f.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.region_id, SUM(l.region_share) AS explained_share
+  FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.region_id
+) AS e ON e.region_id = f.region_id
+WHERE COALESCE(e.explained_share, 0.0) < 0.5
+"""
+
+UNEXPLAINED_FLAT_REGION = """
+SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
+       f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
+       COALESCE((
+         SELECT SUM(l.region_share) FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.region_id = f.region_id AND root.supid = 0), 0.0) AS explained_share, f.geometry
+FROM flat_region AS f
+JOIN run AS r ON r.run_id = f.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+WHERE COALESCE((
+         SELECT SUM(l.region_share) FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.region_id = f.region_id AND root.supid = 0), 0.0) < 0.5
+"""
+
+OLD_CANDIDATE_EVIDENCE = """
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE(e.explained_share, 0.0) END
+         AS explained_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE(f.flat_share, 0.0) END AS flat_share,
+       k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+LEFT JOIN (
+  SELECT candidate_id, SUM(candidate_share) AS flat_share FROM flat_region_candidate GROUP BY candidate_id
+) AS f ON f.candidate_id = k.candidate_id
+"""
+
+CANDIDATE_EVIDENCE = """
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE((
+         SELECT SUM(l.candidate_share) FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) END
+         AS explained_share,
+       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE((
+         SELECT SUM(l.candidate_share) FROM flat_region_candidate AS l WHERE l.candidate_id = k.candidate_id), 0.0) END
+         AS flat_share,
+       k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+"""
+
+OLD_UNEXPLAINED_CANDIDATE = """
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_max, k.h_mean, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       COALESCE(e.explained_share, 0.0) AS explained_share, k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN (
+  SELECT l.candidate_id, SUM(l.candidate_share) AS explained_share
+  FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+  WHERE root.supid = 0
+  GROUP BY l.candidate_id
+) AS e ON e.candidate_id = k.candidate_id
+WHERE COALESCE(e.explained_share, 0.0) < 0.5
+"""
+
+UNEXPLAINED_CANDIDATE = """
+SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
+       k.compactness, k.linearity, k.ndvi, k.h_max, k.h_mean, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
+       COALESCE((
+         SELECT SUM(l.candidate_share) FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) AS explained_share, k.geometry
+FROM candidate_region AS k
+JOIN run AS r ON r.run_id = k.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+WHERE COALESCE((
+         SELECT SUM(l.candidate_share) FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
+         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) < 0.5
+"""
+
+OLD_EVIDENCE = (
+    ("part_evidence", "part_id", "part", OLD_PART_EVIDENCE),
+    ("unexplained_flat_region", "region_id", "flat_region", OLD_UNEXPLAINED_FLAT_REGION),
+    ("candidate_evidence", "candidate_id", "candidate_region", OLD_CANDIDATE_EVIDENCE),
+    ("unexplained_candidate", "candidate_id", "candidate_region", OLD_UNEXPLAINED_CANDIDATE),
+)
+
+EVIDENCE = (
+    ("part_evidence", "part_id", "part", PART_EVIDENCE),
+    ("unexplained_flat_region", "region_id", "flat_region", UNEXPLAINED_FLAT_REGION),
+    ("candidate_evidence", "candidate_id", "candidate_region", CANDIDATE_EVIDENCE),
+    ("unexplained_candidate", "candidate_id", "candidate_region", UNEXPLAINED_CANDIDATE),
 )

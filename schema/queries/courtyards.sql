@@ -1,21 +1,26 @@
 -- Which buildings enclose courtyards, how many, and how large are they?
 --
 -- :min_area_m2 = 10  smallest courtyard that counts, square metres
-WITH RECURSIVE polygon (building_id, number, outline) AS (
-  SELECT building_id, 1, ST_GeometryN(geometry, 1) FROM building
-  UNION ALL
-  SELECT b.building_id, p.number + 1, ST_GeometryN(b.geometry, p.number + 1)
-  FROM polygon AS p JOIN building AS b ON b.building_id = p.building_id
-  WHERE p.number < ST_NumGeometries(b.geometry)
-), ring (building_id, number, hole, outline) AS (
-  SELECT building_id, number, 1, outline FROM polygon WHERE ST_NumInteriorRing(outline) >= 1
-  UNION ALL
-  SELECT building_id, number, hole + 1, outline FROM ring WHERE hole < ST_NumInteriorRing(outline)
+-- :survey = null  name of a survey; null takes all
+WITH RECURSIVE chosen AS MATERIALIZED (
+  SELECT b.building_id, s.name AS survey, b.storeys, b.area_m2, b.geometry, ST_NumGeometries(b.geometry) AS polygons
+  FROM building AS b JOIN run AS r ON r.run_id = b.run_id JOIN survey AS s ON s.survey_id = r.survey_id
+  WHERE (CAST(:survey AS TEXT) IS NULL OR s.name = :survey)
+), polygon_number (n) AS (
+  SELECT 1 UNION ALL SELECT n + 1 FROM polygon_number WHERE n < (SELECT MAX(polygons) FROM chosen)
+), polygon AS MATERIALIZED (
+  SELECT c.building_id, ST_GeometryN(c.geometry, k.n) AS outline
+  FROM chosen AS c JOIN polygon_number AS k ON k.n <= c.polygons
+), holed AS MATERIALIZED (
+  SELECT building_id, outline, ST_NumInteriorRing(outline) AS holes FROM polygon
+), hole_number (n) AS (
+  SELECT 1 UNION ALL SELECT n + 1 FROM hole_number WHERE n < (SELECT MAX(holes) FROM holed)
 ), courtyard AS (
-  SELECT building_id, ST_Area(ST_MakePolygon(ST_InteriorRingN(outline, hole))) AS area_m2 FROM ring
+  SELECT p.building_id, ST_Area(ST_MakePolygon(ST_InteriorRingN(p.outline, k.n))) AS area_m2
+  FROM holed AS p JOIN hole_number AS k ON k.n <= p.holes
 )
 SELECT b.building_id, b.survey, b.storeys, b.area_m2, COUNT(*) AS courtyards, SUM(c.area_m2) AS courtyard_m2
-FROM courtyard AS c JOIN building_summary AS b ON b.building_id = c.building_id
+FROM courtyard AS c JOIN chosen AS b ON b.building_id = c.building_id
 WHERE c.area_m2 >= :min_area_m2
 GROUP BY b.building_id, b.survey, b.storeys, b.area_m2
 ORDER BY courtyard_m2 DESC, b.building_id;

@@ -1,4 +1,6 @@
 -- What does this database hold: which surveys, by which extractors and version, and how much was found?
+--
+-- :survey = null  name of a survey; null takes all
 SELECT s.name AS survey, s.date, s.epsg, s.density, s.cell_m, r.method, r.profile, r.version,
        (SELECT COUNT(*) FROM building AS b WHERE b.run_id = r.run_id) AS buildings,
        (SELECT COUNT(*) FROM part AS p WHERE p.run_id = r.run_id) AS parts,
@@ -6,4 +8,5 @@ SELECT s.name AS survey, s.date, s.epsg, s.density, s.cell_m, r.method, r.profil
        (SELECT COUNT(*) FROM flat_region AS f WHERE f.run_id = r.run_id) AS flat_regions,
        (SELECT COUNT(*) FROM candidate_region AS k WHERE k.run_id = r.run_id) AS candidates
 FROM run AS r JOIN survey AS s ON s.survey_id = r.survey_id
+WHERE (CAST(:survey AS TEXT) IS NULL OR s.name = :survey)
 ORDER BY survey, r.method;

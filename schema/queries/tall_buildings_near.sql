@@ -1,4 +1,4 @@
--- Which buildings of at least so many storeys stand within a distance of a point, the nearest first?
+-- Which buildings of at least so many storeys stand within a distance of a point, the nearest outline first?
 --
 -- :storeys = 5  fewest storeys
 -- :easting = null  easting of the point, metres; null takes the middle of all buildings
@@ -7,10 +7,14 @@
 WITH place AS (
   SELECT COALESCE(CAST(:easting AS DOUBLE PRECISION), (SELECT AVG(xcen) FROM building_summary)) AS easting,
          COALESCE(CAST(:northing AS DOUBLE PRECISION), (SELECT AVG(ycen) FROM building_summary)) AS northing
-), near AS (
-  SELECT b.building_id, b.survey, b.storeys, b.h_max, b.area_m2,
-         SQRT((b.xcen - p.easting) * (b.xcen - p.easting) + (b.ycen - p.northing) * (b.ycen - p.northing)) AS distance_m
-  FROM building_summary AS b CROSS JOIN place AS p
+), spot AS (
+  SELECT ST_GeomFromText('POINT(' || CAST(easting AS TEXT) || ' ' || CAST(northing AS TEXT) || ')',
+                         (SELECT ST_SRID(geometry) FROM building LIMIT 1)) AS point
+  FROM place
+), near AS MATERIALIZED (
+  SELECT b.building_id, b.survey, b.storeys, b.h_max, b.area_m2, ST_Distance(b.geometry, spot.point) AS distance_m
+  FROM spot
+  JOIN building_summary AS b ON ST_Intersects(b.geometry, ST_Expand(spot.point, CAST(:radius_m AS DOUBLE PRECISION)))
   WHERE b.storeys >= :storeys
 )
 SELECT * FROM near WHERE distance_m <= :radius_m ORDER BY distance_m, building_id;

@@ -1,9 +1,12 @@
 -- Which parts rise far above the part that carries them: towers on podiums, lift houses on roofs?
 --
 -- :storeys = 2  fewest storeys by which a part rises above its father
+-- :survey = null  name of a survey; null takes all
 SELECT tower.part_id, tower.root_id, tower.hindex - podium.hindex AS rises_storeys, tower.h_max, tower.area_m2,
        podium.part_id AS podium_id, podium.hindex AS podium_storeys, tower.area_m2 / podium.area_m2 AS area_share
 FROM part AS tower
 JOIN part AS podium ON podium.part_id = tower.father_id
-WHERE tower.hindex - podium.hindex >= :storeys
+JOIN run AS r ON r.run_id = tower.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+WHERE tower.hindex - podium.hindex >= :storeys AND (CAST(:survey AS TEXT) IS NULL OR s.name = :survey)
 ORDER BY rises_storeys DESC, tower.part_id;

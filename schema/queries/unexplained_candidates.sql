@@ -1,7 +1,8 @@
 -- Which candidate regions does no part explain, the largest first?
 --
 -- :min_area_m2 = 50  smallest region that counts, square metres
+-- :survey = null  name of a survey; null takes all
 SELECT candidate_id, survey, method, rule, area_m2, rectangularity, h_p50, explained_share, xcen, ycen
 FROM unexplained_candidate
-WHERE area_m2 >= :min_area_m2
+WHERE area_m2 >= :min_area_m2 AND (CAST(:survey AS TEXT) IS NULL OR survey = :survey)
 ORDER BY area_m2 DESC, candidate_id;

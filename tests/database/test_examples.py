@@ -32,7 +32,7 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
         "tall_buildings_near",
         {"storeys": 2, "easting": WEST + 95, "northing": SOUTH + 15, "radius_m": 50},
         ["building_id", "distance_m"],
-        [(BLOCK, 0.0), (HOUSE, 30.0)],
+        [(BLOCK, 5.0), (HOUSE, 25.0)],
     ),
     ("building_at_point", {}, ["building_id"], [(PODIUM,)]),
     ("building_at_point", {"easting": WEST + 95, "northing": SOUTH + 15}, ["building_id"], []),
