@@ -114,7 +114,8 @@ def make_engine(url: URL, timeout_s: float) -> Engine:
         poolclass=NullPool,
         connect_args={
             "connect_timeout": max(2, round(timeout_s)),
-            "options": f"-c lock_timeout={round(timeout_s * 1000)} -c client_min_messages=warning",
+            # What is asked for is often local, and compiling its query takes longer than its answer.
+            "options": f"-c lock_timeout={round(timeout_s * 1000)} -c client_min_messages=warning -c jit=off",
         },
         hide_parameters=True,
         json_serializer=to_json,
