@@ -23,7 +23,7 @@ from msbdb.database.inventory_standing import Standing, read_standing, survey_ke
 from msbdb.database.inventory_words import write_import, write_samples, write_state
 from msbdb.database.inventory_write import Advance, OutdatedError, write_advance
 from msbdb.database.labels import read_labelled_classes
-from msbdb.database.load import WriteReport, write_build
+from msbdb.database.load import WriteReport, store_build, write_build
 from msbdb.database.query import (
     list_runs,
     read_build,
@@ -93,6 +93,7 @@ __all__ = [
     "run_example",
     "shown",
     "srid_of",
+    "store_build",
     "survey_key",
     "upgrade_database",
     "upgrade_schema",

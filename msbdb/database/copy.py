@@ -62,8 +62,8 @@ def copy_database(
 
     Notes
     -----
-    The source is read as one committed state, whatever is written to it meanwhile. A kill leaves a target without
-    rows, and the copy can be made again. The canonical dumps of both are equal afterwards.
+    The source is read as one committed state, whatever is written to it meanwhile. A kill leaves no target, or
+    the empty one that was there, and the copy can be made again. The canonical dumps of both are equal afterwards.
     """
     origin, place = open_database(source, timeout_s=timeout_s), database_url(target)
     if origin.url == place:
@@ -72,29 +72,53 @@ def copy_database(
     dialect = dialect_of(place)
     with snapshot(origin) as reading:
         srid = dialect_of(origin.url).database_srid(reading)
-        _prepare(place, dialect, srid, _definition(reading, srid), timeout_s)
-        into = open_database(place, timeout_s=timeout_s)
-        with guarded(place), dialect.writing(into) as writing:
-            require_srid(writing, dialect, srid, shown(place))
-            _require_empty(writing, shown(place))
-            coming = {table.name: _rows_of(reading, table) for table in Base.metadata.sorted_tables}
-            with dialect.in_bulk(writing, coming):
-                for number, table in enumerate(Base.metadata.sorted_tables, start=1):
-                    _copy_table(reading, writing, dialect, table, srid)
-                    if progress is not None:
-                        progress("copy", number, len(coming))
-            dialect.after_load(writing)
+        coming = {table.name: _rows_of(reading, table) for table in Base.metadata.sorted_tables}
+        if not _created(place, dialect, reading, coming, srid=srid, timeout_s=timeout_s, progress=progress):
+            into = open_database(place, timeout_s=timeout_s)
+            with guarded(place), dialect.writing(into) as writing:
+                require_srid(writing, dialect, srid, shown(place))
+                _require_empty(writing, shown(place))
+                _copy_tables(reading, writing, dialect, coming, srid=srid, progress=progress)
     logger.info("Copied %d rows from %s to %s", sum(coming.values()), shown(origin.url), shown(place))
     return coming
 
 
-def _prepare(place: URL, dialect: Dialect, srid: int, definition: str, timeout_s: float) -> None:
-    """Create the target where there is none, in the source's CRS and under its SRID."""
+def _created(
+    place: URL,
+    dialect: Dialect,
+    reading: Connection,
+    coming: dict[str, int],
+    *,
+    srid: int,
+    timeout_s: float,
+    progress: Progress | None,
+) -> bool:
+    """Create the target where there is none, with all rows, in the source's CRS and under its SRID."""
+
+    def fill(writing: Connection) -> None:
+        upgrade.initialise(writing, dialect, srid, _definition(reading, srid))
+        _copy_tables(reading, writing, dialect, coming, srid=srid, progress=progress)
+
     with guarded(place):
-        if not dialect.exists(place, timeout_s):
-            dialect.create(
-                place, timeout_s, lambda connection: upgrade.initialise(connection, dialect, srid, definition)
-            )
+        return not dialect.exists(place, timeout_s) and dialect.create(place, timeout_s, fill)
+
+
+def _copy_tables(
+    reading: Connection,
+    writing: Connection,
+    dialect: Dialect,
+    coming: dict[str, int],
+    *,
+    srid: int,
+    progress: Progress | None,
+) -> None:
+    """Copy all tables, those that others refer to first."""
+    with dialect.in_bulk(writing, coming):
+        for number, table in enumerate(Base.metadata.sorted_tables, start=1):
+            _copy_table(reading, writing, dialect, table, srid)
+            if progress is not None:
+                progress("copy", number, len(coming))
+    dialect.after_load(writing)
 
 
 def _definition(connection: Connection, srid: int) -> str:

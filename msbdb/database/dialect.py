@@ -20,8 +20,11 @@ class Dialect(Protocol):
     def require_writable(self, url: URL) -> None:
         """Refuse a place that could not be written, as far as can be told without writing."""
 
-    def create(self, url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> None:
-        """Create a database whole or not at all; ``fill`` writes the schema inside the transaction."""
+    def create(self, url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> bool:
+        """Create a database whole or not at all; ``fill`` writes the schema, and first rows, inside the transaction.
+
+        False when another process created one meanwhile, which is kept.
+        """
 
     def make_engine(self, url: URL, timeout_s: float) -> Engine:
         """Return an engine whose connections know geometries, wait for locks, and hold foreign keys."""

@@ -4,19 +4,21 @@ import hashlib
 import logging
 import zlib
 from dataclasses import asdict, dataclass
-from typing import Any
+from os import PathLike
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 import shapely
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Engine, delete, func, insert, select, text, update
+from sqlalchemy import URL, Connection, Engine, delete, func, insert, select, text, update
 
+from msbdb.database import upgrade
 from msbdb.database.canonical import plain, text_id, to_json
 from msbdb.database.check import check_build, geometries
 from msbdb.database.crs import srid_of
 from msbdb.database.dialect import Dialect, dialect_of
-from msbdb.database.engine import guarded, require_srid, shown
+from msbdb.database.engine import TIMEOUT_S, database_url, guarded, open_database, require_srid, shown
 from msbdb.database.models import Run, RunState, Source, Survey
 from msbdb.tables import TABLES, Build, Table
 from msbdb.threads import in_threads
@@ -72,6 +74,48 @@ class WriteReport:
     rows: dict[str, int]
 
 
+def store_build(target: str | PathLike[str] | URL, build: Build, *, timeout_s: float = TIMEOUT_S) -> WriteReport:
+    """Write a build in one transaction, into a database that this transaction creates where there is none.
+
+    So a first build that is stopped, or for which the disk is too small, leaves no empty database in its CRS.
+
+    Parameters
+    ----------
+    target : str, path or URL
+        The database. An older schema is upgraded.
+    build : Build
+        As `write_build` takes it.
+    timeout_s : float
+        Seconds to wait for a lock or a server.
+
+    Raises
+    ------
+    MsbdbError
+        As of `open_database` and `write_build`.
+    """
+    check_build(build)
+    survey = build.survey
+    url = database_url(target)
+    dialect = dialect_of(url)
+    with guarded(url):
+        if not dialect.exists(url, timeout_s):
+            rows, rasters = _Rows.of(build), _packed(build)
+            srid = srid_of(survey.epsg, survey.crs_wkt)
+
+            def fill(connection: Connection) -> None:
+                upgrade.initialise(connection, dialect, srid, survey.crs_wkt)
+                _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
+
+            if dialect.create(url, timeout_s, fill):
+                logger.info("Created the database %s with the SRID %d", shown(url), srid)
+                return _report(build, rows, "created")
+    engine = open_database(url, create=True, srid=survey.epsg, crs_wkt=survey.crs_wkt, timeout_s=timeout_s)
+    try:
+        return write_build(engine, build)
+    finally:
+        engine.dispose()
+
+
 def write_build(engine: Engine, build: Build) -> WriteReport:
     """Write a build in one transaction.
 
@@ -98,18 +142,41 @@ def write_build(engine: Engine, build: Build) -> WriteReport:
     """
     check_build(build)
     dialect = dialect_of(engine.url)
-    frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
-    digest = content_digest(build, frames)
-    survey_id, run_id = _keys(build)
-    rows = {name: len(frame) for name, frame in frames.items()} | {"run_state": len(build.state)}
+    rows = _Rows.of(build)
+    _, run_id = _keys(build)
     srid = srid_of(build.survey.epsg, build.survey.crs_wkt)
     with guarded(engine.url):
         with engine.connect() as connection:
             require_srid(connection, dialect, srid, shown(engine.url))
-            unchanged = _is_there(connection, run_id, digest, rows)
-        status = "unchanged" if unchanged else _write(engine, dialect, build, frames, digest=digest, srid=srid)
-    logger.info("Survey %s, method %s: %s, %s", build.survey.name, build.run.method, status, rows)
-    return WriteReport(build.survey.name, build.run.method, survey_id, run_id, status, rows)
+            if _is_there(connection, run_id, rows.digest, rows.counts):
+                return _report(build, rows, "unchanged")
+        # Packed before the lock, which others wait for.
+        rasters = _packed(build)
+        with dialect.writing(engine) as connection:
+            removed = _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
+    return _report(build, rows, "replaced" if removed else "created")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """A build's rows in order, their number by table, and the digest of all."""
+
+    frames: dict[str, pd.DataFrame]
+    counts: dict[str, int]
+    digest: str
+
+    @classmethod
+    def of(cls, build: Build) -> Self:
+        """Return the rows of a build, whatever the order of its own."""
+        frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
+        counts = {name: len(frame) for name, frame in frames.items()} | {"run_state": len(build.state)}
+        return cls(frames, counts, content_digest(build, frames))
+
+
+def _report(build: Build, rows: _Rows, status: str) -> WriteReport:
+    """Sum up a load."""
+    logger.info("Survey %s, method %s: %s, %s", build.survey.name, build.run.method, status, rows.counts)
+    return WriteReport(build.survey.name, build.run.method, *_keys(build), status, rows.counts)
 
 
 def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
@@ -129,31 +196,34 @@ def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
     return digest.hexdigest()
 
 
-def _write(
-    engine: Engine, dialect: Dialect, build: Build, frames: dict[str, pd.DataFrame], *, digest: str, srid: int
-) -> str:
-    """Replace or create the run; return which."""
+def _fill(
+    connection: Connection, dialect: Dialect, build: Build, rows: _Rows, *, rasters: list[dict[str, Any]], srid: int
+) -> int:
+    """Write all of a build's rows in the caller's transaction; return how many runs they replace."""
     survey_id, run_id = _keys(build)
-    rasters = in_threads(_raster_row, sorted(build.state.items()))
-    with dialect.writing(engine) as connection:
-        with dialect.in_bulk(connection, {name: len(frame) for name, frame in frames.items()}):
-            # By the survey, as runs of the first schema have other keys.
-            removed = connection.execute(delete(Run).where(Run.survey_id == survey_id)).rowcount
-            dialect.settle(connection)
-            _write_survey(connection, survey_id, build)
-            run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": digest}
-            connection.execute(insert(Run), [plain(run)])
-            for name in _LOADED:
-                _write_frame(connection, dialect, build, name, frames[name], run_id=run_id, srid=srid)
-        for raster in rasters:
-            connection.execute(insert(RunState), [{"run_id": run_id, **raster}])
-        dialect.after_load(connection)
-    return "replaced" if removed else "created"
+    with dialect.in_bulk(connection, rows.counts):
+        # By the survey, as runs of the first schema have other keys.
+        removed = connection.execute(delete(Run).where(Run.survey_id == survey_id)).rowcount
+        dialect.settle(connection)
+        _write_survey(connection, survey_id, build)
+        run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": rows.digest}
+        connection.execute(insert(Run), [plain(run)])
+        for name in _LOADED:
+            _write_frame(connection, dialect, build, name, rows.frames[name], run_id=run_id, srid=srid)
+    for raster in rasters:
+        connection.execute(insert(RunState), [{"run_id": run_id, **raster}])
+    dialect.after_load(connection)
+    return removed
 
 
 def _keys(build: Build) -> tuple[int, int]:
     """Return the keys of a build's survey and run; its extractors have no part in them."""
     return text_id("survey", build.survey.name), text_id("run", build.survey.name)
+
+
+def _packed(build: Build) -> list[dict[str, Any]]:
+    """Return the rasters' columns but the run's key."""
+    return in_threads(_raster_row, sorted(build.state.items()))
 
 
 def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:

@@ -96,15 +96,16 @@ def require_writable(url: URL) -> None:
     """Do nothing: the server tells at the first statement."""
 
 
-def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> None:
-    """Create the extension and the tables in one transaction; a second creator waits and finds them there."""
+def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> bool:
+    """Create the extension and the tables in one transaction; a second creator waits, finds them, and returns False."""
     with make_engine(url, timeout_s).begin() as connection:
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
         if inspect(connection).has_table(VERSION_TABLE):
-            return
+            return False
         if not connection.scalar(text("SELECT count(*) FROM pg_extension WHERE extname = 'postgis'")):
             connection.execute(text("CREATE EXTENSION postgis"))
         fill(connection)
+    return True
 
 
 def make_engine(url: URL, timeout_s: float) -> Engine:

@@ -62,7 +62,7 @@ def exists(url: URL, timeout_s: float) -> bool:
 
 
 def require_writable(url: URL) -> None:
-    """Refuse a missing folder, and a file or folder that may not be written, before any work is done.
+    """Refuse a missing folder, and a file or folder that may not be written; remove what killed creations left.
 
     Raises
     ------
@@ -80,10 +80,11 @@ def require_writable(url: URL) -> None:
                 f"The database {path} cannot be written: {place} is read-only. Check its rights, or give another path."
             )
             raise DatabaseError(msg)
+    _remove_leftovers(path)
 
 
-def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> None:
-    """Create the file beside its place and link it there when it is whole.
+def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> bool:
+    """Create the file beside its place and link it there when it is whole; return whether it was this one.
 
     A kill leaves at most a hidden ``.partial`` file, which the next creation removes.
 
@@ -110,11 +111,13 @@ def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> No
         _publish(growing, path)
     except FileExistsError:
         logger.info("Another process created %s meanwhile", path)
+        return False
     except OSError as error:
         msg = f"The database {path} cannot be created: {error.strerror}. Choose a folder that exists and is writable."
         raise DatabaseError(msg) from error
     finally:
         _remove(growing)
+    return True
 
 
 def make_engine(url: URL, timeout_s: float) -> Engine:

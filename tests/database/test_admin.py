@@ -218,16 +218,26 @@ copy.copy_database(sys.argv[1], sys.argv[2])
 """
 
 
-@pytest.mark.parametrize("table", ["survey", "part_flat_region"])
-def test_a_killed_copy_leaves_nothing_and_can_be_repeated(target: str, tmp_path: Path, table: str) -> None:
-    """Whether one table is over or all but the last, the target is empty, and the source as it was."""
+@pytest.mark.parametrize(
+    ("table", "is_new"), [("survey", True), ("part_flat_region", True), ("part_flat_region", False)]
+)
+def test_a_killed_copy_leaves_nothing_and_can_be_repeated(
+    target: str, tmp_path: Path, table: str, is_new: bool
+) -> None:
+    """Whether one table is over or all but the last: no target, or an empty one, and the source as it was."""
     source = str(tmp_path / "source.sqlite")
     write_build(open_database(source, create=True, srid=EPSG), small_build())
     before = dump(source)
+    if not is_new:
+        create_database(target, f"EPSG:{EPSG}")
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", COPIER, source, target, table], env=env, check=False)
     assert done.returncode == -signal.SIGKILL
-    assert set(counts(target).values()) == {0}
-    assert check_database(open_database(target)) == []
+    if is_new:
+        with pytest.raises(DatabaseError, match="no msbdb database"):
+            open_database(target)
+    else:
+        assert set(counts(target).values()) == {0}
+        assert check_database(open_database(target)) == []
     copy_database(source, target)
     assert dump(target) == before == dump(source)

@@ -11,7 +11,10 @@ import pytest
 from builds import EPSG, big_build, small_build
 from sqlalchemy import Engine, text
 
-from msbdb.database import canonical_dump, open_database, read_parts, write_build
+from msbdb.database import canonical_dump, open_database, read_parts, store_build, write_build
+from msbdb.database.dialect import dialect_of
+from msbdb.database.engine import database_url
+from msbdb.errors import DatabaseError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -68,6 +71,29 @@ def test_a_kill_during_a_load_leaves_the_old_state(target: str, function: str) -
     assert write_build(engine, big_build(3000)).status == "replaced"
     assert len(read_parts(engine)) == 6000
     if engine.dialect.name == "sqlite":
+        assert [p.name for p in Path(target).parent.iterdir()] == ["city.sqlite"]
+
+
+@pytest.mark.parametrize("function", ["insert_rows", "after_load"])
+def test_a_first_build_that_fails_leaves_no_database(
+    target: str, monkeypatch: pytest.MonkeyPatch, function: str
+) -> None:
+    """Database and build are one transaction, so that another CRS may come first after all."""
+
+    def fail(*args: object) -> None:
+        raise DatabaseError(function)
+
+    monkeypatch.setattr(dialect_of(database_url(target)), function, fail)
+    with pytest.raises(DatabaseError, match=function):
+        store_build(target, small_build())
+    monkeypatch.undo()
+    with pytest.raises(DatabaseError, match="There is no msbdb database"):
+        open_database(target)
+    report = store_build(target, big_build(50, epsg=25832))
+    assert (report.status, report.rows["part"]) == ("created", 100)
+    assert store_build(target, big_build(50, epsg=25832)).status == "unchanged"
+    assert store_build(target, big_build(60, epsg=25832)).status == "replaced"
+    if "://" not in target:
         assert [p.name for p in Path(target).parent.iterdir()] == ["city.sqlite"]
 
 
