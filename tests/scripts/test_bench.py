@@ -21,6 +21,7 @@ STAGES = [
     "area3d",
     "classes",
     "parts",
+    "together",
     "outlines",
     "write",
 ]
