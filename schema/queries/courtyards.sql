@@ -6,6 +6,7 @@ WITH RECURSIVE chosen AS MATERIALIZED (
   SELECT b.building_id, s.name AS survey, b.storeys, b.area_m2, b.geometry, ST_NumGeometries(b.geometry) AS polygons
   FROM building AS b JOIN run AS r ON r.run_id = b.run_id JOIN survey AS s ON s.survey_id = r.survey_id
   WHERE (CAST(:survey AS TEXT) IS NULL OR s.name = :survey)
+    AND ST_NRings(b.geometry) > ST_NumGeometries(b.geometry)
 ), polygon_number (n) AS (
   SELECT 1 UNION ALL SELECT n + 1 FROM polygon_number WHERE n < (SELECT MAX(polygons) FROM chosen)
 ), polygon AS MATERIALIZED (
