@@ -40,6 +40,11 @@ class Table:
         """Return a table of these columns without rows (and without geometry)."""
         return pd.DataFrame({c.name: pd.Series(dtype=c.dtype) for c in self.columns})
 
+    def typed(self, frame: pd.DataFrame) -> pd.DataFrame:
+        """Return these columns of a frame (and its geometry), in order and of their dtypes."""
+        more = [name for name in ("geometry",) if name in frame]
+        return frame[[*self.names, *more]].astype({c.name: c.dtype for c in self.columns})
+
 
 SCALE = Table(
     "scale",

@@ -7,7 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.errors import TableError
-from msbdb.extract.multiscale.heights import height_statistics, order_heights
+from msbdb.extract.heightstats import height_statistics, order_heights
 from msbdb.grid import Grid
 from msbdb.tables import BUILDING, CONFIRMING_CLASS_SHARE, EXTRACTOR_SHARES
 
@@ -75,7 +75,7 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
         **{name: heights[name] for name in ("h_max", "h_mean", "h_p50", "h_p90")},
         **{name: summary[name].to_numpy() for name in summary.columns},
     )
-    return frame[[*BUILDING.names, "geometry"]].astype({column.name: column.dtype for column in BUILDING.columns})
+    return BUILDING.typed(frame)
 
 
 def _volume(footprints: NDArray[np.int32], count: int, ndsm: Grid) -> NDArray[np.float64]:

@@ -74,7 +74,7 @@ def link_labels(
             other_share: cells / other_cells[right],
         }
     )
-    return frame.astype({column.name: column.dtype for column in table.columns})
+    return table.typed(frame)
 
 
 def covered_shares(part_ids: Ids, links: pd.DataFrame) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from msbdb.database import Engine, read_buildings, read_run, read_state, read_survey
 from msbdb.errors import InputError
-from msbdb.extract.multiscale.heights import height_statistics, order_heights
+from msbdb.extract.heightstats import height_statistics, order_heights
 from msbdb.grid import Grid
 from msbdb.params import Params, with_values
 from msbdb.pipeline.state import lattice_of, unpack_heights

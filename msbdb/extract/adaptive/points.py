@@ -1,30 +1,21 @@
 """The off-ground points in canonical order, with what the steps ask of them."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError
+from msbdb.extract.density import measure_density
+from msbdb.extract.placed import PlacedPoints, places
 from msbdb.grid import GridSpec
-from msbdb.morphology.points import index_cells
 from msbdb.pointcloud import PointCloud
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int32]
 
-FIRST_CELL_M = 2.0
-"""Cells on which the covered area is counted first."""
-
-LEAST_A_CELL = 4.0
-"""With fewer first echoes a cell on average, cells without any would be many by chance: they are taken larger."""
-
-LARGEST_CELL_M = 100.0
-"""Beyond it there is no survey, but single points."""
-
-PLACES = 2**31
-"""Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
+KIND = "\0adaptive"
+"""Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +60,10 @@ class OffGround:
         """Return the number of points."""
         return len(self.x)
 
+    def placed(self, spec: GridSpec, survey: str) -> PlacedPoints:
+        """Return the points on a survey's lattice."""
+        return PlacedPoints(self.x, self.y, self.origin, self.area_m2, self.place, spec, survey + KIND)
+
 
 def off_ground(
     cloud: PointCloud, heights: Floats, ndvi: NDArray[np.float32] | None, *, spec: GridSpec, mask_m: float
@@ -91,13 +86,11 @@ def off_ground(
             "Drop these points, or give a terrain that covers them."
         )
         raise InputError(msg)
-    spacing_m = mean_spacing(cloud)
-    area_m2 = _areas(cloud.x, cloud.y, 2 * spacing_m)
+    density = measure_density(cloud.x, cloud.y, cloud.first_echo)
     chosen = np.flatnonzero(heights >= mask_m)
     chosen = chosen[_canonical(cloud, heights, ndvi, chosen)]
     x, y = cloud.x[chosen], cloud.y[chosen]
     origin = np.round([float(v.mean()) if len(v) else 0.0 for v in (x, y)], -3)
-    row, col = spec.rowcol(x, y)
     return OffGround(
         index=chosen,
         x=x - origin[0],
@@ -105,39 +98,12 @@ def off_ground(
         z=cloud.z[chosen],
         origin=origin,
         heights=heights[chosen].astype(np.float64),
-        area_m2=area_m2[chosen],
+        area_m2=density.area_m2[chosen],
         split=None if not cloud.has_echoes else np.greater(cloud.number_of_returns[chosen], 1),  # type: ignore[index]  # there are echoes
         ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
-        place=(row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2),
-        spacing_m=spacing_m,
+        place=places(spec, cloud.x[chosen], cloud.y[chosen]),
+        spacing_m=density.spacing_m,
     )
-
-
-def mean_spacing(cloud: PointCloud) -> float:
-    """Return the mean spacing of the first echoes over the cells that hold some, metres; 1 without any point.
-
-    Later echoes lie where the first one does and make nothing denser. Cells of 2 m, or of larger ones where these
-    would hold fewer than four.
-    """
-    chosen = cloud.first_echo if cloud.first_echo.any() else np.ones(len(cloud), dtype=np.bool_)
-    x, y = cloud.x[chosen], cloud.y[chosen]
-    if not len(x):
-        return 1.0
-    cell_m = FIRST_CELL_M
-    cells = index_cells(x, y, cell_m)
-    while cells.order.size < LEAST_A_CELL * cells.keys.size and cell_m < LARGEST_CELL_M:
-        cell_m *= 1.5
-        cells = index_cells(x, y, cell_m)
-    return cell_m * math.sqrt(cells.keys.size / cells.order.size)
-
-
-def _areas(x: Floats, y: Floats, cell_m: float) -> Floats:
-    """Share the area of each cell among all of its points, so that all areas sum up to what is covered."""
-    cells = index_cells(x, y, cell_m)
-    points = np.diff(cells.starts)
-    area = np.empty(len(x))
-    area[cells.order] = np.repeat(cell_m**2 / points, points)
-    return area
 
 
 def _canonical(

@@ -8,9 +8,10 @@ from scipy.spatial import cKDTree
 
 from msbdb.extract.adaptive.clusters import Step, cluster, judge, ladder
 from msbdb.extract.adaptive.points import Labels, OffGround, off_ground
-from msbdb.extract.adaptive.regions import METHOD, Books, describe
+from msbdb.extract.adaptive.regions import METHOD, describe
 from msbdb.extract.adaptive.vegetation import GREEN, SCATTERED, Structure, structure, tell_vegetation
 from msbdb.extract.candidates import Candidates
+from msbdb.extract.placed import PointBooks
 from msbdb.grid import GridSpec
 from msbdb.params import AdaptiveParams, Params
 from msbdb.pointcloud import PointCloud
@@ -76,14 +77,15 @@ def extract_adaptive(
     """
     own = params.adaptive
     points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
-    books = Books(points, spec, survey)
+    placed = points.placed(spec, survey)
+    books = PointBooks(placed)
     found = structure(points, own)
     steps = ladder(own, points.spacing_m)
     labels, count = _without_vegetation(points, found, own, steps[0], books)
     for number, step in enumerate(steps, start=1):
         labels, count = _tightened(points, found, (labels, count), (number, step), books)
     labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
-    regions = describe(points, labels, count, spec=spec, survey=survey)
+    regions = describe(points, labels, count, placed)
     order = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
     rank = np.zeros(count + 1, dtype=np.int32)
     rank[order + 1] = np.arange(1, count + 1)
@@ -111,7 +113,7 @@ def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) 
 
 
 def _without_vegetation(
-    points: OffGround, found: Structure, params: AdaptiveParams, step: Step, books: Books
+    points: OffGround, found: Structure, params: AdaptiveParams, step: Step, books: PointBooks
 ) -> tuple[Labels, int]:
     """Cluster what is no vegetation, and book the clusters of what is."""
     kind = tell_vegetation(points, found, params)
@@ -125,7 +127,7 @@ def _without_vegetation(
 
 
 def _tightened(
-    points: OffGround, found: Structure, clusters: tuple[Labels, int], step: tuple[int, Step], books: Books
+    points: OffGround, found: Structure, clusters: tuple[Labels, int], step: tuple[int, Step], books: PointBooks
 ) -> tuple[Labels, int]:
     """Cut the clusters, which are labels and their number, at the step's distance, and drop those that fail."""
     (labels, count), (number, values) = clusters, step

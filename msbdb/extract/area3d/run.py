@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, NodataError
 from msbdb.extract.area3d.coc import Structure, measure_structure
-from msbdb.extract.area3d.density import measure_density
 from msbdb.extract.area3d.heights import height_scales
-from msbdb.extract.area3d.regions import METHOD, Books, Cloud, Labels, describe, places
+from msbdb.extract.area3d.regions import METHOD, Cloud, Labels, describe
 from msbdb.extract.area3d.scales import Scene, fuse_over_heights
 from msbdb.extract.candidates import Candidates
+from msbdb.extract.density import measure_density
+from msbdb.extract.placed import PointBooks, places
 from msbdb.grid import GridSpec
 from msbdb.morphology.points import PointGraph, area_open_close, components, connect
 from msbdb.params import Area3dParams, Params
@@ -82,7 +83,8 @@ def extract_area3d(
     _require(cloud, heights, ndvi)
     order = _canonical_order(cloud, heights, ndvi)
     scene, scales = _prepare(cloud.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
-    books = Books(scene.cloud, spec, survey)
+    placed = scene.cloud.placed(spec, survey)
+    books = PointBooks(placed)
     accepted = fuse_over_heights(scene, scales, books)
     regions = describe(
         scene.cloud,
@@ -90,8 +92,7 @@ def extract_area3d(
         scene.shapes(accepted.labels, len(accepted.rule)),
         rule=accepted.rule,
         height_scale_m=accepted.height_m,
-        spec=spec,
-        survey=survey,
+        placed=placed,
     )
     logger.info("area3d: %d regions at the heights %s m", len(regions), scales)
     return _in_order_of_ids(accepted.labels, regions, order, books)
@@ -177,7 +178,7 @@ def _structure(
     return spread
 
 
-def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.intp], books: Books) -> Candidates:
+def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.intp], books: PointBooks) -> Candidates:
     """Put the regions in the order of their ids, and the labels in that of the cloud."""
     by_id = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
     rank = np.zeros(len(by_id) + 1, dtype=np.int32)

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.extract.area3d.coc import Structure
-from msbdb.extract.area3d.regions import Books, Cloud, Labels
+from msbdb.extract.area3d.regions import STAGES, Cloud, Labels
 from msbdb.extract.area3d.regrow import grow_regions
 from msbdb.extract.area3d.rules import judge, reasons_against
 from msbdb.extract.area3d.shape import Shapes, measure_shapes
+from msbdb.extract.placed import PointBooks, region_means
 from msbdb.morphology.points import PointGraph, components
 from msbdb.params import Area3dParams
 
@@ -94,7 +95,7 @@ class Accepted:
     height_m: NDArray[np.float64]
 
 
-def fuse_over_heights(scene: Scene, scales: tuple[float, ...], books: Books) -> Accepted:
+def fuse_over_heights(scene: Scene, scales: tuple[float, ...], books: PointBooks) -> Accepted:
     """Judge the regions at each height scale, from the lowest up, and take the union of the accepted ones (C19).
 
     Notes
@@ -122,7 +123,7 @@ class _Level:
     """
 
     scene: Scene
-    books: Books
+    books: PointBooks
     number: int
     height_m: float
     taken: Mask
@@ -185,21 +186,21 @@ class _Level:
     def without_crowns(self, labels: Labels, count: int) -> tuple[Labels, int]:
         """Drop the regions that are crowns as a whole (ours): by curvature and echoes together, and by NDVI."""
         cloud, own = self.scene.cloud, self.scene.params
-        curvature = cloud.mean(self.scene.structure.curvature, labels, count)
+        curvature = region_means(self.scene.structure.curvature, labels, count)
         if cloud.several is None:
             crown = curvature > own.max_crown_curvature
         else:
-            crown = curvature * cloud.mean(cloud.several, labels, count) > own.max_crown
+            crown = curvature * region_means(cloud.several, labels, count) > own.max_crown
         reasons = np.where(crown, CROWN, "").astype(object)
         if cloud.ndvi is not None:
-            reasons[~crown & (cloud.mean(cloud.ndvi, labels, count) > own.max_ndvi)] = GREEN
+            reasons[~crown & (region_means(cloud.ndvi, labels, count) > own.max_ndvi)] = GREEN
         return self.drop("area3d crowns", labels, reasons)
 
     def drop(self, stage: str, labels: Labels, reasons: NDArray[np.object_]) -> tuple[Labels, int]:
         """Write the regions that have a reason into the ledger, and number the others anew."""
         lost = reasons != ""
         rejected, dropped = renumber(labels, lost)
-        self.books.reject(stage, reasons[lost], rejected, scale=self.number)
+        self.reject(stage, reasons[lost], rejected)
         kept, left = renumber(labels, ~lost)
         self.books.count(stage, len(reasons), left, dropped)
         return kept, left
@@ -207,8 +208,12 @@ class _Level:
     def book(self, stage: str, labels: Labels, chosen: Mask, reason: str) -> int:
         """Write the chosen regions into the ledger with one reason; return how many."""
         rejected, dropped = renumber(labels, chosen)
-        self.books.reject(stage, np.full(dropped, reason, dtype=object), rejected, scale=self.number)
-        return dropped
+        return self.reject(stage, np.full(dropped, reason, dtype=object), rejected)
+
+    def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels) -> int:
+        """Write labelled regions into the ledger; return how many."""
+        number = len(STAGES) * self.number + STAGES.index(stage) + 1
+        return self.books.reject(stage, reasons, labels, number, scale=self.number)
 
 
 def renumber(labels: Labels, keep: Mask) -> tuple[Labels, int]:

@@ -4,15 +4,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.errors import TableError
+from msbdb.extract.books import Books
 from msbdb.extract.flatregions.binarise import Binarised
 from msbdb.extract.flatregions.recognise import Labels, measure_shapes
-from msbdb.extract.multiscale.clusters import measure, offsets
-from msbdb.extract.multiscale.heights import height_statistics, order_heights
+from msbdb.extract.heightstats import height_statistics, order_heights
+from msbdb.extract.measure import centroids, measure
 from msbdb.grid import Grid, GridSpec
 from msbdb.identity import part_ids
 from msbdb.morphology import label_zones
-from msbdb.tables import FLAT_REGION, REJECTION, Table
+from msbdb.tables import FLAT_REGION, REJECTION
 
 KIND = "\0flat region"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
@@ -21,40 +21,12 @@ STAGES = ("flat denoising", "flat ratio", "flat opening", "flat compactness")
 """The stages that reject regions, in order; their names differ from those of the multi-scale extraction."""
 
 
-class Books:
-    """What the stages took in, kept and dropped; and the regions that were lost, to become ``tables.REJECTION``."""
+class FlatBooks(Books):
+    """The books of the flat regions: lost regions of cells become ``tables.REJECTION``."""
 
     def __init__(self, spec: GridSpec, survey: str) -> None:
-        self.spec = spec
-        self.survey = survey
-        self.counts: dict[str, dict[str, int]] = {}
-        self._lost: list[pd.DataFrame] = [_typed(REJECTION.empty(), REJECTION)]
-        self._rows: dict[str, int] = {}
-
-    def count(self, stage: str, entered: int, kept: int, dropped: int, pieces: int = 0) -> None:
-        """Note the numbers of a stage, which cut so many pieces itself; negative where it joined regions.
-
-        To be called when all that the stage rejected is written.
-
-        Raises
-        ------
-        TableError
-            When in = kept + dropped does not hold, or the stage has not a row for each region that it dropped.
-        """
-        if entered + pieces != kept + dropped:
-            msg = (
-                f"The stage '{stage}' does not balance: {entered} regions in and {pieces} pieces cut, "
-                f"but {kept} kept and {dropped} dropped. This is a fault of msbdb; please report it."
-            )
-            raise TableError(msg)
-        rows = self._rows.get(stage, 0)
-        if rows != dropped:
-            msg = (
-                f"The stage '{stage}' dropped {dropped} regions, but wrote {rows} rows into the ledger. "
-                "This is a fault of msbdb; please report it."
-            )
-            raise TableError(msg)
-        self.counts[stage] = {"in": entered + pieces, "pieces": pieces, "kept": kept, "dropped": dropped}
+        super().__init__()
+        self.spec, self.survey = spec, survey
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
         """Write the 8-connected regions of a mask, or those of labels, into the ledger, a row each; return how many."""
@@ -64,7 +36,6 @@ class Books:
         rows = pd.DataFrame(
             {
                 "region_id": region_ids(table, self.spec, self.survey, stage=1 + STAGES.index(stage)),
-                "stage": stage,
                 "reason": reason,
                 "scale": 0,
                 "area_m2": table["area"] * self.spec.cell_area_m2,
@@ -72,13 +43,11 @@ class Books:
                 "ycen": ycen,
             }
         )
-        self._lost.append(_typed(rows, REJECTION))
-        self._rows[stage] = self._rows.get(stage, 0) + count
-        return count
+        return self.write(stage, rows)
 
     def rejections(self) -> pd.DataFrame:
         """Return all lost regions in the order of the stages."""
-        return pd.concat([rows for rows in self._lost if len(rows)] or self._lost, ignore_index=True)
+        return REJECTION.typed(self.lost(REJECTION.empty()))
 
 
 def describe(labels: Labels, binarised: Binarised, heights: Grid, survey: str) -> pd.DataFrame:
@@ -123,7 +92,7 @@ def describe(labels: Labels, binarised: Binarised, heights: Grid, survey: str) -
             "ycen": ycen,
         }
     )
-    return _typed(rows, FLAT_REGION)
+    return FLAT_REGION.typed(rows)
 
 
 def most_frequent_zone(labels: Labels, zones: NDArray[np.int32], count: int) -> NDArray[np.int64]:
@@ -138,21 +107,8 @@ def most_frequent_zone(labels: Labels, zones: NDArray[np.int32], count: int) -> 
     return found[1:]
 
 
-def centroids(table: pd.DataFrame, spec: GridSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return easting and northing of the centroids of measured regions, metres."""
-    width = spec.shape[1]
-    down, right = offsets(table, width)
-    east, north = spec.xy(*np.divmod(table["first"].to_numpy().astype(np.int64), width))
-    return east + right * spec.cell_m, north - down * spec.cell_m
-
-
 def region_ids(table: pd.DataFrame, spec: GridSpec, survey: str, *, stage: int = 0) -> NDArray[np.int64]:
     """Return ids of measured regions from their first cells; those that a stage rejected have ids of their own."""
     row, col = np.divmod(table["first"].to_numpy().astype(np.int64), spec.shape[1])
     row, col = row + spec.origin[0], col + spec.origin[1]
     return part_ids(survey + KIND, spec.cell_m, threshold_px=0, row=row, col=col, piece=np.full(row.size, stage))
-
-
-def _typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """Return the declared columns in order and of their dtypes."""
-    return frame[table.names].astype({column.name: column.dtype for column in table.columns})

@@ -11,7 +11,7 @@ from msbdb.errors import GridMismatchError, NodataError
 from msbdb.extract.flatregions.binarise import Binarised, binarise
 from msbdb.extract.flatregions.denoise import Denoised, denoise
 from msbdb.extract.flatregions.recognise import Labels, clean, grow, measure_shapes
-from msbdb.extract.flatregions.regions import Books, describe
+from msbdb.extract.flatregions.regions import FlatBooks, describe
 from msbdb.grid import Grid
 from msbdb.morphology import label_zones
 from msbdb.params import FlatRegionParams, Params
@@ -99,7 +99,7 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
         msg = "The surface has no valid cell in which flat regions could be sought."
         raise NodataError(msg)
     own, mask_m = params.flatregions, params.surface.mask_m
-    books = Books(g.spec, survey)
+    books = FlatBooks(g.spec, survey)
     denoised = denoise(g, own)
     _book_outliers(denoised, books)
     if own.on == "ndsm":
@@ -121,7 +121,7 @@ def level_ground(heights: Grid, mask_m: float) -> Grid:
     return heights.with_values(np.where(values < mask_m, 0, values).astype(np.float32))
 
 
-def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, books: Books) -> Labels:
+def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, books: FlatBooks) -> Labels:
     """Turn the set G into labelled regions: G_B = Γ^Ψ(Φ_w(Γ_w(G))) (Eq. 17; M22)."""
     own, cell_m = params.flatregions, heights.spec.cell_m
     cleaned = clean(found.flat, own.opening_m, cell_m)
@@ -136,7 +136,7 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
     return _drop_long(labels, count, own, cell_m, books)
 
 
-def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, books: Books) -> Labels:
+def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, books: FlatBooks) -> Labels:
     """Keep the regions of Ψ' < ψ (Eq. 16; A9) and number them anew, by their first cells."""
     compact = measure_shapes(labels, cell_m)["compactness"].to_numpy() < own.max_compactness
     keep = np.concatenate([[False], compact])
@@ -146,7 +146,7 @@ def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float,
     return kept
 
 
-def _book_outliers(denoised: Denoised, books: Books) -> None:
+def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
     """Write peaks and valleys into the ledger."""
     dropped = books.reject("flat denoising", PEAK, denoised.peaks)
     dropped += books.reject("flat denoising", VALLEY, denoised.valleys)

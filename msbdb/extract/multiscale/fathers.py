@@ -9,7 +9,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from msbdb.extract.multiscale.clusters import Clusters, Step, measure, offsets
+from msbdb.extract.measure import measure, offsets
+from msbdb.extract.multiscale.clusters import Clusters, Step
 from msbdb.extract.multiscale.links import NONE, link
 from msbdb.extract.multiscale.pieces import as_rows, joined
 from msbdb.params import ScaleParams

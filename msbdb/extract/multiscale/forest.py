@@ -7,9 +7,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.classmap import ClassMap
-from msbdb.extract.multiscale.clusters import Clusters, Labels, offsets
+from msbdb.extract.heightstats import central_cells, height_statistics, order_heights
+from msbdb.extract.measure import centroids
+from msbdb.extract.multiscale.clusters import Clusters, Labels
 from msbdb.extract.multiscale.fathers import spread_of_children
-from msbdb.extract.multiscale.heights import central_cells, height_statistics, order_heights
 from msbdb.extract.multiscale.ledger import Ledger
 from msbdb.extract.multiscale.links import NONE, find_roots, link
 from msbdb.extract.multiscale.slicing import storeys
@@ -17,7 +18,7 @@ from msbdb.extract.multiscale.spectrum import measure_spectrum
 from msbdb.grid import Grid, GridSpec
 from msbdb.identity import part_ids
 from msbdb.params import SurfaceParams
-from msbdb.tables import PART, REJECTION, Table, validate_parts
+from msbdb.tables import PART, REJECTION, validate_parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +103,7 @@ def grow_forest(clusters: Clusters, context: Context, ledger: Ledger) -> Forest:
             **_spectra(clusters, context),
         }
     )
-    parts = _typed(parts, PART)
+    parts = PART.typed(parts)
     validate_parts(parts.assign(geometry=None))
     rejections = _rejections(lost, ids[len(rows) :], context)
     return Forest(clusters.labels, parts, context.scales, rejections, ledger.counts)
@@ -154,17 +155,9 @@ def _places(clusters: Clusters, spec: GridSpec) -> dict[str, NDArray[np.generic]
     first = rows["first"].to_numpy().astype(np.int64)
     xo, yo = spec.xy(*np.divmod(first, spec.shape[1]))
     xin, yin = spec.xy(*np.divmod(inner, spec.shape[1]))
-    xcen, ycen = _centroid(rows, spec)
+    xcen, ycen = centroids(rows, spec)
     places = {"xo": xo, "yo": yo, "xcen": xcen, "ycen": ycen, "xin": xin, "yin": yin}
     return {**places, "area_px": sums["area"], "area_m2": sums["area"] * spec.cell_area_m2}
-
-
-def _centroid(rows: pd.DataFrame, spec: GridSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return easting and northing of the centroids of rows, metres."""
-    width = spec.shape[1]
-    down, right = offsets(rows, width)
-    east, north = spec.xy(*np.divmod(rows["first"].to_numpy().astype(np.int64), width))
-    return east + right * spec.cell_m, north - down * spec.cell_m
 
 
 def _span(clusters: Clusters, level: int) -> slice:
@@ -196,7 +189,7 @@ def _spectra(clusters: Clusters, context: Context) -> dict[str, NDArray[np.gener
 def _rejections(lost: pd.DataFrame, ids: NDArray[np.int64], context: Context) -> pd.DataFrame:
     """Return the lost regions as ``tables.REJECTION``."""
     spec = context.ndsm.spec
-    xcen, ycen = _centroid(lost, spec)
+    xcen, ycen = centroids(lost, spec)
     frame = pd.DataFrame(
         {
             "region_id": ids,
@@ -208,9 +201,4 @@ def _rejections(lost: pd.DataFrame, ids: NDArray[np.int64], context: Context) ->
             "ycen": ycen,
         }
     )
-    return _typed(frame, REJECTION)
-
-
-def _typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """Return the declared columns in order and of their dtypes."""
-    return frame[table.names].astype({column.name: column.dtype for column in table.columns})
+    return REJECTION.typed(frame)

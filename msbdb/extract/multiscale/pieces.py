@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.extract.multiscale.clusters import Clusters, Step, measure
+from msbdb.extract.measure import measure
+from msbdb.extract.multiscale.clusters import Clusters, Step
 from msbdb.morphology.zones import label_zones
 
 FRAGMENT = "piece smaller than the finest scale"

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from msbdb.classmap import ClassMap
 from msbdb.errors import GridMismatchError
-from msbdb.extract.multiscale.clusters import Clusters, Step, label_clusters, measure, merge_slivers
+from msbdb.extract.measure import measure
+from msbdb.extract.multiscale.clusters import Clusters, Step, label_clusters, merge_slivers
 from msbdb.extract.multiscale.duplicates import drop_duplicates
 from msbdb.extract.multiscale.fathers import drop_fake_fathers
 from msbdb.extract.multiscale.forest import Context, Forest, grow_forest
@@ -101,7 +102,7 @@ def number_scales(scales_m2: tuple[float, ...], cell_area_m2: float) -> pd.DataF
             "threshold_m2": list(cells.values()),
         }
     )
-    return frame.astype({column.name: column.dtype for column in SCALE.columns})
+    return SCALE.typed(frame)
 
 
 def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams, ledger: Ledger) -> Clusters:
@@ -153,10 +154,8 @@ def _mask_vegetation(
     """
     blobs, count = label_zones((sliced > 0) & vegetation, connectivity=scale.connectivity)
     lost = measure(blobs, count)
+    ledger.write("vegetation mask", _without_scale(lost, VEGETATION))
     ledger.count("vegetation mask", count, 0, count)
-    ledger.write(
-        "vegetation mask", lost.assign(level=-1, hzone=0, origin=lost["first"], piece=0, alive=False, reason=VEGETATION)
-    )
     return np.where(vegetation, 0, sliced).astype(sliced.dtype)
 
 
@@ -165,10 +164,13 @@ def _book_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, led
     islands, count = label_zones(sliced > 0, connectivity=connectivity)
     table = measure(islands, count)
     lost = table[table["area"] < smallest_px]
+    ledger.write("opening", _without_scale(lost, TOO_SMALL))
     ledger.count("opening", count, count - len(lost), len(lost))
-    ledger.write(
-        "opening", lost.assign(level=-1, hzone=0, origin=lost["first"], piece=0, alive=False, reason=TOO_SMALL)
-    )
+
+
+def _without_scale(measured: pd.DataFrame, reason: str) -> pd.DataFrame:
+    """Return measured regions, lost before there were scales, as rows of clusters."""
+    return measured.assign(level=-1, hzone=0, origin=measured["first"], piece=0, alive=False, reason=reason)
 
 
 def _apply_classes(clusters: Clusters, classes: ClassMap, smallest_px: int, params: Params, ledger: Ledger) -> Clusters:

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msbdb.extract.area3d.coc import measure_structure, smallest_share
-from msbdb.extract.area3d.density import measure_density
 from msbdb.extract.area3d.edges import find_edges
 from msbdb.extract.area3d.heights import height_scales, histogram_minima
 from msbdb.extract.area3d.regrow import grow_regions
 from msbdb.extract.area3d.rules import judge, perpendicular, reasons_against
 from msbdb.extract.area3d.shape import bounding_rectangles, main_directions, measure_lines, measure_shapes
+from msbdb.extract.density import measure_density
 from msbdb.params import Area3dParams, profile
 
 OURS = Area3dParams()

@@ -10,10 +10,11 @@ from pyproj import CRS
 
 from msbdb.classmap import ClassMap
 from msbdb.errors import TableError
-from msbdb.extract.multiscale.clusters import Clusters, label_clusters, measure, merge_slivers
+from msbdb.extract.heightstats import central_cells, height_statistics, order_heights
+from msbdb.extract.measure import measure
+from msbdb.extract.multiscale.clusters import Clusters, label_clusters, merge_slivers
 from msbdb.extract.multiscale.duplicates import SAME_AREA, SAME_STOREYS, drop_duplicates
 from msbdb.extract.multiscale.fathers import FAKE, GAP, drop_fake_fathers, spread_of_children
-from msbdb.extract.multiscale.heights import central_cells, height_statistics, order_heights
 from msbdb.extract.multiscale.kernels import grow
 from msbdb.extract.multiscale.ledger import Ledger
 from msbdb.extract.multiscale.links import find_roots, link

@@ -45,10 +45,14 @@ def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: 
     Parameters
     ----------
     x, y : (N,) ndarray of float64, metres
-        At least one point.
     first_echo : (N,) ndarray of bool
         The points that tell the spacing; later echoes of a pulse lie at the same place and make nothing denser. All
         points where none is a first echo.
+
+    Returns
+    -------
+    Density
+        Of spacing 1 m where there is no point.
 
     Notes
     -----
@@ -57,6 +61,8 @@ def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: 
     points sum up to the covered area: a strip scanned twice, walls, and all echoes of a crown count the ground once.
     So T_a is compared in m2, without asking how dense the survey is.
     """
+    if not len(x):
+        return Density(1.0, np.zeros(0))
     chosen = first_echo if first_echo.any() else np.ones(len(x), dtype=np.bool_)
     east, north = x[chosen], y[chosen]
     cell_m = FIRST_CELL_M

@@ -1,0 +1,133 @@
+"""Labelled points on a survey's lattice: means, centroids, ids, and the books of what was rejected."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.extract.books import Books
+from msbdb.grid import GridSpec
+from msbdb.identity import part_ids
+from msbdb.tables import REJECTION
+
+Floats = NDArray[np.float64]
+Labels = NDArray[np.int32]
+
+PLACES = 2**31
+"""Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
+
+
+def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
+    """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
+    row, col = spec.rowcol(easting, northing)
+    return (row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2)
+
+
+def region_means(values: NDArray[np.generic], labels: Labels, count: int) -> Floats:
+    """Return the mean of the finite values over the points of each region; NaN where there is none."""
+    numbers = values.astype(np.float64)
+    use = np.flatnonzero((labels > 0) & np.isfinite(numbers))
+    total = np.bincount(labels[use], numbers[use], count + 1)[1:]
+    size = np.bincount(labels[use], minlength=count + 1)[1:]
+    return np.where(size > 0, total / np.maximum(size, 1), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedPoints:
+    """Points that lie on a lattice, from which the regions that they form take ids.
+
+    Parameters
+    ----------
+    x, y : (N,) ndarray of float64, metres
+        From the origin.
+    origin : (2,) ndarray of float64
+        Easting and northing of the origin.
+    area_m2 : (N,) ndarray of float64
+        Area that each point stands for.
+    place : (N,) ndarray of int64
+        Row-major number of the point's cell, see `places`.
+    spec : GridSpec
+        The lattice.
+    key : str
+        Name of the survey and kind of region; part of the ids.
+    """
+
+    x: Floats
+    y: Floats
+    origin: Floats
+    area_m2: Floats
+    place: NDArray[np.int64]
+    spec: GridSpec
+    key: str
+
+    def areas(self, labels: Labels, count: int) -> Floats:
+        """Return the area of each region, m2."""
+        area: Floats = np.bincount(labels, self.area_m2, count + 1)[1:].astype(np.float64)
+        return area
+
+    def centroids(self, labels: Labels, count: int) -> tuple[Floats, Floats]:
+        """Return easting and northing of the mean place of the points of each region, metres."""
+        return (
+            region_means(self.x, labels, count) + self.origin[0],
+            region_means(self.y, labels, count) + self.origin[1],
+        )
+
+    def ids(self, labels: Labels, count: int, *, stage: int = 0) -> NDArray[np.int64]:
+        """Return ids of regions from their first cells; those that a stage, counted from 1, rejected have their own.
+
+        Every label from 1 to ``count`` has a point. Regions that share their first cell are told apart by the order of
+        their labels.
+        """
+        first = np.full(count + 1, np.iinfo(np.int64).max)
+        np.minimum.at(first, labels, self.place)
+        first = first[1:]
+        order = np.argsort(first, kind="stable")
+        begins = np.diff(first[order], prepend=-1) != 0
+        piece = np.empty(count, dtype=np.int64)
+        piece[order] = np.arange(count) - np.maximum.accumulate(np.where(begins, np.arange(count), 0))
+        row, col = np.divmod(first, PLACES)
+        row, col = row - PLACES // 2 + self.spec.origin[0], col - PLACES // 2 + self.spec.origin[1]
+        return part_ids(self.key, self.spec.cell_m, threshold_px=stage, row=row, col=col, piece=piece)
+
+
+class PointBooks(Books):
+    """The books of an extractor on points: labelled regions of points become ``tables.REJECTION``."""
+
+    def __init__(self, points: PlacedPoints) -> None:
+        super().__init__()
+        self.points = points
+
+    def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, number: int, *, scale: int = 0) -> int:
+        """Write labelled regions into the ledger; return how many.
+
+        Parameters
+        ----------
+        stage : str
+            Its name.
+        reasons : (M,) ndarray of str
+            One a region, in the labels' order.
+        labels : (N,) ndarray of int32
+            1 to M, each with a point; 0 for none.
+        number : int
+            Number of the stage, scale and kind, from 1; part of the ids.
+        scale : int
+            Number of the height scale, from 1; 0 where there are none.
+        """
+        count = len(reasons)
+        xcen, ycen = self.points.centroids(labels, count)
+        rows = pd.DataFrame(
+            {
+                "region_id": self.points.ids(labels, count, stage=number),
+                "reason": reasons,
+                "scale": scale,
+                "area_m2": self.points.areas(labels, count),
+                "xcen": xcen,
+                "ycen": ycen,
+            }
+        )
+        return self.write(stage, rows)
+
+    def rejections(self) -> pd.DataFrame:
+        """Return all lost regions in the order of writing."""
+        return REJECTION.typed(self.lost(REJECTION.empty()))
