@@ -144,7 +144,8 @@ def _prepare(
     points -= origin
     x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))
     density = measure_density(x, y, cloud.first_echo)
-    graph = connect(x, y, z, own.link_spacings * density.spacing_m)
+    link_m = own.link_spacings * density.spacing_m
+    graph = connect(x, y, z, link_m)
     filtered = _open_close(heights, graph, density.area_m2, own.smallest_m2)
     scales = height_scales(heights, own, mask_m=mask_m)
     several = cloud.number_of_returns > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
@@ -152,7 +153,7 @@ def _prepare(
     green = None if ndvi is None else ndvi.astype(np.float64)
     place = places(spec, cloud.x, cloud.y)
     known = Cloud(points, heights, density.area_m2, several, green, place, origin[:2])
-    return Scene(known, graph, filtered, density.spacing_m, structure, own, mask_m), scales
+    return Scene(known, graph, filtered, density.spacing_m, link_m, structure, own, mask_m), scales
 
 
 def _open_close(

@@ -12,17 +12,21 @@ from msbdb.extract.area3d.regrow import grow_regions
 from msbdb.extract.area3d.rules import judge, reasons_against
 from msbdb.extract.area3d.shape import Shapes, measure_shapes
 from msbdb.extract.placed import PointBooks, region_means
-from msbdb.morphology.points import PointGraph, components
+from msbdb.morphology.points import PointGraph, components, connect
 from msbdb.params import Area3dParams
 
 logger = logging.getLogger(__name__)
 
 WITHIN = "within a region accepted at a lower height"
 SMALL = "smaller than T_a"
+LOOSE = "loose points, fewer than three connected"
 LEAVES = "change of curvature or echoes of a crown"
 REST = "smaller than T_a beside its crowns"
 CROWN = "a crown by its curvature and echoes"
 GREEN = "a crown by its NDVI"
+
+LEAST_POINTS = 3
+"""Fewer points span no area; those that lie near each other in plan share a row of the ledger."""
 
 Mask = NDArray[np.bool_]
 
@@ -41,6 +45,8 @@ class Scene:
         Heights after opening and closing by area: the on-set of h_j is where they are no lower (C6, C7).
     spacing_m : float
         Mean point spacing.
+    link_m : float
+        T_c, below which points are connected.
     structure : Structure
         Of all points; measured on the lowest on-set, 0 elsewhere.
     params : Area3dParams
@@ -53,6 +59,7 @@ class Scene:
     graph: PointGraph
     filtered: NDArray[np.float64]
     spacing_m: float
+    link_m: float
     structure: Structure
     params: Area3dParams
     mask_m: float
@@ -104,9 +111,10 @@ def fuse_over_heights(scene: Scene, scales: tuple[float, ...], books: PointBooks
     it, and higher scales look only at what is left.
     """
     labels = np.zeros(len(scene.cloud.heights), dtype=np.int32)
+    booked = np.zeros(len(labels), dtype=np.bool_)
     rules, heights = [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
     for number, height_m in enumerate(scales, 1):
-        found, rule = _Level(scene, books, number, height_m, labels > 0).regions()
+        found, rule = _Level(scene, books, number, height_m, labels > 0, booked).regions()
         before = sum(len(values) for values in rules)
         labels += np.where(found > 0, found + np.int32(before), np.int32(0))
         rules.append(rule)
@@ -119,7 +127,8 @@ def fuse_over_heights(scene: Scene, scales: tuple[float, ...], books: PointBooks
 class _Level:
     """One height scale: its steps, in their order, and what they write into the books.
 
-    ``taken`` are the points of regions that lower scales accepted.
+    ``taken`` are the points of regions that lower scales accepted, ``booked`` those in regions that the opening took
+    away; each scale adds its own to these. What lies within one of them higher up stands in the ledger already.
     """
 
     scene: Scene
@@ -127,6 +136,7 @@ class _Level:
     number: int
     height_m: float
     taken: Mask
+    booked: Mask
 
     def regions(self) -> tuple[Labels, NDArray[np.int8]]:
         """Return the regions accepted at this height, and the rule that accepted each."""
@@ -165,8 +175,12 @@ class _Level:
         stage, graph = "area3d opening", self.scene.graph
         labels, count = components((self.scene.cloud.heights >= self.height_m) & ~self.taken, graph)
         _, opened = components(on, graph)
-        stays = np.bincount(labels, on, count + 1)[1:] > 0
-        dropped = self.book(stage, labels, ~stays, SMALL)
+        lost = np.bincount(labels, on, count + 1)[1:] == 0
+        lost &= np.bincount(labels, self.booked, count + 1)[1:] == 0
+        spans = np.bincount(labels, minlength=count + 1)[1:] >= LEAST_POINTS
+        dropped = self.book(stage, labels, lost & spans, SMALL)
+        dropped += self.book_loose(stage, np.append(False, lost & ~spans)[labels])
+        self.booked[np.append(False, lost)[labels]] = True
         self.books.count(stage, entered, opened, dropped, pieces=opened + dropped - entered)
         return opened
 
@@ -209,6 +223,16 @@ class _Level:
         """Write the chosen regions into the ledger with one reason; return how many."""
         rejected, dropped = renumber(labels, chosen)
         return self.reject(stage, np.full(dropped, reason, dtype=object), rejected)
+
+    def book_loose(self, stage: str, loose: Mask) -> int:
+        """Write loose points into the ledger, a row for those that are no farther than T_c apart in plan."""
+        index = np.flatnonzero(loose)
+        x, y = (np.ascontiguousarray(self.scene.cloud.points[index, axis]) for axis in range(2))
+        near = connect(x, y, np.zeros(len(index)), self.scene.link_m)
+        found, count = components(np.ones(len(index), dtype=np.bool_), near)
+        labels = np.zeros(len(loose), dtype=np.int32)
+        labels[index] = found
+        return self.book(stage, labels, np.ones(count, dtype=np.bool_), LOOSE)
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels) -> int:
         """Write labelled regions into the ledger; return how many."""

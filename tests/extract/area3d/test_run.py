@@ -197,6 +197,29 @@ def test_sheds_below_t_a_are_booked_with_their_area():
     assert small["area_m2"].max() == pytest.approx(5.8, rel=0.4)
 
 
+def test_what_the_opening_takes_away_is_booked_at_one_height_only():
+    """A mast of 6 m2 and 12 m reaches three height scales; the ledger has it once, at the lowest."""
+    found = extract(scan(box((20, 20), (2.4, 2.4), 12.0)), with_area3d(heights_m=[2.5, 5.0, 9.0]))
+    small = found.rejections[found.rejections["stage"] == "area3d opening"]
+    assert small["scale"].tolist() == [1]
+    assert found.counts["area3d opening"]["pieces"] == -2
+
+
+def test_loose_points_near_each_other_share_a_row():
+    """Points without two neighbours are no regions: those of a sparse crown share a row, and a bird has its own."""
+    ground = scan()
+    corner = ground[:, :2].min(axis=0)
+    twigs = np.array([[20, 20, 8.0], [20.5, 20.2, 12.0], [20.2, 20.6, 16.0]])
+    bird = np.array([[40, 40, 25.0]])
+    flying = np.concatenate([twigs, bird])
+    flying[:, :2] += corner
+    found = extract(np.concatenate([ground, flying]))
+    loose = found.rejections[found.rejections["reason"].str.startswith("loose points")]
+    assert len(found.rejections) == len(loose) == 2
+    middles = loose[["xcen", "ycen"]].to_numpy() - corner
+    assert np.allclose(sorted(middles.tolist()), [[20.233, 20.267], [40, 40]], atol=0.01)
+
+
 def test_the_order_of_the_points_changes_nothing():
     """Shuffled points give the same regions, ledger and counts, and each point its own label."""
     scene = city(density=2.0)
