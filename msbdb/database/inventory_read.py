@@ -1,6 +1,7 @@
 """Reading the living inventory: what stood at a date, what surveys changed, and what was applied in which order."""
 
 import json
+from dataclasses import dataclass
 from typing import Any
 
 import geopandas as gpd
@@ -8,7 +9,7 @@ import numpy as np
 import pandas as pd
 import shapely
 from pyproj import CRS
-from sqlalchemy import ColumnElement, Connection, Engine, Select, TextClause, and_, func, null, or_, select, text
+from sqlalchemy import ColumnElement, Connection, Engine, Select, TextClause, and_, func, null, or_, select, text, union
 
 from msbdb.database.crs import FIRST_OWN_SRID
 from msbdb.database.dialect import dialect_of
@@ -24,6 +25,7 @@ from msbdb.database.inventory import (
 )
 from msbdb.database.inventory_views import FOOTPRINT_AT
 from msbdb.database.models import Survey
+from msbdb.database.snapshot import snapshot
 
 Bounds = tuple[float, float, float, float]
 
@@ -147,6 +149,48 @@ def read_changes(engine: Engine, since: str | None = None, until: str | None = N
         ``date``, and state, storeys, heights, area and attributes before and after; the geometry is that of after, or
         of before where nothing is left. In order of date, survey and change.
     """
+    with guarded(engine.url), engine.connect() as connection:
+        return _changes(connection, since, until)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Period:
+    """What surveys did to the buildings within a period.
+
+    Parameters
+    ----------
+    changes : GeoDataFrame
+        As `read_changes` gives it.
+    versions : GeoDataFrame
+        The versions that the changes name: columns of ``building_version``.
+    offsets : DataFrame
+        ``survey_offset``, of all surveys.
+    """
+
+    changes: gpd.GeoDataFrame
+    versions: gpd.GeoDataFrame
+    offsets: pd.DataFrame
+
+
+def read_period(engine: Engine, since: str | None = None, until: str | None = None) -> Period:
+    """Return what surveys did to the buildings, with the versions before and after, as one committed state.
+
+    The parameters are those of `read_changes`.
+    """
+    ids = [
+        select(version)
+        .join(InventoryEvent, InventoryEvent.survey_id == BuildingChange.survey_id)
+        .where(version.is_not(None), *_between(since, until))
+        for version in (BuildingChange.version_before, BuildingChange.version_after)
+    ]
+    named = BuildingVersion.version_id.in_(union(*ids))
+    query = select(*_version_columns()).where(named).order_by(BuildingVersion.version_id)
+    with snapshot(engine) as connection:
+        return Period(_changes(connection, since, until), _frame(connection, query), read_offsets(connection))
+
+
+def _changes(connection: Connection, since: str | None, until: str | None) -> gpd.GeoDataFrame:
+    """Return the changes of a period."""
     one, two = (BuildingVersion.__table__.alias(name) for name in ("version_1", "version_2"))
     told = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
     columns = [c for c in BuildingChange.__table__.columns if c.name != "survey_id"]
@@ -165,9 +209,7 @@ def read_changes(engine: Engine, since: str | None = None, until: str | None = N
         .outerjoin(two, two.c.version_id == BuildingChange.version_after)
         .order_by(InventoryEvent.date, InventoryEvent.number, BuildingChange.change_id)
     )
-    query = query.where(*_between(since, until))
-    with guarded(engine.url), engine.connect() as connection:
-        return _frame(connection, query)
+    return _frame(connection, query.where(*_between(since, until)))
 
 
 def read_states(engine: Engine) -> pd.DataFrame:

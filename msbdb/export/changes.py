@@ -22,7 +22,7 @@ def write_changes(table: gpd.GeoDataFrame, path: Path) -> None:
     Parameters
     ----------
     table : GeoDataFrame
-        As `msbdb.database.read_changes` gives it.
+        As `msbdb.database.read_changes` or `msbdb.inventory.net.net_changes` gives it.
     path : Path
         Ends in .gpkg (layer ``change``), .geojson (longitude and latitude, ids as strings) or .csv (the coordinates of
         a point inside each footprint as ``easting`` and ``northing``). A file that is there is replaced.
@@ -47,7 +47,7 @@ def write_changes(table: gpd.GeoDataFrame, path: Path) -> None:
     elif suffix == ".csv":
         _write_csv(frame, path)
     else:
-        for column in IDS:
+        for column in frame.columns.intersection(list(IDS)):
             words = [None if pd.isna(value) else str(value) for value in frame[column]]
             frame[column] = pd.Series(words, dtype=object, index=frame.index)
         write_layers(path, {"change": frame}, "GeoJSON", geometry_type="MultiPolygon", RFC7946="YES")

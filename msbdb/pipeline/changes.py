@@ -1,4 +1,4 @@
-"""What surveys did to the inventory between two dates: as a table, a file or a map."""
+"""What changed in the inventory between two dates: as a table, a file or a map."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +10,12 @@ import pandas as pd
 import shapely
 from pyproj import CRS
 
-from msbdb.database import Engine, footprint_at, read_changes, read_state, read_survey
+from msbdb.database import Engine, footprint_at, read_state, read_survey
+from msbdb.database.inventory_read import read_period
 from msbdb.errors import InputError
 from msbdb.export.changes import write_changes
 from msbdb.grid import Grid, lattice
+from msbdb.inventory.net import Net, net_changes
 from msbdb.inventory.offset import Offset
 from msbdb.inventory.pieces import earlier_heights
 from msbdb.io.vector import read_polygons
@@ -34,13 +36,21 @@ NOWHERE = Offset(0.0, 0.0, 0.0, 0, float("nan"))
 class Changes:
     """Changes between two dates.
 
-    ``table`` has a row for each building and survey that saw it (a pair of buildings for merged and split), as
-    `msbdb.database.read_changes` gives it; buildings within an area of interest that no survey saw follow as
-    'not surveyed'. ``counts`` has the rows by kind.
+    Parameters
+    ----------
+    table : GeoDataFrame
+        A row for each building that a survey saw (a pair of buildings for merged and split): the net change, as
+        `msbdb.inventory.net` tells it, or, survey by survey, what each one did, as `msbdb.database.read_changes` does.
+        Buildings within an area of interest that no survey saw follow as 'not surveyed'.
+    counts : dict
+        The rows by kind.
+    in_between : int
+        Buildings that came and went between the dates, and are in no row of the net change.
     """
 
     table: gpd.GeoDataFrame
     counts: dict[str, int]
+    in_between: int
 
 
 def changes(
@@ -49,20 +59,24 @@ def changes(
     since: str | None = None,
     until: str | None = None,
     survey: str | None = None,
+    each: bool = False,
     aoi: Path | None = None,
     out: Path | None = None,
     figure: Path | None = None,
 ) -> Changes:
-    """Tell what surveys did to the buildings of the inventory.
+    """Tell what changed in the inventory between two dates.
 
     Parameters
     ----------
     db : str or path
         The database.
     since, until : str, optional
-        Surveys after the one day, and up to the other, ISO 8601; all by default.
+        From the state at the end of the one day to that of the other, ISO 8601; from before the first survey, and to
+        the present, by default.
     survey : str, optional
-        Only this one.
+        What this one did, and no net change.
+    each : bool
+        What each survey did, one after the other, and no net change.
     aoi : path, optional
         Polygons: buildings that meet them, and those of them that no survey saw.
     out : path, optional
@@ -80,20 +94,26 @@ def changes(
         When there is nothing to draw, or the endings are unknown.
     """
     with opened(db) as engine:
-        table = read_changes(engine, since, until)
+        period = read_period(engine, since, until)
+        rows = period.changes
         if survey is not None:
-            table = table[table["survey"] == survey]
+            rows = rows[rows["survey"] == survey]
+        if each or survey is not None:
+            net = Net(rows, rows.iloc[:0])
+        else:
+            net = net_changes(rows, period.versions, period.offsets)
+        table, passing = net.table, net.passing
         if aoi is not None:
-            area = read_polygons(aoi, to=table.crs).union_all()
-            table = table[table.intersects(area)]
+            area = read_polygons(aoi, to=rows.crs).union_all()
+            rows, table, passing = (frame[frame.intersects(area)] for frame in (rows, table, passing))
             table = _with_unseen(table, footprint_at(engine, until or END), area)
         table = table.reset_index(drop=True)
         if out is not None:
             write_changes(table, Path(out))
         if figure is not None:
-            _draw(engine, table, Path(figure), _period(since, until))
+            _draw(engine, table, rows, Path(figure), _period(since, until, len(passing)))
     counts = table["kind"].value_counts()
-    return Changes(table, {str(kind): int(counts[kind]) for kind in sorted(counts.index)})
+    return Changes(table, {str(kind): int(counts[kind]) for kind in sorted(counts.index)}, len(passing))
 
 
 def _with_unseen(table: gpd.GeoDataFrame, standing: gpd.GeoDataFrame, area: shapely.Geometry) -> gpd.GeoDataFrame:
@@ -105,20 +125,23 @@ def _with_unseen(table: gpd.GeoDataFrame, standing: gpd.GeoDataFrame, area: shap
     told = {"uid": "uid_before", "version_id": "version_before", "state": "state_before", "storeys": "storeys_before"}
     told |= {name: f"{name}_before" for name in ("h_max", "h_p90", "area_m2", "volume_m3", "attributes")}
     rows = unseen[[*told, "geometry"]].rename(columns=told)
-    rows = rows.assign(kind=NOT_SURVEYED, survey="", date="", note="", outline=False, height=False, parts=False)
+    rows = rows.assign(
+        kind=NOT_SURVEYED, survey="", date="", note="", outline=False, height=False, parts=False, times=0
+    )
     both = pd.concat([frame.dropna(axis=1, how="all") for frame in (table, rows) if len(frame)], ignore_index=True)
     return gpd.GeoDataFrame(both.reindex(columns=table.columns), crs=table.crs)
 
 
-def _period(since: str | None, until: str | None) -> str:
-    """Return a period in words."""
+def _period(since: str | None, until: str | None, in_between: int) -> str:
+    """Return a period, and what came and went in it, in words."""
     words = [f"after {since}" if since else "", f"up to {until}" if until else ""]
-    return ", ".join(word for word in words if word) or "all surveys"
+    period = ", ".join(word for word in words if word) or "all surveys"
+    return f"{period} · {in_between} came and went in between" if in_between else period
 
 
-def _draw(engine: Engine, table: gpd.GeoDataFrame, figure: Path, period: str) -> None:
-    """Draw the rows on the heights of their surveys, the latest on top."""
-    names = table.loc[table["survey"] != ""].sort_values("date", kind="stable")["survey"].unique()[::-1]
+def _draw(engine: Engine, table: gpd.GeoDataFrame, rows: gpd.GeoDataFrame, figure: Path, period: str) -> None:
+    """Draw the table on the heights of the surveys that saw its buildings, the latest on top."""
+    names = rows.sort_values("date", kind="stable")["survey"].unique()[::-1]
     if not len(names):
         msg = f"There is nothing to draw: no survey of the period ({period}) saw a building there."
         raise InputError(msg)
@@ -150,4 +173,4 @@ def summary(found: Changes) -> dict[str, Any]:
     told = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
     plain = pd.DataFrame(told.drop(columns="geometry")).astype(object)
     records = plain.where(plain.notna(), None).to_dict(orient="records")
-    return {"counts": found.counts, "changes": records}
+    return {"counts": found.counts, "in_between": found.in_between, "changes": records}

@@ -58,6 +58,8 @@ def test_an_inventory_is_imported_updated_and_told(town: Path) -> None:
     assert sorted(value["house"] for value in attributes) == [1, 2, 3, 4, 5, 6, 7]
     assert {value["since"][:10] for value in attributes} == {"1950-06-01"}
     told = json.loads(run("changes", town, "--json"))
+    assert told["counts"] == {"demolished": 1, "modified": 1, "new": 1, "unchanged": 6}
+    told = json.loads(run("changes", town, "--each", "--json"))
     assert told["counts"] == {"demolished": 1, "modified": 1, "new": 1, "unchanged": 14}
     told = json.loads(run("changes", town, "--from", "2020", "--to", "2021-05-01", "--json"))
     assert {(row["kind"], row["survey"]) for row in told["changes"]} == {
@@ -86,9 +88,11 @@ def test_a_repeat_builds_nothing_and_changes_nothing(town: Path, rasters: dict[s
 def test_changes_are_written_in_every_format(town: Path, tmp_path: Path) -> None:
     """All rows with exact ids, and a map that shows colours."""
     engine = open_database(town)
-    uids = set(read_changes(engine)["uid_after"].dropna())
-    assert set(footprint_at(engine, "2021-05-01")["uid"]) < uids
+    now, uids = set(footprint_at(engine, "2021-05-01")["uid"]), set(read_changes(engine)["uid_after"].dropna())
+    assert now < uids
     run("changes", town, "--out", tmp_path / "changes.gpkg")
+    assert len(gpd.read_file(tmp_path / "changes.gpkg")) == 9
+    run("changes", town, "--each", "--out", tmp_path / "changes.gpkg")
     layer = gpd.read_file(tmp_path / "changes.gpkg")
     assert len(layer) == 17
     with sqlite3.connect(tmp_path / "changes.gpkg") as file:
@@ -97,11 +101,11 @@ def test_changes_are_written_in_every_format(town: Path, tmp_path: Path) -> None
     assert layer.crs == UTM
     run("changes", town, "--out", tmp_path / "changes.geojson")
     web = json.loads((tmp_path / "changes.geojson").read_text())["features"]
-    assert {int(f["properties"]["uid_after"]) for f in web if f["properties"]["uid_after"]} == uids
+    assert {int(f["properties"]["uid_after"]) for f in web if f["properties"]["uid_after"]} == now
     assert -180 <= web[0]["geometry"]["coordinates"][0][0][0][0] <= 180
     run("changes", town, "--out", tmp_path / "changes.csv", "--figure", tmp_path / "changes.png")
     table = pd.read_csv(tmp_path / "changes.csv", dtype={"uid_after": "string"})
-    assert {int(uid) for uid in table["uid_after"].dropna()} == uids
+    assert {int(uid) for uid in table["uid_after"].dropna()} == now
     assert table["easting"].between(WEST, WEST + 200).all()
     picture = imread(tmp_path / "changes.png")[..., :3]
     green = abs(picture - (0, 0x9E / 255, 0x73 / 255)).max(axis=2) < 0.1

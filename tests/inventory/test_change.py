@@ -8,7 +8,8 @@ from shapely import box
 from shapely.affinity import translate
 
 from msbdb.grid import Grid, lattice
-from msbdb.inventory.change import FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE, Comparison, compare
+from msbdb.inventory.change import Comparison, compare
+from msbdb.inventory.decisions import FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.inventory.offset import estimate_offset
 from msbdb.params.change import ChangeParams
 from msbdb.vector.polygons import rasterise
