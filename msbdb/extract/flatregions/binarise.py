@@ -1,5 +1,6 @@
 """Binarisation: flat regions by the attribute profile of second-order gradients (Mongus et al. 2013, §3.3)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ from msbdb.params import FlatRegionParams
 
 LEAST_WINDOW_PX = 3
 """Smallest window that has neighbours."""
+
+RATIO_WINDOW_M = 1.05
+"""Windows of the gradients up to which R holds as it is: three cells of 0.35 m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +85,7 @@ def binarise(g: Grid, initial: Grid, params: FlatRegionParams) -> Binarised:
     profile = build_profile(tree, sums(tree, np.pad(gradient, margin)) * cell_area, thresholds)
     area = areas(tree) * cell_area
     # Areas are whole cells: a region of just R λ_i must not miss it by rounding.
-    kept = profile.filter_supports(area * (1 + 1e-12), params.ratio * thresholds)
+    kept = profile.filter_supports(area * (1 + 1e-12), ratio_at(g.spec.cell_m, params) * thresholds)
     if params.largest_m2 > 0:
         kept &= area <= params.largest_m2
     inner = np.s_[margin : margin + g.spec.shape[0], margin : margin + g.spec.shape[1]]
@@ -100,13 +104,32 @@ def _framed(g: Grid, margin: int) -> tuple[NDArray[np.float32], NDArray[np.bool_
     return heights, np.ones(heights.shape, dtype=np.bool_)
 
 
+def ratio_at(cell_m: float, params: FlatRegionParams) -> float:
+    """Return R at a cell size: less where the window of the gradients is wider than was asked for (ours).
+
+    With few points the least window, of three cells, is several times ``gradient_window_m``. Every edge and ridge then
+    has a band of gradients as much wider, and R as it is would leave no roof. It falls with the square root of the
+    width: in proportion to it, crowns would become roofs, too. With ``gradient_window_m`` at 0, as the paper has
+    cells alone, R is the same everywhere.
+    """
+    if not params.gradient_window_m:
+        return params.ratio
+    window_m = _gradient_window(cell_m, params) * cell_m
+    return params.ratio * min(1.0, math.sqrt(max(RATIO_WINDOW_M, params.gradient_window_m) / window_m))
+
+
+def _gradient_window(cell_m: float, params: FlatRegionParams) -> int:
+    """Return the side of the window of the gradients, cells."""
+    return max(LEAST_WINDOW_PX, window_px(params.gradient_window_m, cell_m))
+
+
 def gradient_of(surface: Grid, params: FlatRegionParams) -> NDArray[np.floating]:
     """Return the second-order gradient ϱ_in(ϱ_ex(g)) of a surface, metres; 0 in invalid cells (M13).
 
     Ours: it is cut at ``gradient_cap_m``, so that the foot of a high wall on a roof weighs as much as many cells of a
     crown but not as all of the roof. Λ stays increasing, as no gradient becomes negative.
     """
-    window = max(LEAST_WINDOW_PX, window_px(params.gradient_window_m, surface.spec.cell_m))
+    window = _gradient_window(surface.spec.cell_m, params)
     gradient = second_order_gradient(np.asarray(surface.values), np.asarray(surface.valid), window_px=window)
     if params.gradient_cap_m > 0:
         np.minimum(gradient, params.gradient_cap_m, out=gradient)

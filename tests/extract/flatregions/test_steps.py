@@ -13,7 +13,7 @@ from scipy import ndimage
 from skimage.measure import perimeter_crofton
 
 from msbdb.errors import NodataError, ParameterError, TableError
-from msbdb.extract.flatregions.binarise import binarise, gradient_of
+from msbdb.extract.flatregions.binarise import binarise, gradient_of, ratio_at
 from msbdb.extract.flatregions.denoise import denoise, find_outliers
 from msbdb.extract.flatregions.initialise import fill_by_idw, initialise
 from msbdb.extract.flatregions.recognise import clean, grow, measure_shapes
@@ -243,11 +243,20 @@ def test_a_flat_roof_is_found_and_a_rough_one_is_not():
     values[5:25, 5:25] = 6.0
     values[5:25, 35:55] = 6.0 + rng.uniform(0, 8, (20, 20))
     g = grid(values)
-    found = binarise(g, g, replace(FlatRegionParams(), gradient_cap_m=0.0))
+    found = binarise(g, g, replace(FlatRegionParams(), gradient_cap_m=0.0, ratio=3.4))  # R = 2 in cells of a metre
     assert found.flat[5:25, 5:25].all()
     assert found.flat[5:25, 35:55].sum() < 60
     assert found.risen.sum() == 800
     assert not found.flat[~found.risen].any()
+
+
+def test_r_falls_with_the_window_of_the_gradients():
+    """R holds up to cells of 0.35 m, falls with the root of the window beyond, and is one in the paper's profile."""
+    own = FlatRegionParams()
+    assert [ratio_at(cell_m, own) for cell_m in (0.2, 0.3, 0.35)] == [own.ratio] * 3
+    assert ratio_at(1.4, own) == pytest.approx(own.ratio / 2)
+    assert ratio_at(1.4, replace(own, gradient_window_m=9.8)) == own.ratio
+    assert ratio_at(1.4, PAPER) == PAPER.ratio
 
 
 def test_regions_larger_than_the_limit_are_terrain():
