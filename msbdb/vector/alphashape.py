@@ -4,11 +4,13 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import shortest_path
+from scipy.sparse.csgraph import connected_components, shortest_path
 from scipy.spatial import Delaunay, QhullError
 
+from msbdb.threads import in_threads
 from msbdb.vector.packing import pack
 from msbdb.vector.polygons import Geometries
+from msbdb.vector.thinning import thinned
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int32]
@@ -17,11 +19,8 @@ Mask = NDArray[np.bool_]
 GAP_CELLS = 2
 """Wider empty bands are narrowed to one empty cell, so that islands far apart are triangulated without loss."""
 
-COVERED_GAP_CELLS = 4
-"""The same for cells that a point of the next cell can cover: one between stays uncovered."""
-
-REACH = 2
-"""The centre of a disc that touches a point lies at most so many cells (of half a radius) from the point's."""
+BATCH = 1 << 13
+"""Points that are triangulated together, if their clusters are not larger: their triangles stay in the cache."""
 
 
 def alpha_shapes(x: Floats, y: Floats, labels: Labels, count: int, radius_m: float) -> Geometries:
@@ -48,20 +47,82 @@ def alpha_shapes(x: Floats, y: Floats, labels: Labels, count: int, radius_m: flo
     -----
     The outline is made of the edges that an empty disc of the radius touches at both ends. `thinned` leaves out what
     no such disc touches; that opens holes inside, whose edges run between deep points and are left out as well.
-    O(n log n) in the points that are left.
+    What is left is triangulated in `batches`, by threads. So the shape of a region depends on what is within the
+    double radius of it alone. Of points at one place in plan the one of the lowest label counts; where four points or
+    more lie on one circle, and some are of another region, the triangles between them may be any of those possible.
+    Rings begin at their westernmost vertex. O(n log n) in the points of a batch.
     """
     kept, deep = thinned(x, y, labels, radius_m)
     x, y, labels, deep = x[kept], y[kept], labels[kept], deep[kept]
+    points = np.column_stack((x, y))
+    edges = np.concatenate(
+        in_threads(lambda batch: _border_edges(points, labels, batch, radius_m), batches(x, y, radius_m))
+    )
+    edges.sort(axis=1)
+    start, end = edges[np.lexsort((edges[:, 1], edges[:, 0]))].T
+    real = ~(deep[start] | deep[end])
+    start, end = start[real], end[real]
+    return enclosed(points[start], points[end], labels[start], count)
+
+
+def batches(x: Floats, y: Floats, radius_m: float) -> list[NDArray[np.intp]]:
+    """Cut points into batches of whole clusters, between which no triangle of a small circumradius can lie.
+
+    Parameters
+    ----------
+    x, y : (N,) ndarray of float64, metres
+        Points.
+    radius_m : float
+        1/alpha, metres; infinite gives one batch.
+
+    Returns
+    -------
+    list of ndarray of int
+        Indices of the points of each batch, ascending; each point in one of them.
+
+    Notes
+    -----
+    A cluster is a connected set of cells, corners included, whose side is the double radius. The disc about a triangle
+    of a smaller circumradius holds no other point, and whatever point could lie in it is in the triangle's cluster.
+    So the small triangles of all points are those of the clusters, each triangulated by itself.
+    """
+    if not np.isfinite(radius_m) or not len(x):
+        return [np.arange(len(x))]
+    east, north = pack(x, 2 * radius_m, GAP_CELLS), pack(y, 2 * radius_m, GAP_CELLS)
+    width = int(east.number[-1]) + 3
+    cells, cell = np.unique((north.cell + 1) * width + east.cell + 1, return_inverse=True)
+    pairs = []
+    for step in (1, width - 1, width, width + 1):
+        place = np.minimum(np.searchsorted(cells, cells + step), len(cells) - 1)
+        there = np.flatnonzero(cells[place] == cells + step)
+        pairs.append((there, place[there]))
+    one, other = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    graph = coo_array((np.ones(one.size, dtype=np.bool_), (one, other)), shape=(cells.size, cells.size))
+    cluster = connected_components(graph, directed=False)[1][cell]
+    size = np.bincount(cluster)
+    batch = ((np.cumsum(size) - size) // BATCH)[cluster]
+    order = np.argsort(batch, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(batch[order])) + 1)
+
+
+def _without_duplicates(points: Floats, batch: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the batch without points at the place of an earlier one, of which a triangulation takes any."""
+    order = batch[np.lexsort((points[batch, 1], points[batch, 0]))]
+    first = np.append(True, (np.diff(points[order], axis=0) != 0).any(axis=1))
+    return np.sort(order[first])
+
+
+def _border_edges(points: Floats, labels: Labels, batch: NDArray[np.intp], radius_m: float) -> NDArray[np.intp]:
+    """Return (E, 2) the ends of the edges between triangles of a batch that are taken and others."""
+    batch = _without_duplicates(points, batch)
+    x, y, labels = points[batch, 0], points[batch, 1], labels[batch]
     simplices, neighbours = _triangles(np.column_stack((narrowed(x, radius_m), narrowed(y, radius_m))))
     one, two, three = (labels[simplices[:, k]] for k in range(3))
     taken = (one == two) & (two == three) & (_circumradius(x, y, simplices) < radius_m)
     # A triangle's k-th neighbour lies beyond the edge that is opposite to its k-th vertex; -1 is none.
     triangle, k = np.nonzero(taken[:, None] & ~np.append(taken, values=False)[neighbours])
-    start, end = simplices[triangle, (k + 1) % 3], simplices[triangle, (k + 2) % 3]
-    real = ~(deep[start] | deep[end])
-    start, end = start[real], end[real]
-    points = np.column_stack((x, y))
-    return enclosed(points[start], points[end], labels[start], count)
+    ends = np.column_stack((simplices[triangle, (k + 1) % 3], simplices[triangle, (k + 2) % 3]))
+    return batch[ends]
 
 
 def enclosed(start: Floats, end: Floats, labels: NDArray[np.integer], count: int) -> Geometries:
@@ -123,95 +184,6 @@ def _steps_from_outside(faces: Geometries, owner: NDArray[np.int64]) -> NDArray[
     graph = coo_array((np.ones(len(sides)), (sides[:, 0], sides[:, 1])), shape=(outside + 1, outside + 1)).tocsr()
     steps = shortest_path(graph, directed=False, unweighted=True, indices=outside)
     return np.asarray(steps[:-1], dtype=np.int64)
-
-
-def thinned(x: Floats, y: Floats, labels: Labels, radius_m: float) -> tuple[NDArray[np.intp], Mask]:
-    """Return the points that can matter to alpha shapes, and which of all points are deep inside of a region.
-
-    Parameters
-    ----------
-    x, y : (N,) ndarray of float64, metres
-        Points, in canonical order.
-    labels : (N,) ndarray of int32
-        Region of each point.
-    radius_m : float
-        1/alpha, metres.
-
-    Returns
-    -------
-    kept : (K,) ndarray of int
-        Indices, ascending: the points that are not deep, and of the deep ones around them enough.
-    deep : (N,) ndarray of bool
-        Points that no empty disc of the radius touches, and from which no other region is within its reach.
-
-    Notes
-    -----
-    A cell of half the radius is covered when some point is nearer than the radius to all of it: a disc whose centre
-    lies in it is not empty. A point is deep when all cells around it that can hold the centre of a disc on it are
-    covered. A disc with its centre in a cell that is not covered holds no deep point; so it is enough to keep a point
-    that covers for each covered cell around the points that are not deep.
-    """
-    if not np.isfinite(radius_m) or len(x) == 0:
-        return np.arange(len(x)), np.zeros(len(x), dtype=np.bool_)
-    side = radius_m / REACH
-    east, north = pack(x, side, COVERED_GAP_CELLS), pack(y, side, COVERED_GAP_CELLS)
-    width = int(east.number[-1]) + 1 + 4 * REACH
-    key = (north.cell + 2 * REACH) * width + east.cell + 2 * REACH
-    covered, coverer = _covered(key, np.mod(x / side, 1), np.mod(y / side, 1), width)
-    deep = _pure(x, y, labels, 2 * radius_m)
-    cells, cell = np.unique(key, return_inverse=True)
-    inner = np.ones(len(cells), dtype=np.bool_)
-    for down in range(-REACH, REACH + 1):
-        last = np.searchsorted(covered, cells + down * width - REACH) + 2 * REACH
-        inner &= last < len(covered)
-        inner &= covered[np.minimum(last, len(covered) - 1)] == cells + down * width + REACH
-    deep &= inner[cell]
-    rim = np.unique(key[~deep])
-    near = np.zeros(len(covered), dtype=np.bool_)
-    for down in range(-REACH, REACH + 1):
-        place = np.searchsorted(rim, covered + down * width - REACH)
-        near |= np.append(rim, covered[-1] * 2 + 9 * width)[place] <= covered + down * width + REACH
-    kept = ~deep
-    kept[coverer[near]] = True
-    return np.flatnonzero(kept), deep
-
-
-def _covered(
-    key: NDArray[np.int64], right: Floats, up: Floats, width: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cells all of which is nearer than two sides to some point, ascending, and the first such point.
-
-    ``right`` and ``up`` are the place of each point in its cell, 0 to 1.
-    """
-    reach_x = {-1: right + 1, 0: np.maximum(right, 1 - right), 1: 2 - right}
-    reach_y = {-1: up + 1, 0: np.maximum(up, 1 - up), 1: 2 - up}
-    keys, points = [], []
-    for row in (-1, 0, 1):
-        for col in (-1, 0, 1):
-            # A little less than the radius, for coordinates are rounded.
-            found = np.flatnonzero(reach_x[col] ** 2 + reach_y[row] ** 2 < REACH**2 - 1e-6)
-            keys.append(key[found] + row * width + col)
-            points.append(found)
-    every = np.concatenate(keys)
-    order = np.lexsort((np.concatenate(points), every))
-    first = order[np.flatnonzero(np.diff(every[order], prepend=-1))]
-    return every[first], np.concatenate(points)[first]
-
-
-def _pure(x: Floats, y: Floats, labels: Labels, reach_m: float) -> Mask:
-    """Return the points within whose reach all points are of their own region."""
-    east, north = pack(x, reach_m, GAP_CELLS), pack(y, reach_m, GAP_CELLS)
-    width = int(east.number[-1]) + 3
-    cells, cell = np.unique((north.cell + 1) * width + east.cell + 1, return_inverse=True)
-    low, high = np.full(len(cells), labels.max()), np.zeros(len(cells), dtype=labels.dtype)
-    np.minimum.at(low, cell, labels)
-    np.maximum.at(high, cell, labels)
-    pure = low == high
-    for step in (down * width + right for down in (-1, 0, 1) for right in (-1, 0, 1)):
-        place = np.minimum(np.searchsorted(cells, cells + step), len(cells) - 1)
-        there = cells[place] == cells + step
-        pure &= ~there | ((low[place] == low) & (high[place] == low))
-    return np.asarray(pure[cell])
 
 
 def narrowed(values: Floats, radius_m: float) -> Floats:

@@ -7,6 +7,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.morphology.order import order_of_points
 from msbdb.params import VectorParams
 from msbdb.vector.alphashape import alpha_shapes
 from msbdb.vector.cellshape import cell_shapes
@@ -190,15 +191,22 @@ def _members(x: Floats, y: Floats, labels: Labels, count: int) -> tuple[Floats, 
         raise InputError(msg)
     inside = np.flatnonzero(labels)
     x, y, labels = x[inside], y[inside], labels[inside]
-    present = np.unique(labels)
+    present = _present(labels, count)
     if not np.array_equal(present, np.arange(1, count + 1)):
         msg = f"The labels must be 1 to {count}, each with a point; got {len(present)} labels: {present[:5]}..."
         raise InputError(msg)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         msg = "The coordinates of the regions' points must be finite; leave out NaN and infinity first."
         raise InputError(msg)
-    order = np.lexsort((y, x, labels))
+    order = order_of_points(x, y, group=labels)
     return x[order], y[order], labels[order]
+
+
+def _present(labels: Labels, count: int) -> NDArray[np.integer]:
+    """Return the labels that occur, ascending; without sorting where they are as they should be."""
+    if labels.size and labels.min() >= 1 and labels.max() <= count:
+        return np.flatnonzero(np.bincount(labels, minlength=count + 1))
+    return np.unique(labels)
 
 
 def _gathered(x: Floats, y: Floats, labels: Labels) -> Geometries:

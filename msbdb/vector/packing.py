@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.morphology.order import ranks
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -45,6 +47,6 @@ def pack(values: Floats, side_m: float, gap: int) -> Axis:
     gap : int
         Largest step between two occupied cells that is left.
     """
-    occupied, place = np.unique(np.floor(values / side_m).astype(np.int64), return_inverse=True)
+    occupied, place = ranks(np.floor(values / side_m).astype(np.int64))
     number = np.cumsum(np.minimum(np.diff(occupied, prepend=occupied[:1]), gap))
     return Axis(number[place], occupied, number)

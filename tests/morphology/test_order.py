@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from msbdb.morphology.order import order_of
+from msbdb.morphology.order import order_of, order_of_points, ranks
 
 DTYPES = ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "f2", "f4", "f8"]
 
@@ -32,3 +32,30 @@ def test_order_of_many_values_is_that_of_a_comparing_sort(dtype):
     """Values that differ in every digit of the sort."""
     values = (np.random.default_rng(5).normal(size=20_000) * 1e4).astype("int32").astype(dtype)
     np.testing.assert_array_equal(values[order_of(values, descending=False)], np.sort(values))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.integers(0, 60),
+    st.sampled_from([(1, 1.0), (3, 1e-9), (40, 1e6), (10**6, 0.01)]),
+    st.sampled_from([0.0, -5.0, 7e6, 1e15]),
+    st.sampled_from([None, 1, 5, 2**32]),
+)
+def test_order_of_points_is_that_of_a_sort_by_all_keys(seed, count, lattice, offset_m, groups):
+    """Few places or many, near or so far apart that leading digits tell nothing: by group, x, y and the rest."""
+    places, step_m = lattice
+    random = np.random.default_rng(seed)
+    x, y = random.integers(0, places, (2, count)) * step_m + offset_m
+    x[: count // 10] = 1e12
+    z, echo = random.integers(0, 2, (2, count))
+    group = None if groups is None else random.integers(0, groups, count)
+    keys = (echo, z, y, x) if group is None else (echo, z, y, x, group)
+    np.testing.assert_array_equal(order_of_points(x, y, [z, echo], group=group), np.lexsort(keys))
+
+
+@given(hnp.arrays(np.int64, st.integers(1, 30), elements=st.integers(-5, 5) | st.integers(-(2**40), 2**40)))
+def test_ranks_are_those_of_a_sort(numbers):
+    """Near together or far apart."""
+    for found, expected in zip(ranks(numbers), np.unique(numbers, return_inverse=True), strict=True):
+        np.testing.assert_array_equal(found, expected)

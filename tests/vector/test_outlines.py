@@ -1,5 +1,7 @@
 """Outlines of points: the shapes that are known, the laws of alpha shapes, and points that span no shape."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 import shapely
@@ -10,8 +12,10 @@ from scipy.spatial import Delaunay
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import VectorParams
-from msbdb.vector.alphashape import alpha_shapes, enclosed, thinned
+from msbdb.vector import alphashape
+from msbdb.vector.alphashape import alpha_shapes, enclosed
 from msbdb.vector.outlines import outline_points, outline_regions, without_residuals
+from msbdb.vector.thinning import thinned
 
 METHODS = ("alpha", "grid", "hull")
 
@@ -269,6 +273,43 @@ def test_thinning_changes_no_outline(seed, radius_m, apart_m):
         own = (labels[simplices] == label).all(axis=1)
         naive = shapely.union_all(shapely.polygons(corners[taken & own]))
         assert shapely.area(shapely.symmetric_difference(naive, found[label - 1])) < 1e-6
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10**6), st.floats(0.3, 0.6))
+def test_batches_of_clusters_change_no_outline(seed, radius_m):
+    """Small clusters triangulated by themselves have the outlines of one triangulation of all points."""
+    x, y = np.random.default_rng(seed).uniform(0, 20, (2, 900))
+    street = (x % 5 < 2.5) & (y % 5 < 2.5)
+    x, y = x[street], y[street]
+    labels = np.where(y < 10, 1, 2).astype(np.int32)
+    whole = alpha_shapes(x, y, labels, 2, radius_m)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(alphashape, "BATCH", 1)
+        cut = alphashape.batches(x, y, radius_m)
+        apart = alpha_shapes(x, y, labels, 2, radius_m)
+    assert len(cut) > 3
+    assert np.array_equal(np.sort(np.concatenate(cut)), np.arange(len(x)))
+    places = [shapely.MultiPoint(np.column_stack((x[one], y[one]))) for one in cut]
+    pairs = [shapely.distance(one, other) for one, other in combinations(places, 2)]
+    assert min(pairs) > 2 * radius_m
+    assert (shapely.to_wkb(whole) == shapely.to_wkb(apart)).all()
+
+
+def test_an_outline_does_not_depend_on_regions_far_away():
+    """Vertex by vertex it is the same with another region ten metres off, and without."""
+    x, y = scattered(ELL)
+    (alone,) = outline(x, y)
+    both = outline(np.concatenate((x - 30, x)), np.concatenate((y, y)), np.repeat([1, 2], len(x)))
+    assert shapely.to_wkb(both[1]) == shapely.to_wkb(alone)
+    assert shapely.equals_exact(both[0], shapely.transform(alone, lambda xy: xy - [30, 0]), 1e-9)
+
+
+def test_of_points_at_one_place_the_lowest_label_counts():
+    """A second echo of another region beneath a roof's corner takes nothing from the roof."""
+    x, y = np.array([0.0, 0, 1, 1, 1, 2, 2, 3, 3]), np.array([0.0, 1, 0, 1, 1, 1, 2, 1, 2])
+    labels = np.array([1, 1, 1, 1, 2, 2, 2, 2, 2], dtype=np.int32)
+    assert shapely.area(alpha_shapes(x, y, labels, 2, 1.0)) == pytest.approx([1.0, 1.0])
 
 
 def circumradius(corners):

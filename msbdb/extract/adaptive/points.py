@@ -9,6 +9,7 @@ from msbdb.errors import InputError
 from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PlacedPoints, places
 from msbdb.grid import GridSpec
+from msbdb.morphology.order import order_of_points
 from msbdb.pointcloud import PointCloud
 
 Floats = NDArray[np.float64]
@@ -110,14 +111,6 @@ def _canonical(
     cloud: PointCloud, heights: Floats, ndvi: NDArray[np.float32] | None, chosen: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Return the order of chosen points by x and y, then by z and all else where points share a place in plan."""
-    # By ranks of x and y in one number, since sorting by one is much faster than by several.
-    east, north = (np.unique(values[chosen], return_inverse=True)[1].astype(np.int64) for values in (cloud.x, cloud.y))
-    key = east * (int(north.max(initial=0)) + 1) + north
-    order = np.argsort(key)
-    same = np.diff(key[order]) == 0
-    tied = np.append(same, False) | np.append(False, same)
-    if tied.any():
-        some = order[tied]
-        known = (ndvi, heights, cloud.number_of_returns, cloud.return_number, cloud.z)
-        order[tied] = some[np.lexsort((*(v[chosen[some]] for v in known if v is not None), key[some]))]
-    return np.asarray(order, dtype=np.int64)
+    known = [cloud.z, cloud.return_number, cloud.number_of_returns, heights, ndvi]
+    ties = [values[chosen] for values in known if values is not None]
+    return np.asarray(order_of_points(cloud.x[chosen], cloud.y[chosen], ties), dtype=np.int64)

@@ -15,6 +15,7 @@ from msbdb.extract.candidates import Candidates
 from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PointBooks, places
 from msbdb.grid import GridSpec
+from msbdb.morphology.order import order_of_points, ranks
 from msbdb.morphology.points import PointGraph, area_open_close, components, connect
 from msbdb.params import Area3dParams, Params
 from msbdb.pointcloud import PointCloud
@@ -123,11 +124,10 @@ def _canonical_order(
 
     Blocks come first, so that what lies together in the world lies together in memory, for the graph and neighbours.
     """
-    row, col = (np.floor(values / BLOCK_M) for values in (cloud.y, cloud.x))
-    keys = [heights, cloud.z, cloud.y, cloud.x, col, row]
-    echoes = [values for values in (cloud.return_number, cloud.number_of_returns, ndvi) if values is not None]
-    order: NDArray[np.intp] = np.lexsort([*echoes, *keys])
-    return order
+    (_, row), (cols, col) = (ranks(np.floor(values / BLOCK_M).astype(np.int64)) for values in (cloud.y, cloud.x))
+    _, block = ranks(row * len(cols) + col)
+    echoes = [values for values in (ndvi, cloud.number_of_returns, cloud.return_number) if values is not None]
+    return order_of_points(cloud.x, cloud.y, [cloud.z, heights, *echoes], group=block)
 
 
 def _prepare(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, NodataError
+from msbdb.morphology.order import ranks
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.gridding import OCCUPANCY_CELL_M, cell_size, density
@@ -129,7 +130,7 @@ def shorten(values: Floats, cell_m: float, gap_m: float) -> Floats:
     """
     local = values - np.floor(float(values.min()) / cell_m) * cell_m
     blocks = np.floor(local / gap_m).astype(np.int64)
-    used, inverse = _used(blocks)
+    used, inverse = ranks(blocks)
     if used.size == used[-1] + 1:
         return np.asarray(local)
     first, last = np.full(used.size, np.inf), np.full(used.size, -np.inf)
@@ -138,13 +139,3 @@ def shorten(values: Floats, cell_m: float, gap_m: float) -> Floats:
     empty = np.diff(used) > 1
     excess = np.where(empty, np.floor(np.maximum(first[1:] - last[:-1] - gap_m, 0.0) / cell_m) * cell_m, 0.0)
     return np.asarray(local - np.concatenate([[0.0], np.cumsum(excess)])[inverse])
-
-
-def _used(blocks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the numbers that occur, ascending, and the place of each in them; without sorting where few can occur."""
-    if int(blocks.max()) > SPARE_CELLS:
-        used, inverse = np.unique(blocks, return_inverse=True)
-        return used, inverse
-    occurs = np.zeros(int(blocks.max()) + 1, dtype=np.bool_)
-    occurs[blocks] = True
-    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[blocks]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.morphology.order import order_of_points
 from msbdb.morphology.points.graph import PointGraph, connect
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
@@ -107,7 +108,7 @@ def ground_heights(points: PointCloud, params: GroundParams) -> Floats:
     Cost: linear in the points, times the windows that hold each, (w / ss)², times the passes.
     """
     require_points(points)
-    order = np.lexsort((points.z, points.y, points.x))
+    order = order_of_points(points.x, points.y, [points.z])
     windows = automatic_windows(points, params)
     gap_m = (windows.steps + 2 * params.quadratic_growth + 1) * windows.step_m
     placed = frame(points.take(order), windows.step_m, max(gap_m, 2 * windows.link_m))
