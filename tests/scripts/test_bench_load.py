@@ -22,7 +22,7 @@ def test_the_same_rows_are_loaded_in_each_way():
     assert told["rows"] == 60
     for other in ("ogr2ogr, own table", "ogr2ogr, same table"):
         assert ways[f"ratio to {other}"] == pytest.approx(ways["msbdb"] / ways[other])
-    assert ways["msbdb, in place of as many"] > 0
+    assert min(ways["msbdb, in place of as many"], ways["msbdb, first build"]) > 0
 
 
 def test_wrong_arguments_are_explained():
