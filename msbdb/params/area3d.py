@@ -62,11 +62,11 @@ class Area3dParams:
         doc="T_coc: points with a larger change of curvature belong to crowns.",
     )
     thin_m: float = param(
-        0.4,
+        0.5,
         unit="m",
         low=0.0,
         high=10.0,
-        source="ours: at 20 points/m2 the 16 nearest lie within a leaf's reach, where crowns are smooth",
+        source="ours: at 20 points/m2 the 16 nearest lie within a leaf's reach, where crowns are smooth; 4 points/m2",
         doc="The change of curvature looks at one point a cube of this size; 0 at all points.",
     )
     max_echo_share: float = param(
@@ -101,13 +101,21 @@ class Area3dParams:
         source="ours: above the classes' bounds of NDVI; not measured, no tile at hand has it; 1 leaves it out",
         doc="Regions of a larger mean NDVI are crowns, where the points have NDVI.",
     )
+    grow_m: float = param(
+        0.6,
+        unit="m",
+        low=0.0,
+        high=20.0,
+        source="ours: beyond, fewer than half of the points are roofs, at any density; 0 gives nothing back",
+        doc="Points that lie this near to a region in plan return to it: edges, chimneys and walls are no planes.",
+    )
     grow_spacings: float = param(
-        2.0,
+        1.0,
         unit="spacings",
         low=0.0,
         high=20.0,
-        source="ours: the change of curvature takes edges, chimneys and walls along; 0 gives nothing back",
-        doc="Points above the mask that lie this near to a region in plan return to it.",
+        source="ours: the edges of regions lie no nearer to those of roofs than the points let them",
+        doc="The same, at least.",
     )
     grow_step_m: float = param(
         1.0,
@@ -115,7 +123,23 @@ class Area3dParams:
         low=0.0,
         high=100.0,
         source="ours: as for the flat regions; crowns stand higher over a roof; 0.5 to 2 m differ little",
-        doc="Points that lie higher than this above the region beside them do not return.",
+        doc="Points higher than this above the region beside them return within half the distance, none of twice it.",
+    )
+    wall_factor: float = param(
+        2.0,
+        unit="1",
+        low=1.0,
+        high=20.0,
+        source="ours: below eaves, pulses of one echo hit walls and lower roofs; 1 treats them as others",
+        doc="Only echoes lower by more than that step return within so many times the distance.",
+    )
+    foot_m: float = param(
+        1.0,
+        unit="m",
+        low=0.0,
+        high=1000.0,
+        source="ours: surveys differ in how far down they count walls; 0.3 costs one tile of four 1.3 points",
+        doc="Points below the mask, but above this, return to a region that stands over them: feet of its walls.",
     )
     sector_spacings: float = param(
         4.0,

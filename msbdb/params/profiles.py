@@ -35,6 +35,7 @@ CAO_WU: dict[str, Any] = {
     "max_crown": 1.0,
     "max_crown_curvature": 1.0,
     "max_ndvi": 1.0,
+    "grow_m": 0.0,
     "grow_spacings": 0.0,
     "rectangularity_2": 0.4,
     "compactness": 3.0,

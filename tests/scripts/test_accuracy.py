@@ -59,6 +59,23 @@ def test_points_have_a_table_where_they_were_scored(accuracy):
     ]
 
 
+def test_tiles_of_points_are_counted_together(accuracy):
+    """Areas, points and objects are summed up before they are divided; other tiles and given classes are left out."""
+
+    def run(tile, share, found, *, classes="wiped"):
+        area = {"both_m2": 100 * share, "reference_only_m2": 100.0 - 100 * share, "extracted_only_m2": 0.0}
+        objects = {"found": found, "missed": 1, "true": found, "false": 0}
+        counts = {"points": {"tp": 0, "fp": 1, "fn": 1}, "written": {"tp": 9, "fp": 1, "fn": 0}}
+        score = {"area": area, "objects": objects, "large_objects": objects, "counts": counts}
+        return {"tile": tile, "profile": "default", "classes": classes, "of": "area3d", "score": score}
+
+    runs = [run("delft_1", 0.9, 2), run("beziers", 0.5, 5), run("goteborg", 0.1, 1)]
+    page = accuracy.pooled([*runs, run("delft_2", 0.1, 1, classes="given")])
+    assert page.splitlines()[2:] == [
+        "| default | area3d | 70.0 | 90.0 | 7 of 9 | 7 of 7 | 77.8 | 7 of 9 | 7 of 7 | 77.8 |"
+    ]
+
+
 def test_rasters_have_no_extractors_on_points(accuracy):
     """Neither are they built, nor compared, nor are their profiles run."""
     tiles = {tile.name: tile for tile in accuracy.TILES}

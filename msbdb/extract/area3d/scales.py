@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from msbdb.extract.area3d.coc import Structure
 from msbdb.extract.area3d.regions import STAGES, Cloud, Labels
-from msbdb.extract.area3d.regrow import grow_regions
+from msbdb.extract.area3d.regrow import Reach, grow_regions
 from msbdb.extract.area3d.rules import judge, reasons_against
 from msbdb.extract.area3d.shape import Shapes, measure_shapes
 from msbdb.extract.placed import PointBooks, region_means
@@ -52,7 +52,7 @@ class Scene:
     params : Area3dParams
         The section of this extractor.
     mask_m : float
-        Lower points are no building.
+        Lower points are no building, but for the feet of its walls.
     """
 
     cloud: Cloud
@@ -69,6 +69,11 @@ class Scene:
         """(N,) bool, which points are no crown by their neighbourhood (C16; the echoes are ours)."""
         kept: Mask = self.structure.curvature <= self.params.max_curvature
         return kept & (self.structure.echo_share <= self.params.max_echo_share)
+
+    @property
+    def grow_m(self) -> float:
+        """Distance in plan within which points return to a region, metres; 0 for none."""
+        return max(self.params.grow_m, self.params.grow_spacings * self.spacing_m)
 
     def areas(self, labels: Labels, count: int) -> NDArray[np.float64]:
         """Return (count,) the areas of labelled regions, m2 (A17)."""
@@ -145,17 +150,23 @@ class _Level:
         on = (scene.filtered >= self.height_m) & ~self.taken
         opened = self.without_small(on, left)
         labels, count = self.without_crowns(*self.without_leaves(on, opened))
-        labels = grow_regions(
-            scene.cloud.points,
-            labels,
-            (scene.cloud.heights >= scene.mask_m) & ~self.taken,
-            reach_m=scene.params.grow_spacings * scene.spacing_m,
-            step_m=scene.params.grow_step_m,
-        )
+        labels = self.grown(labels)
         shapes = scene.shapes(labels, count)
         rule = judge(shapes, scene.params)
         labels, _ = self.drop("area3d rules", labels, reasons_against(shapes, rule, scene.params))
         return labels, rule[rule > 0]
+
+    def grown(self, labels: Labels) -> Labels:
+        """Give the regions back what belongs to them beside, below and on them (ours)."""
+        scene, own = self.scene, self.scene.params
+        return grow_regions(
+            scene.cloud.points,
+            labels,
+            (scene.cloud.heights >= min(own.foot_m, scene.mask_m)) & ~self.taken,
+            heights=scene.cloud.heights,
+            several=scene.cloud.several,
+            reach=Reach(scene.grow_m, own.grow_step_m, own.wall_factor, scene.mask_m),
+        )
 
     def without_absorbed(self) -> int:
         """Book what lies within accepted regions; return how many components of the on-set are left (C19)."""

@@ -191,7 +191,7 @@ def test_a_higher_scale_finds_what_is_joined_lower_down():
 def test_sheds_below_t_a_are_booked_with_their_area():
     """A roof of 6 m2 is smaller than the smallest building, one of 25 m2 is not."""
     points = scan(box((10, 10), (2.4, 2.4), 3.0), box((30, 30), (5, 5), 3.0))
-    found = extract(points, with_area3d(grow_spacings=0.0))
+    found = extract(points, with_area3d(grow_m=0.0, grow_spacings=0.0))
     assert len(found.regions) == 1
     small = found.rejections[found.rejections["reason"] == "smaller than T_a"]
     assert small["area_m2"].max() == pytest.approx(5.8, rel=0.4)

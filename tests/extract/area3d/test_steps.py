@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from msbdb.extract.area3d.coc import measure_structure, smallest_share
 from msbdb.extract.area3d.edges import find_edges
 from msbdb.extract.area3d.heights import height_scales, histogram_minima
-from msbdb.extract.area3d.regrow import grow_regions
+from msbdb.extract.area3d.regrow import Reach, grow_regions
 from msbdb.extract.area3d.rules import judge, perpendicular, reasons_against
 from msbdb.extract.area3d.shape import bounding_rectangles, main_directions, measure_lines, measure_shapes
 from msbdb.extract.density import measure_density
@@ -335,14 +335,47 @@ def test_a_strip_scanned_twice_has_the_same_area():
     assert twice.area_m2.sum() == pytest.approx(once, rel=0.06)
 
 
-def test_walls_return_to_their_roof_and_crowns_above_it_do_not():
-    """Points beside and below a region join the nearest one; those far off, or a metre above it, stay out."""
-    points = np.array(
-        [[0, 0, 6], [1, 0, 6], [10, 0, 9], [1.5, 0, 3], [1.5, 0, 7.5], [9.5, 0, 8], [5, 0, 6]], dtype=float
-    )
-    labels = np.array([1, 1, 2, 0, 0, 0, 0], dtype=np.int32)
-    free = np.ones(7, dtype=bool)
-    assert list(grow_regions(points, labels, free, reach_m=1.0, step_m=1.0)) == [1, 1, 2, 1, 0, 2, 0]
-    assert list(grow_regions(points, labels, free, reach_m=0.0, step_m=1.0)) == list(labels)
-    free[3] = False
-    assert grow_regions(points, labels, free, reach_m=1.0, step_m=1.0)[3] == 0
+ROOF = [[0, 0, 6], [1, 0, 6], [10, 0, 9]]
+"""Points of two regions, 1, 1 and 2."""
+
+REACH = Reach(level_m=1.0, step_m=1.0, wall_factor=2.0, mask_m=2.0)
+
+
+@pytest.mark.parametrize(
+    ("place", "several", "expected"),
+    [
+        ((2.0, 0, 6.9), True, 1),
+        ((2.1, 0, 6.9), False, 0),
+        ((9.2, 0, 8.0), True, 2),
+        ((3.0, 0, 3.0), False, 1),
+        ((2.0, 0, 3.0), True, 1),
+        ((2.1, 0, 3.0), True, 0),
+        ((3.1, 0, 3.0), False, 0),
+        ((1.5, 0, 7.9), False, 1),
+        ((1.6, 0, 7.9), False, 0),
+        ((1.0, 0, 8.1), False, 0),
+        ((1.5, 0, 0.5), True, 1),
+        ((1.6, 0, 0.5), False, 0),
+        ((5.0, 0, 6.0), False, 0),
+    ],
+)
+def test_points_return_by_their_height_and_distance(place, several, expected):
+    """Level points return within the reach, walls within twice it, what stands on a roof and feet within half."""
+    points = np.array([*ROOF, place], dtype=float)
+    labels, free = np.array([1, 1, 2, 0], dtype=np.int32), np.ones(4, dtype=bool)
+
+    def grown(reach=REACH, free=free):
+        split = np.array([False, False, False, several])
+        return list(grow_regions(points, labels, free, heights=points[:, 2], several=split, reach=reach))
+
+    assert grown() == [1, 1, 2, expected]
+    assert grown(replace(REACH, level_m=0.0)) == [1, 1, 2, 0]
+    assert grown(free=~free) == [1, 1, 2, 0]
+
+
+def test_below_the_mask_only_feet_of_walls_return():
+    """Beside a low roof a point below the mask is no wall's foot, also where nothing is known of echoes."""
+    points = np.array([[0, 0, 2.2], [0.3, 0, 1.5], [0.3, 0, 1.1], [0.8, 0, 1.1]], dtype=float)
+    labels = np.array([1, 0, 0, 0], dtype=np.int32)
+    found = grow_regions(points, labels, np.ones(4, dtype=bool), heights=points[:, 2], several=None, reach=REACH)
+    assert list(found) == [1, 0, 1, 0]
