@@ -1,4 +1,4 @@
-"""Builds in forked processes, and what stops them: for tests of interruption, and for scripts/kill_test.
+"""Builds in forked processes, and what stops them: for tests of interruption, and for scripts/fault_test.
 
 A fork of a process that has everything imported starts in no time, so that many builds can be killed. Run as a
 program, it takes one request a line, as JSON, and answers each with the exit code (negative for a signal) and what
@@ -45,6 +45,13 @@ def warm() -> None:
     from msbdb.morphology.zones import label_zones
 
     label_zones(np.ones((2, 2), dtype=np.int32))
+
+
+def end(process: int) -> None:
+    """Kill a process that may have ended already, and forget it."""
+    with contextlib.suppress(ProcessLookupError, ChildProcessError):
+        os.kill(process, signal.SIGKILL)
+        os.waitpid(process, 0)
 
 
 def wait(process: int) -> int:

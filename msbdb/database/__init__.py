@@ -21,9 +21,10 @@ from msbdb.database.inventory_read import (
 )
 from msbdb.database.inventory_standing import Standing, read_standing, survey_key
 from msbdb.database.inventory_words import write_import, write_samples, write_state
-from msbdb.database.inventory_write import Advance, OutdatedError, write_advance
+from msbdb.database.inventory_write import Advance, write_advance
 from msbdb.database.labels import read_labelled_classes
 from msbdb.database.load import WriteReport, store_build, write_build
+from msbdb.database.outdated import BuildBasis, OutdatedError, read_digest
 from msbdb.database.query import (
     list_runs,
     read_build,
@@ -48,6 +49,7 @@ __all__ = [
     "CHECKS",
     "ROLES",
     "Advance",
+    "BuildBasis",
     "Engine",
     "ExampleQuery",
     "Finding",
@@ -74,6 +76,7 @@ __all__ = [
     "read_changes",
     "read_class_bands",
     "read_classes",
+    "read_digest",
     "read_flat_region_candidates",
     "read_flat_regions",
     "read_history",

@@ -10,8 +10,8 @@ import shapely
 from sqlalchemy import Connection, Engine, LargeBinary, Table, select, text
 
 from msbdb.database.canonical import to_json
-from msbdb.database.engine import guarded
 from msbdb.database.models import Base
+from msbdb.database.snapshot import snapshot
 
 DECIMALS = 6
 """Decimals of numbers: a micrometre."""
@@ -29,7 +29,7 @@ _ON_FILES = {"notices"}
 
 
 def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]:
-    """Yield the content of all tables, one JSON list a row, in order of tables and keys.
+    """Yield the content of all tables, one JSON list a row, in order of tables and keys: one committed state.
 
     Numbers have six decimals, geometries are normalised WKT with four, rasters are given by their checksum. Timings,
     the schema's version and whatever a dialect keeps for itself are left out.
@@ -46,7 +46,7 @@ def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]
     str
         First a line of names for each table, then its rows, without line ends.
     """
-    with guarded(engine.url), engine.connect() as connection:
+    with snapshot(engine) as connection:
         left_out = _LEFT_OUT if provenance else _LEFT_OUT | _ON_FILES
         for table in sorted(Base.metadata.tables.values(), key=lambda t: t.name):
             if provenance or table.name not in _OF_FILES:

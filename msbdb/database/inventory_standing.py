@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, func, or_, select
 
 from msbdb.database.canonical import text_id
-from msbdb.database.engine import guarded
 from msbdb.database.inventory import BuildingChange, BuildingVersion, InventoryEvent
 from msbdb.database.inventory_read import read_before, read_born, read_events, read_offsets
 from msbdb.database.models import Run, Survey
+from msbdb.database.snapshot import snapshot
 from msbdb.errors import InputError
 
 SEAM_SHARE = 0.02
@@ -85,7 +85,7 @@ def read_standing(
         When something later was applied to the same place already.
     """
     survey_id = survey_key(survey)
-    with guarded(engine.url), engine.connect() as connection:
+    with snapshot(engine) as connection:
         basis = basis_of(connection, survey_id, area)
         digest = _digest(basis, date, area)
         applied = _applied(connection, survey_id, digest)

@@ -26,6 +26,7 @@ from msbdb.database.inventory import (
     SurveyOffset,
 )
 from msbdb.database.inventory_standing import Basis, basis_of, require_begun
+from msbdb.database.outdated import OutdatedError
 
 logger = logging.getLogger(__name__)
 
@@ -38,10 +39,6 @@ MEASURES = (
 
 _FIGURES = ("outline", "height", "parts", "overlap_m2", "iou", "dh_m", "darea_m2", "note")
 """What a change tells of a pair of buildings."""
-
-
-class OutdatedError(Exception):
-    """What an update was computed from has changed since; it is computed again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

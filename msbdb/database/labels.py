@@ -3,7 +3,7 @@
 from os import PathLike
 
 import pandas as pd
-from sqlalchemy import URL, text
+from sqlalchemy import URL, Connection, text
 
 from msbdb.database.dialect import dialect_of
 from msbdb.database.engine import TIMEOUT_S, database_url, guarded
@@ -35,10 +35,15 @@ def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> pd.
     """
     url = database_url(target)
     dialect = dialect_of(url)
-    rows: list[tuple[object, ...]] = []
     with guarded(url):
         if dialect.exists(url, TIMEOUT_S):
             with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
-                rows = [tuple(row) for row in connection.execute(_CLASSES, {"survey": survey})]
+                return labelled_classes(connection, survey)
+    return pd.DataFrame([], columns=list(COLUMNS))
+
+
+def labelled_classes(connection: Connection, survey: str) -> pd.DataFrame:
+    """Return what ``read_labelled_classes`` does, as an open transaction sees it."""
+    rows = [tuple(row) for row in connection.execute(_CLASSES, {"survey": survey})]
     found = pd.DataFrame(rows, columns=list(COLUMNS))
     return found[found["labelled_by"] == "operator"].reset_index(drop=True)

@@ -20,6 +20,7 @@ from msbdb.database.crs import srid_of
 from msbdb.database.dialect import Dialect, dialect_of
 from msbdb.database.engine import TIMEOUT_S, database_url, guarded, open_database, require_srid, shown
 from msbdb.database.models import Run, RunState, Source, Survey
+from msbdb.database.outdated import BuildBasis
 from msbdb.tables import TABLES, Build, Table
 from msbdb.threads import in_threads
 
@@ -74,7 +75,9 @@ class WriteReport:
     rows: dict[str, int]
 
 
-def store_build(target: str | PathLike[str] | URL, build: Build, *, timeout_s: float = TIMEOUT_S) -> WriteReport:
+def store_build(
+    target: str | PathLike[str] | URL, build: Build, *, basis: BuildBasis | None = None, timeout_s: float = TIMEOUT_S
+) -> WriteReport:
     """Write a build in one transaction, into a database that this transaction creates where there is none.
 
     So a first build that is stopped, or for which the disk is too small, leaves no empty database in its CRS.
@@ -85,11 +88,15 @@ def store_build(target: str | PathLike[str] | URL, build: Build, *, timeout_s: f
         The database. An older schema is upgraded.
     build : Build
         As `write_build` takes it.
+    basis : BuildBasis, optional
+        What it was computed from, of what the database held.
     timeout_s : float
         Seconds to wait for a lock or a server.
 
     Raises
     ------
+    OutdatedError
+        When the basis has changed; nothing was written.
     MsbdbError
         As of `open_database` and `write_build`.
     """
@@ -111,12 +118,12 @@ def store_build(target: str | PathLike[str] | URL, build: Build, *, timeout_s: f
                 return _report(build, rows, "created")
     engine = open_database(url, create=True, srid=survey.epsg, crs_wkt=survey.crs_wkt, timeout_s=timeout_s)
     try:
-        return write_build(engine, build)
+        return write_build(engine, build, basis=basis)
     finally:
         engine.dispose()
 
 
-def write_build(engine: Engine, build: Build) -> WriteReport:
+def write_build(engine: Engine, build: Build, *, basis: BuildBasis | None = None) -> WriteReport:
     """Write a build in one transaction.
 
     A survey has one run, whatever its extractors. Content that is there already is left alone, timings included; other
@@ -128,9 +135,13 @@ def write_build(engine: Engine, build: Build) -> WriteReport:
         From ``open_database``.
     build : Build
         With one frame for each of ``tables.TABLES``. Polygons become multipolygons.
+    basis : BuildBasis, optional
+        What it was computed from, of what the database held.
 
     Raises
     ------
+    OutdatedError
+        When the basis has changed; nothing was written.
     InputError, TableError
         When the build breaks its declaration; nothing was written.
     CRSError
@@ -153,6 +164,8 @@ def write_build(engine: Engine, build: Build) -> WriteReport:
         # Packed before the lock, which others wait for.
         rasters = _packed(build)
         with dialect.writing(engine) as connection:
+            if basis is not None:
+                basis.require(connection, build.survey.name)
             removed = _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
     return _report(build, rows, "replaced" if removed else "created")
 

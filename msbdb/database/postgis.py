@@ -237,7 +237,12 @@ def after_load(connection: Connection) -> None:
 
 _LOCKED = ("{where} is locked: another program writes to it.", "Wait for it, and try again.")
 _TAKEN = ("{where} holds a table of another program: {cause}", "Give msbdb a database of its own.")
+_LOST = (
+    "{where} is out of reach, or its connection was lost: {cause}",
+    "Whatever was not complete is not there; run the command again when the server serves.",
+)
 _EXPLAINED = {
+    **dict.fromkeys(("08000", "08001", "08003", "08006", "57P01", "57P02", "57P03"), _LOST),
     "55P03": _LOCKED,
     "40P01": _LOCKED,
     "53100": ("{where} could not be written: {cause}", "Nothing was changed; free some space and try again."),
@@ -253,6 +258,9 @@ def explain(error: BaseException, where: str) -> MsbdbError:
     origin = error.orig if isinstance(error, DBAPIError) else error
     state = str(getattr(origin, "sqlstate", None) or "")
     cause = " ".join(str(origin).split())
+    if not state and "closed the connection" in cause:
+        # The server had no time to say why.
+        state = "08006"
     if state.startswith(("22", "23")):
         return LoadError(f"The database {where} refused the rows: {cause} Nothing was written.")
     if state in ("0A000", "58P01") and "postgis" in cause:

@@ -14,6 +14,7 @@ from msbdb.database.crs import crs_from, horizontal
 from msbdb.database.engine import guarded, shown
 from msbdb.database.load import ORDER
 from msbdb.database.models import Run, RunState, Source, Survey
+from msbdb.database.snapshot import snapshot
 from msbdb.errors import InputError
 from msbdb.tables import (
     BUILDING,
@@ -60,7 +61,7 @@ def list_runs(engine: Engine) -> pd.DataFrame:
 
 
 def read_build(engine: Engine, survey: str | None = None) -> Build:
-    """Return a run as the build that was written, its rows in the tables' order.
+    """Return a run as the build that was written, its rows in the tables' order; one committed state.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def read_build(engine: Engine, survey: str | None = None) -> Build:
     InputError
         When there is no such survey, or no name was given and there are several.
     """
-    with guarded(engine.url), engine.connect() as connection:
+    with snapshot(engine) as connection:
         return build_of(connection, survey)
 
 
@@ -92,7 +93,7 @@ def build_of(connection: Connection, survey: str | None) -> Build:
 
 def read_survey(engine: Engine, survey: str | None = None) -> SurveyRecord:
     """Return the survey of a run, with its sources."""
-    with guarded(engine.url), engine.connect() as connection:
+    with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
         return _survey_record(connection, run.survey_id)
 
@@ -180,7 +181,7 @@ def read_class_bands(engine: Engine, survey: str | None = None) -> pd.DataFrame:
 
 def read_state(engine: Engine, survey: str | None = None) -> dict[str, NDArray[np.generic]]:
     """Return a run's named rasters, from which its classes can be labelled anew without the source data."""
-    with guarded(engine.url), engine.connect() as connection:
+    with snapshot(engine) as connection:
         return _read_state(connection, _find_run(connection, survey, shown(engine.url)).run_id)
 
 
@@ -192,7 +193,7 @@ def _read_plain(engine: Engine, table: Table, survey: str | None) -> pd.DataFram
 
 def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN401
     """Return one table of one run, as a GeoDataFrame where it has a geometry."""
-    with guarded(engine.url), engine.connect() as connection:
+    with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
         return _read_table(connection, table, run.run_id, _survey_record(connection, run.survey_id))
 

@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.database import check_target, read_labelled_classes, store_build
-from msbdb.errors import ParameterError
+from msbdb.database import BuildBasis, OutdatedError, check_target, read_labelled_classes, store_build
+from msbdb.errors import DatabaseError, ParameterError
 from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
 from msbdb.params import Params, as_dict
@@ -143,7 +143,7 @@ def build(
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
         whole = Build(record, entry, frames, pack_state(heights, cover, flat, candidates, together))
-        changed = store(whole, db)
+        changed = _store(whole, db, labelled)
     report = report_of(whole, stages, changed=changed)
     # What is said once of labels is no part of the content: built once more, all would be the same.
     return replace(report, notices=(*report.notices, *job.lost))
@@ -264,9 +264,22 @@ def find_candidates(
     return tuple(layers)
 
 
-def store(build: Build, db: str | Path) -> bool:
-    """Write a build in one transaction; return whether the database changed."""
-    return store_build(db, build).status != "unchanged"
+def _store(build: Build, db: str | Path, labelled: pd.DataFrame) -> bool:
+    """Write a build in one transaction; return whether the database changed.
+
+    Raises
+    ------
+    DatabaseError
+        When an operator labelled classes since the build began: written over, the word would be lost.
+    """
+    try:
+        return store_build(db, build, basis=BuildBasis(labelled=labelled)).status != "unchanged"
+    except OutdatedError as error:
+        msg = (
+            f"An operator labelled classes of the survey '{build.survey.name}' while it was built. Nothing was "
+            "written; build it again, and the labels are taken over."
+        )
+        raise DatabaseError(msg) from error
 
 
 def count_cells(ndsm: Grid, cover: Cover) -> dict[str, int]:

@@ -1,5 +1,6 @@
 """What is done with a database that is there: tell, re-label, draw, export, evaluate."""
 
+import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -13,19 +14,23 @@ from pyproj import CRS
 from shapely import box
 
 from msbdb.database import (
+    BuildBasis,
     Engine,
+    OutdatedError,
     list_runs,
     open_database,
     read_build,
     read_buildings,
     read_candidates,
     read_classes,
+    read_digest,
     read_flat_regions,
     read_parts,
     read_survey,
     shown,
+    store_build,
 )
-from msbdb.errors import InputError
+from msbdb.errors import DatabaseError, InputError
 from msbdb.evaluate import EvaluateParams, Evaluation, PointReference, PolygonReference
 from msbdb.evaluate import evaluate as score
 from msbdb.export import export as write_export
@@ -35,7 +40,7 @@ from msbdb.io.las import read_points
 from msbdb.io.vector import read_polygons
 from msbdb.params import Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.build import BuildReport, candidates_by_method, count_cells, report_of, store
+from msbdb.pipeline.build import BuildReport, candidates_by_method, count_cells, report_of
 from msbdb.pipeline.candidates import METHODS
 from msbdb.pipeline.footprints import has_together, read_together
 from msbdb.pipeline.stage import Progress, Stages
@@ -53,6 +58,11 @@ from msbdb.tables import CANDIDATE_METHODS, Build
 from msbdb.view.candidates import draw_candidates
 from msbdb.view.figure import draw_map
 from msbdb.view.flat import draw_zones
+
+logger = logging.getLogger(__name__)
+
+ATTEMPTS = 5
+"""How often labels are given again, when others label the same survey meanwhile."""
 
 BUILDING_CLASS = 6
 POINT_SUFFIXES = {".las", ".laz"}
@@ -94,16 +104,43 @@ def relabel(
 ) -> BuildReport:
     """Give classes the operator's labels (V36), and run the build again from there on.
 
-    The source data are not needed: the heights and class maps of the run are in the database.
+    The source data are not needed: the heights and class maps of the run are in the database. Labels that others give
+    to the same survey meanwhile are kept.
 
     Raises
     ------
     InputError
         When a class, a label or the survey does not exist.
+    DatabaseError
+        When the database cannot be written, or the survey was built anew meanwhile, so that its classes are others.
     """
     stages = Stages(progress)
-    with stages.stage("read"), opened(db) as engine:
-        old = read_build(engine, survey)
+    first: list[list[Any]] | None = None
+    for _ in range(ATTEMPTS):
+        with stages.stage("read"), opened(db) as engine:
+            digest = read_digest(engine, read_survey(engine, survey).name)
+            old = read_build(engine, survey)
+        classes = old.frames["spectral_class"][["speindex", "cells"]].to_numpy().tolist()
+        first = first or classes
+        if classes != first:
+            break
+        build = _relabelled(old, labels, stages)
+        with stages.stage("write"):
+            try:
+                changed = store_build(db, build, basis=BuildBasis(content_sha256=digest)).status != "unchanged"
+            except OutdatedError:
+                logger.info("The survey %s changed meanwhile; labelling again", old.survey.name)
+                continue
+        return report_of(build, stages, changed=changed)
+    msg = (
+        f"Others changed the survey '{old.survey.name}' meanwhile. Nothing was labelled; look at its classes with "
+        "'msbdb classes', and try again."
+    )
+    raise DatabaseError(msg)
+
+
+def _relabelled(old: Build, labels: Mapping[int, str], stages: Stages) -> Build:
+    """Return a build with other labels, and all that follows from them."""
     spec = lattice_of(old.survey, old.state)
     heights = unpack_heights(old.state, spec)
     cover = unpack_cover(old, spec).relabelled(labels)
@@ -122,10 +159,7 @@ def relabel(
         regions |= layer.counts
     counts = {**old.run.counts, "regions": regions, "cells": count_cells(heights, cover)}
     run = replace(old.run, counts=counts, timings={**old.run.timings, **stages.timings})
-    with stages.stage("write"):
-        build = Build(old.survey, run, frames, pack_state(heights, cover, flat, candidates, together))
-        changed = store(build, db)
-    return report_of(build, stages, changed=changed)
+    return Build(old.survey, run, frames, pack_state(heights, cover, flat, candidates, together))
 
 
 def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings") -> None:

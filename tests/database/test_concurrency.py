@@ -1,0 +1,284 @@
+"""Many at once: writers of different areas, readers among them, two operators, and one writer at a time on a file."""
+
+import importlib
+import multiprocessing
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+import pytest
+from builds import big_build, small_build
+from faultfiles import write_points
+from scenes import SCENES
+from sqlalchemy import Engine, text
+from towns import ROW, town_build
+
+from msbdb import pipeline
+from msbdb.database import (
+    BuildBasis,
+    OutdatedError,
+    canonical_dump,
+    check_database,
+    footprint_at,
+    open_database,
+    read_build,
+    read_classes,
+    read_digest,
+    read_labelled_classes,
+    read_states,
+    store_build,
+    write_build,
+    write_state,
+)
+from msbdb.database.dialect import dialect_of
+from msbdb.errors import DatabaseError
+from msbdb.params import Params, with_values
+from msbdb.pipeline import reports
+from msbdb.pipeline.update import advance
+from msbdb.tables import Build
+
+build_module = importlib.import_module("msbdb.pipeline.build")
+SPAWN = multiprocessing.get_context("spawn")
+
+
+def tile(number: int, year: int = 2020) -> Build:
+    """Return a survey of one tile of a street, each of two houses; one grew in the later year."""
+    houses = ROW[2 * number : 2 * number + 2]
+    if year > 2020:
+        west, south, east, north, height = houses[0]
+        houses = [(west, south, east, north, height + 5), *houses[1:]]
+    return town_build(f"t{number}_{year}", str(year), houses, bounds=(40 * number, 0, 40 * number + 40, 40))
+
+
+def bring(target: str, numbers: tuple[int, ...]) -> None:
+    """Build tiles and update the inventory by them, survey after survey, as one process does."""
+    for year in (2020, 2021):
+        for number in numbers:
+            store_build(target, tile(number, year), timeout_s=60)
+            advance(target, f"t{number}_{year}")
+
+
+def bring_when(target: str, numbers: tuple[int, ...], begun: Event) -> None:
+    """Tell that this process has its libraries loaded, and bring tiles."""
+    begun.set()
+    bring(target, numbers)
+
+
+def content(target: str) -> list[str]:
+    """Return all but the numbers of events, which tell in which order they came."""
+    return [line for line in canonical_dump(open_database(target)) if not line.startswith('["inventory_event"')]
+
+
+def test_processes_at_once_bring_different_areas_into_one_database(target: str, tmp_path: Path) -> None:
+    """From an empty place on: all is there, sound, and equal to one after the other."""
+    one = str(tmp_path / "sequential.sqlite")
+    bring(one, (0, 1, 2, 3))
+    begun = SPAWN.Event()
+    other = SPAWN.Process(target=bring_when, args=(target, (2, 3), begun))
+    other.start()
+    assert begun.wait(60)
+    bring(target, (0, 1))
+    other.join()
+    assert other.exitcode == 0
+    assert content(target) == content(one)
+    assert check_database(open_database(target)) == []
+
+
+@contextmanager
+def rewriting(engine: Engine, builds: list[Build]) -> Iterator[threading.Event]:
+    """Write builds by turns until the block ends; yields what is set when all were written once."""
+    stop, once, failures = threading.Event(), threading.Event(), []
+
+    def work() -> None:
+        try:
+            while not stop.is_set():
+                for build in builds:
+                    write_build(engine, build)
+                once.set()
+        except BaseException as error:
+            failures.append(error)
+            once.set()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield once
+    finally:
+        stop.set()
+        thread.join()
+    assert failures == []
+
+
+def test_readers_see_whole_states_while_a_survey_is_replaced(target: str) -> None:
+    """A dump and a build are of one state, though they are many queries, and one of those that were written."""
+    low, high = big_build(120, height_m=6.0), big_build(90, height_m=9.0)
+    store_build(target, low)
+    engine = open_database(target)
+    states = {}
+    for build in (low, high):
+        write_build(engine, build)
+        states[len(build.frames["part"])] = list(canonical_dump(engine))
+    seen = set()
+    with rewriting(engine, [low, high]) as once:
+        until = time.monotonic() + 60
+        while not (once.is_set() and len(seen) == 2) and time.monotonic() < until:
+            dump = list(canonical_dump(engine))
+            assert dump in list(states.values())
+            build = read_build(engine)
+            parts = build.frames["part"]
+            assert len(build.frames["building"]) * 2 == len(parts)
+            assert parts["h_max"].unique().tolist() == ([6.0] if len(parts) == 240 else [9.0])
+            seen.add(len(parts))
+    assert seen <= set(states)
+
+
+def test_two_operators_on_one_building_follow_each_other(target: str) -> None:
+    """Whoever comes last has the word, on one building as a whole; nobody's word on another building is lost."""
+    store_build(target, tile(0))
+    advance(target, "t0_2020")
+    engine = open_database(target, timeout_s=60)
+    one, other = footprint_at(engine, "2020")["uid"].tolist()
+
+    def say(name: str, uid: int, states: tuple[str, str]) -> None:
+        for n in range(6):
+            at = f"2020-01-01T00:00:0{n}Z"
+            write_state(engine, uid, states[n % 2], operator=name, note=f"{name} {states[n % 2]}", decided_at=at)
+
+    with ThreadPoolExecutor(3) as pool:
+        spoken = [
+            pool.submit(say, "ann", one, ("confirmed", "refuted")),
+            pool.submit(say, "ben", one, ("refuted", "confirmed")),
+            pool.submit(say, "cleo", other, ("refuted", "refuted")),
+        ]
+        assert [done.result() for done in spoken] == [None, None, None]
+    said = read_states(engine).set_index("uid")
+    assert len(said) == 2
+    assert said["note"][one] == f"{said['operator'][one]} {said['state'][one]}"
+    assert said.loc[other, ["operator", "state"]].tolist() == ["cleo", "refuted"]
+
+
+def test_labels_that_came_meanwhile_are_not_written_over(target: str) -> None:
+    """A build that did not know of them, or went on from an older run, is refused; nothing changes."""
+    build = small_build()
+    store_build(target, build)
+    engine = open_database(target)
+    before, digest = read_labelled_classes(target, "delft"), read_digest(engine, "delft")
+    assert store_build(target, small_build(version="2"), basis=BuildBasis(before, digest)).status == "replaced"
+    classes = build.frames["spectral_class"]
+    labelled = classes.assign(label="vegetation", labelled_by="operator")
+    write_build(engine, Build(build.survey, build.run, {**build.frames, "spectral_class": labelled}, build.state))
+    for basis in (BuildBasis(labelled=before), BuildBasis(content_sha256=digest)):
+        with pytest.raises(OutdatedError):
+            store_build(target, small_build(version="3"), basis=basis)
+    assert set(read_classes(engine)["label"]) == {"vegetation"}
+    known = BuildBasis(read_labelled_classes(target, "delft"), read_digest(engine, "delft"))
+    assert store_build(target, small_build(version="3"), basis=known).status == "replaced"
+
+
+def test_a_second_writer_waits_for_the_first(target: str) -> None:
+    """Not longer than it has to, and then all is there."""
+    store_build(target, small_build("one"))
+    engine = open_database(target, timeout_s=30)
+    with ThreadPoolExecutor(1) as pool:
+        with dialect_of(engine.url).writing(engine) as connection:
+            connection.execute(text("UPDATE survey SET density = 12.5"))
+            second = pool.submit(write_build, engine, small_build("two", shift=1000))
+            time.sleep(0.5)
+            assert not second.done()
+        assert second.result().status == "created"
+    with engine.connect() as connection:
+        assert sorted(connection.scalars(text("SELECT density FROM survey"))) == [10.5, 12.5]
+
+
+def test_a_writer_that_waited_in_vain_says_so(target: str) -> None:
+    """One line: which database, why, and what to do; and readers are not held up."""
+    store_build(target, small_build("one"))
+    engine = open_database(target, timeout_s=0.3)
+    with dialect_of(engine.url).writing(engine):
+        with pytest.raises(DatabaseError, match=r"is locked: another program writes to it.*try again"):
+            write_build(engine, small_build("two", shift=1000))
+        assert len(read_classes(engine, "one")) == 3
+
+
+@pytest.fixture(scope="module")
+def labelling(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return the points of a small scene with colours, and a database of them."""
+    folder = tmp_path_factory.mktemp("labelling")
+    cloud = SCENES["podium_tower"](density=1.0).points
+    points = write_points(folder / "tile.laz", cloud, crs=cloud.crs)
+    pipeline.build([points], db=folder / "town.sqlite", survey="new", extract=["multiscale"])
+    return points, folder / "town.sqlite"
+
+
+def test_operators_who_label_at_once_both_have_their_labels(
+    labelling: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second gives the label again, to what the first wrote."""
+    db = shutil.copy(labelling[1], tmp_path / "town.sqlite")
+    original, calls = reports._relabelled, []
+
+    def meanwhile(*args: object) -> Build:
+        calls.append(args)
+        if len(calls) == 1:
+            pipeline.relabel(db, {1: "other"})
+        return original(*args)
+
+    monkeypatch.setattr(reports, "_relabelled", meanwhile)
+    pipeline.relabel(db, {2: "other"})
+    assert len(calls) == 3
+    classes = read_classes(open_database(db)).set_index("speindex")
+    assert classes.loc[[1, 2], ["label", "labelled_by"]].to_numpy().tolist() == [["other", "operator"]] * 2
+
+
+def test_a_label_during_a_rebuild_is_not_lost(
+    labelling: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The build says so; built again, the label is there."""
+    db = shutil.copy(labelling[1], tmp_path / "town.sqlite")
+    original = build_module.run
+
+    def meanwhile(*args: object) -> object:
+        pipeline.relabel(db, {1: "other"})
+        return original(*args)
+
+    params = with_values(Params(), {"surface": {"storey_m": 2.8}})
+    again = {"db": db, "survey": "new", "extract": ["multiscale"], "params": params}
+    monkeypatch.setattr(build_module, "run", meanwhile)
+    with pytest.raises(DatabaseError, match="An operator labelled classes of the survey 'new' while it was built"):
+        pipeline.build([labelling[0]], **again)
+    monkeypatch.undo()
+    assert pipeline.build([labelling[0]], **again).changed
+    assert read_classes(open_database(db)).set_index("speindex").loc[1, "label"] == "other"
+
+
+@pytest.mark.postgis
+def test_a_connection_that_is_cut_is_told(new_postgis: Callable[[], str]) -> None:
+    """As the server's or the network's doing, and nothing is written."""
+    target = new_postgis()
+    store_build(target, small_build("one"))
+    engine, other = open_database(target), open_database(target)
+    before = list(canonical_dump(engine))
+    with pytest.raises(DatabaseError, match=r"connection was lost: .* run the command again"):
+        cut_while_writing(engine, other)
+    assert list(canonical_dump(other)) == before
+
+
+def cut_while_writing(engine: Engine, other: Engine) -> None:
+    """Close a writer's connection from the server's side, between its rows."""
+    from msbdb.database import postgis
+
+    original = postgis.after_load
+
+    def cut(connection: object) -> None:
+        with other.connect() as closing:
+            closing.execute(text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'"))
+        original(connection)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(postgis, "after_load", cut)
+        write_build(engine, small_build("two", shift=1000))
