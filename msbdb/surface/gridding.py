@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.morphology.kernels import kernel
+from msbdb.morphology.points import index_cells
 from msbdb.pointcloud import PointCloud
 
 Floats = NDArray[np.float64]
@@ -23,6 +24,9 @@ CELL_LADDER_M = (0.25, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.
 
 OCCUPANCY_CELL_M = 2.0
 """Cell on which the covered area is counted for the density."""
+
+LEAST_A_CELL, OCCUPANCY_GROWTH, LARGEST_OCCUPANCY_M = 4, 1.5, 100.0
+"""Scattered points: how many a cell shall have on average, how cells grow, and up to which size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +62,9 @@ def frame(spec: GridSpec) -> Frame:
 def density(points: PointCloud) -> float:
     """First echoes a square metre of covered ground.
 
-    Covered is every 2 m cell that holds a first echo; below 0.25 points/m² the whole bounding box counts, since
-    single points would then cover more than their share.
+    Covered is every 2 m cell that holds a first echo. Where there is less than one echo a cell of the bounding box
+    (sparse points, which would cover more than their share, or islands far apart), the cells grow until those that
+    hold any hold four on average, but not beyond `LARGEST_OCCUPANCY_M`.
 
     Raises
     ------
@@ -72,14 +77,21 @@ def density(points: PointCloud) -> float:
         msg = "No point is a first echo (V15), so that no surface can be made; check the return numbers of the source."
         raise NodataError(msg)
     x, y = points.x, points.y
-    west, east = (float(f(x, where=first, initial=start)) for f, start in ((np.min, np.inf), (np.max, -np.inf)))
-    south, north = (float(f(y, where=first, initial=start)) for f, start in ((np.min, np.inf), (np.max, -np.inf)))
-    spec = lattice((west, south, east, north), OCCUPANCY_CELL_M, points.crs)
-    box_m2 = spec.shape[0] * spec.shape[1] * spec.cell_area_m2
-    if count / box_m2 < 1 / spec.cell_area_m2:
-        return count / box_m2
+    spec = lattice(_bounds(x, y, first), OCCUPANCY_CELL_M, points.crs)
+    if count < spec.shape[0] * spec.shape[1]:
+        return _scattered_density(x[first], y[first])
     covered = np.count_nonzero(_occupied(x, y, first, frame(spec), spec.shape)) * spec.cell_area_m2
     return float(count / covered)
+
+
+def _scattered_density(x: Floats, y: Floats) -> float:
+    """Return the points a square metre of the cells that hold any, on cells that hold four on average."""
+    cell_m = OCCUPANCY_CELL_M
+    while True:
+        cells = index_cells(x, y, cell_m)
+        if cells.order.size >= LEAST_A_CELL * cells.keys.size or cell_m >= LARGEST_OCCUPANCY_M:
+            return cells.order.size / (cells.keys.size * cell_m**2)
+        cell_m *= OCCUPANCY_GROWTH
 
 
 def cell_size(points_m2: float) -> float:
@@ -140,6 +152,17 @@ def cell_of(x: float, y: float, frame: Frame, shape: tuple[int, int]) -> tuple[i
     if row < 0 or col < 0 or row >= shape[0] or col >= shape[1]:
         return -1, -1
     return row, col
+
+
+@kernel
+def _bounds(x: Floats, y: Floats, chosen: Mask) -> tuple[float, float, float, float]:
+    """Return west, south, east and north of the chosen points."""
+    west, south, east, north = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(x.size):
+        if chosen[i]:
+            west, east = min(west, x[i]), max(east, x[i])
+            south, north = min(south, y[i]), max(north, y[i])
+    return west, south, east, north
 
 
 @kernel

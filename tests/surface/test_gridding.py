@@ -130,9 +130,17 @@ def test_density_counts_first_echoes_on_covered_ground():
     assert density(points) == pytest.approx(4.0)
 
 
-def test_the_density_of_sparse_points_counts_the_whole_box():
+def test_the_density_of_sparse_points_is_their_own():
     """Single points do not count as ground of 2 m each, which would bound the density from below."""
     assert density(grid_points(200, 10)) == pytest.approx(1 / 100, rel=0.15)
+
+
+@pytest.mark.parametrize("away_m", [1e3, 1e5, 1e7])
+def test_islands_far_apart_have_the_density_of_one(away_m):
+    """Nothing between them counts, however far they are: two fields of 4 points/m2 have 4 points/m2."""
+    field = grid_points(20, 0.5)
+    x, y = np.concatenate([field.x, field.x + away_m]), np.concatenate([field.y, field.y + away_m])
+    assert density(PointCloud(x, y, np.zeros(x.size), CRS_M)) == pytest.approx(4.0)
 
 
 def test_without_first_echoes_there_is_no_surface():

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from msbdb.threads import cores
+from msbdb.morphology.points import nearest
+from msbdb.threads import in_threads
 
-BATCH = 1 << 15
+BATCH = 1 << 13
 """Points worked on at once: their neighbours' coordinates stay in the processor's cache."""
 
 
@@ -50,34 +50,27 @@ def measure_structure(
     covariance give λ3 / (λ1 + λ2 + λ3), and a point's COC is the least of its K nearest points'. So the edge of a roof
     is as smooth as the roof beside it, and a crown has no smooth part. Equal points alone have COC 0.
 
-    The cubes lie on an absolute lattice from the points' origin. O(n log n); the order of equally near neighbours is
-    that of the points.
+    The cubes lie on an absolute lattice from the points' origin. Of equally near neighbours the first ones count, in
+    the points' order. O(n log n) for the cubes, and O(n K) at a bounded density.
     """
     if len(points) == 0:
         return Structure(np.zeros(0), np.zeros(0))
     first, of = _one_a_cube(points, thin_m)
     sample = points[first]
-    around = _nearest(sample, neighbours)
+    x, y, z = (np.ascontiguousarray(column) for column in sample.T)
+    around = nearest(x, y, z, neighbours)
     own = _variation(sample, around)
     curvature, share = np.empty(len(sample)), np.zeros(len(sample))
     echoes = None if several is None else several[first]
-    for start in range(0, len(sample), BATCH):
+
+    def spread(start: int) -> None:
         part = slice(start, start + BATCH)
         curvature[part] = own[around[part]].min(axis=1)
         if echoes is not None:
             share[part] = echoes[around[part]].mean(axis=1)
+
+    in_threads(spread, range(0, len(sample), BATCH))
     return Structure(curvature[of], share[of])
-
-
-def _nearest(points: NDArray[np.float64], count: int) -> NDArray[np.int32]:
-    """Return (N, K) the K nearest points of each, itself included; of fewer points, all."""
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    ranks = np.arange(1, min(count, len(points)) + 1)
-    found = np.empty((len(points), ranks.size), dtype=np.int32)
-    for start in range(0, len(points), 4 * BATCH):
-        part = slice(start, start + 4 * BATCH)
-        found[part] = tree.query(points[part], k=ranks, workers=cores())[1]
-    return found
 
 
 def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -97,13 +90,16 @@ def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.
 def _variation(points: NDArray[np.float64], around: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return λ3 / (λ1 + λ2 + λ3) of the covariance of each (N, K) set of points."""
     found = np.empty(len(around))
-    for start in range(0, len(around), BATCH):
+
+    def work(start: int) -> None:
         of = slice(start, start + BATCH)
         x, y, z = (points[:, axis][around[of]] for axis in range(3))
         for values in (x, y, z):
             values -= values.mean(axis=1, keepdims=True)
         pairs = ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))
         found[of] = smallest_share(np.stack([np.einsum("nk,nk->n", a, b) for a, b in pairs]))
+
+    in_threads(work, range(0, len(around), BATCH))
     return found
 
 

@@ -1,10 +1,13 @@
 """Edge points of regions by the 8-directional neighbourhood (Cao & Wu, definitions 6 and 7)."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.morphology.kernels import kernel
-from msbdb.morphology.points import CellIndex, cell_place, index_cells, strip
+from msbdb.morphology.points import CellIndex, cell_place, index_cells, parts_of, strip
+from msbdb.threads import in_threads
 
 ALL_SECTORS = 255
 """A bit for each of the eight sectors."""
@@ -49,38 +52,50 @@ def find_edges(
     edge = np.zeros(len(x), dtype=np.bool_)
     inside = np.flatnonzero(labels > 0)
     x, y = x[inside], y[inside]
-    edge[inside] = _open_sector(index_cells(x, y, reach * WIDER), x, y, labels[inside], reach**2)
+    index = index_cells(x, y, reach * WIDER)
+    points = Members(index, x[index.order], y[index.order], labels[inside][index.order], reach**2)
+    found = np.empty(inside.size, dtype=np.bool_)
+    in_threads(lambda part: _open_sector(points, part, found), parts_of(index))
+    edge[inside[index.order]] = found
     return edge
 
 
+class Members(NamedTuple):
+    """Points of regions in the order of their cells, and the square of their reach; for kernels."""
+
+    cells: CellIndex
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    labels: NDArray[np.int32]
+    reach_squared: float
+
+
 @kernel
-def _open_sector(
-    index: CellIndex,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    labels: NDArray[np.int32],
-    reach_squared: float,
-) -> NDArray[np.bool_]:
-    """Tell which points have a sector without a point of their region within reach."""
-    found = np.ones(x.size, dtype=np.bool_)
-    strips = np.zeros((3, 2), dtype=np.int64)
-    for cell in range(index.keys.size):
+def _open_sector(points: Members, part: tuple[int, int], found: NDArray[np.bool_]) -> None:
+    """Write which points of a range of cells have a sector without a point of their region within reach."""
+    index, x, y, labels, reach_squared = points
+    for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
-        for down in range(3):
-            strips[down, 0], strips[down, 1] = strip(index, row + down - 1, col - 1, col + 1)
-        for point in index.order[index.starts[cell] : index.starts[cell + 1]]:
+        # The point's own row first: there its sectors are filled soonest.
+        near = (
+            strip(index, row, col - 1, col + 1),
+            strip(index, row + 1, col - 1, col + 1),
+            strip(index, row - 1, col - 1, col + 1),
+        )
+        for point in range(index.starts[cell], index.starts[cell + 1]):
             seen = 0
-            for down in range(3):
-                for other in index.order[strips[down, 0] : strips[down, 1]]:
+            for first, stop in near:
+                for other in range(first, stop):
                     east, north = x[other] - x[point], y[other] - y[point]
                     squared = east * east + north * north
                     if squared == 0 or squared > reach_squared or labels[other] != labels[point]:
                         continue
                     seen |= 1 << _sector(east, north)
+                    if seen == ALL_SECTORS:
+                        break
                 if seen == ALL_SECTORS:
                     break
             found[point] = seen != ALL_SECTORS
-    return found
 
 
 @kernel

@@ -1,6 +1,7 @@
 """The extraction of building regions among the points from end to end (Cao & Wu, section 2.2)."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -83,7 +84,8 @@ def extract_area3d(
     """
     _require(cloud, heights, ndvi)
     order = _canonical_order(cloud, heights, ndvi)
-    scene, scales = _prepare(cloud.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
+    needed = replace(cloud, classification=None, intensity=None, colours=None, colour_names=())
+    scene, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
     placed = scene.cloud.placed(spec, survey)
     books = PointBooks(placed)
     accepted = fuse_over_heights(scene, scales, books)
@@ -139,10 +141,12 @@ def _prepare(
 ) -> tuple[Scene, tuple[float, ...]]:
     """Build what all height scales share from the points in canonical order, and choose the scales."""
     own, mask_m = params.area3d, params.surface.mask_m
-    points = np.column_stack([cloud.x, cloud.y, cloud.z])
+    points = np.empty((len(cloud), 3), order="F")  # by columns, each of which the steps take as it is
+    x, y, z = points.T
+    for column, values in zip((x, y, z), (cloud.x, cloud.y, cloud.z), strict=True):
+        column[:] = values
     origin = np.floor(points.min(axis=0) / ORIGIN_M) * ORIGIN_M
     points -= origin
-    x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))
     density = measure_density(x, y, cloud.first_echo)
     link_m = own.link_spacings * density.spacing_m
     graph = connect(x, y, z, link_m)

@@ -8,8 +8,9 @@ from msbdb.morphology.points.area import (
     build_point_scale_space,
     components,
 )
-from msbdb.morphology.points.cells import CellIndex, cell_at, cell_place, index_cells, strip
+from msbdb.morphology.points.cells import CellIndex, cell_at, cell_place, index_cells, parts_of, strip
 from msbdb.morphology.points.graph import PointGraph, connect
+from msbdb.morphology.points.nearest import nearest
 
 __all__ = [
     "CellIndex",
@@ -24,5 +25,7 @@ __all__ = [
     "components",
     "connect",
     "index_cells",
+    "nearest",
+    "parts_of",
     "strip",
 ]

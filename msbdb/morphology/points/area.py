@@ -342,13 +342,16 @@ def _number(
     for point in range(mask.size):
         if not mask[point]:
             continue
-        for other in indices[indptr[point] : indptr[point + 1]]:
+        root = point  # no later point has joined it yet
+        for place in range(indptr[point], indptr[point + 1]):
+            other = indices[place]
             if other > point:
                 break
             if mask[other]:
-                one, two = find_root(node, point), find_root(node, other)
-                if one != two:
-                    node[max(one, two)] = min(one, two)
+                its = find_root(node, other)
+                if its != root:
+                    node[max(root, its)] = min(root, its)
+                    root = min(root, its)
     labels = np.zeros(mask.size, dtype=np.int32)
     found = 0
     for point in range(mask.size):

@@ -5,6 +5,7 @@ in row-major order: neighbours along a row follow each other, and the points of 
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,9 @@ MAX_POINTS = 2**31 - 2**16
 
 MAX_LATTICE = 2**62
 """Rows times columns, empty ones included: a cell's number must fit into 64 bits."""
+
+PARTS, LEAST_POINTS = 16, 20_000
+"""Work is cut into at most so many parts, of no fewer points each."""
 
 
 class CellIndex(NamedTuple):
@@ -118,6 +122,14 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
     np.not_equal(keys[1:], keys[:-1], out=first[1:])
     starts = np.append(np.flatnonzero(first), keys.size).astype(np.int32)
     return CellIndex(order, starts, keys[first], (rows, cols), west, south, float(cell_m))
+
+
+def parts_of(index: CellIndex) -> list[tuple[int, int]]:
+    """Cut the cells into ranges of about as many points each, for threads; one at least, though it be empty."""
+    points = index.order.size
+    count = min(max(points // LEAST_POINTS, 1), PARTS)
+    bounds = np.searchsorted(index.starts, np.linspace(0, points, count + 1).astype(np.int64))
+    return list(pairwise(bounds.tolist()))
 
 
 @kernel

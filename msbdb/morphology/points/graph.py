@@ -6,7 +6,6 @@ its points.
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from msbdb.morphology.points.cells import (
     CellIndex,
     cell_place,
     index_cells,
+    parts_of,
     require_coordinates,
     require_distance,
     strip,
@@ -32,9 +32,6 @@ MOST_CANDIDATES = 2**34
 
 MOST_NEIGHBOURS = 2**32
 """Most neighbours of all points together: more would take over 16 GiB."""
-
-PARTS, LEAST_POINTS = 16, 20_000
-"""Work is cut into at most so many parts, of no fewer points each."""
 
 FEW = 64
 """Up to so many neighbours are sorted by insertion."""
@@ -115,7 +112,7 @@ def connect(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float6
     around = (strips[:, :, 1] - strips[:, :, 0]).sum(axis=1, dtype=np.int64)
     _require_affordable(around @ np.diff(starts), MOST_CANDIDATES, x.size, distance_m)
     search = Search(order, starts, strips, _sorted(x, order), _sorted(y, order), _sorted(z, order), distance_m**2)
-    parts = _parts(index)
+    parts = parts_of(index)
     indptr = np.zeros(x.size + 1, dtype=np.int64)
     in_threads(partial(_count, search, indptr[1:]), parts)
     np.cumsum(indptr, out=indptr)
@@ -198,14 +195,6 @@ def _sort(values: NDArray[np.int32]) -> None:
 def _sorted(column: NDArray[np.float64], order: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return a coordinate in the order of the cells, in 64 bits."""
     return column[order].astype(np.float64, copy=False)
-
-
-def _parts(index: CellIndex) -> list[tuple[int, int]]:
-    """Cut the cells into ranges of about as many points each."""
-    points = index.order.size
-    count = min(max(points // LEAST_POINTS, 1), PARTS)
-    bounds = np.searchsorted(index.starts, np.linspace(0, points, count + 1).astype(np.int64))
-    return list(pairwise(bounds.tolist()))
 
 
 def _require_affordable(pairs: int, most: int, points: int, distance_m: float) -> None:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from msbdb.morphology.kernels import kernel
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
+from msbdb.surface.gridding import density
 from msbdb.surface.ground.edges import edge_step
-from msbdb.surface.ground.frames import Frame, cell_side, frame, near_density, require_points
+from msbdb.surface.ground.frames import Frame, cell_side, frame, require_points
 from msbdb.surface.ground.indicator import Profile, feature_sizes
 from msbdb.surface.ground.lowpoints import LowPoints, low_points
 from msbdb.surface.ground.pointwindows import opening
@@ -94,7 +95,7 @@ def adaptive_ground(points: PointCloud, params: GroundParams) -> Mask:
 
 def automatic_windows(points: PointCloud, params: GroundParams) -> Windows:
     """Take the cell and the default window from the density, where the parameters do not give them."""
-    cell_m = cell_side(near_density(points), params)
+    cell_m = cell_side(density(points), params)
     return Windows(cell_m, params.adaptive_default_m or DEFAULT_CELLS * cell_m)
 
 

@@ -1,6 +1,6 @@
 """A frame for the points of a cloud: a near origin, empty stretches shortened, and cells to find neighbours by."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,14 +9,12 @@ from msbdb.errors import InputError, NodataError
 from msbdb.morphology.order import ranks
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
-from msbdb.surface.gridding import OCCUPANCY_CELL_M, cell_size, density
+from msbdb.surface.gridding import cell_size
 
 Floats = NDArray[np.float64]
 
 CELL_SPACINGS = 1.5
 """Least side of a cell in point spacings: nine of ten cells hold a point then."""
-DENSITY_GAP_M = 10.0
-"""Empty stretches longer than this do not count for the density."""
 MOST_CELLS = 64
 """Most cells a point: beyond, the cloud is a thin line across a wide box, and its cells would fill the memory."""
 SPARE_CELLS = 1_000_000
@@ -44,18 +42,6 @@ class Frame:
     z: Floats
     cell_m: float
     shape: tuple[int, int]
-
-
-def near_density(points: PointCloud) -> float:
-    """First echoes a square metre of covered ground, as `density`, but islands far apart count as near ones.
-
-    Raises
-    ------
-    NodataError
-        When there is no first echo.
-    """
-    x, y = (shorten(a, OCCUPANCY_CELL_M, DENSITY_GAP_M) for a in (points.x, points.y))
-    return density(replace(points, x=x, y=y))
 
 
 def cell_side(first_m2: float, params: GroundParams) -> float:

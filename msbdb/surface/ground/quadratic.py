@@ -10,7 +10,8 @@ from msbdb.morphology.order import order_of_points
 from msbdb.morphology.points.graph import PointGraph, connect
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
-from msbdb.surface.ground.frames import Frame, cell_side, frame, near_density, require_points
+from msbdb.surface.gridding import density
+from msbdb.surface.ground.frames import Frame, cell_side, frame, require_points
 from msbdb.surface.ground.lowpoints import low_points
 from msbdb.surface.ground.slidingfit import slide
 from msbdb.threads import in_threads
@@ -60,7 +61,7 @@ def quadratic_ground(points: PointCloud, params: GroundParams) -> Mask:
         As `ground_heights`.
     """
     gz = ground_heights(points, params)
-    cell_m = cell_side(near_density(points), params)
+    cell_m = cell_side(density(points), params)
     _, false = low_points(frame(points, cell_m, 10 * cell_m), params.low_outlier_m)
     return np.asarray(points.z - gz <= params.height_m) & ~false
 
@@ -125,7 +126,7 @@ def ground_heights(points: PointCloud, params: GroundParams) -> Floats:
 
 def automatic_windows(points: PointCloud, params: GroundParams) -> Windows:
     """Take T_c and T_a from the density."""
-    first_m2 = near_density(points)
+    first_m2 = density(points)
     all_m2 = first_m2 * len(points) / np.count_nonzero(points.first_echo)
     steps = max(round(params.quadratic_window_m / params.quadratic_step_m), 1)
     return Windows(
