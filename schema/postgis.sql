@@ -1,4 +1,4 @@
--- The schema 0004 of msbdb for postgis.
+-- The schema 0005 of msbdb for postgis.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -511,6 +511,20 @@ ALTER TABLE roof_sample ADD COLUMN geometry geometry(POINT, :srid) NOT NULL;
 
 CREATE INDEX idx_roof_sample_geometry ON roof_sample USING gist (geometry);
 
+ALTER TABLE inventory_building ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE building_version ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE building_change ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE survey_offset ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE inventory_event ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
+
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
@@ -686,6 +700,8 @@ COMMENT ON COLUMN inventory_building.uid IS 'from the survey or import in which 
 
 COMMENT ON COLUMN inventory_building.source IS 'name of the survey or import in which it was born';
 
+COMMENT ON COLUMN inventory_building.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+
 COMMENT ON TABLE operator_state IS 'An operator''s word on a building, which wins over what the extractors say, whatever is built or updated';
 
 COMMENT ON COLUMN operator_state.uid IS 'the building of the inventory';
@@ -698,6 +714,8 @@ COMMENT ON COLUMN operator_state.note IS 'why; may be empty';
 
 COMMENT ON COLUMN operator_state.decided_at IS 'when, UTC, ISO 8601; no part of the content';
 
+COMMENT ON COLUMN operator_state.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+
 COMMENT ON TABLE roof_sample IS 'A place where the material of a roof is known (V53)';
 
 COMMENT ON COLUMN roof_sample.sample_id IS 'from the place';
@@ -709,6 +727,8 @@ COMMENT ON COLUMN roof_sample.note IS 'what else there is to say; may be empty';
 COMMENT ON COLUMN roof_sample.attributes IS 'the other columns of the file it came from';
 
 COMMENT ON COLUMN roof_sample.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON COLUMN roof_sample.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
 
 COMMENT ON TABLE survey IS 'A survey: where and when the data were taken';
 
@@ -782,6 +802,8 @@ COMMENT ON COLUMN building_version.attributes IS 'what an imported inventory tel
 
 COMMENT ON COLUMN building_version.geometry IS 'in the database''s CRS [m]';
 
+COMMENT ON COLUMN building_version.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+
 COMMENT ON TABLE inventory_event IS 'An import into the inventory or an update of it: what was applied, in which order, and where';
 
 COMMENT ON COLUMN inventory_event.number IS '1 to n, in the order in which they were applied';
@@ -799,6 +821,8 @@ COMMENT ON COLUMN inventory_event.counts IS 'rows that it wrote: changes by kind
 COMMENT ON COLUMN inventory_event.content_sha256 IS 'digest of all that decides of its outcome';
 
 COMMENT ON COLUMN inventory_event.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON COLUMN inventory_event.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
 
 COMMENT ON TABLE run IS 'The run that built a survey, a survey''s only one; it is written whole or not at all';
 
@@ -850,6 +874,8 @@ COMMENT ON COLUMN survey_offset.pairs IS 'pairs of like buildings that tell it';
 
 COMMENT ON COLUMN survey_offset.spread_m IS 'robust standard deviation of a pair''s shift; null without pairs [m]';
 
+COMMENT ON COLUMN survey_offset.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+
 COMMENT ON TABLE building_change IS 'What a survey did to a building of the inventory; for merged and split, to each pair of buildings';
 
 COMMENT ON COLUMN building_change.change_id IS 'from the survey, the kind and the two buildings';
@@ -881,6 +907,8 @@ COMMENT ON COLUMN building_change.dh_m IS 'median change of height where both ar
 COMMENT ON COLUMN building_change.darea_m2 IS 'change of the footprint''s area; all of it for new and demolished [m2]';
 
 COMMENT ON COLUMN building_change.note IS 'what else there is to say; often empty';
+
+COMMENT ON COLUMN building_change.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
 
 COMMENT ON TABLE candidate_region IS 'A region that an extractor on the points themselves takes for a roof';
 
@@ -1208,5 +1236,5 @@ COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and cla
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
 

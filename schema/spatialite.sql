@@ -1,4 +1,4 @@
--- The schema 0004 of msbdb for spatialite.
+-- The schema 0005 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change the models and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -511,6 +511,20 @@ SELECT AddGeometryColumn('roof_sample', 'geometry', :srid, 'POINT', 'XY', 1);
 
 SELECT CreateSpatialIndex('roof_sample', 'geometry');
 
+ALTER TABLE inventory_building ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE building_version ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE building_change ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE survey_offset ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE inventory_event ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
+
+ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
+
 CREATE VIEW footprint AS
 SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
@@ -683,5 +697,5 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
 

@@ -7,7 +7,7 @@ import psycopg
 from sqlalchemy import make_url
 
 FOLDER = Path(__file__).parent / "fixtures" / "databases"
-REVISIONS = ("0001", "0002", "0003")
+REVISIONS = ("0001", "0002", "0003", "0004")
 HOSTILE = "x'; DROP TABLE part; --"
 """Name of the second survey of each."""
 

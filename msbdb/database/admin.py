@@ -25,6 +25,7 @@ from msbdb.database.engine import (
 )
 from msbdb.database.models import Base
 from msbdb.database.rights import kept_rights
+from msbdb.database.rowdigest import COLUMN
 from msbdb.errors import CRSError, DatabaseError, SchemaVersionError
 
 logger = logging.getLogger(__name__)
@@ -212,7 +213,7 @@ def _counts(connection: Connection) -> dict[str, dict[str, int]]:
 
 
 def _losses(before: dict[str, dict[str, int]], after: dict[str, dict[str, int]]) -> list[Loss]:
-    """Return the rows that are gone, and the values that are gone from rows that are not."""
+    """Return the rows that are gone, and the values, but for digests, that are gone from rows that are not."""
     lost = []
     for name, held in before.items():
         left = after.get(name, {})
@@ -220,6 +221,6 @@ def _losses(before: dict[str, dict[str, int]], after: dict[str, dict[str, int]])
         if rows:
             lost.append(Loss(name, "", rows))
         if left:
-            gone = [(own, count) for own, count in held.items() if own and own not in left and count]
+            gone = [(own, count) for own, count in held.items() if own not in {"", COLUMN, *left} and count]
             lost += [Loss(name, own, count) for own, count in gone]
     return lost

@@ -88,6 +88,13 @@ def geometry(kind: str) -> MappedColumn[WKBElement]:
     )
 
 
+def digest() -> MappedColumn[int | None]:
+    """Return the column of a row's own digest, the last of its table."""
+    return mapped_column(
+        BigInteger, comment="digest of the row's values, by which an edit that msbdb did not make is noticed"
+    )
+
+
 def one_of(name: str, values: tuple[str, ...]) -> CheckConstraint:
     """Return the check of a column that holds one of some words."""
     return CheckConstraint(f"{name} IN ({', '.join(repr(v) for v in values)})", name=name)

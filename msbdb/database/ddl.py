@@ -7,6 +7,7 @@ from msbdb.database import postgis, spatialite
 from msbdb.database.dialect import Dialect as Hooks
 from msbdb.database.examples import example_queries
 from msbdb.database.models import SPATIAL, Base
+from msbdb.database.rowdigest import COLUMN, TABLES
 from msbdb.database.upgrade import VERSION_TABLE, comment_ddl, head_version
 from msbdb.database.views import TABLE_VIEWS, VIEWS
 
@@ -42,6 +43,7 @@ def statements(dialect: str, srid: int | str) -> list[str]:
         made += [str(CreateIndex(index).compile(dialect=compiler)) for index in indexes]
     for name, kind in SPATIAL.items():
         made += hooks.geometry_ddl(name, kind, srid)
+    made += [f"ALTER TABLE {name} ADD COLUMN {COLUMN} BIGINT" for name in TABLES]
     for view in VIEWS:
         made.append(f"CREATE VIEW {view.name} AS\n{view.sql}")
         made += hooks.view_ddl(view.name, view.key, view.base)
@@ -75,9 +77,10 @@ def dictionary() -> str:
 
 
 def _table_ddl(table: Table, compiler: Dialect) -> str:
-    """Return CREATE TABLE without the geometry, which the hooks add."""
+    """Return CREATE TABLE without the geometry, which the hooks add, and without the digest, which follows it."""
     lines = str(CreateTable(table).compile(dialect=compiler)).strip().splitlines()
-    return "\n".join(line.replace("\t", "  ").rstrip() for line in lines if not line.strip().startswith("geometry "))
+    later = ("geometry ", f"{COLUMN} ")
+    return "\n".join(line.replace("\t", "  ").rstrip() for line in lines if not line.strip().startswith(later))
 
 
 def _table_entry(table: Table) -> list[str]:

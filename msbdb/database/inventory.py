@@ -13,7 +13,7 @@ from sqlalchemy import text as sql
 from sqlalchemy.orm import Mapped, MappedColumn, mapped_column
 from sqlalchemy.types import TypeEngine
 
-from msbdb.database.columns import Base, comment_of, geometry, key, number, one_of, row_id, shares, text
+from msbdb.database.columns import Base, comment_of, digest, geometry, key, number, one_of, row_id, shares, text
 from msbdb.tables import BUILDING
 
 CHANGE_KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
@@ -43,6 +43,7 @@ class InventoryBuilding(Base):
     __table_args__ = (CheckConstraint("uid > 0", name="uid"),)
     uid: Mapped[int] = row_id("from the survey or import in which it was born, and its place")
     source: Mapped[str] = text("name of the survey or import in which it was born")
+    row_digest: Mapped[int | None] = digest()
 
 
 class BuildingVersion(Base):
@@ -107,6 +108,7 @@ class BuildingVersion(Base):
         JSON(none_as_null=True), comment="what an imported inventory tells of it, by the names of its columns"
     )
     geometry: Mapped[WKBElement] = geometry("MULTIPOLYGON")
+    row_digest: Mapped[int | None] = digest()
 
 
 class BuildingChange(Base):
@@ -159,6 +161,7 @@ class BuildingChange(Base):
     dh_m: Mapped[float | None] = mapped_column(Double, comment="median change of height where both are known [m]")
     darea_m2: Mapped[float] = number("change of the footprint's area; all of it for new and demolished [m2]")
     note: Mapped[str] = text("what else there is to say; often empty")
+    row_digest: Mapped[int | None] = digest()
 
 
 class SurveyOffset(Base):
@@ -177,6 +180,7 @@ class SurveyOffset(Base):
     spread_m: Mapped[float | None] = mapped_column(
         Double, comment="robust standard deviation of a pair's shift; null without pairs [m]"
     )
+    row_digest: Mapped[int | None] = digest()
 
 
 class InventoryEvent(Base):
@@ -201,6 +205,7 @@ class InventoryEvent(Base):
     counts: Mapped[dict[str, Any]] = mapped_column(JSON, comment="rows that it wrote: changes by kind, and versions")
     content_sha256: Mapped[str] = text("digest of all that decides of its outcome")
     geometry: Mapped[WKBElement] = geometry("MULTIPOLYGON")
+    row_digest: Mapped[int | None] = digest()
 
 
 class OperatorState(Base):
@@ -216,6 +221,7 @@ class OperatorState(Base):
     operator: Mapped[str] = text("who said so")
     note: Mapped[str] = text("why; may be empty")
     decided_at: Mapped[str] = text("when, UTC, ISO 8601; no part of the content")
+    row_digest: Mapped[int | None] = digest()
 
 
 class RoofSample(Base):
@@ -233,6 +239,7 @@ class RoofSample(Base):
         JSON(none_as_null=True), comment="the other columns of the file it came from"
     )
     geometry: Mapped[WKBElement] = geometry("POINT")
+    row_digest: Mapped[int | None] = digest()
 
 
 INVENTORY_SPATIAL = {

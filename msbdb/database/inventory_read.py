@@ -9,7 +9,21 @@ import numpy as np
 import pandas as pd
 import shapely
 from pyproj import CRS
-from sqlalchemy import ColumnElement, Connection, Engine, Select, TextClause, and_, func, null, or_, select, text, union
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    Engine,
+    Select,
+    TextClause,
+    and_,
+    func,
+    null,
+    or_,
+    select,
+    text,
+    union,
+)
 
 from msbdb.database.crs import FIRST_OWN_SRID
 from msbdb.database.dialect import dialect_of
@@ -24,7 +38,8 @@ from msbdb.database.inventory import (
     SurveyOffset,
 )
 from msbdb.database.inventory_views import FOOTPRINT_AT
-from msbdb.database.models import Survey
+from msbdb.database.models import Base, Survey
+from msbdb.database.rowdigest import COLUMN
 from msbdb.database.snapshot import snapshot
 
 Bounds = tuple[float, float, float, float]
@@ -81,15 +96,15 @@ def read_history(engine: Engine, uid: int | None = None) -> gpd.GeoDataFrame:
 
 def read_events(connection: Connection) -> gpd.GeoDataFrame:
     """Return what was applied to the inventory, in that order: columns of ``inventory_event``, and geometry."""
-    columns = [c for c in InventoryEvent.__table__.columns if c.name != "geometry"]
-    query = select(*columns, func.ST_AsBinary(InventoryEvent.geometry).label("wkb")).order_by(InventoryEvent.number)
+    query = select(*_told(InventoryEvent), func.ST_AsBinary(InventoryEvent.geometry).label("wkb")).order_by(
+        InventoryEvent.number
+    )
     return _frame(connection, query)
 
 
 def read_offsets(connection: Connection) -> pd.DataFrame:
     """Return how each survey lies to the inventory: columns of ``survey_offset``."""
-    rows = connection.execute(select(SurveyOffset.__table__)).mappings().all()
-    return pd.DataFrame([dict(row) for row in rows], columns=list(SurveyOffset.__table__.columns.keys()))
+    return _plain(connection, select(*_told(SurveyOffset)))
 
 
 def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.GeoDataFrame:
@@ -192,14 +207,14 @@ def read_period(engine: Engine, since: str | None = None, until: str | None = No
 def _changes(connection: Connection, since: str | None, until: str | None) -> gpd.GeoDataFrame:
     """Return the changes of a period."""
     one, two = (BuildingVersion.__table__.alias(name) for name in ("version_1", "version_2"))
-    told = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
-    columns = [c for c in BuildingChange.__table__.columns if c.name != "survey_id"]
+    states = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
+    columns = [c for c in _told(BuildingChange) if c.name != "survey_id"]
     query = (
         select(
             Survey.name.label("survey"),
             InventoryEvent.date,
             *columns,
-            *(v.c[name].label(f"{name}_{which}") for name in told for v, which in ((one, "before"), (two, "after"))),
+            *(v.c[name].label(f"{name}_{which}") for name in states for v, which in ((one, "before"), (two, "after"))),
             func.ST_AsBinary(func.coalesce(two.c.geometry, one.c.geometry)).label("wkb"),
         )
         .select_from(BuildingChange)
@@ -215,15 +230,14 @@ def _changes(connection: Connection, since: str | None, until: str | None) -> gp
 def read_states(engine: Engine) -> pd.DataFrame:
     """Return the operators' words on buildings: columns of ``operator_state``, in order of ``uid``."""
     with guarded(engine.url), engine.connect() as connection:
-        query = select(OperatorState.__table__).order_by(OperatorState.uid)
-        rows = connection.execute(query).mappings().all()
-    return pd.DataFrame([dict(row) for row in rows], columns=list(OperatorState.__table__.columns.keys()))
+        return _plain(connection, select(*_told(OperatorState)).order_by(OperatorState.uid))
 
 
 def read_roof_samples(engine: Engine) -> gpd.GeoDataFrame:
     """Return the roof samples: columns of ``roof_sample``, and geometry."""
-    columns = [c for c in RoofSample.__table__.columns if c.name != "geometry"]
-    query = select(*columns, func.ST_AsBinary(RoofSample.geometry).label("wkb")).order_by(RoofSample.sample_id)
+    query = select(*_told(RoofSample), func.ST_AsBinary(RoofSample.geometry).label("wkb")).order_by(
+        RoofSample.sample_id
+    )
     with guarded(engine.url), engine.connect() as connection:
         return _frame(connection, query)
 
@@ -267,10 +281,20 @@ def _between(since: str | None, until: str | None) -> list[ColumnElement[bool]]:
     return conditions
 
 
+def _told(model: type[Base]) -> list[Column[Any]]:
+    """Return a model's columns but the outline, which is read as WKB, and the row's digest."""
+    return [column for column in model.__table__.columns if column.name not in ("geometry", COLUMN)]  # type: ignore[misc]
+
+
+def _plain(connection: Connection, query: Select[Any]) -> pd.DataFrame:
+    """Return the rows of a query without an outline."""
+    result = connection.execute(query)
+    return pd.DataFrame([dict(row) for row in result.mappings()], columns=list(result.keys()))
+
+
 def _version_columns() -> list[ColumnElement[Any]]:
     """Return the columns of building_version, with the geometry as WKB."""
-    columns = [c for c in BuildingVersion.__table__.columns if c.name != "geometry"]
-    return [*columns, func.ST_AsBinary(BuildingVersion.geometry).label("wkb")]
+    return [*_told(BuildingVersion), func.ST_AsBinary(BuildingVersion.geometry).label("wkb")]
 
 
 _INTEGERS = {

@@ -5,7 +5,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
-from sqlalchemy import Connection, Engine, delete, insert
+from sqlalchemy import Connection, Engine, delete
 
 from msbdb.database.canonical import text_id, to_json
 from msbdb.database.dialect import dialect_of
@@ -13,6 +13,7 @@ from msbdb.database.engine import guarded
 from msbdb.database.inventory import OperatorState, RoofSample
 from msbdb.database.inventory_read import has_building, read_events
 from msbdb.database.inventory_write import batches, write_event, write_versions
+from msbdb.database.rowdigest import insert_digested
 from msbdb.errors import InputError
 
 
@@ -61,7 +62,8 @@ def write_import(engine: Engine, name: str, date: str, frame: gpd.GeoDataFrame, 
             version_id=[text_id("version", "import", name, uid) for uid in uids], uid=uids, valid_from=date,
             source="import", survey_id=None, building_id=None,
         )  # fmt: skip
-        dialect.insert_rows(connection, "inventory_building", ["uid", "source"], [(uid, name) for uid in uids], srid)
+        born = [(uid, name) for uid in uids]
+        insert_digested(connection, dialect, "inventory_building", ["uid", "source"], born, srid=srid)
         write_versions(connection, dialect, rows, srid)
         event: dict[str, Any] = {"kind": "import", "name": name, "date": date, "survey_id": None}
         event |= {"counts": {"versions": len(frame)}, "content_sha256": digest}
@@ -93,10 +95,9 @@ def write_samples(engine: Engine, frame: gpd.GeoDataFrame) -> int:
         srid = dialect.database_srid(connection)
         _delete_by(connection, RoofSample.sample_id, list(by_id))
         attributes = [None if value is None else to_json(value) for value in chosen["attributes"]]
-        shapes = dialect.encode(chosen.geometry.to_numpy(), srid)
-        rows = list(zip(by_id, chosen["material"], chosen["note"], attributes, shapes, strict=True))
-        columns = ["sample_id", "material", "note", "attributes", "geometry"]
-        dialect.insert_rows(connection, "roof_sample", columns, rows, srid)
+        rows = list(zip(by_id, chosen["material"], chosen["note"], attributes, strict=True))
+        columns = ["sample_id", "material", "note", "attributes"]
+        insert_digested(connection, dialect, "roof_sample", columns, rows, srid=srid, shapes=chosen.geometry.to_numpy())
         dialect.after_load(connection)
     return len(rows)
 
@@ -111,14 +112,18 @@ def write_state(engine: Engine, uid: int, state: str | None, *, operator: str, n
     InputError
         When the inventory has no such building.
     """
-    with guarded(engine.url), dialect_of(engine.url).writing(engine) as connection:
+    dialect = dialect_of(engine.url)
+    with guarded(engine.url), dialect.writing(engine) as connection:
         if not has_building(connection, uid):
             msg = f"The inventory has no building {uid}. The view footprint_current lists them by uid."
             raise InputError(msg)
         connection.execute(delete(OperatorState).where(OperatorState.uid == uid))
         if state is not None:
-            row = {"uid": uid, "state": state, "operator": operator, "note": note, "decided_at": decided_at}
-            connection.execute(insert(OperatorState), [row])
+            columns = ["uid", "state", "operator", "note", "decided_at"]
+            row = (uid, state, operator, note, decided_at)
+            insert_digested(
+                connection, dialect, "operator_state", columns, [row], srid=dialect.database_srid(connection)
+            )
 
 
 def _delete_by(connection: Connection, column: Any, keys: list[int]) -> None:  # noqa: ANN401  (a model's column)

@@ -13,7 +13,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from sqlalchemy import Connection, Engine, delete, exists, func, insert, select, update
+from sqlalchemy import Connection, Engine, delete, exists, func, select, update
 
 from msbdb.database.canonical import plain, text_id, to_json
 from msbdb.database.dialect import Dialect, dialect_of
@@ -26,7 +26,9 @@ from msbdb.database.inventory import (
     SurveyOffset,
 )
 from msbdb.database.inventory_standing import Basis, basis_of, require_begun
+from msbdb.database.models import Base
 from msbdb.database.outdated import OutdatedError
+from msbdb.database.rowdigest import digest_again, insert_digested
 
 logger = logging.getLogger(__name__)
 
@@ -112,10 +114,11 @@ def write_advance(engine: Engine, advance: Advance) -> str:
         begins = advance.states["before"].to_numpy() < 0
         _close(connection, advance)
         born = [(uid, advance.survey) for (uid, _), is_new in zip(after, begins, strict=True) if is_new]
-        dialect.insert_rows(connection, "inventory_building", ["uid", "source"], born, srid)
+        insert_digested(connection, dialect, "inventory_building", ["uid", "source"], born, srid=srid)
         write_versions(connection, dialect, _version_rows(advance, after), srid)
         _write_changes(connection, dialect, advance, after, srid)
-        connection.execute(insert(SurveyOffset), [{"survey_id": advance.survey_id, **plain(advance.offset)}])
+        offset = {"survey_id": advance.survey_id, **plain(advance.offset)}
+        insert_digested(connection, dialect, "survey_offset", list(offset), [tuple(offset.values())], srid=srid)
         event = {"kind": "update", "name": advance.survey, "date": advance.date, "survey_id": advance.survey_id}
         event |= {"number": number, "counts": advance.counts, "content_sha256": advance.digest}
         write_event(connection, dialect, event, advance.area)
@@ -132,8 +135,8 @@ def _take_back(connection: Connection, survey_id: int) -> int:
     own = select(BuildingVersion.uid).where(BuildingVersion.survey_id == survey_id)
     touched = list(connection.scalars(own))
     connection.execute(delete(BuildingVersion).where(BuildingVersion.survey_id == survey_id))
-    reopened = update(BuildingVersion).where(BuildingVersion.closed_by == survey_id)
-    connection.execute(reopened.values(valid_to=None, closed_by=None))
+    closed = list(connection.scalars(select(BuildingVersion.version_id).where(BuildingVersion.closed_by == survey_id)))
+    _set_end(connection, closed, None, None)
     has_version = exists().where(BuildingVersion.uid == InventoryBuilding.uid)
     for some in batches(touched):
         connection.execute(delete(InventoryBuilding).where(InventoryBuilding.uid.in_(some), ~has_version))
@@ -190,9 +193,15 @@ def _close(connection: Connection, advance: Advance) -> None:
     rows = ended["before"].unique()
     require_begun(advance.before, rows, advance.survey, advance.date)
     ids = advance.before["version_id"].to_numpy()[rows].astype(int).tolist()
-    for some in batches(ids):
-        statement = update(BuildingVersion).where(BuildingVersion.version_id.in_(some))
-        connection.execute(statement.values(valid_to=advance.date, closed_by=advance.survey_id))
+    _set_end(connection, ids, advance.date, advance.survey_id)
+
+
+def _set_end(connection: Connection, versions: list[int], date: str | None, survey_id: int | None) -> None:
+    """End versions on a day by a survey, or reopen them."""
+    for some in batches(versions):
+        own = BuildingVersion.version_id.in_(some)
+        connection.execute(update(BuildingVersion).where(own).values(valid_to=date, closed_by=survey_id))
+        digest_again(connection, Base.metadata.tables["building_version"], own)
 
 
 def _version_rows(advance: Advance, after: list[tuple[int, int]]) -> gpd.GeoDataFrame:
@@ -214,9 +223,8 @@ def write_versions(connection: Connection, dialect: Dialect, rows: gpd.GeoDataFr
     columns = ["version_id", "uid", "valid_from", "source", "survey_id", "building_id", *MEASURES]
     cells: list[list[Any]] = [_values(rows[name]) for name in columns]
     cells.append([None if value is None else to_json(value) for value in rows["attributes"]])
-    cells.append(list(dialect.encode(_multi(rows.geometry.to_numpy()), srid)))
-    names = [*columns, "attributes", "geometry"]
-    dialect.insert_rows(connection, "building_version", names, list(zip(*cells, strict=True)), srid)
+    made, shapes = list(zip(*cells, strict=True)), _multi(rows.geometry.to_numpy())
+    insert_digested(connection, dialect, "building_version", [*columns, "attributes"], made, srid=srid, shapes=shapes)
 
 
 def _write_changes(
@@ -234,7 +242,7 @@ def _write_changes(
         key = text_id("change", advance.survey, kind, one[0], two[0])
         rows.append((key, advance.survey_id, kind, one[0], two[0], one[1], two[1], *cells))
     columns = ["change_id", "survey_id", "kind", "uid_before", "uid_after", "version_before", "version_after"]
-    dialect.insert_rows(connection, "building_change", [*columns, *_FIGURES], sorted(rows), srid)
+    insert_digested(connection, dialect, "building_change", [*columns, *_FIGURES], sorted(rows), srid=srid)
 
 
 def write_event(connection: Connection, dialect: Dialect, event: dict[str, Any], area: shapely.MultiPolygon) -> None:
@@ -242,8 +250,8 @@ def write_event(connection: Connection, dialect: Dialect, event: dict[str, Any],
     last = connection.scalar(select(func.max(InventoryEvent.number))) or 0
     srid = dialect.database_srid(connection)
     row = {"number": event.pop("number", 0) or last + 1, **event, "counts": to_json(event["counts"])}
-    [row["geometry"]] = dialect.encode(np.array([area], dtype=object), srid)
-    dialect.insert_rows(connection, "inventory_event", list(row), [tuple(row.values())], srid)
+    shapes = np.array([area], dtype=object)
+    insert_digested(connection, dialect, "inventory_event", list(row), [tuple(row.values())], srid=srid, shapes=shapes)
 
 
 def _values(column: pd.Series) -> list[Any]:

@@ -2,17 +2,31 @@
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
+import numpy as np
 import psycopg
 import pytest
 from builds import CROWN, EPSG, HOUSE, LIFT, PODIUM, SLAB, SLAB_ROOF, small_build
 from sqlalchemy import URL, Engine, make_url
 
-from msbdb.database import CHECKS, Finding, check_database, copy_database, open_database, write_build
+from msbdb.database import (
+    CHECKS,
+    Finding,
+    check_database,
+    copy_database,
+    open_database,
+    write_build,
+    write_import,
+    write_samples,
+    write_state,
+)
 from msbdb.database.canonical import text_id
+from msbdb.database.inventory_write import MEASURES
+from msbdb.pipeline.update import advance
 
 REGIONS = {
     "spectral": {"in": 8, "pieces": 0, "kept": 6, "dropped": 2},
@@ -20,11 +34,15 @@ REGIONS = {
     "fake fathers": {"in": 6, "pieces": 0, "kept": 6, "dropped": 0},
 }
 RUN, OTHER_RUN = text_id("run", "delft"), text_id("run", "spring")
+UID = text_id("inventory building", "import", "register", "1")
+ENTERED, GONE = text_id("version", "import", "register", UID), text_id("change", "spring", "demolished", UID, None)
+"""A building of the imported register: its first version, which ended with the first survey, and its end."""
+SAMPLE = text_id("roof sample", (85_002) * 1000, (446_002) * 1000)
 VERSION = """
 INSERT INTO building_version (version_id, uid, valid_from, valid_to, source, state, area_m2, geometry)
 SELECT {id}, 7, '{begins}', {ends}, 'import', 'unsure', 100, geometry FROM part WHERE part_id = {HOUSE}
 """
-BUILDING_7 = "INSERT INTO inventory_building VALUES (7, 'register')"
+BUILDING_7 = "INSERT INTO inventory_building (uid, source) VALUES (7, 'register')"
 
 
 def version(number: int, begins: str, ends: str | None) -> str:
@@ -222,6 +240,69 @@ CORRUPTIONS = [
         sql=(f"DELETE FROM run WHERE run_id = {OTHER_RUN}",),
     ),
     Corruption(
+        "a height in the history that somebody edited",
+        *("digests", "building_version", f"version_id={ENTERED}", "its values give the digest"),
+        sql=(f"UPDATE building_version SET h_p90 = h_p90 + 0.000001 WHERE version_id = {ENTERED}",),
+    ),
+    Corruption(
+        "an end of a version that somebody edited",
+        *("digests", "building_version", f"version_id={ENTERED}", "its values give the digest"),
+        sql=(f"UPDATE building_version SET valid_to = '2020-03-31' WHERE version_id = {ENTERED}",),
+    ),
+    Corruption(
+        "an office's attribute that somebody edited",
+        *("digests", "building_version", f"version_id={ENTERED}", "its values give the digest"),
+        sql=(f"""UPDATE building_version SET attributes = '{{"owner": "me"}}' WHERE version_id = {ENTERED}""",),
+    ),
+    Corruption(
+        "an outline in the history that somebody moved",
+        *("digests", "building_version", f"version_id={ENTERED}", "its values give the digest"),
+        sql=(f"UPDATE building_version SET geometry = {moved('geometry', 0.01)} WHERE version_id = {ENTERED}",),
+    ),
+    Corruption(
+        "a change that somebody edited",
+        *("digests", "building_change", f"change_id={GONE}", "its values give the digest"),
+        sql=(f"UPDATE building_change SET note = 'it burned down' WHERE change_id = {GONE}",),
+    ),
+    Corruption(
+        "an offset that somebody edited",
+        *("digests", "survey_offset", f"survey_id={text_id('survey', 'delft')}", "its values give the digest"),
+        sql=("UPDATE survey_offset SET dx_m = dx_m + 0.5",),
+    ),
+    Corruption(
+        "an update without its offset",
+        *("events", "inventory_event", "number=2", "its survey has no offset"),
+        sql=(f"DELETE FROM survey_offset WHERE survey_id = {text_id('survey', 'delft')}",),
+    ),
+    Corruption(
+        "a day of an event that somebody edited",
+        *("digests", "inventory_event", "number=1", "its values give the digest"),
+        sql=("UPDATE inventory_event SET date = '2015-01-02' WHERE number = 1",),
+    ),
+    Corruption(
+        "an origin of a building that somebody edited",
+        *("digests", "inventory_building", f"uid={UID}", "its values give the digest"),
+        sql=(f"UPDATE inventory_building SET source = 'elsewhere' WHERE uid = {UID}",),
+    ),
+    Corruption(
+        "an operator's word that somebody edited",
+        *("digests", "operator_state", f"uid={UID}", "its values give the digest"),
+        sql=("UPDATE operator_state SET state = 'confirmed'",),
+    ),
+    Corruption(
+        "an operator's word that msbdb did not write",
+        *("digests", "operator_state", "uid=7", "it has no digest"),
+        sql=(
+            "INSERT INTO operator_state (uid, state, operator, note, decided_at) "
+            "VALUES (7, 'refuted', 'me', '', '2024-01-01')",
+        ),
+    ),
+    Corruption(
+        "a roof's material that somebody edited",
+        *("digests", "roof_sample", f"sample_id={SAMPLE}", "its values give the digest"),
+        sql=("UPDATE roof_sample SET material = 'slate'",),
+    ),
+    Corruption(
         "a view that was dropped",
         *("schema", "footprint_current", "", "the view is missing"),
         sql=("DROP VIEW footprint_current",),
@@ -312,13 +393,28 @@ def plant(engine: Engine, corruption: Corruption) -> None:
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a file with two surveys, in which all is right."""
+    """Return a file with an inventory and two surveys, in which all is right."""
     place = tmp_path_factory.mktemp("sound") / "city.sqlite"
     engine = open_database(place, create=True, srid=EPSG)
     counts = {"regions": REGIONS}
-    write_build(engine, small_build(counts=counts))
-    write_build(engine, small_build("spring", shift=1000, counts=counts))
+    for build, height in (small_build(counts=counts), 900), (small_build("spring", shift=1000, counts=counts), 0):
+        cells = {"ndsm_cm": np.full((100, 400), height, dtype=np.int32), "valid": np.ones((100, 400), dtype=np.uint8)}
+        write_build(engine, replace(build, state={**build.state, **cells}))
+    enter_history(engine)
     return place
+
+
+def enter_history(engine: Engine) -> None:
+    """Import a register, apply both surveys, of which the second finds everything gone, and enter people's words."""
+    office = small_build().frames["building"].iloc[[0]]
+    unknown = dict.fromkeys(MEASURES) | {"state": "unsure", "area_m2": office.geometry.area, "h_p90": 8.0}
+    office = office[["geometry"]].assign(**unknown, key="1", attributes=[{"owner": "O'Hara"}])
+    write_import(engine, "register", "2015-01-01", office, digest="of its file")
+    for survey in ("delft", "spring"):
+        advance(engine.url, survey)
+    point = gpd.GeoSeries.from_xy([85_002.0], [446_002.0], crs=EPSG)
+    write_samples(engine, gpd.GeoDataFrame({"material": ["tile"], "note": "", "attributes": None}, geometry=point))
+    write_state(engine, UID, "refuted", operator="ann", note="", decided_at="2021-06-01T00:00:00Z")
 
 
 @pytest.fixture(scope="module")

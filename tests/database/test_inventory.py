@@ -373,7 +373,7 @@ def test_the_example_queries_tell_of_the_inventory(engine: Engine) -> None:
         "UPDATE building_version SET state = 'lost'",
         "INSERT INTO building_version SELECT version_id + 1, uid, valid_from, valid_to, source, survey_id, closed_by, "
         "building_id, state, storeys, h_max, h_mean, h_p50, h_p90, area_m2, volume_m3, parts, flat_share, "
-        "area3d_share, adaptive_share, attributes, geometry FROM building_version",
+        "area3d_share, adaptive_share, attributes, geometry, row_digest FROM building_version",
         "UPDATE building_change SET kind = 'not surveyed'",
         "UPDATE building_change SET uid_after = NULL",
         "UPDATE inventory_event SET kind = 'import'",

@@ -4,8 +4,18 @@ from collections.abc import Iterator, Mapping
 
 from sqlalchemy import Connection, exists, func, select
 
-from msbdb.database.integrity.finding import Finding, by_id
-from msbdb.database.models import Base, BuildingChange, BuildingVersion, InventoryBuilding, InventoryEvent, Run, Survey
+from msbdb.database.integrity.finding import Finding, by_id, keyed
+from msbdb.database.models import (
+    Base,
+    BuildingChange,
+    BuildingVersion,
+    InventoryBuilding,
+    InventoryEvent,
+    Run,
+    Survey,
+    SurveyOffset,
+)
+from msbdb.database.rowdigest import TABLES, digested
 
 
 def check_intervals(connection: Connection) -> Iterator[Finding]:
@@ -61,6 +71,10 @@ def check_events(connection: Connection) -> Iterator[Finding]:
     if versions.get(None, 0) != imported:
         what = f"{versions.get(None, 0)} versions are of imports"
         yield Finding("events", "building_version", "", what, f"{imported}, as the imports counted")
+    told = exists().where(SurveyOffset.survey_id == InventoryEvent.survey_id)
+    for number in connection.scalars(select(InventoryEvent.number).where(InventoryEvent.kind == "update", ~told)):
+        key = by_id("inventory_event", "number", number)
+        yield Finding("events", "inventory_event", key, "its survey has no offset", "a row of survey_offset")
     for unknown in changes:
         key = by_id("survey", "survey_id", unknown)
         yield Finding("events", "building_change", key, "its changes are of no event", "the update that made them")
@@ -68,6 +82,21 @@ def check_events(connection: Connection) -> Iterator[Finding]:
 
 def _told(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{rows} {name}" for name, rows in sorted(counts.items()))
+
+
+def check_digests(connection: Connection) -> Iterator[Finding]:
+    """Yield rows of the history whose values are not those that were written, by the digest of each."""
+    for name in TABLES:
+        table = Base.metadata.tables[name]
+        for rows in digested(connection, table):
+            for number, stored, found in rows:
+                if stored == found:
+                    continue
+                what = "it has no digest" if stored is None else f"its values give the digest {found}"
+                expected = (
+                    "that of msbdb, which wrote no such row" if stored is None else f"{stored}, as it was written"
+                )
+                yield Finding("digests", name, keyed(table, [number]), what, expected)
 
 
 def check_orphans(connection: Connection) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ from sqlalchemy.exc import DBAPIError
 from msbdb.database.integrity.books import check_content, check_ledger, check_rasters
 from msbdb.database.integrity.finding import Finding
 from msbdb.database.integrity.forest import check_buildings, check_forest
-from msbdb.database.integrity.history import check_events, check_intervals, check_orphans
+from msbdb.database.integrity.history import check_digests, check_events, check_intervals, check_orphans
 from msbdb.database.integrity.rows import check_foreign_keys, check_links, check_values
 from msbdb.database.integrity.schema import check_schema, missing_tables
 from msbdb.database.integrity.shapes import check_geometries, check_registers, check_spatial_index
@@ -36,6 +36,7 @@ CHECKS: dict[str, Callable[[Connection], Iterator[Finding]]] = {
     "content": check_content,
     "intervals": check_intervals,
     "events": check_events,
+    "digests": check_digests,
     "orphans": check_orphans,
 }
 """The checks by name, in their order."""
