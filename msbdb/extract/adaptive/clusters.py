@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from msbdb.extract.adaptive.points import Labels, OffGround
 from msbdb.extract.adaptive.vegetation import Structure
-from msbdb.morphology.points import components, connect
+from msbdb.morphology.order import order_of_points
+from msbdb.morphology.points import linked
 from msbdb.params import AdaptiveParams
 
 Floats = NDArray[np.float64]
@@ -60,9 +61,7 @@ def cluster(points: OffGround, chosen: Mask, distance_m: float) -> tuple[Labels,
     labels = np.zeros(len(points), dtype=np.int32)
     if not inside.size:
         return labels, 0
-    graph = connect(points.x[inside], points.y[inside], points.z[inside], distance_m)
-    found, count = components(np.ones(inside.size, dtype=np.bool_), graph)
-    labels[inside] = found
+    labels[inside], count = linked(points.x[inside], points.y[inside], points.z[inside], distance_m)
     return labels, count
 
 
@@ -92,7 +91,7 @@ def judge(points: OffGround, found: Structure, labels: Labels, count: int, step:
 
 def upper_heights(heights: Floats, member: NDArray[np.int32], size: NDArray[np.int64]) -> Floats:
     """Return the height that `UPPER` of each cluster's points do not exceed, metres."""
-    order = np.lexsort((heights, member))
+    order = order_of_points(heights, heights, group=member)
     first = np.cumsum(size) - size
     place = first + np.maximum(np.ceil(UPPER * size).astype(np.int64) - 1, 0)
     return np.asarray(heights[order][place])

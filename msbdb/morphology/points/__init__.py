@@ -9,6 +9,7 @@ from msbdb.morphology.points.area import (
     components,
 )
 from msbdb.morphology.points.cells import CellIndex, cell_at, cell_place, index_cells, parts_of, strip
+from msbdb.morphology.points.clusters import linked
 from msbdb.morphology.points.graph import PointGraph, connect
 from msbdb.morphology.points.nearest import nearest
 
@@ -25,6 +26,7 @@ __all__ = [
     "components",
     "connect",
     "index_cells",
+    "linked",
     "nearest",
     "parts_of",
     "strip",

@@ -21,6 +21,9 @@ MAX_POINTS = 2**31 - 2**16
 MAX_LATTICE = 2**62
 """Rows times columns, empty ones included: a cell's number must fit into 64 bits."""
 
+MARGIN = 1e-6
+"""Cells larger than a distance by this share never have points nearer than it two cells apart, by rounding."""
+
 PARTS, LEAST_POINTS = 16, 20_000
 """Work is cut into at most so many parts, of no fewer points each."""
 

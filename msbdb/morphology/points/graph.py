@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points.cells import (
+    MARGIN,
     CellIndex,
     cell_place,
     index_cells,
@@ -23,9 +24,6 @@ from msbdb.morphology.points.cells import (
     strip,
 )
 from msbdb.threads import in_threads
-
-MARGIN = 1e-6
-"""Cells are larger than T_c by this share, so that rounding never puts connected points two cells apart."""
 
 MOST_CANDIDATES = 2**34
 """Most pairs of points in touching cells, each seen from both ends: more would take minutes."""
