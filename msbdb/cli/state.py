@@ -24,10 +24,13 @@ def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> 
     """Confirm or refute a building by hand, or take that back.
 
     UID is the building's number in the inventory (column uid of footprint_current). The operator's word wins over what
-    the extractors say, and holds through every rebuild and update.
+    the extractors say, and holds through every rebuild and update. The last word stands; the one before it is told.
     """
     from msbdb import pipeline
 
     word = None if state == "auto" else state
-    pipeline.set_state(db, uid, word, operator=operator or getpass.getuser(), note=note)
+    before = pipeline.set_state(db, uid, word, operator=operator or getpass.getuser(), note=note)
     click.echo(f"Building {uid}: {'as the extractors say' if word is None else word}.")
+    if before is not None:
+        why = f" ({before['note']})" if before["note"] else ""
+        click.echo(f"Before: {before['state']} by {before['operator']}, {before['decided_at']}{why}.")

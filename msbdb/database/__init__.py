@@ -6,7 +6,7 @@ from msbdb.database.admin import Loss, create_database, downgrade_schema, upgrad
 from msbdb.database.copy import copy_database
 from msbdb.database.crs import srid_of
 from msbdb.database.dump import canonical_dump
-from msbdb.database.engine import check_target, open_database, shown, upgrade_database
+from msbdb.database.engine import PATIENCE_S, check_target, open_database, shown, upgrade_database
 from msbdb.database.examples import ExampleQuery, example_queries, run_example
 from msbdb.database.integrity import CHECKS, Finding, check_database
 from msbdb.database.inventory_read import (
@@ -47,6 +47,7 @@ from msbdb.database.roles import ROLES, grant_role
 
 __all__ = [
     "CHECKS",
+    "PATIENCE_S",
     "ROLES",
     "Advance",
     "BuildBasis",

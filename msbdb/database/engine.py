@@ -22,6 +22,9 @@ logger = logging.getLogger(__name__)
 TIMEOUT_S = 5.0
 """How long to wait for another writer or for a server."""
 
+PATIENCE_S = 60.0
+"""How long a writer waits for others that has computed for minutes what it writes; each of them is done in seconds."""
+
 
 def open_database(
     target: str | PathLike[str] | URL,

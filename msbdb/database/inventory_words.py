@@ -5,7 +5,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
-from sqlalchemy import Connection, Engine, delete
+from sqlalchemy import Connection, Engine, delete, select
 
 from msbdb.database.canonical import text_id, to_json
 from msbdb.database.dialect import dialect_of
@@ -102,10 +102,17 @@ def write_samples(engine: Engine, frame: gpd.GeoDataFrame) -> int:
     return len(rows)
 
 
-def write_state(engine: Engine, uid: int, state: str | None, *, operator: str, note: str, decided_at: str) -> None:
+def write_state(
+    engine: Engine, uid: int, state: str | None, *, operator: str, note: str, decided_at: str
+) -> dict[str, Any] | None:
     """Write an operator's word on a building; None takes it back.
 
     Two operators on one building follow each other, and the later word stands.
+
+    Returns
+    -------
+    mapping, optional
+        The word that this one takes the place of: ``state``, ``operator``, ``note`` and ``decided_at``.
 
     Raises
     ------
@@ -117,13 +124,17 @@ def write_state(engine: Engine, uid: int, state: str | None, *, operator: str, n
         if not has_building(connection, uid):
             msg = f"The inventory has no building {uid}. The view footprint_current lists them by uid."
             raise InputError(msg)
-        connection.execute(delete(OperatorState).where(OperatorState.uid == uid))
+        own = OperatorState.uid == uid
+        words = (OperatorState.state, OperatorState.operator, OperatorState.note, OperatorState.decided_at)
+        before = connection.execute(select(*words).where(own)).mappings().one_or_none()
+        connection.execute(delete(OperatorState).where(own))
         if state is not None:
             columns = ["uid", "state", "operator", "note", "decided_at"]
             row = (uid, state, operator, note, decided_at)
             insert_digested(
                 connection, dialect, "operator_state", columns, [row], srid=dialect.database_srid(connection)
             )
+    return None if before is None else dict(before)
 
 
 def _delete_by(connection: Connection, column: Any, keys: list[int]) -> None:  # noqa: ANN401  (a model's column)

@@ -120,6 +120,8 @@ def make_engine(url: URL, timeout_s: float) -> Engine:
     return create_engine(
         url,
         poolclass=NullPool,
+        # Whatever the server's default is: a writer that waited for its lock must see what was committed meanwhile.
+        isolation_level="READ COMMITTED",
         connect_args={
             "connect_timeout": max(2, round(timeout_s)),
             # What is asked for is often local, and compiling its query takes longer than its answer.

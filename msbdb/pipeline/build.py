@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.database import BuildBasis, OutdatedError, check_target, read_labelled_classes, store_build
+from msbdb.database import PATIENCE_S, BuildBasis, OutdatedError, check_target, read_labelled_classes, store_build
 from msbdb.errors import DatabaseError, ParameterError
 from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
@@ -273,7 +273,8 @@ def _store(build: Build, db: str | Path, labelled: pd.DataFrame) -> bool:
         When an operator labelled classes since the build began: written over, the word would be lost.
     """
     try:
-        return store_build(db, build, basis=BuildBasis(labelled=labelled)).status != "unchanged"
+        basis = BuildBasis(labelled=labelled)
+        return store_build(db, build, basis=basis, timeout_s=PATIENCE_S).status != "unchanged"
     except OutdatedError as error:
         msg = (
             f"An operator labelled classes of the survey '{build.survey.name}' while it was built. Nothing was "

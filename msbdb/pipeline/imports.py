@@ -147,7 +147,7 @@ def import_roof_samples(
     return ImportReport(Path(file).stem, "", "created", count)
 
 
-def set_state(db: str | Path, uid: int, state: str | None, *, operator: str, note: str = "") -> None:
+def set_state(db: str | Path, uid: int, state: str | None, *, operator: str, note: str = "") -> dict[str, Any] | None:
     """Write an operator's word on a building of the inventory; None takes it back.
 
     Parameters
@@ -161,6 +161,11 @@ def set_state(db: str | Path, uid: int, state: str | None, *, operator: str, not
     operator, note : str
         Who says so, and why.
 
+    Returns
+    -------
+    mapping, optional
+        The word that this one takes the place of: ``state``, ``operator``, ``note`` and ``decided_at``.
+
     Raises
     ------
     InputError
@@ -171,7 +176,7 @@ def set_state(db: str | Path, uid: int, state: str | None, *, operator: str, not
         raise InputError(msg)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     with opened(db) as engine:
-        write_state(engine, uid, state, operator=operator, note=note, decided_at=now)
+        return write_state(engine, uid, state, operator=operator, note=note, decided_at=now)
 
 
 def _opened_or_created(db: str | Path, frame: gpd.GeoDataFrame) -> Engine:

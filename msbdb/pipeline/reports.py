@@ -14,6 +14,7 @@ from pyproj import CRS
 from shapely import box
 
 from msbdb.database import (
+    PATIENCE_S,
     BuildBasis,
     Engine,
     OutdatedError,
@@ -127,7 +128,8 @@ def relabel(
         build = _relabelled(old, labels, stages)
         with stages.stage("write"):
             try:
-                changed = store_build(db, build, basis=BuildBasis(content_sha256=digest)).status != "unchanged"
+                basis = BuildBasis(content_sha256=digest)
+                changed = store_build(db, build, basis=basis, timeout_s=PATIENCE_S).status != "unchanged"
             except OutdatedError:
                 logger.info("The survey %s changed meanwhile; labelling again", old.survey.name)
                 continue

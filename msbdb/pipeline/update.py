@@ -13,6 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.database import (
+    PATIENCE_S,
     Advance,
     Engine,
     OutdatedError,
@@ -49,9 +50,6 @@ logger = logging.getLogger(__name__)
 
 ATTEMPTS = 5
 """How often an update is computed again, when others change the same place of the inventory meanwhile."""
-
-PATIENCE_S = 60.0
-"""How long an update waits for other writers, each of whom is done in seconds."""
 
 MEASURED_FIRST = "its heights are known for the first time"
 

@@ -184,11 +184,11 @@ class FakePipeline(types.ModuleType):
         inventory = types.SimpleNamespace(**told, notices=("Few pairs.",))
         return types.SimpleNamespace(build=FakeReport(), inventory=inventory, as_dict=lambda: {"inventory": told})
 
-    def changes(self, db, *, since=None, until=None, survey=None, aoi=None, out=None, figure=None):
+    def changes(self, db, *, since=None, until=None, survey=None, each=False, aoi=None, out=None, figure=None):
         """Return counts."""
         values = {name: value for name, value in locals().items() if name != "self"}
         self._note("changes", **values)
-        return types.SimpleNamespace(counts={"new": 1, "unchanged": 2})
+        return types.SimpleNamespace(counts={"new": 1, "unchanged": 2}, in_between=0)
 
     def summary(self, found):
         """Return one change."""

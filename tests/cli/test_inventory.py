@@ -142,7 +142,11 @@ def test_states_by_hand_are_written_and_taken_back(town: Path) -> None:
     run("state", town, uid, "refuted", "--note", "a crane; DROP TABLE part", "--operator", "ann")
     row = footprint_at(engine, "2021-05-01").set_index("uid").loc[uid]
     assert (row["state"], row["operator"], row["note"]) == ("refuted", "ann", "a crane; DROP TABLE part")
-    run("state", town, uid, "auto")
+    told = run("state", town, uid, "auto", "--operator", "ben")
+    assert "as the extractors say" in told
+    assert "Before: refuted by ann, 20" in told
+    assert "(a crane; DROP TABLE part)" in told
+    assert "Before" not in run("state", town, uid, "auto")
     assert footprint_at(engine, "2021-05-01")["operator"].isna().all()
     assert "no building 5" in run("state", town, 5, "confirmed", code=1)
 

@@ -16,6 +16,7 @@ from builds import big_build, small_build
 from faultfiles import write_points
 from scenes import SCENES
 from sqlalchemy import Engine, text
+from sqlalchemy.exc import DBAPIError
 from towns import ROW, town_build
 
 from msbdb import pipeline
@@ -36,6 +37,7 @@ from msbdb.database import (
     write_state,
 )
 from msbdb.database.dialect import dialect_of
+from msbdb.database.snapshot import snapshot
 from msbdb.errors import DatabaseError
 from msbdb.params import Params, with_values
 from msbdb.pipeline import reports
@@ -43,15 +45,16 @@ from msbdb.pipeline.update import advance
 from msbdb.tables import Build
 
 build_module = importlib.import_module("msbdb.pipeline.build")
+update_module = importlib.import_module("msbdb.pipeline.update")
 SPAWN = multiprocessing.get_context("spawn")
 
 
-def tile(number: int, year: int = 2020) -> Build:
-    """Return a survey of one tile of a street, each of two houses; one grew in the later year."""
+def tile(number: int, year: int = 2020, *, grown: float = 5.0) -> Build:
+    """Return a survey of one tile of a street, each of two houses; one grew in the later year, by so many metres."""
     houses = ROW[2 * number : 2 * number + 2]
     if year > 2020:
         west, south, east, north, height = houses[0]
-        houses = [(west, south, east, north, height + 5), *houses[1:]]
+        houses = [(west, south, east, north, height + grown), *houses[1:]]
     return town_build(f"t{number}_{year}", str(year), houses, bounds=(40 * number, 0, 40 * number + 40, 40))
 
 
@@ -87,6 +90,68 @@ def test_processes_at_once_bring_different_areas_into_one_database(target: str, 
     assert other.exitcode == 0
     assert content(target) == content(one)
     assert check_database(open_database(target)) == []
+
+
+@pytest.fixture
+def begun(target: str) -> str:
+    """Return a database with the first survey of one tile in its inventory."""
+    store_build(target, tile(0))
+    advance(target, "t0_2020")
+    return target
+
+
+def undisturbed(path: Path, grown: float) -> list[str]:
+    """Return the content after a second survey, by itself."""
+    for build in (tile(0), tile(0, 2021, grown=grown)):
+        store_build(str(path), build)
+        advance(str(path), build.survey.name)
+    return content(str(path))
+
+
+def test_updates_of_one_survey_at_once_end_in_one_of_them(begun: str, tmp_path: Path) -> None:
+    """Run and inventory are of the same one, whichever was built last, as if it had been alone."""
+    alone = [undisturbed(tmp_path / f"{grown}.sqlite", grown) for grown in (5.0, 9.0)]
+    assert alone[0] != alone[1]
+
+    def bring_one(grown: float) -> None:
+        store_build(begun, tile(0, 2021, grown=grown), timeout_s=60)
+        advance(begun, "t0_2021")
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(bring_one, (5.0, 9.0))) == [None, None]
+    assert content(begun) in alone
+    assert check_database(open_database(begun)) == []
+
+
+def test_a_build_during_an_update_is_compared_anew(begun: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was computed from the run that is gone is not written."""
+    original, calls = update_module.write_advance, []
+
+    def meanwhile(*args: object) -> str:
+        calls.append(args)
+        if len(calls) == 1:
+            store_build(begun, tile(0, 2021, grown=9.0))
+        return original(*args)
+
+    monkeypatch.setattr(update_module, "write_advance", meanwhile)
+    store_build(begun, tile(0, 2021, grown=5.0))
+    assert advance(begun, "t0_2021").status == "created"
+    assert len(calls) == 2
+    assert content(begun) == undisturbed(tmp_path / "alone.sqlite", 9.0)
+
+
+def test_an_update_that_others_always_overtake_says_so(begun: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After some attempts, in one line; the inventory stays as it was."""
+
+    def overtaken(*args: object) -> str:
+        raise OutdatedError
+
+    store_build(begun, tile(0, 2021))
+    before = content(begun)
+    monkeypatch.setattr(update_module, "write_advance", overtaken)
+    with pytest.raises(DatabaseError, match="Others keep changing the inventory where the survey 't0_2021' lies"):
+        advance(begun, "t0_2021")
+    assert content(begun) == before
 
 
 @contextmanager
@@ -137,29 +202,29 @@ def test_readers_see_whole_states_while_a_survey_is_replaced(target: str) -> Non
     assert seen <= set(states)
 
 
-def test_two_operators_on_one_building_follow_each_other(target: str) -> None:
-    """Whoever comes last has the word, on one building as a whole; nobody's word on another building is lost."""
-    store_build(target, tile(0))
-    advance(target, "t0_2020")
-    engine = open_database(target, timeout_s=60)
+def test_two_operators_on_one_building_follow_each_other(begun: str) -> None:
+    """Whoever comes last has the word, and is told whose it was; nobody's word on another building is lost."""
+    engine = open_database(begun, timeout_s=60)
     one, other = footprint_at(engine, "2020")["uid"].tolist()
 
-    def say(name: str, uid: int, states: tuple[str, str]) -> None:
+    def say(name: str, uid: int) -> list[str | None]:
+        replaced = []
         for n in range(6):
-            at = f"2020-01-01T00:00:0{n}Z"
-            write_state(engine, uid, states[n % 2], operator=name, note=f"{name} {states[n % 2]}", decided_at=at)
+            words = {"operator": name, "note": f"{name} {n}", "decided_at": f"2020-01-01T00:00:0{n}Z"}
+            before = write_state(engine, uid, ("confirmed", "refuted")[n % 2], **words)
+            replaced.append(None if before is None else before["note"])
+        return replaced
 
     with ThreadPoolExecutor(3) as pool:
-        spoken = [
-            pool.submit(say, "ann", one, ("confirmed", "refuted")),
-            pool.submit(say, "ben", one, ("refuted", "confirmed")),
-            pool.submit(say, "cleo", other, ("refuted", "refuted")),
-        ]
-        assert [done.result() for done in spoken] == [None, None, None]
+        ann, ben, cleo = pool.map(say, ("ann", "ben", "cleo"), (one, one, other))
     said = read_states(engine).set_index("uid")
     assert len(said) == 2
-    assert said["note"][one] == f"{said['operator'][one]} {said['state'][one]}"
-    assert said.loc[other, ["operator", "state"]].tolist() == ["cleo", "refuted"]
+    assert cleo == [None, *(f"cleo {n}" for n in range(5))]
+    assert said.loc[other, ["operator", "state", "note"]].tolist() == ["cleo", "refuted", "cleo 5"]
+    # Each word was replaced by just one other, but for the last.
+    assert said["note"][one] in {"ann 5", "ben 5"}
+    replaced = sorted(word for word in [*ann, *ben, said["note"][one]] if word is not None)
+    assert replaced == sorted(f"{name} {n}" for name in ("ann", "ben") for n in range(6))
 
 
 def test_labels_that_came_meanwhile_are_not_written_over(target: str) -> None:
@@ -254,6 +319,27 @@ def test_a_label_during_a_rebuild_is_not_lost(
     monkeypatch.undo()
     assert pipeline.build([labelling[0]], **again).changed
     assert read_classes(open_database(db)).set_index("speindex").loc[1, "label"] == "other"
+
+
+@pytest.mark.postgis
+def test_isolation_is_what_was_chosen(new_postgis: Callable[[], str]) -> None:
+    """Whatever the server's default: writers see what was committed before their lock, readers one state alone."""
+    target = new_postgis()
+    store_build(target, small_build("one"))
+    engine, level = open_database(target), text("SHOW transaction_isolation")
+    default = f"ALTER DATABASE {engine.url.database} SET default_transaction_isolation = '%s'"
+    with engine.begin() as connection:
+        connection.execute(text(default % "serializable"))
+    try:
+        with dialect_of(engine.url).writing(engine) as connection:
+            assert connection.scalar(level) == "read committed"
+        with snapshot(engine) as connection:
+            assert connection.scalar(level) == "repeatable read"
+            with pytest.raises(DBAPIError, match="read-only transaction"):
+                connection.execute(text("UPDATE survey SET density = 1"))
+    finally:
+        with engine.begin() as connection:
+            connection.execute(text(default % "read committed"))
 
 
 @pytest.mark.postgis

@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import importlib
 import json
 import os
 import resource
@@ -192,6 +193,7 @@ def test_a_locked_database_is_told(tiles, town, monkeypatch, lock):
     before = dump(town)
     for function in (open_database, check_target):
         monkeypatch.setitem(function.__kwdefaults__, "timeout_s", 0.2)
+    monkeypatch.setattr(importlib.import_module("msbdb.pipeline.build"), "PATIENCE_S", 0.2)
     build = ("build", "--points", tiles["podium_tower"], "--db", town)
     with connect(town) as other:
         other.execute(f"BEGIN {lock}")
