@@ -192,7 +192,15 @@ class FakePipeline(types.ModuleType):
 
     def summary(self, found):
         """Return one change."""
-        row = {"date": "2024-04-20", "kind": "new", "uid_before": None, "uid_after": 7, "dh_m": 6.5, "darea_m2": 90.0}
+        row = {
+            "survey": "spring",
+            "date": "2024-04-20",
+            "kind": "new",
+            "uid_before": None,
+            "uid_after": 7,
+            "dh_m": 6.5,
+            "darea_m2": 90.0,
+        }
         return {"counts": found.counts, "changes": [row | {"note": ""}]}
 
     def import_inventory(self, db, file, **options):
