@@ -83,7 +83,7 @@ class FlatRegionParams:
         low=0.0,
         high=100.0,
         source="M17, M23 give 1.5; ours: with capped gradients 1.9 to 2.2 do best",
-        doc="R: a flat region has at least R times its zone's upper λ of area; less in cells above 0.35 m (docs/decisions/0015).",
+        doc="R: a flat region has at least R times its zone's upper λ of area; less in cells above 0.35 m.",
     )
     largest_m2: float = param(
         50_000.0,
