@@ -38,6 +38,11 @@ logger = logging.getLogger(__name__)
 VERSION_TABLE = "msbdb_schema_version"
 _WRITER_LOCK = 0x6D73626462
 """Number of the advisory lock that one writer of a database holds: 'msbdb' in ASCII."""
+_ALIVE = {"keepalives_idle": 30, "keepalives_interval": 10, "keepalives_count": 3, "tcp_user_timeout": 60_000}
+"""When either end of a connection takes the other for gone: seconds, and for the last milliseconds.
+
+By the systems' own values a writer whose machine or network is gone would keep its lock for two hours.
+"""
 _WIRE: dict[type[TypeEngine[Any]], str] = {
     BigInteger: "int8",
     Boolean: "bool",
@@ -125,7 +130,9 @@ def make_engine(url: URL, timeout_s: float) -> Engine:
         connect_args={
             "connect_timeout": max(2, round(timeout_s)),
             # What is asked for is often local, and compiling its query takes longer than its answer.
-            "options": f"-c lock_timeout={round(timeout_s * 1000)} -c client_min_messages=warning -c jit=off",
+            "options": f"-c lock_timeout={round(timeout_s * 1000)} -c client_min_messages=warning -c jit=off "
+            + " ".join(f"-c tcp_{name.removeprefix('tcp_')}={value}" for name, value in _ALIVE.items()),
+            **_ALIVE,
         },
         hide_parameters=True,
         json_serializer=to_json,

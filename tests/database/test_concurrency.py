@@ -343,6 +343,20 @@ def test_isolation_is_what_was_chosen(new_postgis: Callable[[], str]) -> None:
 
 
 @pytest.mark.postgis
+def test_a_writer_whose_machine_is_gone_frees_its_lock_soon(new_postgis: Callable[[], str]) -> None:
+    """Both ends ask each other whether they live: a minute after the last word, not two hours."""
+    target = new_postgis()
+    store_build(target, small_build("one"))
+    with open_database(target).connect() as connection:
+        given = connection.connection.driver_connection.info.get_parameters()
+    for name, value in {"idle": 30, "interval": 10, "count": 3}.items():
+        assert given[f"keepalives_{name}"] == str(value)
+        assert f"-c tcp_keepalives_{name}={value}" in given["options"]
+    assert given["tcp_user_timeout"] == "60000"
+    assert "-c tcp_user_timeout=60000" in given["options"]
+
+
+@pytest.mark.postgis
 def test_a_connection_that_is_cut_is_told(new_postgis: Callable[[], str]) -> None:
     """As the server's or the network's doing, and nothing is written."""
     target = new_postgis()
