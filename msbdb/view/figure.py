@@ -2,8 +2,10 @@
 
 import io
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -224,8 +226,10 @@ def furnish(figure: Figure, axes: Axes, title: str, subtitle: str) -> None:
     """Write the title and coordinates, and draw scale bar and north arrow."""
     box = axes.get_position()
     height = figure.get_figheight()
-    figure.text(box.x0, box.y1 + 0.34 / height, title, fontsize=15, fontweight="bold", va="bottom")
-    figure.text(box.x0, box.y1 + 0.12 / height, subtitle, fontsize=9, color="#444444", va="bottom")
+    # A survey may be called anything: dollar signs make no formula of it.
+    plain: dict[str, Any] = {"va": "bottom", "parse_math": False}
+    figure.text(box.x0, box.y1 + 0.34 / height, title, fontsize=15, fontweight="bold", **plain)
+    figure.text(box.x0, box.y1 + 0.12 / height, subtitle, fontsize=9, color="#444444", **plain)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10], integer=True, prune="both"))
         axis.set_major_formatter(StrMethodFormatter("{x:.0f}"))
@@ -292,7 +296,10 @@ def require_png(out: Path) -> None:
 def write_picture(figure: Figure, out: Path) -> None:
     """Write the picture beside its place and move it there, so that no half picture is ever seen."""
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Software": None})
+    with warnings.catch_warnings():
+        # Signs that the font lacks are drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
+        figure.savefig(picture, format="png", metadata={"Software": None})
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -79,7 +79,7 @@ def draw_denoising(before: Grid, after: Grid, out: Path, *, title: str) -> None:
     figure = Figure(figsize=(12.0, max(6.0 * rows / cols, 2.0) + 0.6), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     changed = int(np.count_nonzero(before.valid & (np.asarray(before.values) != np.asarray(after.values))))
-    figure.suptitle(f"{title}: {changed:,} cells refilled", fontweight="bold")
+    figure.suptitle(f"{title}: {changed:,} cells refilled", fontweight="bold", parse_math=False)
     west, south, east, north = before.spec.bounds
     for axes, grid, name in zip(figure.subplots(1, 2), (before, after), ("before", "after"), strict=True):
         axes.set_xlim(west, east)

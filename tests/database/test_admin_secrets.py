@@ -14,11 +14,13 @@ import pytest
 from builds import EPSG, small_build
 from click.testing import CliRunner
 from sqlalchemy import make_url
+from towns import ROW, footprints, town_heights
 
 from msbdb.cli.main import cli
-from msbdb.database import canonical_dump, create_database, open_database, write_build
+from msbdb.database import canonical_dump, create_database, footprint_at, open_database, write_build
 from msbdb.database.engine import database_url, shown
 from msbdb.errors import DatabaseError
+from msbdb.io.raster import write_grid
 
 SECRET = "Geheim&42"
 QUOTED = "Geheim%2642"
@@ -46,6 +48,11 @@ COMMANDS: dict[str, list[str]] = {
     "copy": ["db", "copy", "town.sqlite", "URL"],
     "grant": ["db", "grant", "URL", "--role", "reader", "--to", "anna"],
     "info": ["info", "URL", "--json"],
+    "import": ["import", "town.gpkg", "--as", "inventory", "--db", "URL", "--json"],
+    "samples": ["import", "town.gpkg", "--as", "roof-samples", "--db", "URL", "--json"],
+    "update": ["update", "--ndsm", "town.tif", "--db", "URL", "--survey", "first", "--date", "2020", "--json"],
+    "changes": ["changes", "URL", "--json"],
+    "state": ["state", "URL", "7", "refuted", "--operator", "anna"],
 }
 
 
@@ -53,6 +60,12 @@ def run(words: list[str], url: str) -> Any:
     """Run a command with all that it can tell."""
     words = [url if word == "URL" else word for word in words]
     return CliRunner().invoke(cli, [*words, "-vv", "--debug"], prog_name="msbdb")
+
+
+def write_town(folder: Path) -> None:
+    """Write an office's footprints and heights of the same town into a folder."""
+    footprints(ROW).to_file(folder / "town.gpkg")
+    write_grid(folder / "town.tif", town_heights(ROW))
 
 
 def assert_no_secret(*texts: str) -> None:
@@ -81,6 +94,7 @@ def test_every_command_keeps_the_password(name: str, tmp_path: Path, monkeypatch
     """Each command of the group, and another."""
     monkeypatch.chdir(tmp_path)
     create_database("town.sqlite", "EPSG:28992")
+    write_town(tmp_path)
     result = run(COMMANDS[name], UNREACHABLE["a port where nobody listens"])
     assert (result.exit_code, "postgresql+psycopg://anna:***@127.0.0.1:1/town" in result.stderr) == (1, True)
     assert_no_secret(result.stdout, result.stderr)
@@ -108,6 +122,28 @@ def test_a_password_that_is_given_needlessly_stays_out_of_the_database(
         rows = connection.exec_driver_sql("SELECT r::text FROM run AS r").scalars().all()
     assert_no_secret(*rows, *canonical_dump(engine, provenance=True), caplog.text, result.stdout, result.stderr)
     assert_no_secret(repr(engine), str(engine.url))
+
+
+@pytest.mark.postgis
+def test_the_inventory_does_not_learn_the_password(
+    new_postgis: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Imports, updates, states and changes are written and told without it, in all tables, logs and files."""
+    monkeypatch.chdir(tmp_path)
+    write_town(tmp_path)
+    url = make_url(new_postgis()).set(password=SECRET)
+    place = url.render_as_string(hide_password=False)
+    told = [run(COMMANDS[name], place) for name in ("import", "update", "changes")]
+    engine = open_database(url)
+    uid = str(footprint_at(engine, "2021")["uid"].iloc[0])
+    told.append(run(["state", "URL", uid, "refuted", "--operator", "anna"], place))
+    told.append(run(["changes", "URL", "--out", "changes.geojson"], place))
+    assert [result.exit_code for result in told] == [0] * 5
+    assert_no_secret(*(result.stdout + result.stderr for result in told), Path("changes.geojson").read_text())
+    assert_no_secret(*canonical_dump(engine, provenance=True))
+    with engine.connect() as connection:
+        for table in ("run", "inventory_event", "operator_state", "building_change"):
+            assert_no_secret(*connection.exec_driver_sql(f"SELECT r::text FROM {table} AS r").scalars())
 
 
 @pytest.fixture(scope="module")
