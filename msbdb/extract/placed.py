@@ -1,6 +1,6 @@
 """Labelled points on a survey's lattice: means, centroids, ids, and the books of what was rejected."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -61,6 +61,10 @@ class PlacedPoints:
     spec: GridSpec
     key: str
 
+    def take(self, index: NDArray[np.integer]) -> "PlacedPoints":
+        """Return some of the points."""
+        return replace(self, x=self.x[index], y=self.y[index], area_m2=self.area_m2[index], place=self.place[index])
+
     def areas(self, labels: Labels, count: int) -> Floats:
         """Return the area of each region, m2."""
         area: Floats = np.bincount(labels, self.area_m2, count + 1)[1:].astype(np.float64)
@@ -115,13 +119,15 @@ class PointBooks(Books):
             Number of the height scale, from 1; 0 where there are none.
         """
         count = len(reasons)
-        xcen, ycen = self.points.centroids(labels, count)
+        inside = np.flatnonzero(labels)
+        points, labels = self.points.take(inside), labels[inside]
+        xcen, ycen = points.centroids(labels, count)
         rows = pd.DataFrame(
             {
-                "region_id": self.points.ids(labels, count, stage=number),
+                "region_id": points.ids(labels, count, stage=number),
                 "reason": reasons,
                 "scale": scale,
-                "area_m2": self.points.areas(labels, count),
+                "area_m2": points.areas(labels, count),
                 "xcen": xcen,
                 "ycen": ycen,
             }

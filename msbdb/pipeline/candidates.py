@@ -13,7 +13,7 @@ from msbdb.extract.area3d.run import extract_area3d
 from msbdb.extract.candidates import Candidates
 from msbdb.params import Params
 from msbdb.pointcloud import PointCloud
-from msbdb.surface import Surface, density, heights_above
+from msbdb.surface import Surface, heights_above
 from msbdb.surface.ground.quadratic import ground_heights
 from msbdb.vector.outlines import outline_regions
 from msbdb.vector.polygons import rasterise
@@ -104,7 +104,7 @@ def find_regions(
     found = point_candidates(method, cloud, surface, ndvi=ndvi, params=params, survey=survey)
     spec = surface.ndsm.spec
     outlines = outline_regions(
-        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=1 / density(cloud) ** 0.5, params=params.vector
+        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=1 / surface.density**0.5, params=params.vector
     )
     regions = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
     return CandidateLayer(method, rasterise(outlines, spec), regions, found.rejections, found.counts)

@@ -17,7 +17,7 @@ from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PointBooks, places
 from msbdb.grid import GridSpec
 from msbdb.morphology.order import order_of_points, ranks
-from msbdb.morphology.points import PointGraph, area_open_close, components, connect
+from msbdb.morphology.points import PointGraph, components, connect, open_close_on_set
 from msbdb.params import Area3dParams, Params
 from msbdb.pointcloud import PointCloud
 
@@ -150,8 +150,8 @@ def _prepare(
     density = measure_density(x, y, cloud.first_echo)
     link_m = own.link_spacings * density.spacing_m
     graph = connect(x, y, z, link_m)
-    filtered = _open_close(heights, graph, density.area_m2, own.smallest_m2)
     scales = height_scales(heights, own, mask_m=mask_m)
+    filtered = _open_close(heights, graph, density.area_m2, own.smallest_m2, scales)
     several = cloud.number_of_returns > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
     structure = _structure(points, several, filtered >= scales[0], own)
     green = None if ndvi is None else ndvi.astype(np.float64)
@@ -161,13 +161,23 @@ def _prepare(
 
 
 def _open_close(
-    heights: NDArray[np.float64], graph: PointGraph, area_m2: NDArray[np.float64], smallest_m2: float
+    heights: NDArray[np.float64],
+    graph: PointGraph,
+    area_m2: NDArray[np.float64],
+    smallest_m2: float,
+    scales: tuple[float, ...],
 ) -> NDArray[np.float64]:
-    """Filter the heights by AOC (C6); islands of less than T_a, which no height tells on from off, are never on."""
-    filtered = area_open_close(heights, graph, smallest_m2, weights=area_m2)
+    """Return the highest scale at which each point is on after AOC (C6); minus infinity where there is none.
+
+    On-sets of a higher scale lie within those of a lower one. Islands of less than T_a, which no height tells on from
+    off, are never on.
+    """
     islands, count = components(np.ones(len(heights), dtype=np.bool_), graph)
-    small = np.bincount(islands - 1, area_m2, count) < smallest_m2
-    filtered[small[islands - 1]] = -np.inf
+    large = (np.bincount(islands - 1, area_m2, count) >= smallest_m2)[islands - 1]
+    filtered = np.full(len(heights), -np.inf)
+    for height_m in scales:
+        on = open_close_on_set(heights >= height_m, graph, smallest_m2, weights=area_m2)
+        filtered[on & large] = height_m
     return filtered
 
 

@@ -42,7 +42,8 @@ class Scene:
     graph : PointGraph
         Which points are connected (C2).
     filtered : (N,) ndarray of float64, metres
-        Heights after opening and closing by area: the on-set of h_j is where they are no lower (C6, C7).
+        The highest h_j at which each point is on after opening and closing by area: the on-set of h_j is where it is
+        no lower (C6, C7). Minus infinity where there is none.
     spacing_m : float
         Mean point spacing.
     link_m : float

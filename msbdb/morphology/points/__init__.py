@@ -7,6 +7,7 @@ from msbdb.morphology.points.area import (
     area_opening,
     build_point_scale_space,
     components,
+    open_close_on_set,
 )
 from msbdb.morphology.points.cells import CellIndex, cell_at, cell_place, index_cells, parts_of, strip
 from msbdb.morphology.points.clusters import linked
@@ -28,6 +29,7 @@ __all__ = [
     "index_cells",
     "linked",
     "nearest",
+    "open_close_on_set",
     "parts_of",
     "strip",
 ]

@@ -125,6 +125,42 @@ def area_open_close(
     return area_closing(opened, graph, threshold, weights=weights)
 
 
+def open_close_on_set(
+    on: NDArray[np.bool_], graph: PointGraph, threshold: float, *, weights: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Open, then close one on-set: what `area_open_close` gives at its height, sooner where few heights are asked for.
+
+    Parameters
+    ----------
+    on : (N,) ndarray of bool
+        The on-set S_h.
+    graph, threshold, weights
+        As for `area_opening`.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+        The filtered on-set. An island of less area than T_a is on.
+
+    Notes
+    -----
+    Components of points in their own order are found three to ten times as fast as those of a sweep in the order of
+    heights, which looks for neighbours all over the memory.
+    """
+    _require_threshold(threshold)
+    return ~_large(~_large(on, graph, threshold, weights), graph, threshold, weights)
+
+
+def _large(
+    mask: NDArray[np.bool_], graph: PointGraph, threshold: float, weights: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return the points of a set whose components are large enough."""
+    labels, count = components(mask, graph)
+    large = np.bincount(labels, weights, count + 1) >= threshold
+    large[0] = False
+    return np.asarray(large[labels])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PointScaleSpace:
     """A function over points at rising area thresholds; the array is read-only.

@@ -16,6 +16,7 @@ from msbdb.morphology.points import (
     build_point_scale_space,
     components,
     connect,
+    open_close_on_set,
 )
 
 FILTERS = st.sampled_from([area_opening, area_closing, area_open_close])
@@ -68,6 +69,22 @@ def test_open_close_is_the_definition_at_every_height(function, threshold):
         if height <= opened.max():
             on = oracles.point_opening(values >= height, graph, threshold)
             np.testing.assert_array_equal(result >= height, oracles.point_closing(on, graph, threshold))
+
+
+@given(functions(), st.integers(0, 2**32 - 1), st.floats(0.25, 30))
+def test_one_on_set_is_filtered_as_by_the_sweep_over_all_heights(function, seed, threshold):
+    """At every height that the opening leaves, on islands of enough area; smaller ones are on."""
+    values, graph = function
+    weights = weights_for(values.size, seed)
+    opened = area_opening(values, graph, threshold, weights=weights)
+    swept = area_open_close(values, graph, threshold, weights=weights)
+    islands, count = components(np.ones(values.size, dtype=np.bool_), graph)
+    small = (np.bincount(islands, weights, count + 1) < threshold)[islands]
+    for height in np.unique(values)[1:]:
+        if height <= opened.max():
+            found = open_close_on_set(values >= height, graph, threshold, weights=weights)
+            np.testing.assert_array_equal(found[~small], swept[~small] >= height)
+            assert found[small].all()
 
 
 @given(functions(), st.integers(0, 2**32 - 1), st.floats(0.25, 30))
