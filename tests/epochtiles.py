@@ -9,7 +9,7 @@ import laspy
 import numpy as np
 import pandas as pd
 import shapely
-from epochs import Edit, second_epoch
+from epochs import EDITS, Edit, second_epoch
 
 from msbdb.database import open_database, read_buildings, read_state, read_survey
 from msbdb.io.las import read_points
@@ -32,22 +32,17 @@ UNCLASSIFIED = 1
 
 @dataclass(frozen=True)
 class Judgement:
-    """Edits by kind that were found and missed, and changes that were told of untouched buildings."""
+    """Edits that were found and missed, and the kinds of changes that were told of untouched buildings."""
 
     found: tuple[Edit, ...]
     missed: tuple[Edit, ...]
     invented: tuple[str, ...]
 
-    def by_kind(self) -> dict[str, tuple[int, int, int]]:
-        """Return found, missed and invented of each kind."""
-        kinds = sorted({edit.kind for edit in (*self.found, *self.missed)} | set(self.invented))
+    def by_edit(self) -> dict[str, tuple[int, int]]:
+        """Return what was found and missed of each edit."""
         return {
-            kind: (
-                sum(edit.kind == kind for edit in self.found),
-                sum(edit.kind == kind for edit in self.missed),
-                self.invented.count(kind),
-            )
-            for kind in kinds
+            what: (sum(edit.what == what for edit in self.found), sum(edit.what == what for edit in self.missed))
+            for what in EDITS
         }
 
 
@@ -108,20 +103,29 @@ def judge(edits: Sequence[Edit], told: gpd.GeoDataFrame, before: gpd.GeoDataFram
         shape if pd.isna(version) else shape.union(outlines[int(version)])
         for shape, version in zip(told.geometry, told["version_before"], strict=True)
     ]
+    told = gpd.GeoDataFrame(pd.DataFrame(told.drop(columns="geometry")), geometry=places, crs=told.crs)
     large = [edit for edit in edits if edit.place.area >= LEAST_M2]
-    kinds = told["kind"].tolist()
-    found = tuple(edit for edit in large if _is_found(edit, kinds, places))
+    found = tuple(edit for edit in large if _is_found(edit, told))
     everywhere = shapely.union_all([edit.place for edit in edits])
     invented = tuple(
-        kind for kind, place in zip(kinds, places, strict=True) if not _is_touched(place, edits, everywhere)
+        kind for kind, place in zip(told["kind"], places, strict=True) if not _is_touched(place, edits, everywhere)
     )
     return Judgement(found, tuple(edit for edit in large if edit not in found), invented)
 
 
-def _is_found(edit: Edit, kinds: list[str], places: list[shapely.Geometry]) -> bool:
-    """Tell whether changes of an edit's kind cover half of it."""
-    own = [place for kind, place in zip(kinds, places, strict=True) if kind == edit.kind]
-    return bool(shapely.union_all(own).intersection(edit.place).area >= FOUND_SHARE * edit.place.area)
+def _is_found(edit: Edit, told: gpd.GeoDataFrame) -> bool:
+    """Tell whether changes of an edit's kind, in the respect that it changes, cover half of it.
+
+    A building may fall apart when a part is removed. What is built against a wall is new where the survey has it as a
+    building of its own.
+    """
+    right = told["kind"] == edit.kind
+    if edit.respect:
+        right = told["kind"].isin(["modified", "merged", "split"]) & told[edit.respect]
+    if edit.what == "extended":
+        right |= told["kind"] == "new"
+    covered = shapely.union_all(told.geometry[right].to_numpy()).intersection(edit.place).area
+    return bool(covered >= FOUND_SHARE * edit.place.area)
 
 
 def _is_touched(place: shapely.Geometry, edits: Sequence[Edit], everywhere: shapely.Geometry) -> bool:

@@ -20,6 +20,7 @@ KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
 NO_FOOTPRINT = "not told from its surroundings this time, but its heights stand"
 STOOD_BEFORE = "stood there before, and is told from its surroundings for the first time"
 FIRST_SURVEY = "the first survey of this place"
+BEYOND_BORDER = "it reaches beyond the border of the earlier surveys, and is known as a whole for the first time"
 
 CHANGE_COLUMNS = {
     "kind": "str",
@@ -107,7 +108,7 @@ class Decisions:
         shape, adopted = self._outline(group, a)
         version = self._enter(keeper, a, shape, adopted=adopted)
         for i in group:
-            self._note("merged", i, a, version=version, outline=True)
+            self._note("merged", i, a, version=version, outline=True, height=self._lifted(i) > 0)
 
     def _alone(self, i: int) -> None:
         """Decide on one building that was joined with no other."""
@@ -125,19 +126,48 @@ class Decisions:
         if len(parted) > 1:
             self._split(i, parted)
             return
-        lifted = sum(self._own(self.pieces.lift, i).values())
-        outline = bool(lost) or i in self.links.gains
+        lifted = self._lifted(i)
+        gains = self.links.gains.get(i, [])
+        outline = bool(lost) or not all(self._is_beyond(i, piece) for piece in gains)
         height = lifted > 0 or (bool(own) and self._rose_by_attributes(i, own[0]))
         if not own:
             self._note("unchanged", i, 0, note=NO_FOOTPRINT)
         elif outline or height:
-            common = int(np.count_nonzero(stood & (self.epochs.after[box] > 0)))
+            common = int(np.count_nonzero(stood & (np.asarray(self.epochs.heights.values)[box] >= self.params.rise_m)))
             shape, adopted = self._outline((i,), own[0])
             in_part = 0 < lifted < self.params.gone_share * common
             version = self._enter(i, own[0], shape, adopted=adopted)
             self._note("modified", i, own[0], version=version, outline=outline, height=height, parts=bool(in_part))
+        elif gains:
+            shape, adopted = self._outline((i,), own[0])
+            version = self._enter(i, own[0], shape, adopted=adopted)
+            self._note("unchanged", i, own[0], version=version, note=BEYOND_BORDER)
         else:
             self._note("unchanged", i, own[0])
+
+    def _lifted(self, i: int) -> int:
+        """Count the cells of a building that rose or sank: in thick pieces, or of a slender building as a whole.
+
+        What grew over its roof is no part of it: of a piece that counts the later footprints hold a share.
+        """
+        box, least = self.box_before[i], self.params.link_share
+        stood, under = self.epochs.before[box] == i, self.epochs.after[box] > 0
+        held = np.bincount(self.pieces.lift[box][stood & under], minlength=int(self.pieces.lift.max(initial=0)) + 1)
+        lifted = sum(n for piece, n in self._own(self.pieces.lift, i).items() if held[piece] >= least * n)
+        if lifted:
+            return lifted
+        whole = max((stood & side[box] for side in (self.pieces.rose, self.pieces.sank)), key=np.count_nonzero)
+        count = int(np.count_nonzero(whole))
+        is_whole = count >= self.params.gone_share * max(int(self.links.seen[i]), 1)
+        is_large = count * self.spec.cell_area_m2 >= self.params.least_m2
+        return count if is_whole and is_large and np.count_nonzero(whole & under) >= least * count else 0
+
+    def _is_beyond(self, i: int, piece: int) -> bool:
+        """Tell whether a piece of gain lies where no earlier survey was, though one has measured the building."""
+        known, least = self.epochs.earlier.valid, self.params.surveyed_share
+        place, box = self.box_before[i], self.box_gain[piece]
+        measured = known[place][self.epochs.before[place] == i].mean()
+        return bool(measured >= least and known[box][self.pieces.gain[box] == piece].mean() < least)
 
     def _own(self, pieces: Labels, i: int) -> dict[int, int]:
         """Count the cells of each piece inside a building, where they are thick and many in it alone.
@@ -153,10 +183,11 @@ class Decisions:
 
     def _split(self, i: int, parted: list[int]) -> None:
         """Part a building into several, of which the one that shares most keeps its identity."""
+        height = self._lifted(i) > 0
         for n, a in enumerate(parted):
             # Of several parts each has the survey's own outline, as the old one would take them all in.
             version = self._enter(i if n == 0 else 0, a, self.after.geometry.iloc[a - 1], adopted=True)
-            self._note("split", i, a, version=version, outline=True)
+            self._note("split", i, a, version=version, outline=True, height=height)
 
     def _rose_by_attributes(self, i: int, a: int) -> bool:
         """Tell by the buildings' own heights where the earlier lattice has none."""
@@ -248,7 +279,8 @@ class Decisions:
                 "overlap_m2": overlap,
                 "iou": overlap / (area_b + area_a - overlap) if i and a else 0.0,
                 "dh_m": float(np.median(told)) if told.size else float("nan"),
-                "darea_m2": area_a - area_b,
+                # A footprint may be of several buildings, of which the version has this one's part.
+                "darea_m2": (float(shapely.area(self.versions[version][3])) if version >= 0 else area_a) - area_b,
                 "note": note,
             }
         )

@@ -47,13 +47,16 @@ class Epochs:
 class Pieces:
     """Labelled pieces of change, each of ``least_m2`` and thick: ``gain``, ``loss`` and ``lift``, 0 for none.
 
-    ``fallen`` has all cells of the earlier footprints whose heights are gone, thick or not.
+    ``fallen`` has all cells of the earlier footprints whose heights are gone, ``rose`` and ``sank`` those that stand
+    higher or lower than before, thick or not.
     """
 
     gain: Labels
     loss: Labels
     lift: Labels
     fallen: Mask
+    rose: Mask
+    sank: Mask
 
 
 def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Grid:
@@ -102,12 +105,15 @@ def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     stands = in_after & (np.asarray(epochs.heights.values) >= params.rise_m)
     gain = stands & ~stood & epochs.surveyed & rose
     loss = in_before & ~stands & epochs.surveyed & fell
-    lift = stands & stood & epochs.surveyed & rise.valid & (np.abs(values) >= params.rise_m)
+    # A roof that was raised rises as a whole, also where the later extraction overlooked a part of it.
+    still = np.asarray(epochs.heights.values) >= params.rise_m
+    lift = still & stood & epochs.surveyed & rise.valid & (np.abs(values) >= params.rise_m)
     # Raised and sunken parts may touch, but are not one piece.
-    up, down = (thick(lift & side, rise.spec, params) for side in (values > 0, values < 0))
+    higher, lower = lift & (values > 0), lift & (values < 0)
+    up, down = (thick(side, rise.spec, params) for side in (higher, lower))
     down[down > 0] += up.max(initial=0)
     lifts = np.where(up > 0, up, down)
-    return Pieces(thick(gain, rise.spec, params), thick(loss, rise.spec, params), lifts, loss)
+    return Pieces(thick(gain, rise.spec, params), thick(loss, rise.spec, params), lifts, loss, higher, lower)
 
 
 def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dict[int, set[int]]:

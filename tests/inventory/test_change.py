@@ -9,7 +9,7 @@ from shapely.affinity import translate
 
 from msbdb.grid import Grid, lattice
 from msbdb.inventory.change import Comparison, compare
-from msbdb.inventory.decisions import FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
+from msbdb.inventory.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.inventory.offset import estimate_offset
 from msbdb.params.change import ChangeParams
 from msbdb.vector.polygons import rasterise
@@ -239,3 +239,47 @@ def test_each_change_names_the_new_state_of_its_building() -> None:
     assert rows[0] == rows[1] == -1
     assert rows[8] == rows[9] >= 0
     assert sorted({rows[8], rows[-1]}) == [0, 1]
+
+
+def test_a_building_that_an_earlier_survey_cut_is_whole_now_and_unchanged() -> None:
+    """What lies beyond the border of the earlier heights was not built since; the whole outline is adopted."""
+    cut, whole = (180.0, 60.0, 190.0, 75.0, 9.0), (180.0, 60.0, 199.0, 75.0, 9.0)
+    known = ground([*ROW, cut])
+    before = known.spec.crop(slice(0, known.spec.shape[0]), slice(0, 380))
+    earlier = Grid(np.asarray(known.values)[:, :380].copy(), known.valid[:, :380].copy(), before)
+    found = compared([*ROW, cut], [*ROW, whole], earlier=[earlier])
+    assert kinds(found) == [("unchanged", 8, 8)]
+    row = found.changes.iloc[8]
+    assert (row["note"], row["outline"]) == (BEYOND_BORDER, False)
+    assert found.versions.geometry.area.tolist() == pytest.approx([19 * 15])
+    assert kinds(compared([*ROW, cut], [*ROW, whole])) == [("modified", 8, 8)]
+
+
+def test_a_slender_building_that_rises_as_a_whole_is_modified() -> None:
+    """No disc fits into it, but most of its cells tell the same; a part of it that rose is no change."""
+    slender: House = (20, 60, 60, 61.5, 6)
+    found = compared([*ROW, slender], [*ROW, (*slender[:4], 10)])
+    row = found.changes.iloc[8]
+    assert (row["kind"], row["height"], row["outline"], row["parts"]) == ("modified", True, False, False)
+    part = compare(
+        town([*ROW, slender]),
+        town([*ROW, slender]),
+        heights=ground([*ROW, slender, (20, 60, 42, 61.5, 10)]),
+        earlier=[ground([*ROW, slender])],
+    )
+    assert kinds(part) == []
+
+
+def test_a_raised_house_of_which_the_later_extraction_sees_a_part_is_modified() -> None:
+    """Its heights tell; a crown that grew over an overlooked part of a roof does not."""
+    seen: House = (20, 60, 28, 75, 10)
+    house: House = (20, 60, 38, 75, 6)
+    raised = compare(
+        town([*ROW, house]),
+        town([*ROW, seen]),
+        heights=ground([*ROW, (*house[:4], 10)]),
+        earlier=[ground([*ROW, house])],
+    ).changes.iloc[8]
+    assert (raised["kind"], raised["height"], raised["outline"], raised["parts"]) == ("modified", True, False, False)
+    crown = ground([*ROW, house, (28.5, 60, 38, 75, 10)])
+    assert kinds(compare(town([*ROW, house]), town([*ROW, seen]), heights=crown, earlier=[ground([*ROW, house])])) == []

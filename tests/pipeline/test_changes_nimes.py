@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from epochs import EDITS
 from epochtiles import judge, write_first, write_second
 
 from msbdb import pipeline
@@ -16,20 +17,20 @@ OPTIONS = {"crs": "EPSG:2154", "extract": ("multiscale",)}
 
 
 def test_edits_of_the_points_are_found_and_nothing_else(tmp_path: Path) -> None:
-    """Buildings removed, raised and added, under a shift of half a metre, thinner points and other noise."""
+    """Every kind of edit, under a shift of half a metre, thinner points and other noise."""
     if not TILE.is_file():
         pytest.skip(f"{TILE} is not there; scripts/fetch_nimes brings it")
     (tmp_path / "second").mkdir()
     first, db = write_first([TILE], tmp_path), tmp_path / "nimes.sqlite"
     pipeline.update(first, db=db, survey="first", date="2020-01-01", **OPTIONS)
-    second, edits = write_second(first, db, "first", tmp_path / "second", seed=1, each=3, crs="EPSG:2154")
+    second, edits = write_second(first, db, "first", tmp_path / "second", seed=1, each=4, crs="EPSG:2154")
     report = pipeline.update(second, db=db, survey="second", date="2024-01-01", **OPTIONS)
     assert report.inventory.offset["dx_m"] == pytest.approx(0.5, abs=0.2)
     assert report.inventory.offset["dz_m"] == pytest.approx(0, abs=0.2)
     engine = open_database(db)
     told = judge(edits, read_changes(engine, "2020-01-01"), read_history(engine))
     engine.dispose()
-    assert {edit.kind for edit in told.found} == {"demolished", "modified", "new"}
+    assert {edit.what for edit in told.found} == set(EDITS)
     assert told.missed == ()
     assert told.invented == ()
     assert pipeline.update(second, db=db, survey="second", date="2024-01-01", **OPTIONS).inventory.status == "unchanged"
