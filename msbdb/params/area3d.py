@@ -78,12 +78,12 @@ class Area3dParams:
         doc="Points of whose K neighbours a larger share is of pulses with several echoes belong to crowns.",
     )
     max_crown: float = param(
-        0.0045,
+        0.0032,
         unit="1",
         low=0.0,
         high=1.0,
-        source="ours: small smooth patches of crowns pass T_coc; 1 leaves the test out, as the paper does",
-        doc="Regions whose mean change of curvature times their share of several echoes exceeds this are crowns.",
+        source="ours: small smooth patches of crowns pass T_coc; 1 leaves the test out, as the paper",
+        doc="Crowns are regions whose mean curvature by share of several echoes exceeds it, or it by spacing/thin_m.",
     )
     max_crown_curvature: float = param(
         0.02,

@@ -76,6 +76,12 @@ class Scene:
         """Distance in plan within which points return to a region, metres; 0 for none."""
         return max(self.params.grow_m, self.params.grow_spacings * self.spacing_m)
 
+    @property
+    def max_crown(self) -> float:
+        """Threshold on curvature times echoes: the wider apart the points, the more roofs have a ridge among K."""
+        thin_m = self.params.thin_m
+        return self.params.max_crown * (max(1.0, self.spacing_m / thin_m) if thin_m > 0 else 1.0)
+
     def areas(self, labels: Labels, count: int) -> NDArray[np.float64]:
         """Return (count,) the areas of labelled regions, m2 (A17)."""
         areas: NDArray[np.float64] = np.bincount(labels, self.cloud.area_m2, count + 1)[1:].astype(np.float64)
@@ -216,7 +222,7 @@ class _Level:
         if cloud.several is None:
             crown = curvature > own.max_crown_curvature
         else:
-            crown = curvature * region_means(cloud.several, labels, count) > own.max_crown
+            crown = curvature * region_means(cloud.several, labels, count) > self.scene.max_crown
         reasons = np.where(crown, CROWN, "").astype(object)
         if cloud.ndvi is not None:
             reasons[~crown & (region_means(cloud.ndvi, labels, count) > own.max_ndvi)] = GREEN
