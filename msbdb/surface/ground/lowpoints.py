@@ -1,12 +1,15 @@
 """The lowest points of small cells, which alone can be ground; false echoes from below are left out."""
 
 from dataclasses import dataclass
+from functools import partial, reduce
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.morphology.kernels import kernel
 from msbdb.surface.ground.frames import Frame
+from msbdb.threads import in_threads
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -14,6 +17,8 @@ Mask = NDArray[np.bool_]
 
 NEEDED = 2
 """Points that must lie near a low point for it to be believed."""
+PARTS = 2
+"""Parts that threads work on; their number changes nothing."""
 ROUNDS = 4
 """Times that the next point of a cell is tried; false echoes hardly come more than three a cell."""
 
@@ -64,8 +69,10 @@ def low_points(frame: Frame, outlier_m: float) -> tuple[LowPoints, Mask]:
     false = np.zeros(frame.z.size, dtype=np.bool_)
     lowest = _lowest(arrays, false, frame.cell_m, frame.shape)
     for _ in range(ROUNDS):
-        own = _company(arrays, lowest, false, frame.cell_m, outlier_m)
-        doubted = _doubted(frame.z, lowest, own, outlier_m)
+        counts = in_threads(partial(_company, arrays, lowest, false, (frame.cell_m, outlier_m)), cuts(false.size))
+        own = reduce(np.add, counts)
+        doubts = in_threads(partial(_doubted, frame.z, lowest, own, outlier_m), cuts(frame.shape[0]))
+        doubted = np.concatenate(doubts)
         if doubted.size == 0 or 2 * doubted.size > np.count_nonzero(lowest >= 0):
             break
         false[doubted] = True
@@ -74,6 +81,11 @@ def low_points(frame: Frame, outlier_m: float) -> tuple[LowPoints, Mask]:
     at = np.full(frame.shape, -1, dtype=np.int64)
     at[lowest >= 0] = np.arange(index.size)
     return LowPoints(index, frame.u[index], frame.v[index], frame.z[index], at), false
+
+
+def cuts(count: int) -> list[tuple[int, int]]:
+    """Cut a number of points or rows in parts for threads."""
+    return list(pairwise(count * part // PARTS for part in range(PARTS + 1)))
 
 
 @kernel
@@ -93,12 +105,17 @@ def _lowest(arrays: tuple[Floats, Floats, Floats], false: Mask, cell: float, sha
 
 @kernel
 def _company(
-    arrays: tuple[Floats, Floats, Floats], lowest: Index, false: Mask, cell: float, outlier: float
+    arrays: tuple[Floats, Floats, Floats],
+    lowest: Index,
+    false: Mask,
+    sizes: tuple[float, float],
+    part: tuple[int, int],
 ) -> NDArray[np.int32]:
-    """Count the other points of each cell that lie near the height of its lowest one."""
+    """Count the other points, of a range of them, that lie near the height of their cell's lowest one."""
     u, v, z = arrays
+    cell, outlier = sizes
     count = np.zeros(lowest.shape, dtype=np.int32)
-    for i in range(z.size):
+    for i in range(part[0], part[1]):
         row, col = int(v[i] / cell), int(u[i] / cell)
         low = lowest[row, col]
         if low >= 0 and low != i and not false[i] and z[i] - z[low] <= outlier:
@@ -107,11 +124,11 @@ def _company(
 
 
 @kernel
-def _doubted(z: Floats, lowest: Index, own: NDArray[np.int32], outlier: float) -> Index:
-    """Return the lowest points that fewer than two others support."""
+def _doubted(z: Floats, lowest: Index, own: NDArray[np.int32], outlier: float, part: tuple[int, int]) -> Index:
+    """Return the lowest points, of a range of rows, that fewer than two others support."""
     height, width = lowest.shape
     found = []
-    for row in range(height):
+    for row in range(part[0], part[1]):
         for col in range(width):
             low = lowest[row, col]
             if low < 0 or own[row, col] >= NEEDED:

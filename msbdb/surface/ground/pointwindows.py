@@ -1,21 +1,17 @@
 """Erosion, dilation and opening on points, each with a window of its own (S3)."""
 
 from functools import partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.morphology.kernels import kernel
-from msbdb.surface.ground.lowpoints import LowPoints
+from msbdb.surface.ground.lowpoints import LowPoints, cuts
 from msbdb.threads import in_threads
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-PARTS = 2
-"""Parts of the points that threads work on; the results are joined by maxima, so that their number changes nothing."""
 
 
 class Windows(NamedTuple):
@@ -63,7 +59,7 @@ def erosion(low: LowPoints, heights: Floats, half_m: Floats, cell_m: float) -> F
     """
     windows = Windows(low.at, low.u, low.v, half_m, cell_m)
     level = _levels(windows)
-    parts = _parts(level.size)
+    parts = cuts(level.size)
     found = heights.copy()
     table = np.where(low.at >= 0, heights[low.at], np.inf)
     for k in range(-1, int(level.max()) + 1):
@@ -79,14 +75,8 @@ def dilation(low: LowPoints, eroded: Floats, half_m: Floats, cell_m: float) -> F
     windows = Windows(low.at, low.u, low.v, half_m, cell_m)
     level = _levels(windows)
     work = partial(_dilated, windows, level, eroded)
-    found: Floats = np.maximum.reduce(in_threads(work, _parts(level.size)))
+    found: Floats = np.maximum.reduce(in_threads(work, cuts(level.size)))
     return found
-
-
-def _parts(count: int) -> list[tuple[int, int]]:
-    """Cut the points in parts for threads; those of a part lie together, since low points are in order of cells."""
-    cuts = [count * part // PARTS for part in range(PARTS + 1)]
-    return list(pairwise(cuts))
 
 
 def _dilated(windows: Windows, level: Index, eroded: Floats, part: tuple[int, int]) -> Floats:
