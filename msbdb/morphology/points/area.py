@@ -144,8 +144,8 @@ def open_close_on_set(
 
     Notes
     -----
-    Components of points in their own order are found three to ten times as fast as those of a sweep in the order of
-    heights, which looks for neighbours all over the memory.
+    Four heights take a quarter of the time of one sweep, on four million points in the order of their places: the
+    sweep goes by heights, and looks for neighbours all over the memory.
     """
     _require_threshold(threshold)
     return ~_large(~_large(on, graph, threshold, weights), graph, threshold, weights)

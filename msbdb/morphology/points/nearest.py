@@ -73,7 +73,7 @@ def nearest(x: Floats, y: Floats, z: Floats, count: int) -> NDArray[np.int32]:
     Notes
     -----
     Rings of cells around a point are looked at until none beyond can hold a nearer point. Where points are about as
-    dense everywhere, O(N K); a search tree takes some five times as long.
+    dense everywhere, O(N K); a search tree takes twice as long.
 
     Examples
     --------
