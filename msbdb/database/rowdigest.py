@@ -68,7 +68,9 @@ def _canonical(name: str, type_: TypeEngine[Any], values: Sequence[Any]) -> list
         # Adding zero makes -0.0, which SQLite does not keep, 0.0.
         return [None if value is None else float(value) + 0.0 for value in values]
     if isinstance(type_, JSON):
-        return [value if value is None or isinstance(value, str) else to_json(value) for value in values]
+        words = [value if isinstance(value, str) else to_json(value) for value in values]
+        # A document that says null is read as none.
+        return [None if value == "null" else value for value in words]
     return list(values)
 
 

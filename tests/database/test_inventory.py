@@ -15,6 +15,7 @@ from towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
 from msbdb.database import (
     canonical_dump,
+    check_database,
     footprint_at,
     open_database,
     read_changes,
@@ -340,6 +341,17 @@ def test_roof_samples_are_crossed_with_the_classes_of_finest_parts(engine: Engin
     told = read_material_classes(engine)
     assert run_example(engine, "roof_materials_by_class")["samples"].tolist() == [3]
     assert told.to_numpy().tolist() == [["s1", "metal", 0, None, 3]]
+
+
+def test_a_sample_without_further_columns_has_no_attributes(engine: Engine) -> None:
+    """Whatever stands for nothing in a frame is null in the database, and its digest is that of the row."""
+    apply(engine, *FIRST)
+    frame = footprints(ROW[:2])
+    frame = frame.set_geometry(frame.geometry.centroid).assign(material="tile", note="", attributes=float("nan"))
+    write_samples(engine, frame)
+    with engine.connect() as connection:
+        assert connection.scalar(text("SELECT count(*) FROM roof_sample WHERE attributes IS NULL")) == 2
+    assert check_database(engine) == []
 
 
 def test_the_example_queries_tell_of_the_inventory(engine: Engine) -> None:
