@@ -49,7 +49,7 @@ def fuse_footprints(root_labels: Labels, region_labels: Labels, evidence: RoofEv
     root_labels : (H, W) ndarray of int32
         Label of the root that covers a cell, 0 for none (``Forest.root_labels``). Not modified.
     region_labels : (H, W) ndarray of int32
-        Flat regions, 0 for none (``FlatRegions.labels``), of a build that sought them.
+        Flat regions, 0 for none, of a build that sought them; those that R leaves as it is given, in cells of any size.
     evidence : RoofEvidence
         On the same lattice.
     params : Params

@@ -39,6 +39,9 @@ class Flat:
         By stage.
     extracted : bool
         False where flat regions were not asked for: then nothing is known of any building's flat share.
+    firm : (H, W) ndarray of bool, optional
+        The cells of the regions that have a say in the fused footprints: those that R leaves without allowance for
+        large cells. None where all have.
     """
 
     labels: NDArray[np.int32]
@@ -46,6 +49,12 @@ class Flat:
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
     extracted: bool
+    firm: NDArray[np.bool_] | None = None
+
+    @property
+    def firm_labels(self) -> NDArray[np.int32]:
+        """``labels`` of the firm cells, 0 elsewhere."""
+        return self.labels if self.firm is None else np.where(self.firm, self.labels, np.int32(0))
 
 
 def no_flat_regions(spec: GridSpec) -> Flat:
@@ -76,7 +85,9 @@ def find_flat_regions(
     outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
     regions = found.regions.iloc[order].reset_index(drop=True)
     frame = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)
-    return Flat(labels, frame[[*FLAT_REGION.names, "geometry"]], found.rejections, found.counts, extracted=True)
+    firm = None if found.firm[found.labels > 0].all() else found.firm
+    frame = frame[[*FLAT_REGION.names, "geometry"]]
+    return Flat(labels, frame, found.rejections, found.counts, extracted=True, firm=firm)
 
 
 def above_ground(surface: Grid, dtm: Grid) -> Grid:

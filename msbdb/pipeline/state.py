@@ -37,6 +37,8 @@ def pack_state(
         state["spectral"] = cover.spectral.index
     if flat.extracted:
         state["flat"] = flat.labels
+        if flat.firm is not None:
+            state["flat_firm"] = flat.firm.astype(np.uint8)
     state |= {layer.method: layer.labels for layer in candidates}
     return state if together is None else state | together.state()
 
@@ -48,7 +50,8 @@ def unpack_flat(build: Build, spec: GridSpec) -> Flat:
     rejections, counts = _written_by(build, STAGES)
     frame = build.frames["flat_region"].sort_values("region_id", ignore_index=True)
     labels = build.state["flat"].astype(np.int32)
-    return Flat(labels, gpd.GeoDataFrame(frame), rejections, counts, extracted=True)
+    firm = build.state["flat_firm"].astype(np.bool_) if "flat_firm" in build.state else None
+    return Flat(labels, gpd.GeoDataFrame(frame), rejections, counts, extracted=True, firm=firm)
 
 
 def unpack_candidates(build: Build) -> tuple[CandidateLayer, ...]:

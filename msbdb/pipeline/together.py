@@ -86,7 +86,7 @@ def fuse(forest: Forest, flat: Flat, evidence: Evidence | None, heights: Grid, p
         evidence.roughness_mm.astype(np.float32) / np.float32(1000),
         evidence.roof_probability.astype(np.float32) / np.float32(PARTS_OF_ONE),
     )
-    labels = fuse_footprints(forest.root_labels, flat.labels, plain, params)
+    labels = fuse_footprints(forest.root_labels, flat.firm_labels, plain, params)
     parts = forest.parts
     roots = np.flatnonzero((parts["supid"] == 0).to_numpy())
     number = np.zeros(len(parts) + 1, dtype=np.int32)

@@ -25,9 +25,9 @@ RASTERS = {"together": "int32", "roughness_mm": "uint16", "roof_probability": "u
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with the points of two towns: one of houses of unlike heights, and one house under crowns."""
+    """Return a folder with the points of three towns: houses of unlike heights, a house under crowns, a quarter."""
     made = tmp_path_factory.mktemp("towns")
-    for name in ("podium_tower", "under_trees"):
+    for name in ("podium_tower", "under_trees", "city"):
         write_points(made / f"{name}.laz", SCENES[name]().points)
     return made
 
@@ -91,6 +91,24 @@ def test_what_is_kept_is_enough_to_fuse_anew(town, folder):
         np.testing.assert_array_equal(before[name], after[name], strict=True)
     with msbdb.open(db) as opened:
         assert opened.together().equals(footprints)
+
+
+def test_flat_cells_by_the_lower_r_have_no_say(folder, tmp_path):
+    """In large cells some flat cells are not firm: the database keeps which are, and fuses alike from them."""
+    db = tmp_path / "coarse.sqlite"
+    coarse = with_values(Params(), {"surface": {"cell_m": 1.5}})
+    msbdb.build([folder / "city.laz"], db=db, survey="coarse", extract=BOTH, params=coarse)
+    before = kept(db)
+    assert "flat_firm" in before
+    assert (before["flat"][before["flat_firm"] == 0] > 0).any()
+    with msbdb.open(db) as opened:
+        classes = opened.classes()
+    roofs = classes.loc[classes["label"] == "building", "speindex"].tolist()
+    for label in ("vegetation", "building"):
+        msbdb.relabel(db, dict.fromkeys(roofs, label))
+    after = kept(db)
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name], strict=True)
 
 
 @pytest.mark.parametrize("extract", [("multiscale",), ("flatregions",)])

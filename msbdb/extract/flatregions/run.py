@@ -40,6 +40,8 @@ class FlatRegions:
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
         ``dropped``.
+    firm : (H, W) ndarray of bool
+        The cells of regions without those that R as it is given would not leave (`firm_cells`).
     zones : (H, W) ndarray of int32
         i of the largest flat component that holds a cell, 0 for none: the set G of Eq. 14, as in the paper's Fig. 2.
     denoised : Grid
@@ -50,6 +52,7 @@ class FlatRegions:
     regions: pd.DataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
+    firm: NDArray[np.bool_]
     zones: NDArray[np.int32]
     denoised: Grid
 
@@ -112,7 +115,20 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     labels = recognise(found, candidates, heights, params, books)
     regions = describe(labels, found, heights, survey)
     logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
-    return FlatRegions(labels, regions, books.rejections(), books.counts, found.zones, denoised.grid)
+    firm = firm_cells(labels, found, len(regions))
+    return FlatRegions(labels, regions, books.rejections(), books.counts, firm, found.zones, denoised.grid)
+
+
+def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_]:
+    """Return (H, W) bool, the cells of regions without those that R as it is given would not leave.
+
+    A region of which it would leave less than half of the flat cells is gone as a whole, with its edges.
+    """
+    flat, firm = (np.bincount(labels[mask], minlength=count + 1) for mask in (found.flat, found.firm))
+    most = 2 * firm >= flat
+    most[0] = False
+    cells: NDArray[np.bool_] = most[labels] & (found.firm | ~found.flat)
+    return cells
 
 
 def level_ground(heights: Grid, mask_m: float) -> Grid:
