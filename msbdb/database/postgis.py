@@ -31,7 +31,7 @@ from msbdb.database import fresh
 from msbdb.database.canonical import to_json
 from msbdb.database.inventory_views import FOOTPRINT_AT_FUNCTION
 from msbdb.database.models import Base
-from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError
+from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
 
 logger = logging.getLogger(__name__)
 
@@ -221,8 +221,8 @@ def _wire_type(kind: TypeEngine[Any]) -> str:
     for known, name in _WIRE.items():
         if isinstance(kind, known):
             return name
-    msg = f"No rows can be sent into a column of the type {kind!r}. Add the type to the dialect's."
-    raise NotImplementedError(msg)
+    msg = f"No rows can be sent into a column of the type {kind!r}. This is a fault of msbdb; please report it."
+    raise TableError(msg)
 
 
 def settle(connection: Connection) -> None:

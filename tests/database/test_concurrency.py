@@ -37,6 +37,7 @@ from msbdb.database import (
     write_state,
 )
 from msbdb.database.dialect import dialect_of
+from msbdb.database.models import Base
 from msbdb.database.snapshot import snapshot
 from msbdb.errors import DatabaseError
 from msbdb.params import Params, with_values
@@ -319,6 +320,44 @@ def test_a_label_during_a_rebuild_is_not_lost(
     monkeypatch.undo()
     assert pipeline.build([labelling[0]], **again).changed
     assert read_classes(open_database(db)).set_index("speindex").loc[1, "label"] == "other"
+
+
+def row_versions(engine: Engine) -> dict[tuple[str, str], str]:
+    """Return place and transactions of each row, by table and key: whoever writes or locks a row changes them."""
+    found = {}
+    with engine.connect() as connection:
+        for table in Base.metadata.sorted_tables:
+            key = ", ".join(column.name for column in table.primary_key.columns)
+            rows = connection.execute(
+                text(f"SELECT ({key})::text, ctid || '/' || xmin || '/' || xmax FROM {table.name}")
+            )
+            found |= {(table.name, own): version for own, version in rows}
+    return found
+
+
+@pytest.mark.postgis
+def test_an_update_of_one_tile_touches_only_its_rows(new_postgis: Callable[[], str]) -> None:
+    """Of all rows that were there only those of the tile's own buildings and survey are written or locked."""
+    target = new_postgis()
+    for number in (0, 1, 2):
+        store_build(target, tile(number))
+        advance(target, f"t{number}_2020")
+    engine = open_database(target)
+    before = row_versions(engine)
+    with engine.connect() as connection:
+        own = connection.execute(
+            text(
+                "SELECT v.uid, v.version_id, s.survey_id FROM building_version AS v "
+                "JOIN survey AS s ON s.survey_id = v.survey_id WHERE s.name = 't1_2020'"
+            )
+        ).all()
+    store_build(target, tile(1, 2021))
+    advance(target, "t1_2021")
+    after = row_versions(engine)
+    touched = {row for row, version in before.items() if after.get(row) != version}
+    tables = ("inventory_building", "building_version", "survey")
+    assert touched
+    assert touched <= {(table, str(key)) for row in own for table, key in zip(tables, row, strict=True)}
 
 
 @pytest.mark.postgis
