@@ -10,7 +10,7 @@ import shapely
 from msbdb.grid import GridSpec
 from msbdb.inventory.links import Links
 from msbdb.inventory.offset import Offset
-from msbdb.inventory.pieces import Box, Epochs, Labels, Pieces, boxes, thick
+from msbdb.inventory.pieces import Box, Epochs, Labels, Pieces, boxes, thick, without_crumbs
 from msbdb.params.change import ChangeParams
 from msbdb.vector.polygons import polygonise
 
@@ -240,7 +240,7 @@ class Decisions:
         gains = [piece for i in group for piece in self.links.gains.get(i, ())]
         box = _around([self.box_before[i] for i in group] + [self.box_gain[piece] for piece in gains])
         kept = np.isin(self.epochs.before[box], group) & (self.pieces.loss[box] == 0)
-        cells = kept | np.isin(self.pieces.gain[box], gains or [-1])
+        cells = without_crumbs(kept | np.isin(self.pieces.gain[box], gains or [-1]), self.spec, self.params)
         return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
 
     def _enter(self, i: int, a: int, shape: shapely.Geometry, *, adopted: bool) -> int:

@@ -155,3 +155,16 @@ def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     large[0] = False
     number = np.cumsum(large, dtype=np.int32) * large
     return np.asarray(number[pieces], dtype=np.int32)
+
+
+def without_crumbs(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
+    """Return a footprint without its pieces that no disc fits into, unless none else is left.
+
+    Of a part that was pulled down, what is too thin to be a change stays along the old outline.
+    """
+    reach = params.thickness_m / spec.cell_m
+    core = isotropic_opening(np.pad(cells, int(np.ceil(reach)) + 1), reach)  # type: ignore[no-untyped-call]
+    margin = (core.shape[0] - cells.shape[0]) // 2
+    pieces = label(cells, connectivity=1)  # type: ignore[no-untyped-call]  # as outlines are traced
+    whole = np.unique(pieces[core[margin:-margin, margin:-margin] & cells])
+    return np.isin(pieces, whole) if whole.size else cells

@@ -11,6 +11,7 @@ from msbdb.grid import Grid, lattice
 from msbdb.inventory.change import Comparison, compare
 from msbdb.inventory.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.inventory.offset import estimate_offset
+from msbdb.inventory.pieces import without_crumbs
 from msbdb.params.change import ChangeParams
 from msbdb.vector.polygons import rasterise
 
@@ -50,6 +51,17 @@ def kinds(found: Comparison) -> list[tuple[str, int, int]]:
     rows = found.changes
     told = rows[(rows["kind"] != "unchanged") | (rows["note"] != "")]
     return list(zip(told["kind"], told["before"], told["after"], strict=True))
+
+
+def test_thin_rests_of_a_footprint_are_dropped() -> None:
+    """Cells along the outline of what was pulled down are; all of a building that is as thin is not."""
+    cells = np.zeros((40, 40), dtype=np.bool_)
+    cells[5:25, 5:20] = True
+    wing = cells.copy()
+    cells[5:25, 35] = True
+    cells[30, [5, 9, 11]] = True
+    assert (without_crumbs(cells, SPEC, ChangeParams()) == wing).all()
+    assert (without_crumbs(cells & ~wing, SPEC, ChangeParams()) == (cells & ~wing)).all()
 
 
 def test_equal_towns_have_no_change() -> None:

@@ -29,7 +29,11 @@ def test_edits_of_the_points_are_found_and_nothing_else(tmp_path: Path) -> None:
     assert report.inventory.offset["dz_m"] == pytest.approx(0, abs=0.2)
     engine = open_database(db)
     told = judge(edits, read_changes(engine, "2020-01-01"), read_history(engine))
+    changed = read_changes(engine, "2020-01-01")
+    changed = changed[(changed["kind"] == "modified") & changed["outline"].astype(bool)]
     engine.dispose()
+    # What is put together of the old outline and the change leaves no crumbs behind.
+    assert changed.geometry.explode().area.min() > 3.0
     assert {edit.what for edit in told.found} == set(EDITS)
     assert told.missed == ()
     assert told.invented == ()
