@@ -131,18 +131,18 @@ def build(
         name = survey or inputs.default_survey()
         labelled = read_labelled_classes(db, name)
         job = Job(inputs, params, name, date or "", methods, denoising_figure, labelled)
-        result = run(job, stages, notices)
-    record, cover, flat, candidates, together, regions, frames, heights = result
+        found = run(job, stages, notices)
     counts: dict[str, object] = {
-        "regions": regions,
-        "cells": count_cells(heights, cover),
-        "cover": {"colours_decide": int(cover.colours_decide), "green_decides": int(cover.green_decides)},
+        "regions": found.regions,
+        "cells": count_cells(found.ndsm, found.cover),
+        "cover": {"colours_decide": int(found.cover.colours_decide), "green_decides": int(found.cover.green_decides)},
         "stated": inputs.stated(),
     }
     values: dict[str, object] = dict(as_dict(params))
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
-        whole = Build(record, entry, frames, pack_state(heights, cover, flat, candidates, together))
+        state = pack_state(found.ndsm, found.cover, found.flat, found.candidates, found.together)
+        whole = Build(found.survey, entry, found.frames, state)
         changed = _store(whole, db, labelled)
     report = report_of(whole, stages, changed=changed)
     # What is said once of labels is no part of the content: built once more, all would be the same.
@@ -201,11 +201,24 @@ def possible_extractors(names: tuple[str, ...], inputs: Inputs, notices: list[st
     return left
 
 
-def run(
-    job: Job, stages: Stages, notices: list[str]
-) -> tuple[
-    Survey, Cover, Flat, tuple[CandidateLayer, ...], Together | None, dict[str, dict[str, int]], dict[str, Any], Grid
-]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What one run found: the survey's record, what the database keeps of each stage, and the tables.
+
+    ``regions`` are the counts of all stages, ``frames`` the tables by name.
+    """
+
+    survey: Survey
+    ndsm: Grid
+    cover: Cover
+    flat: Flat
+    candidates: tuple[CandidateLayer, ...]
+    together: Together | None
+    regions: dict[str, dict[str, int]]
+    frames: dict[str, Any]
+
+
+def run(job: Job, stages: Stages, notices: list[str]) -> Found:
     """Take one tile through all stages, up to the tables that the database takes.
 
     Points and surfaces are let go as soon as no later stage needs them, for the peak of memory.
@@ -244,10 +257,10 @@ def run(
     with stages.stage("outlines"):
         parts = outline_parts(forest, ndsm, params.vector)
         frames = make_frames(forest, parts, cover, flat, candidates, ndsm=ndsm)
-    counts = forest.counts | flat.counts
+    regions = forest.counts | flat.counts
     for layer in candidates:
-        counts |= layer.counts
-    return record, cover, flat, candidates, together, counts, frames, ndsm
+        regions |= layer.counts
+    return Found(record, ndsm, cover, flat, candidates, together, regions, frames)
 
 
 def find_candidates(
