@@ -4,11 +4,13 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 import pytest
 
+import msbdb
 from msbdb.cli.main import cli
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,17 +111,27 @@ def test_every_decision_is_listed():
     assert [int(name[:4]) for name in pages] == list(range(1, len(pages) + 1))
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/inputs.md", "docs/decisions/0005-state-in-the-database.md"])
-def test_command_lines_of_the_docs_exist(page):
-    """Each command line names a command and options that exist."""
-    found = commands_in(read(page))
-    assert found
-    for words in found:
-        command = cli.commands[words[0]]
-        if isinstance(command, click.Group):
-            command = command.commands[words[1]]
-        known = {opt for param in command.params for opt in param.opts}
-        assert {word for word in words if word.startswith("-")} <= known, words
+def test_command_lines_of_the_docs_exist():
+    """Each command line of the pages names a command and options that exist."""
+    found = {str(page.relative_to(ROOT)): commands_in(page.read_text(encoding="utf-8")) for page in PAGES}
+    with_commands = {name for name, lines in found.items() if lines}
+    assert {"README.md", "docs/inputs.md", "docs/inventory.md", "docs/database.md"} <= with_commands
+    for name, lines in found.items():
+        for words in lines:
+            command = cli.commands[words[0]]
+            if isinstance(command, click.Group):
+                command = command.commands[words[1]]
+            known = {opt for param in command.params for opt in param.opts}
+            assert {word for word in words if word.startswith("-")} <= known, (name, words)
+
+
+def test_parameters_that_the_docs_name_exist():
+    """Each `section.name` of the pages is a parameter."""
+    sections = asdict(msbdb.profile())
+    for page in PAGES:
+        for section, name in re.findall(r"`(\w+)\.(\w+)(?: ?=[^`]*)?`", page.read_text(encoding="utf-8")):
+            if section in sections:
+                assert name in sections[section], (page.name, f"{section}.{name}")
 
 
 def test_scripts_that_the_docs_name_exist():
@@ -137,8 +149,6 @@ def test_shell_scripts_are_sound(name):
 
 def test_python_of_the_readme_exists():
     """The Python of the README is Python, and the names of msbdb that it uses are public."""
-    import msbdb
-
     blocks = re.findall(r"```python\n(.*?)```", read("README.md"), flags=re.DOTALL)
     assert blocks
     for block in blocks:
