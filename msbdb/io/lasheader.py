@@ -7,7 +7,7 @@ held against the size of the file first; a file that passes is read in bounded t
 import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,8 +28,13 @@ RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 COLOURED_FORMATS = (2, 3, 5, 7, 8, 10)
 INFRARED_FORMATS = (8, 10)
 
-VLR_HEADER, EVLR_HEADER = 54, 60
-RECORD_OWNERS = ("LASF_Projection", "laszip encoded")
+VLR_LAYOUT, EVLR_LAYOUT = "<2x16sHH32s", "<2x16sHQ32s"
+"""Owner, number, length and description in the heads of variable length records, and of extended ones."""
+
+PROJECTION, COMPRESSION, COPC = "LASF_Projection", "laszip encoded", "copc"
+"""Owners of records: of the CRS, of how the points are compressed, of the octree that orders them."""
+
+LAZ_RECORD = (COMPRESSION, 22204)
 ANY_CHUNK_SIZE = 0xFFFFFFFF
 """A LAZ chunk size that says that every chunk has its own, as in COPC."""
 
@@ -38,8 +43,20 @@ ANY_CHUNK_SIZE = 0xFFFFFFFF
 class LasInfo:
     """What the header of a sound file says.
 
-    ``bounds`` are west, south, east and north in the file's units, as the header states them (which may be wrong).
-    ``projection`` holds the bodies of the 'LASF_Projection' records by record number (the last one of a number).
+    Attributes
+    ----------
+    points_end : int
+        Byte at which the points end; in LAZ, at which the table of their chunks begins.
+    bounds : tuple of float
+        West, south, east and north in the file's units, as the header states them (which may be wrong).
+    projection : dict
+        Bodies of the 'LASF_Projection' records by record number (the last one of a number).
+    header : bytes
+        The header itself, without the records.
+    records : tuple of laspy.VLR
+        The variable length records before the points, their bodies as bytes.
+    extended : tuple of laspy.VLR
+        The extended records of the CRS; of a COPC file all but COPC's own.
     """
 
     path: Path
@@ -51,7 +68,16 @@ class LasInfo:
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
     bounds: Bounds
-    projection: dict[int, bytes] = field(default_factory=dict)
+    points_end: int
+    projection: dict[int, bytes] = field(repr=False)
+    header: bytes = field(repr=False)
+    records: tuple[laspy.VLR, ...] = field(repr=False)
+    extended: tuple[laspy.VLR, ...] = field(repr=False)
+
+    @property
+    def is_copc(self) -> bool:
+        """Whether the points are ordered in an octree that other records describe."""
+        return any(record.user_id == COPC for record in self.records)
 
 
 def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
@@ -133,32 +159,39 @@ class _Checker:
         in_order = len(head) <= header_size <= start <= self.size
         self.require(in_order, f"the header has {header_size} bytes and the points begin at {start} of {self.size}")
         point_format, record_size, points = self._points(head, minor)
-        records = dict(self._records(header_size, vlrs, start, VLR_HEADER))
-        if minor == 4:
-            evlr_start, evlrs = struct.unpack_from("<QI", head, 235)
-            records.update(self._records(evlr_start, evlrs, self.size, EVLR_HEADER) if evlrs else ())
+        records = tuple(self._records(header_size, vlrs, start))
+        extended: tuple[laspy.VLR, ...] = ()
+        evlr_start, evlrs = struct.unpack_from("<QI", head, 235) if minor == 4 else (0, 0)
+        if evlrs:
+            is_copc = any(record.user_id == COPC for record in records)
+            extended = tuple(self._extended_records(evlr_start, evlrs, of_all=is_copc))
         compressed = bool(head[104] & 0xC0)
         if points == 0:
             msg = f"{self.path} holds no points. Leave it out."
             raise NodataError(msg)
         if compressed:
-            self._check_compressed(start, points, record_size, records)
+            points_end = self._check_compressed(start, points, record_size, records)
         else:
+            points_end = start + points * record_size
             there = (self.size - start) // record_size
             self.require(points <= there, f"the header promises {points} points, but {there} are there: truncated")
         scales, offsets, bounds = self._geometry(head)
-        projection = {number: body for (user, number), body in records.items() if user == "LASF_Projection"}
+        projection = {r.record_id: r.record_data for r in (*records, *extended) if r.user_id == PROJECTION}
         return LasInfo(
-            self.path,
-            (major, minor),
-            point_format,
-            record_size,
-            points,
-            compressed,
-            scales,
-            offsets,
-            bounds,
-            projection,
+            path=self.path,
+            version=(major, minor),
+            point_format=point_format,
+            record_size=record_size,
+            points=points,
+            compressed=compressed,
+            scales=scales,
+            offsets=offsets,
+            bounds=bounds,
+            points_end=points_end,
+            projection=projection,
+            header=self.read(0, header_size),
+            records=records,
+            extended=extended,
         )
 
     def _points(self, head: bytes, minor: int) -> tuple[int, int, int]:
@@ -185,27 +218,33 @@ class _Checker:
         east, west, north, south = numbers[6:10]
         return scales, offsets, (west, south, east, north)
 
-    def _records(self, start: int, count: int, end: int, header_size: int) -> Iterator[tuple[tuple[str, int], bytes]]:
-        """Yield (owner, number) and body of the variable length records that matter here, walking over all."""
-        room = max(end - start, 0)
-        self.require(count * header_size <= room, f"{count} variable length records do not fit in {room} bytes")
-        offset = start
-        for _ in range(count):
-            self.require(offset + header_size <= end, f"the variable length records run past byte {end}")
-            layout = "<16sHQ" if header_size == EVLR_HEADER else "<16sHH"
-            user, number, length = struct.unpack_from(layout, self.read(offset + 2, header_size - 2))
-            offset += header_size
-            self.require(offset + length <= end, f"the variable length records run past byte {end}")
-            owner = user.split(b"\0")[0].decode("ascii", "replace")
-            if owner in RECORD_OWNERS:
-                yield (owner, number), self.read(offset, length)
-            offset += length
+    def _records(self, start: int, count: int, end: int) -> Iterator[laspy.VLR]:
+        """Yield the variable length records before the points."""
+        for owner, number, description, place, length in self._walk(start, count, end, VLR_LAYOUT):
+            yield laspy.VLR(owner, number, description, self.read(place, length))
 
-    def _check_compressed(
-        self, start: int, points: int, record_size: int, records: dict[tuple[str, int], bytes]
-    ) -> None:
-        """Check the LAZ record and the table of chunks against the points and the file."""
-        laz = records.get(("laszip encoded", 22204), b"")
+    def _extended_records(self, start: int, count: int, *, of_all: bool) -> Iterator[laspy.VLR]:
+        """Yield the extended records of the CRS, or of all owners but COPC; the others may be as large as the file."""
+        for owner, number, description, place, length in self._walk(start, count, self.size, EVLR_LAYOUT):
+            if owner == PROJECTION or (of_all and owner != COPC):
+                yield laspy.VLR(owner, number, description, self.read(place, length))
+
+    def _walk(self, start: int, count: int, end: int, layout: str) -> Iterator[tuple[str, int, bytes, int, int]]:
+        """Yield owner, number, description, place and length of each of the records in a range of bytes."""
+        room, header_size = max(end - start, 0), struct.calcsize(layout)
+        self.require(count * header_size <= room, f"{count} variable length records do not fit in {room} bytes")
+        for _ in range(count):
+            self.require(start + header_size <= end, f"the variable length records run past byte {end}")
+            user, number, length, description = struct.unpack(layout, self.read(start, header_size))
+            start += header_size
+            self.require(start + length <= end, f"the variable length records run past byte {end}")
+            owner = user.split(b"\0")[0].decode("ascii", "replace")
+            yield owner, number, description.split(b"\0")[0], start, length
+            start += length
+
+    def _check_compressed(self, start: int, points: int, record_size: int, records: Iterable[laspy.VLR]) -> int:
+        """Check the LAZ record and the table of chunks against the points and the file; return where the table is."""
+        laz = next((r.record_data for r in records if (r.user_id, r.record_id) == LAZ_RECORD), b"")
         self.require(len(laz) >= 34, "the points are compressed, but the record that says how is missing")
         compressor, coder = struct.unpack_from("<HH", laz, 0)
         chunk_size, items = struct.unpack_from("<I", laz, 12)[0], struct.unpack_from("<H", laz, 32)[0]
@@ -229,6 +268,7 @@ class _Checker:
         lengths = self._check_chunks(start, table, points, chunk_size, laz)
         if compressor == 3:
             self._check_layers(start + 8, lengths, record_size, kinds)
+        return int(table)
 
     def _check_chunks(self, start: int, table: int, points: int, chunk_size: int, laz: bytes) -> list[int]:
         """Check that the chunks hold all points and fill the space before their table; return their lengths."""
