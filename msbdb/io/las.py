@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
-from msbdb.io.geokeys import header_crs, vertical_unit
-from msbdb.io.lasheader import COLOURED_FORMATS, INFRARED_FORMATS, LasInfo, decoding, read_las_header
+from msbdb.io.lasheader import (
+    COLOURED_FORMATS,
+    INFRARED_FORMATS,
+    LasInfo,
+    decoding,
+    header_crs,
+    read_las_header,
+    vertical_unit,
+)
 from msbdb.pointcloud import PointCloud
 
 logger = logging.getLogger(__name__)

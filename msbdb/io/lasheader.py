@@ -1,13 +1,15 @@
-"""A check of a LAS or LAZ file's own claims, before any library trusts them.
+"""The header of a LAS or LAZ file: a check of its own claims, before any library trusts them, and its CRS.
 
 The readers below this one allocate what a header promises and loop as often as it says. So every count and offset is
 held against the size of the file first; a file that passes is read in bounded time and memory.
 """
 
+import io
+import logging
 import math
 import os
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +17,14 @@ from typing import BinaryIO
 
 import laspy
 import lazrs
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError as ProjError
 
 from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.grid import Bounds
+
+logger = logging.getLogger(__name__)
 
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Smallest header of LAS 1.0 to 1.4, bytes."""
@@ -37,6 +44,15 @@ PROJECTION, COMPRESSION, COPC = "LASF_Projection", "laszip encoded", "copc"
 LAZ_RECORD = (COMPRESSION, 22204)
 ANY_CHUNK_SIZE = 0xFFFFFFFF
 """A LAZ chunk size that says that every chunk has its own, as in COPC."""
+
+
+WKT, DIRECTORY, DOUBLES, TEXTS = 2112, 34735, 34736, 34737
+"""Record numbers in LAS; those of the GeoTIFF keys are also the tags' numbers in TIFF."""
+
+LINEAR_UNITS_KEY, VERTICAL_UNITS_KEY = 3076, 4099
+"""A linear unit is an EPSG code from 9001 on; any other is damage, of which PROJ would complain on the terminal."""
+
+UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,3 +306,71 @@ class _Checker:
             whole = record_size + 4 + 4 * layers + sum(sizes) == length
             self.require(whole, f"the layers of the chunk at byte {offset} do not fill its {length} bytes")
             offset += length
+
+
+def header_crs(projection: Mapping[int, bytes]) -> CRS | None:
+    """Return the CRS that the projection records of a LAS file state, or None.
+
+    The WKT is preferred where it can be parsed, as LAS 1.4 demands; else the GeoTIFF keys are read.
+    """
+    text = projection.get(WKT, b"").split(b"\0")[0].decode("utf-8", "replace").strip()
+    if text:
+        try:
+            return CRS.from_wkt(text)
+        except ProjError:
+            logger.info("A WKT record is not understood: %.80s", text)
+    if DIRECTORY not in projection:
+        return None
+    return _crs_of_keys(projection)
+
+
+def vertical_unit(projection: Mapping[int, bytes]) -> str | None:
+    """Return the unit of height that the GeoTIFF keys state apart from any CRS: 'm', 'ft', 'us-ft' or None."""
+    for key, place, _, value in _entries(projection.get(DIRECTORY, b"")):
+        if key == VERTICAL_UNITS_KEY and place == 0:
+            return UNITS.get(value)
+    return None
+
+
+def _entries(directory: bytes) -> list[tuple[int, int, int, int]]:
+    """Return the keys of a directory as (key, place, count, value), without padding."""
+    whole = len(directory) // 8 * 8
+    head, *entries = list(struct.iter_unpack("<4H", directory[:whole])) or [(0, 0, 0, 0)]
+    return sorted(entry for entry in entries[: head[3]] if entry[0] != 0)
+
+
+def _crs_of_keys(projection: Mapping[int, bytes]) -> CRS | None:
+    """Let GDAL read the GeoTIFF keys, by way of a TIFF of one cell that carries them.
+
+    laspy reads the EPSG codes of the horizontal CRS alone: neither projections that the keys define, nor the vertical
+    CRS, nor units and names.
+    """
+    import rasterio
+    import tifffile
+
+    entries = [e for e in _entries(projection[DIRECTORY]) if e[0] != LINEAR_UNITS_KEY or 9000 < e[3] < 10000]
+    if not entries:
+        return None
+    directory = np.array([(1, 1, 0, len(entries)), *entries], dtype=np.uint16).ravel()
+    doubles, texts = projection.get(DOUBLES, b""), projection.get(TEXTS, b"")
+    tags: list[tuple[int, str, int, object, bool]] = [
+        (33550, "d", 3, (1.0, 1.0, 0.0), True),  # size of the cell
+        (33922, "d", 6, (0.0,) * 6, True),  # its position
+        (DIRECTORY, "H", directory.size, directory, True),
+    ]
+    if len(doubles) >= 8:
+        tags.append((DOUBLES, "d", len(doubles) // 8, np.frombuffer(doubles, "<f8", len(doubles) // 8), True))
+    if texts:
+        tags.append((TEXTS, "s", 0, texts, True))
+    cell = io.BytesIO()
+    tifffile.imwrite(cell, np.zeros((1, 1), np.uint8), photometric="minisblack", metadata=None, extratags=tags)
+    try:
+        with (
+            rasterio.Env(GTIFF_REPORT_COMPD_CS=True),
+            rasterio.MemoryFile(cell.getvalue()) as memory,
+            memory.open() as dataset,
+        ):
+            return None if dataset.crs is None else CRS.from_wkt(dataset.crs.to_wkt())
+    except (rasterio.errors.RasterioError, ProjError) as error:
+        logger.info("The GeoTIFF keys are not understood: %s", error)
+        return None

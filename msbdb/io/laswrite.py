@@ -22,7 +22,7 @@ from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import NDArray
 
 from msbdb.errors import FileError, InputError
-from msbdb.io.atomic import write_atomic
+from msbdb.io.files import write_atomic
 from msbdb.io.las import Progress, read_chunks
 from msbdb.io.lasheader import COMPRESSION, COPC, LasInfo, decoding, read_las_header
 

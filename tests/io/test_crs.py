@@ -6,7 +6,7 @@ from pyproj import CRS, Transformer
 
 from msbdb.errors import CRSError
 from msbdb.io import crs as policy
-from msbdb.io.geokeys import header_crs, vertical_unit
+from msbdb.io.lasheader import header_crs, vertical_unit
 
 OREGON_BOUNDS = (636000.0, 849000.0, 639000.0, 853000.0)
 UNKNOWN_DATUM = (
