@@ -122,7 +122,7 @@ def dump(*, db: str, provenance: bool, out: Path | None) -> None:
     A line of names for each table and a line for each row, as JSON. Timings are left out.
     """
     from msbdb.database import canonical_dump, open_database
-    from msbdb.io.atomic import write_atomic
+    from msbdb.io.files import write_atomic
 
     engine = open_database(db)
     lines = (f"{line}\n".encode() for line in canonical_dump(engine, provenance=provenance))

@@ -7,8 +7,8 @@ import geopandas as gpd
 import pandas as pd
 
 from msbdb.errors import InputError
-from msbdb.io.atomic import write_atomic
-from msbdb.io.vectorwrite import write_layers
+from msbdb.io.files import write_atomic
+from msbdb.io.vector import write_layers
 
 IDS = ("change_id", "uid_before", "uid_after", "version_before", "version_after")
 """Columns that GeoJSON writes as strings, as numbers above 2^53 are rounded in browsers."""

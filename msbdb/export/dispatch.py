@@ -7,7 +7,7 @@ import geopandas as gpd
 
 from msbdb.errors import FileError, InputError
 from msbdb.export import geojson, geopackage, shapefile
-from msbdb.io.vectorwrite import existing_files
+from msbdb.io.vector import existing_files
 
 Layers = Mapping[str, gpd.GeoDataFrame]
 Writer = Callable[[Layers, Path], None]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import geopandas as gpd
 
-from msbdb.io.vectorwrite import write_layers
+from msbdb.io.vector import write_layers
 
 FIELDS = {
     "part_id": "ID",

@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
-from msbdb.io.geokeys import header_crs, vertical_unit
-from msbdb.io.lasheader import COLOURED_FORMATS, INFRARED_FORMATS, LasInfo, decoding, read_las_header
+from msbdb.io.lasheader import (
+    COLOURED_FORMATS,
+    INFRARED_FORMATS,
+    LasInfo,
+    decoding,
+    header_crs,
+    read_las_header,
+    vertical_unit,
+)
 from msbdb.pointcloud import PointCloud
 
 logger = logging.getLogger(__name__)
@@ -278,20 +285,41 @@ def _fill_from(info: LasInfo, how: Reference, columns: _Columns) -> Iterator[int
     wanted = Fields.XY_RETURNS_CHANNEL | Fields.Z | Fields.CLASSIFICATION | Fields.FLAGS | Fields.INTENSITY
     if columns.colour_names:
         wanted |= Fields.RGB | Fields.NIR | Fields.ALL_EXTRA_BYTES
+    for chunk in read_chunks(info, CHUNK_POINTS, wanted):
+        _append(chunk, info, how, columns, {name: fields[name] for name in columns.colour_names})
+        yield len(chunk)
+
+
+def read_chunks(info: LasInfo, at_once: int, wanted: Fields | None = None) -> Iterator[laspy.ScaleAwarePointRecord]:
+    """Yield the points of a file in their order.
+
+    Parameters
+    ----------
+    info : LasInfo
+        The file's header.
+    at_once : int
+        Points in each chunk but the last.
+    wanted : DecompressionSelection, optional
+        The fields that are decompressed, which only point formats from 6 on keep apart; by default all.
+
+    Raises
+    ------
+    FileError
+        If the points cannot be decoded, or are fewer than the header promises.
+    """
     with (
         decoding(info.path),
         laspy.open(
             info.path,
             laz_backend=laspy.LazBackend.LazrsParallel,
             read_evlrs=False,
-            decompression_selection=wanted,
+            decompression_selection=Fields.all() if wanted is None else wanted,
         ) as reader,
     ):
         read = 0
-        for chunk in reader.chunk_iterator(CHUNK_POINTS):
-            _append(chunk, info, how, columns, {name: fields[name] for name in columns.colour_names})
+        for chunk in reader.chunk_iterator(at_once):
             read += len(chunk)
-            yield len(chunk)
+            yield chunk
         if read != info.points:
             msg = f"only {read} of {info.points} points could be read"
             raise OSError(msg)

@@ -1,13 +1,15 @@
-"""A check of a LAS or LAZ file's own claims, before any library trusts them.
+"""The header of a LAS or LAZ file: a check of its own claims, before any library trusts them, and its CRS.
 
 The readers below this one allocate what a header promises and loop as often as it says. So every count and offset is
 held against the size of the file first; a file that passes is read in bounded time and memory.
 """
 
+import io
+import logging
 import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +17,14 @@ from typing import BinaryIO
 
 import laspy
 import lazrs
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError as ProjError
 
 from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.grid import Bounds
+
+logger = logging.getLogger(__name__)
 
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Smallest header of LAS 1.0 to 1.4, bytes."""
@@ -28,18 +35,44 @@ RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 COLOURED_FORMATS = (2, 3, 5, 7, 8, 10)
 INFRARED_FORMATS = (8, 10)
 
-VLR_HEADER, EVLR_HEADER = 54, 60
-RECORD_OWNERS = ("LASF_Projection", "laszip encoded")
+VLR_LAYOUT, EVLR_LAYOUT = "<2x16sHH32s", "<2x16sHQ32s"
+"""Owner, number, length and description in the heads of variable length records, and of extended ones."""
+
+PROJECTION, COMPRESSION, COPC = "LASF_Projection", "laszip encoded", "copc"
+"""Owners of records: of the CRS, of how the points are compressed, of the octree that orders them."""
+
+LAZ_RECORD = (COMPRESSION, 22204)
 ANY_CHUNK_SIZE = 0xFFFFFFFF
 """A LAZ chunk size that says that every chunk has its own, as in COPC."""
+
+
+WKT, DIRECTORY, DOUBLES, TEXTS = 2112, 34735, 34736, 34737
+"""Record numbers in LAS; those of the GeoTIFF keys are also the tags' numbers in TIFF."""
+
+LINEAR_UNITS_KEY, VERTICAL_UNITS_KEY = 3076, 4099
+"""A linear unit is an EPSG code from 9001 on; any other is damage, of which PROJ would complain on the terminal."""
+
+UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
 
 
 @dataclass(frozen=True, slots=True)
 class LasInfo:
     """What the header of a sound file says.
 
-    ``bounds`` are west, south, east and north in the file's units, as the header states them (which may be wrong).
-    ``projection`` holds the bodies of the 'LASF_Projection' records by record number (the last one of a number).
+    Attributes
+    ----------
+    points_end : int
+        Byte at which the points end; in LAZ, at which the table of their chunks begins.
+    bounds : tuple of float
+        West, south, east and north in the file's units, as the header states them (which may be wrong).
+    projection : dict
+        Bodies of the 'LASF_Projection' records by record number (the last one of a number).
+    header : bytes
+        The header itself, without the records.
+    records : tuple of laspy.VLR
+        The variable length records before the points, their bodies as bytes.
+    extended : tuple of laspy.VLR
+        The extended records of the CRS; of a COPC file all but COPC's own.
     """
 
     path: Path
@@ -51,7 +84,16 @@ class LasInfo:
     scales: tuple[float, float, float]
     offsets: tuple[float, float, float]
     bounds: Bounds
-    projection: dict[int, bytes] = field(default_factory=dict)
+    points_end: int
+    projection: dict[int, bytes] = field(repr=False)
+    header: bytes = field(repr=False)
+    records: tuple[laspy.VLR, ...] = field(repr=False)
+    extended: tuple[laspy.VLR, ...] = field(repr=False)
+
+    @property
+    def is_copc(self) -> bool:
+        """Whether the points are ordered in an octree that other records describe."""
+        return any(record.user_id == COPC for record in self.records)
 
 
 def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
@@ -133,32 +175,39 @@ class _Checker:
         in_order = len(head) <= header_size <= start <= self.size
         self.require(in_order, f"the header has {header_size} bytes and the points begin at {start} of {self.size}")
         point_format, record_size, points = self._points(head, minor)
-        records = dict(self._records(header_size, vlrs, start, VLR_HEADER))
-        if minor == 4:
-            evlr_start, evlrs = struct.unpack_from("<QI", head, 235)
-            records.update(self._records(evlr_start, evlrs, self.size, EVLR_HEADER) if evlrs else ())
+        records = tuple(self._records(header_size, vlrs, start))
+        extended: tuple[laspy.VLR, ...] = ()
+        evlr_start, evlrs = struct.unpack_from("<QI", head, 235) if minor == 4 else (0, 0)
+        if evlrs:
+            is_copc = any(record.user_id == COPC for record in records)
+            extended = tuple(self._extended_records(evlr_start, evlrs, of_all=is_copc))
         compressed = bool(head[104] & 0xC0)
         if points == 0:
             msg = f"{self.path} holds no points. Leave it out."
             raise NodataError(msg)
         if compressed:
-            self._check_compressed(start, points, record_size, records)
+            points_end = self._check_compressed(start, points, record_size, records)
         else:
+            points_end = start + points * record_size
             there = (self.size - start) // record_size
             self.require(points <= there, f"the header promises {points} points, but {there} are there: truncated")
         scales, offsets, bounds = self._geometry(head)
-        projection = {number: body for (user, number), body in records.items() if user == "LASF_Projection"}
+        projection = {r.record_id: r.record_data for r in (*records, *extended) if r.user_id == PROJECTION}
         return LasInfo(
-            self.path,
-            (major, minor),
-            point_format,
-            record_size,
-            points,
-            compressed,
-            scales,
-            offsets,
-            bounds,
-            projection,
+            path=self.path,
+            version=(major, minor),
+            point_format=point_format,
+            record_size=record_size,
+            points=points,
+            compressed=compressed,
+            scales=scales,
+            offsets=offsets,
+            bounds=bounds,
+            points_end=points_end,
+            projection=projection,
+            header=self.read(0, header_size),
+            records=records,
+            extended=extended,
         )
 
     def _points(self, head: bytes, minor: int) -> tuple[int, int, int]:
@@ -185,27 +234,33 @@ class _Checker:
         east, west, north, south = numbers[6:10]
         return scales, offsets, (west, south, east, north)
 
-    def _records(self, start: int, count: int, end: int, header_size: int) -> Iterator[tuple[tuple[str, int], bytes]]:
-        """Yield (owner, number) and body of the variable length records that matter here, walking over all."""
-        room = max(end - start, 0)
-        self.require(count * header_size <= room, f"{count} variable length records do not fit in {room} bytes")
-        offset = start
-        for _ in range(count):
-            self.require(offset + header_size <= end, f"the variable length records run past byte {end}")
-            layout = "<16sHQ" if header_size == EVLR_HEADER else "<16sHH"
-            user, number, length = struct.unpack_from(layout, self.read(offset + 2, header_size - 2))
-            offset += header_size
-            self.require(offset + length <= end, f"the variable length records run past byte {end}")
-            owner = user.split(b"\0")[0].decode("ascii", "replace")
-            if owner in RECORD_OWNERS:
-                yield (owner, number), self.read(offset, length)
-            offset += length
+    def _records(self, start: int, count: int, end: int) -> Iterator[laspy.VLR]:
+        """Yield the variable length records before the points."""
+        for owner, number, description, place, length in self._walk(start, count, end, VLR_LAYOUT):
+            yield laspy.VLR(owner, number, description, self.read(place, length))
 
-    def _check_compressed(
-        self, start: int, points: int, record_size: int, records: dict[tuple[str, int], bytes]
-    ) -> None:
-        """Check the LAZ record and the table of chunks against the points and the file."""
-        laz = records.get(("laszip encoded", 22204), b"")
+    def _extended_records(self, start: int, count: int, *, of_all: bool) -> Iterator[laspy.VLR]:
+        """Yield the extended records of the CRS, or of all owners but COPC; the others may be as large as the file."""
+        for owner, number, description, place, length in self._walk(start, count, self.size, EVLR_LAYOUT):
+            if owner == PROJECTION or (of_all and owner != COPC):
+                yield laspy.VLR(owner, number, description, self.read(place, length))
+
+    def _walk(self, start: int, count: int, end: int, layout: str) -> Iterator[tuple[str, int, bytes, int, int]]:
+        """Yield owner, number, description, place and length of each of the records in a range of bytes."""
+        room, header_size = max(end - start, 0), struct.calcsize(layout)
+        self.require(count * header_size <= room, f"{count} variable length records do not fit in {room} bytes")
+        for _ in range(count):
+            self.require(start + header_size <= end, f"the variable length records run past byte {end}")
+            user, number, length, description = struct.unpack(layout, self.read(start, header_size))
+            start += header_size
+            self.require(start + length <= end, f"the variable length records run past byte {end}")
+            owner = user.split(b"\0")[0].decode("ascii", "replace")
+            yield owner, number, description.split(b"\0")[0], start, length
+            start += length
+
+    def _check_compressed(self, start: int, points: int, record_size: int, records: Iterable[laspy.VLR]) -> int:
+        """Check the LAZ record and the table of chunks against the points and the file; return where the table is."""
+        laz = next((r.record_data for r in records if (r.user_id, r.record_id) == LAZ_RECORD), b"")
         self.require(len(laz) >= 34, "the points are compressed, but the record that says how is missing")
         compressor, coder = struct.unpack_from("<HH", laz, 0)
         chunk_size, items = struct.unpack_from("<I", laz, 12)[0], struct.unpack_from("<H", laz, 32)[0]
@@ -229,6 +284,7 @@ class _Checker:
         lengths = self._check_chunks(start, table, points, chunk_size, laz)
         if compressor == 3:
             self._check_layers(start + 8, lengths, record_size, kinds)
+        return int(table)
 
     def _check_chunks(self, start: int, table: int, points: int, chunk_size: int, laz: bytes) -> list[int]:
         """Check that the chunks hold all points and fill the space before their table; return their lengths."""
@@ -250,3 +306,71 @@ class _Checker:
             whole = record_size + 4 + 4 * layers + sum(sizes) == length
             self.require(whole, f"the layers of the chunk at byte {offset} do not fill its {length} bytes")
             offset += length
+
+
+def header_crs(projection: Mapping[int, bytes]) -> CRS | None:
+    """Return the CRS that the projection records of a LAS file state, or None.
+
+    The WKT is preferred where it can be parsed, as LAS 1.4 demands; else the GeoTIFF keys are read.
+    """
+    text = projection.get(WKT, b"").split(b"\0")[0].decode("utf-8", "replace").strip()
+    if text:
+        try:
+            return CRS.from_wkt(text)
+        except ProjError:
+            logger.info("A WKT record is not understood: %.80s", text)
+    if DIRECTORY not in projection:
+        return None
+    return _crs_of_keys(projection)
+
+
+def vertical_unit(projection: Mapping[int, bytes]) -> str | None:
+    """Return the unit of height that the GeoTIFF keys state apart from any CRS: 'm', 'ft', 'us-ft' or None."""
+    for key, place, _, value in _entries(projection.get(DIRECTORY, b"")):
+        if key == VERTICAL_UNITS_KEY and place == 0:
+            return UNITS.get(value)
+    return None
+
+
+def _entries(directory: bytes) -> list[tuple[int, int, int, int]]:
+    """Return the keys of a directory as (key, place, count, value), without padding."""
+    whole = len(directory) // 8 * 8
+    head, *entries = list(struct.iter_unpack("<4H", directory[:whole])) or [(0, 0, 0, 0)]
+    return sorted(entry for entry in entries[: head[3]] if entry[0] != 0)
+
+
+def _crs_of_keys(projection: Mapping[int, bytes]) -> CRS | None:
+    """Let GDAL read the GeoTIFF keys, by way of a TIFF of one cell that carries them.
+
+    laspy reads the EPSG codes of the horizontal CRS alone: neither projections that the keys define, nor the vertical
+    CRS, nor units and names.
+    """
+    import rasterio
+    import tifffile
+
+    entries = [e for e in _entries(projection[DIRECTORY]) if e[0] != LINEAR_UNITS_KEY or 9000 < e[3] < 10000]
+    if not entries:
+        return None
+    directory = np.array([(1, 1, 0, len(entries)), *entries], dtype=np.uint16).ravel()
+    doubles, texts = projection.get(DOUBLES, b""), projection.get(TEXTS, b"")
+    tags: list[tuple[int, str, int, object, bool]] = [
+        (33550, "d", 3, (1.0, 1.0, 0.0), True),  # size of the cell
+        (33922, "d", 6, (0.0,) * 6, True),  # its position
+        (DIRECTORY, "H", directory.size, directory, True),
+    ]
+    if len(doubles) >= 8:
+        tags.append((DOUBLES, "d", len(doubles) // 8, np.frombuffer(doubles, "<f8", len(doubles) // 8), True))
+    if texts:
+        tags.append((TEXTS, "s", 0, texts, True))
+    cell = io.BytesIO()
+    tifffile.imwrite(cell, np.zeros((1, 1), np.uint8), photometric="minisblack", metadata=None, extratags=tags)
+    try:
+        with (
+            rasterio.Env(GTIFF_REPORT_COMPD_CS=True),
+            rasterio.MemoryFile(cell.getvalue()) as memory,
+            memory.open() as dataset,
+        ):
+            return None if dataset.crs is None else CRS.from_wkt(dataset.crs.to_wkt())
+    except (rasterio.errors.RasterioError, ProjError) as error:
+        logger.info("The GeoTIFF keys are not understood: %s", error)
+        return None

@@ -21,7 +21,7 @@ from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Bounds, GridSpec
 from msbdb.io.crs import CrsLike, same_crs, split_crs
-from msbdb.io.rasterfile import open_raster, raster_bounds, raster_crs, warp
+from msbdb.io.raster import open_raster, raster_bounds, raster_crs, warp
 
 logger = logging.getLogger(__name__)
 

@@ -11,9 +11,10 @@ import numpy as np
 from msbdb.bands import Bands
 from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec
+from msbdb.io.files import describe_source
 from msbdb.io.las import read_points
-from msbdb.io.manifest import describe_source
-from msbdb.io.raster import align_grid, read_bands, read_grid
+from msbdb.io.ortho import read_bands
+from msbdb.io.raster import align_grid, read_grid
 from msbdb.params import Params
 from msbdb.pipeline.stage import Progress
 from msbdb.pointcloud import PointCloud

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import FileError, InputError
 from msbdb.grid import Grid
-from msbdb.io.atomic import write_atomic
+from msbdb.io.files import write_atomic
 from msbdb.view.furniture import north_arrow, scale_bar
 from msbdb.view.outlines import outlines
 

@@ -15,7 +15,7 @@ from pyproj import CRS
 from msbdb import tables
 from msbdb.errors import CRSError, FileError, InputError
 from msbdb.export import export
-from msbdb.io.vectorwrite import write_layers
+from msbdb.io.vector import write_layers
 
 BIG = 2**59 - 1  # more than a float holds exactly
 needs_ogrinfo = pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="ogrinfo (gdal-bin) is not installed")

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from laspy.vlrs.known import GeoKeyDirectoryVlr
 from pyproj import CRS, Transformer
 
 from msbdb.errors import CRSError
 from msbdb.io import crs as policy
-from msbdb.io.geokeys import header_crs, vertical_unit
+from msbdb.io.lasheader import header_crs, vertical_unit
 
 OREGON_BOUNDS = (636000.0, 849000.0, 639000.0, 853000.0)
 UNKNOWN_DATUM = (
@@ -165,6 +166,13 @@ def test_geotiff_keys_are_read():
     doubles = np.array([9.0, 0.0, 500000.0, 0.0, 0.9996]).tobytes()
     found = header_crs({34735: _directory(*keys), 34736: doubles})
     assert policy.same_projection(found, CRS.from_epsg(32632))
+    by_laspy = GeoKeyDirectoryVlr()
+    by_laspy.parse_record_data(_directory(*keys))
+    assert by_laspy.parse_crs() == CRS.from_epsg(4326)  # The base alone: the reason for asking GDAL.
+    named = header_crs({34735: _directory((1026, 34737, 11, 0), (3076, 0, 1, 9001)), 34737: b"Lambert-93|\0"})
+    assert (named.name, named.is_engineering) == ("Lambert-93", True)
+    both = header_crs({34735: _directory((1024, 0, 1, 1), (3072, 0, 1, 2154), (4096, 0, 1, 5720))})
+    assert policy.split_crs(both)[1] == CRS.from_epsg(5720)
 
 
 def test_the_wkt_wins_over_the_keys_unless_it_is_broken():

@@ -187,10 +187,74 @@ def test_what_points_into_the_points_is_no_record(tmp_path):
         write_classes(source, tmp_path / "other.laz", classes_for(6))
 
 
+@pytest.mark.parametrize("point_format", [1, 4, 6])
+def test_what_laspy_would_rewrite_is_as_in_the_source(tmp_path, point_format):
+    """No date, old or wrong counts, wrong bounds, texts that are not ASCII, remains behind texts, wave packets."""
+    source = write(tmp_path / "in.las", point_format)
+    body = bytearray(source.read_bytes())
+    body[26:58], body[58:90] = b"scanner\0 of old".ljust(32, b"x"), "Pöint Cleaner".encode("latin-1").ljust(32, b"\0")
+    struct.pack_into("<2H", body, 90, 0, 0)
+    if point_format == 6:
+        struct.pack_into("<I", body, 107, COUNT)
+        struct.pack_into("<15Q", body, 255, *range(15))
+    struct.pack_into("<5I", body, 111, *range(5))
+    struct.pack_into("<6d", body, 179, *range(6))
+    place = body.find(b"someone\0")
+    body[place + 20 : place + 52] = "Größe".encode("latin-1").ljust(32, b"\0")
+    if point_format == 4:
+        struct.pack_into("<Q", body, 227, len(body))
+        body += np.random.default_rng(3).bytes(50_000)
+    source.write_bytes(body)
+    classes = classes_for(point_format)
+    write_classes(source, tmp_path / "out.las", classes)
+    assert (tmp_path / "out.las").read_bytes() == expected_bytes(source, point_format, classes)
+
+
+@pytest.mark.parametrize("minor", [0, 1])
+def test_the_oldest_versions_stay(tmp_path, minor):
+    """LAS 1.0 and 1.1, which laspy does not write in point format 3, compressed and not."""
+    source, classes = write(tmp_path / "in.las", 3), classes_for(3)
+    body = bytearray(source.read_bytes())
+    body[25] = minor
+    source.write_bytes(body)
+    write_classes(source, tmp_path / "packed.laz", classes)
+    write_classes(tmp_path / "packed.laz", tmp_path / "out.las", classes)
+    assert (tmp_path / "out.las").read_bytes() == expected_bytes(source, 3, classes)
+
+
+def test_a_point_format_that_its_version_does_not_have_is_refused(tmp_path):
+    """The message says so, and nothing is written."""
+    source = write(tmp_path / "in.las", 4)
+    body = bytearray(source.read_bytes())
+    body[104] = 6
+    source.write_bytes(body)
+    with pytest.raises(FileError, match=r"in\.las .*not compatible"):
+        write_classes(source, tmp_path / "out.las", classes_for(6))
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_what_is_lost_of_the_heads_of_records(tmp_path):
+    """Reserved bytes, the remains behind an owner's name and a description, and the last of 32 characters."""
+    source, classes = write(tmp_path / "in.las", 6), classes_for(6)
+    lossless = bytearray(source.read_bytes())
+    full = lossless.copy()
+    place = full.find(b"someone\0")
+    full[place - 2 : place], lossless[place - 2 : place] = b"\xbb\xaa", b"\0\0"
+    full[place + 8 : place + 16] = b"remains!"
+    full[place + 20 : place + 52], lossless[place + 20 : place + 52] = b"d" * 32, b"d" * 31 + b"\0"
+    place = full.find(b"LASF_Projection\0")
+    full[place + 20 : place + 52], lossless[place + 20 : place + 52] = b"wkt\0" * 8, b"wkt".ljust(32, b"\0")
+    source.write_bytes(full)
+    write_classes(source, tmp_path / "out.las", classes)
+    source.write_bytes(lossless)
+    assert (tmp_path / "out.las").read_bytes() == expected_bytes(source, 6, classes)
+
+
 def test_copc_becomes_plain_laz_and_says_so(tmp_path):
     """Its own records go, all others and the points' order stay."""
     path = write(tmp_path / "in.copc.laz", 6)
     las = laspy.read(path)
+    las.evlrs.append(laspy.VLR("LASF_Spec", 0, "", b"\x07Low point(bird)"))
     las.header.vlrs.insert(0, laspy.VLR("copc", 1, "", bytes(160)))
     las.evlrs.append(laspy.VLR("copc", 1000, "EPT Hierarchy", bytes(64)))
     las.write(path)
@@ -200,7 +264,8 @@ def test_copc_becomes_plain_laz_and_says_so(tmp_path):
         new = laspy.read(tmp_path / name)
         np.testing.assert_array_equal(raw_points(path)[:, :16], raw_points(tmp_path / name)[:, :16])
         assert "copc" not in {r.user_id for r in [*new.header.vlrs, *new.evlrs]}
-        assert [r.record_data_bytes() for r in new.evlrs] == [las.evlrs[0].record_data_bytes()]
+        assert new.evlrs[0].record_data_bytes() == las.evlrs[0].record_data_bytes()
+        assert b"\x07Low point(bird)" in (tmp_path / name).read_bytes()
         read_las_header(tmp_path / name)
     with pytest.raises(InputError, match="not as COPC"):
         write_classes(path, tmp_path / "out.copc.laz", classes_for(6))

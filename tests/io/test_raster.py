@@ -14,7 +14,8 @@ from rasterio.enums import ColorInterp
 from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbWarning, NodataError
 from msbdb.grid import Grid, GridSpec
 from msbdb.io.las import read_points
-from msbdb.io.raster import align_grid, read_bands, read_grid, write_grid
+from msbdb.io.ortho import read_bands
+from msbdb.io.raster import align_grid, read_grid, write_grid
 
 LAMBERT = CRS.from_epsg(2154)
 NORTH_UP = Affine(1.0, 0.0, 700000.0, 0.0, -1.0, 6600010.0)

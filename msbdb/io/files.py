@@ -1,5 +1,6 @@
-"""Writing files that appear whole or not at all."""
+"""Files as wholes: writing one that appears complete or not at all, and the record of one that was read."""
 
+import hashlib
 import os
 import shutil
 import tempfile
@@ -8,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from msbdb.errors import FileError
+from msbdb.tables import Source
 
 
 @contextmanager
@@ -57,3 +59,29 @@ def _flush(path: Path) -> None:
     """Have the system put a file's content on the disk before it is renamed."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
+
+
+def describe_source(path: str | os.PathLike[str], role: str) -> Source:
+    """Return name, role, SHA-256 and size of an input file, reading it in pieces.
+
+    Parameters
+    ----------
+    path : path
+        A file.
+    role : str
+        What the build uses it for, such as points, dsm, dtm or image.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            size = file.tell()
+    except OSError as error:
+        msg = f"{path} cannot be read: {error.strerror}. Check the path and its permissions."
+        raise FileError(msg) from error
+    return Source(path.name, role, digest, size)
