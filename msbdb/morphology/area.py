@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
 from msbdb.morphology.runs import Layout, find_runs
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 T = TypeVar("T", bound=np.generic)
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError
 from msbdb.morphology.flood import flood
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
 from msbdb.morphology.runs import MAX_CELLS, require_connectivity, require_valid
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 NONE = -1
 """Node of a cell that belongs to no component, and of a node without the ancestor asked for."""

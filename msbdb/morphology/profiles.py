@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology.componenttree import NONE, ComponentTree, areas, is_increasing
-from msbdb.morphology.kernels import kernel
+from msbdb.threads import kernel
 
 MAX_ZONES = 2**15 - 2
 """Zones and one more, for what remains, are counted in 16 bits."""

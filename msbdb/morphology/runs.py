@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.kernels import kernel
+from msbdb.threads import kernel
 
 MAX_CELLS = 2**31 - 2**16
 """Cells and runs are counted in 32 bits, which halves the memory."""

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.runs import Layout, find_runs, widen
+from msbdb.threads import kernel
 
 
 def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[NDArray[np.int32], int]:

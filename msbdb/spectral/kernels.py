@@ -6,7 +6,7 @@ All sums over points are of whole numbers in 64 bits, so that they are exact in 
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
+from msbdb.threads import kernel
 
 Frame = tuple[float, float, float]
 """West and north edge and cell size of a lattice, metres."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.order import ranks
+from msbdb.order import ranks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
+from msbdb.order import order_of
+from msbdb.threads import kernel
 from msbdb.vector.packing import pack
 
 Floats = NDArray[np.float64]

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from msbdb.extract.adaptive.points import Labels, OffGround
 from msbdb.extract.adaptive.vegetation import Structure
-from msbdb.morphology.order import order_of_points
 from msbdb.morphology.points import linked
+from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from msbdb.errors import InputError
 from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PlacedPoints, places
 from msbdb.grid import GridSpec
-from msbdb.morphology.order import order_of_points
+from msbdb.order import order_of_points
 from msbdb.pointcloud import PointCloud
 
 Floats = NDArray[np.float64]

@@ -16,8 +16,8 @@ from msbdb.extract.candidates import Candidates
 from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PointBooks, places
 from msbdb.grid import GridSpec
-from msbdb.morphology.order import order_of_points, ranks
 from msbdb.morphology.points import PointGraph, components, connect, open_close_on_set
+from msbdb.order import order_of_points, ranks
 from msbdb.params import Area3dParams, Params
 from msbdb.pointcloud import PointCloud
 

@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
-from msbdb.morphology.kernels import kernel
 from msbdb.pointcloud import PointCloud
+from msbdb.threads import kernel
 
 NEAREST = 3
 """No fewer than the three nearest points (M8)."""

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology.area import find_root
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
 from msbdb.morphology.points.graph import PointGraph
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 T = TypeVar("T", bound=np.generic)
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 MAX_POINTS = 2**31 - 2**16
 """Points are counted in 32 bits, which halves the memory."""

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points import CellIndex, cell_at, cell_place, index_cells, strip
+from msbdb.threads import kernel
 
 SIZES = st.sampled_from([0.3, 1.0, 2.5, 100.0])
 
