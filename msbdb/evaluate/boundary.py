@@ -9,8 +9,8 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.evaluate.metrics import Averages, ratio
-from msbdb.evaluate.objects import sums
 from msbdb.grid import GridSpec
+from msbdb.labels import sizes, sums
 from msbdb.vector.polygons import Geometries
 
 Ints = NDArray[np.int64]
@@ -70,8 +70,8 @@ def score_boundary(
         )
     )
     near = distance <= cap_m
-    used = np.bincount(group[near], minlength=len(extracted))
-    squares = sums(group[near], distance[near] ** 2, len(extracted))
+    used = sizes(group[near] + 1, len(extracted))
+    squares = sums(group[near] + 1, distance[near] ** 2, len(extracted))
     if not near.any():
         return BoundaryScore(len(distance), ratio(len(distance), len(distance)), Averages(math.nan, math.nan))
     micro = math.sqrt(float(squares.sum()) / int(used.sum()))

@@ -30,6 +30,7 @@ from msbdb.evaluate.reference import (
 from msbdb.evaluate.settings import EvaluateParams
 from msbdb.evaluate.shape import ShapeScore, score_shape
 from msbdb.grid import Bounds, Grid, GridSpec, require_metric
+from msbdb.labels import EIGHT, sizes
 from msbdb.vector.polygons import Geometries, rasterise
 
 Mask = NDArray[np.bool_]
@@ -216,11 +217,11 @@ def _compared(
     """Take all measures of two sides on a grid, whose cells judge objects and areas."""
     scored, observed = judged
     labels_e, labels_r = np.where(scored, extracted.labels, 0), np.where(scored, truth.labels, 0)
-    sizes = (len(extracted.outlines), len(truth.outlines))
-    found = overlaps(labels_e, labels_r, sizes, spec.cell_area_m2)
+    counts = (len(extracted.outlines), len(truth.outlines))
+    found = overlaps(labels_e, labels_r, counts, spec.cell_area_m2)
     covered = (
-        _covered(labels_e, truth.mask, sizes[0], spec.cell_area_m2),
-        _covered(labels_r, extracted.mask, sizes[1], spec.cell_area_m2),
+        _covered(labels_e, truth.mask, counts[0], spec.cell_area_m2),
+        _covered(labels_r, extracted.mask, counts[1], spec.cell_area_m2),
     )
     counted = (extracted.counted(found.extracted_m2), truth.counted(found.reference_m2))
     large = (
@@ -229,7 +230,7 @@ def _compared(
     )
     group_e, group_r, count = groups(found, params.overlap)
     # Beside a cell that is not scored, an outline may be the edge of the data.
-    inner = ndimage.binary_erosion(scored, np.ones((3, 3), dtype=np.bool_))
+    inner = ndimage.binary_erosion(scored, EIGHT)
     has_heights = np.isfinite(truth.height_m).any()
     return Evaluation(
         params=params,
@@ -251,5 +252,4 @@ def _compared(
 
 def _covered(labels: NDArray[np.int32], mask: Mask, count: int, cell_area_m2: float) -> NDArray[np.float64]:
     """Return the area of each object that lies in a mask."""
-    cells = np.bincount(labels[mask], minlength=count + 1)[1:]
-    return cells.astype(np.float64) * cell_area_m2
+    return sizes(labels[mask], count).astype(np.float64) * cell_area_m2

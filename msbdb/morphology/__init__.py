@@ -1,4 +1,4 @@
-"""Area morphology: openings, closings, the scale-space that they build, flat zones and granulometry.
+"""Area morphology: openings, closings, the scale-space that they build, and granulometry.
 
 Beside it the component tree, and the differential profiles and gradients that find flat regions.
 The same filters on the points themselves are in `msbdb.morphology.points`.
@@ -18,7 +18,6 @@ from msbdb.morphology.profiles import (
 )
 from msbdb.morphology.scalespace import ScaleSpace, build_scale_space
 from msbdb.morphology.windowprofile import window_profile
-from msbdb.morphology.zones import label_zones
 
 __all__ = [
     "AttributeProfile",
@@ -38,7 +37,6 @@ __all__ = [
     "find_scales",
     "internal_gradient",
     "is_increasing",
-    "label_zones",
     "maxima",
     "minima",
     "opening_areas",

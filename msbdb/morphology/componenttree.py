@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError
+from msbdb.labels.numbering import MAX_CELLS, require_connectivity
 from msbdb.morphology.flood import flood
-from msbdb.morphology.runs import MAX_CELLS, require_connectivity, require_valid
+from msbdb.morphology.runs import require_valid
 from msbdb.order import order_of
 from msbdb.threads import kernel
 
@@ -122,7 +123,7 @@ def build_tree(values: NDArray[Any], valid: NDArray[np.bool_] | None = None, *, 
 
     Notes
     -----
-    The cells are ordered by radix where 32 bits hold their values, and flooded from the lowest up [1]_ with a queue of
+    The cells are ordered by value and flooded from the lowest up [1]_ with a queue of
     priorities that may be of any number [2]_, here ranks: O(n) for n cells but for the queue, a hierarchy of words of
     64 bits, of which four levels hold 16 million cells.
     Nodes are made of cells of equal value afterwards, from the root up.

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
-from msbdb.morphology.runs import require_image, widen
+from msbdb.labels.numbering import require_image
+from msbdb.morphology.runs import widen
 from msbdb.params import GranulometryParams
 from msbdb.threads import kernel
 

@@ -7,13 +7,13 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.labels import Labels, sizes
 from msbdb.order import order_of_points
 from msbdb.params import VectorParams
 from msbdb.vector.alphashape import alpha_shapes
 from msbdb.vector.polygons import Geometries
 
 Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
 Method = Literal["alpha", "hull"]
 
 METHODS = ("alpha", "hull")
@@ -121,14 +121,12 @@ def outline_points(
     x, y, labels = _members(x, y, labels, count)
     if count == 0:
         return np.empty(0, dtype=np.object_)
-    if method == "alpha":
-        shapes = alpha_shapes(x, y, labels, count, radius_m)
-    else:
-        shapes = _hulls(x, y, labels, 2 * radius_m)
+    is_alpha = method == "alpha"
+    shapes = alpha_shapes(x, y, labels, count, radius_m) if is_alpha else _hulls(x, y, labels, 2 * radius_m)
     shapes = simplified(without_residuals(shapes, residual_m2), simplify_m)
     if grow_m:
         shapes = shapely.buffer(shapes, grow_m, join_style="mitre", mitre_limit=MITRE)
-    size = np.bincount(labels, minlength=count + 1)[1:]
+    size = sizes(labels, count)
     bare = ~_has_area(shapes) | (shapely.area(shapes) > SPARSE * size * (2 * radius_m) ** 2)
     if bare.any():
         shapes[bare] = _buffered(x, y, labels, np.flatnonzero(bare), spacing_m / 2)

@@ -12,7 +12,6 @@ from msbdb.morphology import (
     attribute_opening,
     build_profile,
     build_tree,
-    label_zones,
     maxima,
     minima,
     second_order_gradient,
@@ -79,17 +78,6 @@ def test_openings_and_closings_are_those_of_higra(image, threshold, connectivity
     closed = without_small_nodes(higra.component_tree_min_tree)
     np.testing.assert_array_equal(area_opening(image, threshold, connectivity=connectivity), opened)
     np.testing.assert_array_equal(area_closing(image, threshold, connectivity=connectivity), closed)
-
-
-@pytest.mark.parametrize("connectivity", [4, 8])
-def test_flat_zones_are_those_of_scikit_image(connectivity):
-    """scikit-image labels zones of equal integers, in row-major order too."""
-    measure = pytest.importorskip("skimage.measure")
-    image = storeys(4)
-    labels, count = label_zones(image, connectivity=connectivity)
-    expected, number = measure.label(image, background=0, return_num=True, connectivity=connectivity // 4)
-    assert count == number
-    np.testing.assert_array_equal(labels, expected)
 
 
 def town(seed):
