@@ -99,8 +99,6 @@ def _distances(
     ring = np.repeat(np.arange(len(rings)), number)
     along = np.arange(len(ring)) - np.repeat(np.cumsum(number) - number, number)
     points = shapely.line_interpolate_point(rings[ring], (along + 0.5) * (length / number)[ring])
-    row, col = spec.rowcol(shapely.get_x(points), shapely.get_y(points))
-    inside = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
-    inside[inside] = scored[row[inside], col[inside]]
-    kept = group[ring[inside]].astype(np.int64)
-    return np.asarray(shapely.distance(points[inside], others[kept]), dtype=np.float64), kept
+    counted = spec.sample(scored, shapely.get_x(points), shapely.get_y(points), outside=False)
+    kept = group[ring[counted]].astype(np.int64)
+    return np.asarray(shapely.distance(points[counted], others[kept]), dtype=np.float64), kept

@@ -188,7 +188,7 @@ def point_side(reference: PointReference, spec: GridSpec, params: EvaluateParams
         When no first echo lies on the grid.
     """
     row, col = spec.rowcol(reference.easting, reference.northing)
-    chosen = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
+    chosen = spec.inside(row, col)
     if reference.first_echo is not None:
         chosen &= reference.first_echo
     if not chosen.any():

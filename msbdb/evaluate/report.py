@@ -200,15 +200,7 @@ def _sampled(valid: Grid, spec: GridSpec) -> Mask:
     if horizontal(valid.spec.crs) != horizontal(spec.crs):
         msg = f"The validity is in '{valid.spec.crs.name}', the extraction in '{spec.crs.name}'; they must agree."
         raise CRSError(msg)
-    east, _ = spec.xy(np.zeros(spec.shape[1], dtype=np.int64), np.arange(spec.shape[1]))
-    _, north = spec.xy(np.arange(spec.shape[0]), np.zeros(spec.shape[0], dtype=np.int64))
-    row, _ = valid.spec.rowcol(np.full(len(north), east[0]), north)
-    _, col = valid.spec.rowcol(east, np.full(len(east), north[0]))
-    rows, cols = valid.spec.shape
-    result = np.zeros(spec.shape, dtype=np.bool_)
-    in_row, in_col = (row >= 0) & (row < rows), (col >= 0) & (col < cols)
-    result[np.ix_(in_row, in_col)] = valid.valid[np.ix_(row[in_row], col[in_col])]
-    return result
+    return valid.spec.sample(valid.valid, *spec.centres(), outside=False)
 
 
 def _compared(

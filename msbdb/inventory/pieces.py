@@ -70,17 +70,12 @@ def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Gr
     """
     values = np.zeros(spec.shape, dtype=np.float32)
     valid = np.zeros(spec.shape, dtype=np.bool_)
-    cols, rows = np.arange(spec.shape[1]), np.arange(spec.shape[0])
-    east = spec.xy(np.zeros_like(cols), cols)[0] - offset.dx_m
-    north = spec.xy(rows, np.zeros_like(rows))[1] - offset.dy_m
+    east, north = spec.centres()
+    places = east - offset.dx_m, north - offset.dy_m
     for grid in grids:
-        row, _ = grid.spec.rowcol(np.full(len(north), east[0]), north)
-        _, col = grid.spec.rowcol(east, np.full(len(east), north[0]))
-        here = np.ix_((row >= 0) & (row < grid.spec.shape[0]), (col >= 0) & (col < grid.spec.shape[1]))
-        there = np.ix_(row[here[0].ravel()], col[here[1].ravel()])
-        new = grid.valid[there] & ~valid[here]
-        values[here] = np.where(new, grid.values[there], values[here])
-        valid[here] |= new
+        new = grid.spec.sample(grid.valid, *places, outside=False) & ~valid
+        np.copyto(values, grid.spec.sample(np.asarray(grid.values), *places, outside=0), where=new)
+        valid |= new
     return Grid(values, valid, spec)
 
 
