@@ -5,7 +5,7 @@ The same filters on the points themselves are in `msbdb.morphology.points`.
 """
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening
-from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, maxima, minima, sums
+from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, sums
 from msbdb.morphology.gradients import external_gradient, internal_gradient, second_order_gradient
 from msbdb.morphology.granulometry import find_scales, opening_areas
 from msbdb.morphology.profiles import (
@@ -37,8 +37,6 @@ __all__ = [
     "find_scales",
     "internal_gradient",
     "is_increasing",
-    "maxima",
-    "minima",
     "opening_areas",
     "second_order_gradient",
     "sums",

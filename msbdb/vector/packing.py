@@ -27,13 +27,6 @@ class Axis:
     occupied: Ints
     number: Ints
 
-    def absolute(self, cell: Ints) -> Ints:
-        """Return the absolute numbers of packed cells, by the shift of the nearest one that is occupied."""
-        after = np.clip(np.searchsorted(self.number, cell), 1, max(len(self.number) - 1, 1))
-        before, after = after - 1, np.minimum(after, len(self.number) - 1)
-        nearest = np.where(cell - self.number[before] <= np.abs(self.number[after] - cell), before, after)
-        return np.asarray(cell + (self.occupied - self.number)[nearest])
-
 
 def pack(values: Floats, side_m: float, gap: int) -> Axis:
     """Return the cells along one axis, numbered so that at most ``gap`` - 1 empty ones follow each other.

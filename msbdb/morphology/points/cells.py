@@ -136,12 +136,6 @@ def parts_of(index: CellIndex) -> list[tuple[int, int]]:
 
 
 @kernel
-def cell_at(index: CellIndex, x: float, y: float) -> tuple[int, int]:
-    """Return the row and the column in which a place lies, also outside of the lattice; for kernels."""
-    return math.floor((y - index.south) / index.cell_m), math.floor((x - index.west) / index.cell_m)
-
-
-@kernel
 def cell_place(index: CellIndex, cell: int) -> tuple[int, int]:
     """Return the row and the column of a cell, given its place in ``index.keys``; for kernels."""
     key = index.keys[cell]
