@@ -80,7 +80,7 @@ def test_islands_far_apart_need_no_cells_between():
 
 
 def test_many_lattice_cells_sort_the_same():
-    """Whether radix or comparison sorts, the points of a cell ascend."""
+    """Whether 32 bits hold the cells' numbers or not, the points of a cell ascend."""
     random = np.random.default_rng(3)
     x, y = random.integers(0, 3, (2, 500)) * 1.0
     near = index_cells(x, y, 1.0)
