@@ -2,13 +2,16 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from msbdb.errors import CRSError, GridMismatchError, InputError
+from msbdb.errors import CRSError, GridMismatchError, InputError, ParameterError
+
+S = TypeVar("S", bound=np.generic)
 
 Bounds = tuple[float, float, float, float]
 
@@ -85,6 +88,103 @@ class GridSpec:
         row = np.floor((self.transform.f - np.asarray(northing)) / self.cell_m).astype(np.int64)
         return row, col
 
+    def centres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Easting (W,) of the columns' centres and northing (H, 1) of the rows', metres, which broadcast to (H, W)."""
+        rows, cols = self.shape
+        return self.xy(np.arange(rows)[:, None], np.arange(cols))
+
+    def inside(self, row: NDArray[np.integer], col: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Return which cells, given by rows and columns that broadcast, lie on the grid."""
+        rows, cols = self.shape
+        lie: NDArray[np.bool_] = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        return lie
+
+    def sample(
+        self, values: NDArray[S], easting: NDArray[np.float64], northing: NDArray[np.float64], *, outside: float
+    ) -> NDArray[S]:
+        """Return the values of the cells that hold points.
+
+        Parameters
+        ----------
+        values : (H, W) ndarray
+            One value a cell of this grid.
+        easting, northing : ndarray of float64
+            Points in the grid's CRS, metres; of shapes that broadcast, as those of `centres` do.
+        outside : float
+            The value of points outside of the grid, such as NaN or False.
+
+        Returns
+        -------
+        ndarray
+            Of the dtype of ``values`` and the points' shape.
+
+        Raises
+        ------
+        GridMismatchError
+            When the values are not one a cell.
+        """
+        if values.shape != self.shape:
+            msg = f"A grid of {self.shape} cells is sampled in values of its shape; got {values.shape}."
+            raise GridMismatchError(msg)
+        row, col = self.rowcol(easting, northing)
+        held = values[np.clip(row, 0, self.shape[0] - 1), np.clip(col, 0, self.shape[1] - 1)]
+        return np.where(self.inside(row, col), held, values.dtype.type(outside))
+
+    def tiles(self, size: int) -> list[tuple[int, int]]:
+        """Return the numbers (row, column) of the tiles of ``size`` by ``size`` cells that the grid has cells of.
+
+        Tile (i, j) has the rows ``i * size`` to ``(i + 1) * size`` of the absolute lattice, and likewise the columns,
+        so that neighbouring grids share their tiles. The order is row-major.
+
+        Raises
+        ------
+        ParameterError
+            When the size is not above 0.
+        """
+        _require_tile(size, 0)
+        rows, cols = (
+            range(first // size, (first + count - 1) // size + 1)
+            for first, count in zip(self.origin, self.shape, strict=True)
+        )
+        return [(i, j) for i in rows for j in cols]
+
+    def tile_of(
+        self, row: NDArray[np.integer], col: NDArray[np.integer], size: int
+    ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+        """Return the numbers (row, column) of the tiles that hold cells of the grid, see `tiles`."""
+        _require_tile(size, 0)
+        return (row + self.origin[0]) // size, (col + self.origin[1]) // size
+
+    def tile_window(self, tile: tuple[int, int], size: int, *, halo: int = 0) -> tuple[slice, slice]:
+        """Return the rows and columns of a tile on this grid, with a halo of cells around it, cut to the grid.
+
+        Parameters
+        ----------
+        tile : tuple of int
+            One of `tiles`.
+        size : int
+            Cells along a side of a tile.
+        halo : int
+            Cells around the tile that belong to the window too, where the grid has them.
+
+        Raises
+        ------
+        ParameterError
+            When the size is not above 0, or the halo is below 0.
+        InputError
+            When the grid has no cell of the tile.
+        """
+        _require_tile(size, halo)
+        limits = list(zip(tile, self.origin, self.shape, strict=True))
+        if not all(first < (number + 1) * size and number * size < first + count for number, first, count in limits):
+            msg = f"The grid at {self.origin} of {self.shape} cells has no cell of the tile {tile} of {size} cells."
+            raise InputError(msg)
+        rows, cols = (
+            slice(max(number * size - first - halo, 0), min((number + 1) * size - first + halo, count))
+            for number, first, count in limits
+        )
+        return rows, cols
+
     def same_lattice(self, other: "GridSpec") -> bool:
         """Whether both grids have the same shape, position and CRS."""
         if self.shape != other.shape or self.crs != other.crs:
@@ -130,6 +230,13 @@ class Grid:
     def with_values(self, values: NDArray[np.generic], valid: NDArray[np.bool_] | None = None) -> "Grid":
         """Return other values on the same lattice, with the same validity unless another is given."""
         return Grid(values, self.valid if valid is None else valid, self.spec)
+
+
+def _require_tile(size: int, halo: int) -> None:
+    """Refuse tiles without cells and halos below 0."""
+    if size < 1 or halo < 0:
+        msg = f"Tiles need a side of at least 1 cell and a halo of 0 or more; got {size} and {halo}."
+        raise ParameterError(msg)
 
 
 def require_metric(crs: CRS) -> None:

@@ -1,10 +1,11 @@
-"""Work on several cores that gives the same results as on one."""
+"""Compiled kernels, and work on several cores that gives the same results as on one."""
 
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import ParamSpec, TypeVar, cast
 
+P = ParamSpec("P")
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -37,3 +38,14 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function for arrays: cached on disk, without the interpreter's lock.
+
+    Neither numba's threads nor relaxed floating-point rules are used, so that the same input gives the same output on
+    every machine.
+    """
+    import numba
+
+    return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True))

@@ -42,9 +42,9 @@ def warm() -> None:
     import numpy as np
 
     from msbdb import pipeline  # noqa: F401
-    from msbdb.morphology.zones import label_zones
+    from msbdb.morphology import area_opening
 
-    label_zones(np.ones((2, 2), dtype=np.int32))
+    area_opening(np.ones((2, 2), dtype=np.int32), 1)
 
 
 def end(process: int) -> None:

@@ -9,8 +9,8 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.evaluate.metrics import Averages, ratio
-from msbdb.evaluate.objects import sums
 from msbdb.grid import GridSpec
+from msbdb.labels import sizes, sums
 from msbdb.vector.polygons import Geometries
 
 Ints = NDArray[np.int64]
@@ -70,8 +70,8 @@ def score_boundary(
         )
     )
     near = distance <= cap_m
-    used = np.bincount(group[near], minlength=len(extracted))
-    squares = sums(group[near], distance[near] ** 2, len(extracted))
+    used = sizes(group[near] + 1, len(extracted))
+    squares = sums(group[near] + 1, distance[near] ** 2, len(extracted))
     if not near.any():
         return BoundaryScore(len(distance), ratio(len(distance), len(distance)), Averages(math.nan, math.nan))
     micro = math.sqrt(float(squares.sum()) / int(used.sum()))
@@ -99,8 +99,6 @@ def _distances(
     ring = np.repeat(np.arange(len(rings)), number)
     along = np.arange(len(ring)) - np.repeat(np.cumsum(number) - number, number)
     points = shapely.line_interpolate_point(rings[ring], (along + 0.5) * (length / number)[ring])
-    row, col = spec.rowcol(shapely.get_x(points), shapely.get_y(points))
-    inside = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
-    inside[inside] = scored[row[inside], col[inside]]
-    kept = group[ring[inside]].astype(np.int64)
-    return np.asarray(shapely.distance(points[inside], others[kept]), dtype=np.float64), kept
+    counted = spec.sample(scored, shapely.get_x(points), shapely.get_y(points), outside=False)
+    kept = group[ring[counted]].astype(np.int64)
+    return np.asarray(shapely.distance(points[counted], others[kept]), dtype=np.float64), kept

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.evaluate.objects import Overlaps, sums
+from msbdb.evaluate.objects import Overlaps
+from msbdb.labels import sums
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +40,8 @@ def score_heights(
     """
     use = found.together(share) & np.isfinite(extracted_m[found.extracted]) & np.isfinite(reference_m[found.reference])
     one, other, common = found.extracted[use], found.reference[use], found.common_m2[use]
-    weight = sums(other, common, len(reference_m))
-    total = sums(other, common * extracted_m[one], len(reference_m))
+    weight = sums(other + 1, common, len(reference_m))
+    total = sums(other + 1, common * extracted_m[one], len(reference_m))
     compared = weight > 0
     error = total[compared] / weight[compared] - reference_m[compared]
     if not len(error):

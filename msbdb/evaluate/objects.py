@@ -8,10 +8,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from msbdb.evaluate.metrics import Rates, rates, ratio
+from msbdb.labels import Labels, shared_cells, sizes
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,17 +83,14 @@ def overlaps(extracted: Labels, reference: Labels, counts: tuple[int, int], cell
     cell_area_m2 : float
         Area of a cell, m2.
     """
-    pairs = extracted.astype(np.int64) * (counts[1] + 1) + reference
-    keys, cells = np.unique(pairs, return_counts=True)
-    one, other = keys // (counts[1] + 1), keys % (counts[1] + 1)
-    area = cells * cell_area_m2
-    both = (one > 0) & (other > 0)
+    one, other, cells = shared_cells(extracted, reference)
+    extracted_cells, reference_cells = sizes(extracted, counts[0]), sizes(reference, counts[1])
     return Overlaps(
-        extracted=one[both] - 1,
-        reference=other[both] - 1,
-        common_m2=area[both],
-        extracted_m2=sums(one, area, counts[0] + 1)[1:],
-        reference_m2=sums(other, area, counts[1] + 1)[1:],
+        extracted=one - 1,
+        reference=other - 1,
+        common_m2=cells.astype(np.float64) * cell_area_m2,
+        extracted_m2=extracted_cells.astype(np.float64) * cell_area_m2,
+        reference_m2=reference_cells.astype(np.float64) * cell_area_m2,
     )
 
 
@@ -165,8 +162,3 @@ def groups(found: Overlaps, share: float) -> tuple[Ints, Ints, int]:
     of_component = np.full(n + m + 1, -1, dtype=np.int64)
     of_component[matched] = np.arange(len(matched))
     return of_component[component[:n]], of_component[component[n:]], len(matched)
-
-
-def sums(index: Ints, values: Floats, count: int) -> Floats:
-    """Return the sum of the values of each index, 0 to ``count`` - 1."""
-    return np.bincount(index, weights=values, minlength=count).astype(np.float64)

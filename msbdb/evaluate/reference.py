@@ -12,6 +12,7 @@ from scipy import ndimage
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.evaluate.settings import EvaluateParams
 from msbdb.grid import Bounds, GridSpec, lattice
+from msbdb.labels import label_zones, renumber, sizes
 from msbdb.vector.polygons import Geometries, polygonise, rasterise
 
 Mask = NDArray[np.bool_]
@@ -187,7 +188,7 @@ def point_side(reference: PointReference, spec: GridSpec, params: EvaluateParams
         When no first echo lies on the grid.
     """
     row, col = spec.rowcol(reference.easting, reference.northing)
-    chosen = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
+    chosen = spec.inside(row, col)
     if reference.first_echo is not None:
         chosen &= reference.first_echo
     if not chosen.any():
@@ -201,11 +202,10 @@ def point_side(reference: PointReference, spec: GridSpec, params: EvaluateParams
     distance, nearest = ndimage.distance_transform_edt(~observed, sampling=spec.cell_m, return_indices=True)
     known = np.asarray(distance <= params.max_gap_m)
     mask = known & ((2 * ayes >= votes) & observed)[tuple(nearest)]
-    components, count = ndimage.label(mask, structure=np.ones((3, 3), dtype=np.int8))
-    cells = np.bincount(components.ravel(), minlength=count + 1)
-    large = cells * spec.cell_area_m2 >= params.min_object_m2
-    large[0] = False
-    labels = np.where(large, np.cumsum(large), 0).astype(np.int32)[components]
-    outlines = polygonise(labels, spec, int(large.sum()))
-    area = np.asarray(cells[large] * spec.cell_area_m2, dtype=np.float64)
+    components, count = label_zones(mask)
+    components_m2 = sizes(components, count) * spec.cell_area_m2
+    large = components_m2 >= params.min_object_m2
+    labels, kept = renumber(components, large)
+    outlines = polygonise(labels, spec, kept)
+    area = np.asarray(components_m2[large], dtype=np.float64)
     return Side(outlines, labels, mask, area, np.full(len(area), np.nan)), known, observed

@@ -30,6 +30,7 @@ from msbdb.evaluate.reference import (
 from msbdb.evaluate.settings import EvaluateParams
 from msbdb.evaluate.shape import ShapeScore, score_shape
 from msbdb.grid import Bounds, Grid, GridSpec, require_metric
+from msbdb.labels import EIGHT, sizes
 from msbdb.vector.polygons import Geometries, rasterise
 
 Mask = NDArray[np.bool_]
@@ -199,15 +200,7 @@ def _sampled(valid: Grid, spec: GridSpec) -> Mask:
     if horizontal(valid.spec.crs) != horizontal(spec.crs):
         msg = f"The validity is in '{valid.spec.crs.name}', the extraction in '{spec.crs.name}'; they must agree."
         raise CRSError(msg)
-    east, _ = spec.xy(np.zeros(spec.shape[1], dtype=np.int64), np.arange(spec.shape[1]))
-    _, north = spec.xy(np.arange(spec.shape[0]), np.zeros(spec.shape[0], dtype=np.int64))
-    row, _ = valid.spec.rowcol(np.full(len(north), east[0]), north)
-    _, col = valid.spec.rowcol(east, np.full(len(east), north[0]))
-    rows, cols = valid.spec.shape
-    result = np.zeros(spec.shape, dtype=np.bool_)
-    in_row, in_col = (row >= 0) & (row < rows), (col >= 0) & (col < cols)
-    result[np.ix_(in_row, in_col)] = valid.valid[np.ix_(row[in_row], col[in_col])]
-    return result
+    return valid.spec.sample(valid.valid, *spec.centres(), outside=False)
 
 
 def _compared(
@@ -216,11 +209,11 @@ def _compared(
     """Take all measures of two sides on a grid, whose cells judge objects and areas."""
     scored, observed = judged
     labels_e, labels_r = np.where(scored, extracted.labels, 0), np.where(scored, truth.labels, 0)
-    sizes = (len(extracted.outlines), len(truth.outlines))
-    found = overlaps(labels_e, labels_r, sizes, spec.cell_area_m2)
+    counts = (len(extracted.outlines), len(truth.outlines))
+    found = overlaps(labels_e, labels_r, counts, spec.cell_area_m2)
     covered = (
-        _covered(labels_e, truth.mask, sizes[0], spec.cell_area_m2),
-        _covered(labels_r, extracted.mask, sizes[1], spec.cell_area_m2),
+        _covered(labels_e, truth.mask, counts[0], spec.cell_area_m2),
+        _covered(labels_r, extracted.mask, counts[1], spec.cell_area_m2),
     )
     counted = (extracted.counted(found.extracted_m2), truth.counted(found.reference_m2))
     large = (
@@ -229,7 +222,7 @@ def _compared(
     )
     group_e, group_r, count = groups(found, params.overlap)
     # Beside a cell that is not scored, an outline may be the edge of the data.
-    inner = ndimage.binary_erosion(scored, np.ones((3, 3), dtype=np.bool_))
+    inner = ndimage.binary_erosion(scored, EIGHT)
     has_heights = np.isfinite(truth.height_m).any()
     return Evaluation(
         params=params,
@@ -251,5 +244,4 @@ def _compared(
 
 def _covered(labels: NDArray[np.int32], mask: Mask, count: int, cell_area_m2: float) -> NDArray[np.float64]:
     """Return the area of each object that lies in a mask."""
-    cells = np.bincount(labels[mask], minlength=count + 1)[1:]
-    return cells.astype(np.float64) * cell_area_m2
+    return sizes(labels[mask], count).astype(np.float64) * cell_area_m2

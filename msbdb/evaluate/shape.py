@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.evaluate.metrics import Averages, averages
-from msbdb.evaluate.objects import Overlaps, sums
+from msbdb.evaluate.objects import Overlaps
+from msbdb.labels import sums
 
 Ints = NDArray[np.int64]
 
@@ -55,9 +56,9 @@ def score_shape(found: Overlaps, group_e: Ints, group_r: Ints, count: int) -> Sh
         Number of groups.
     """
     same = (group_e[found.extracted] == group_r[found.reference]) & (group_e[found.extracted] >= 0)
-    both = sums(group_e[found.extracted[same]], found.common_m2[same], count)
-    a = sums(group_r[group_r >= 0], found.reference_m2[group_r >= 0], count)
-    b = sums(group_e[group_e >= 0], found.extracted_m2[group_e >= 0], count)
+    both = sums(group_e[found.extracted[same]] + 1, found.common_m2[same], count)
+    a = sums(group_r + 1, found.reference_m2, count)
+    b = sums(group_e + 1, found.extracted_m2, count)
     difference, a_only, b_only = np.abs(a - b), a - both, b - both
     return ShapeScore(
         buildings=count,

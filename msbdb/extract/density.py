@@ -33,11 +33,6 @@ class Density:
     spacing_m: float
     area_m2: NDArray[np.float64]
 
-    @property
-    def points_m2(self) -> float:
-        """Points a square metre."""
-        return 1 / self.spacing_m**2
-
 
 def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_]) -> Density:
     """Measure the spacing of the first echoes, and share the ground out among all points (A17).

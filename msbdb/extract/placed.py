@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from msbdb.extract.books import Books
 from msbdb.grid import GridSpec
 from msbdb.identity import part_ids
+from msbdb.labels import Labels, region_means, sums
 from msbdb.tables import REJECTION
 
 Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
 
 PLACES = 2**31
 """Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
@@ -22,15 +22,6 @@ def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int6
     """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
     row, col = spec.rowcol(easting, northing)
     return (row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2)
-
-
-def region_means(values: NDArray[np.generic], labels: Labels, count: int) -> Floats:
-    """Return the mean of the finite values over the points of each region; NaN where there is none."""
-    numbers = values.astype(np.float64)
-    use = np.flatnonzero((labels > 0) & np.isfinite(numbers))
-    total = np.bincount(labels[use], numbers[use], count + 1)[1:]
-    size = np.bincount(labels[use], minlength=count + 1)[1:]
-    return np.where(size > 0, total / np.maximum(size, 1), np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +58,7 @@ class PlacedPoints:
 
     def areas(self, labels: Labels, count: int) -> Floats:
         """Return the area of each region, m2."""
-        area: Floats = np.bincount(labels, self.area_m2, count + 1)[1:].astype(np.float64)
-        return area
+        return sums(labels, self.area_m2, count)
 
     def centroids(self, labels: Labels, count: int) -> tuple[Floats, Floats]:
         """Return easting and northing of the mean place of the points of each region, metres."""

@@ -7,8 +7,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.errors import TableError
-from msbdb.extract.heightstats import height_statistics, order_heights
 from msbdb.grid import Grid
+from msbdb.labels import height_statistics, order_heights, reorder, sizes, sums
 from msbdb.tables import BUILDING, CONFIRMING_CLASS_SHARE, EXTRACTOR_SHARES
 
 if TYPE_CHECKING:
@@ -53,9 +53,7 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
     is_root = (parts["supid"] == 0).to_numpy()
     root_rows = np.flatnonzero(is_root)
     _require_roots(root_labels, is_root)
-    number = np.zeros(len(parts) + 1, dtype=np.int32)
-    number[root_rows + 1] = np.arange(1, len(root_rows) + 1)
-    footprints = number[root_labels]
+    footprints = reorder(root_labels, root_rows, len(parts))
     heights = height_statistics(footprints, slice(0, len(root_rows)), order_heights(ndsm, footprints > 0))
     roots = parts.iloc[root_rows].reset_index(drop=True)
     trees = parts.groupby("root_id")
@@ -82,13 +80,12 @@ def _volume(footprints: NDArray[np.int32], count: int, ndsm: Grid) -> NDArray[np
     """Return height times area, summed over the valid cells of each footprint, cubic metres."""
     cells = np.flatnonzero((footprints > 0) & ndsm.valid)
     heights = np.maximum(np.asarray(ndsm.values).ravel()[cells].astype(np.float64), 0)
-    heights_sum = np.bincount(footprints.ravel()[cells] - 1, heights, count).astype(np.float64)
-    return heights_sum * ndsm.spec.cell_area_m2
+    return sums(footprints.ravel()[cells], heights, count) * ndsm.spec.cell_area_m2
 
 
 def _require_roots(root_labels: NDArray[np.int32], is_root: NDArray[np.bool_]) -> None:
     """Refuse labels that do not show just the roots of the parts."""
-    shown = np.bincount(root_labels.ravel(), minlength=len(is_root) + 1)[1:] > 0
+    shown = sizes(root_labels, len(is_root)) > 0
     if shown.size != is_root.size or (shown != is_root).any():
         msg = (
             f"The labels must show the {np.count_nonzero(is_root)} roots of the {len(is_root)} parts and nothing "

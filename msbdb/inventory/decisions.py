@@ -10,7 +10,8 @@ import shapely
 from msbdb.grid import GridSpec
 from msbdb.inventory.links import Links
 from msbdb.inventory.offset import Offset
-from msbdb.inventory.pieces import Box, Epochs, Labels, Pieces, boxes, thick, without_crumbs
+from msbdb.inventory.pieces import Epochs, Pieces, thick, without_crumbs
+from msbdb.labels import Box, Labels, boxes, sizes
 from msbdb.params.change import ChangeParams
 from msbdb.vector.polygons import polygonise
 
@@ -102,7 +103,7 @@ class Decisions:
 
     def _merge(self, group: tuple[int, ...]) -> None:
         """Join buildings into one, which keeps the identity of the largest."""
-        keeper = max(group, key=lambda i: (self.links.cells[i], -i))
+        keeper = max(group, key=lambda i: (self.links.cells[i - 1], -i))
         a = self.links.own[keeper][0]
         self.used.update(a for i in group for a in self.links.own.get(i, ()))
         shape, adopted = self._outline(group, a)
@@ -118,7 +119,7 @@ class Decisions:
         # A slender building leaves no thick piece; where no footprint is left of it, its cells tell.
         gone = np.count_nonzero((self.pieces.loss[box] if own else self.pieces.fallen[box])[stood])
         lost = self._own(self.pieces.loss, i)
-        if gone >= self.params.gone_share * max(int(self.links.seen[i]), 1):
+        if gone >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1):
             self._note("demolished", i, 0)
             return
         self.used.update(own)
@@ -152,13 +153,13 @@ class Decisions:
         """
         box, least = self.box_before[i], self.params.link_share
         stood, under = self.epochs.before[box] == i, self.epochs.after[box] > 0
-        held = np.bincount(self.pieces.lift[box][stood & under], minlength=int(self.pieces.lift.max(initial=0)) + 1)
-        lifted = sum(n for piece, n in self._own(self.pieces.lift, i).items() if held[piece] >= least * n)
+        held = sizes(self.pieces.lift[box][stood & under], int(self.pieces.lift.max(initial=0)))
+        lifted = sum(n for piece, n in self._own(self.pieces.lift, i).items() if held[piece - 1] >= least * n)
         if lifted:
             return lifted
         whole = max((stood & side[box] for side in (self.pieces.rose, self.pieces.sank)), key=np.count_nonzero)
         count = int(np.count_nonzero(whole))
-        is_whole = count >= self.params.gone_share * max(int(self.links.seen[i]), 1)
+        is_whole = count >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1)
         is_large = count * self.spec.cell_area_m2 >= self.params.least_m2
         return count if is_whole and is_large and np.count_nonzero(whole & under) >= least * count else 0
 

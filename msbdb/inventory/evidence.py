@@ -7,9 +7,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.errors import GridMismatchError, TableError
+from msbdb.labels import Labels, shared_cells, sizes
 from msbdb.tables import CONFIRMING_COVER, EXTRACTOR_SHARES, Table
 
-Labels = NDArray[np.int32]
 Ids = NDArray[np.int64]
 
 
@@ -59,11 +59,11 @@ def link_labels(
     """
     one, other, overlap, one_share, other_share = table.names
     _require_ids(other_labels, other_ids, other)
-    counted = [_overlaps(labels, one_ids, other_labels, len(other_ids), table) for labels in one_labels]
+    counted = [_overlaps(labels, one_ids, other_labels, table) for labels in one_labels]
     # A row without cells gives the columns where there is no image.
     found = pd.concat([pd.DataFrame(columns=["one", "other", "cells", "one_cells"], dtype=np.int64), *counted])
     found = found.sort_values(["one", "other"], ignore_index=True)
-    other_cells = _sizes(other_labels, other_ids)
+    other_cells = sizes(other_labels, len(other_ids))
     left, right, cells = (found[name].to_numpy() for name in ("one", "other", "cells"))
     frame = pd.DataFrame(
         {
@@ -116,7 +116,7 @@ def witnessed(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]]
     return buildings.assign(**columns, state=np.where(confirmed, "confirmed", "unsure"))
 
 
-def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, others: int, table: Table) -> pd.DataFrame:
+def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, table: Table) -> pd.DataFrame:
     """Count the cells that regions of two images share: rows ``one, other, cells, one_cells``."""
     if one_labels.shape != other_labels.shape:
         msg = (
@@ -125,17 +125,10 @@ def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, others: in
         )
         raise GridMismatchError(msg)
     _require_ids(one_labels, one_ids, table.names[0])
-    both = (one_labels > 0) & (other_labels > 0)
-    pairs = (one_labels[both].astype(np.int64) - 1) * others + (other_labels[both] - 1)
-    keys, cells = np.unique(pairs, return_counts=True)
-    one, other = np.divmod(keys, max(others, 1))
-    return pd.DataFrame({"one": one, "other": other, "cells": cells, "one_cells": _sizes(one_labels, one_ids)[one]})
-
-
-def _sizes(labels: Labels, ids: Ids) -> NDArray[np.int64]:
-    """Return the cells of each region."""
-    sizes: NDArray[np.int64] = np.bincount(labels.ravel(), minlength=len(ids) + 1)[1:]
-    return sizes
+    first, second, cells = shared_cells(one_labels, other_labels)
+    one, other = first - 1, second - 1
+    one_cells = sizes(one_labels, len(one_ids))[one]
+    return pd.DataFrame({"one": one, "other": other, "cells": cells, "one_cells": one_cells})
 
 
 def _require_ids(labels: Labels, ids: Ids, what: str) -> None:

@@ -13,13 +13,11 @@ from scipy import ndimage
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
+from msbdb.labels import EIGHT, Labels, boxes, chosen_cells, label_zones, sizes
 from msbdb.params import FuseParams, Params
 
 Mask = NDArray[np.bool_]
-Labels = NDArray[np.int32]
 Field = NDArray[np.floating]
-
-EIGHT = np.ones((3, 3), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +124,7 @@ def _pieces(disputed: Mask, steps: int, evidence: RoofEvidence) -> tuple[Labels,
     size = 2 * steps + 1
     framed = np.pad(disputed, steps, mode="edge")
     opened = ndimage.binary_opening(framed, np.ones((size, size), dtype=np.bool_))
-    labels, count = ndimage.label(opened[steps:-steps, steps:-steps], EIGHT, output=np.int32)
+    labels, count = label_zones(opened[steps:-steps, steps:-steps])
     told = (labels > 0) & evidence.heights.valid
     cells = pd.DataFrame(
         {
@@ -138,8 +136,8 @@ def _pieces(disputed: Mask, steps: int, evidence: RoofEvidence) -> tuple[Labels,
     ).groupby("piece")
     measures = cells[["height", "roughness"]].median().join(cells[["probability"]].mean())
     measures = measures.astype(np.float64).reindex(range(count + 1))
-    area = np.bincount(labels.ravel(), minlength=count + 1) * evidence.heights.spec.cell_area_m2
-    return labels, measures.assign(area_m2=area)
+    area_m2 = sizes(labels, count) * evidence.heights.spec.cell_area_m2
+    return labels, measures.assign(area_m2=np.append(np.nan, area_m2))
 
 
 def _is_roof(measures: pd.DataFrame, mask_m: float, cell_m: float, own: FuseParams) -> "pd.Series[bool]":
@@ -162,11 +160,12 @@ def _is_false(measures: pd.DataFrame, cell_m: float, params: Params) -> Mask:
 
 def _flat_share(pieces: Labels, count: int, parts: Mask, regions: Mask) -> NDArray[np.float64]:
     """Return, for each piece, the share that flat regions cover of all connected buildings that it belongs to."""
-    blocks, blocks_count = ndimage.label(parts, EIGHT)
-    share = np.bincount(blocks[regions], minlength=blocks_count + 1) / np.maximum(np.bincount(blocks.ravel()), 1)
+    blocks, blocks_count = label_zones(parts)
+    share = sizes(blocks[regions], blocks_count) / sizes(blocks, blocks_count)
+    # A piece lies in one block; no piece, in none.
     block = np.zeros(count, dtype=np.intp)
     block[pieces[pieces > 0]] = blocks[pieces > 0]
-    return np.asarray(share[block], dtype=np.float64)
+    return np.concatenate([[0.0], share])[block]
 
 
 def _with_rims(pieces: Labels, chosen: Mask, disputed: Mask, steps: int) -> Mask:
@@ -183,16 +182,15 @@ def _with_rims(pieces: Labels, chosen: Mask, disputed: Mask, steps: int) -> Mask
 
 def _crumbs(left: Mask, firm: Mask, gone: Mask) -> Mask:
     """Return what is left of a building beside a piece that is gone, and holds no more than edges."""
-    blocks, count = ndimage.label(left, EIGHT)
-    bereft = np.bincount(blocks[ndimage.binary_dilation(gone, EIGHT)], minlength=count + 1) > 0
-    bereft &= np.bincount(blocks[firm], minlength=count + 1) == 0
-    return np.asarray(bereft[blocks] & left, dtype=np.bool_)
+    blocks, count = label_zones(left)
+    bereft = sizes(blocks[ndimage.binary_dilation(gone, EIGHT)], count) > 0
+    return chosen_cells(blocks, bereft & (sizes(blocks[firm], count) == 0))
 
 
 def _label_annexes(fused: Labels, annexes: Mask) -> Labels:
     """Give each connected annex the label of the building with most cells beside it; those beside none stay out."""
-    found, _ = ndimage.label(annexes, EIGHT)
-    for number, window in enumerate(ndimage.find_objects(found), start=1):
+    found, _ = label_zones(annexes)
+    for number, window in boxes(found).items():
         around = tuple(slice(max(0, side.start - 1), side.stop + 1) for side in window)
         annex = found[around] == number
         beside = fused[around][ndimage.binary_dilation(annex, EIGHT) & ~annex]

@@ -8,7 +8,8 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.grid import GridSpec
-from msbdb.inventory.pieces import Epochs, Labels, Pieces, touching
+from msbdb.inventory.pieces import Epochs, Pieces, touching
+from msbdb.labels import Labels, shared_cells, sizes
 from msbdb.params.change import ChangeParams
 
 
@@ -32,9 +33,9 @@ class Links:
     def __post_init__(self) -> None:
         """Count cells, link footprints, and find what each piece touches."""
         spec, reach = self.spec, self.params.thickness_m + self.spec.cell_m
-        self.cells = np.bincount(self.epochs.before.ravel(), minlength=len(self.before) + 1)
+        self.cells = sizes(self.epochs.before, len(self.before))
         inside = np.where(self.epochs.surveyed, self.epochs.before, 0)
-        self.seen = np.bincount(inside.ravel(), minlength=len(self.before) + 1)
+        self.seen = sizes(inside, len(self.before))
         self.shared = _shared(self.epochs, spec.cell_area_m2)
         self.own = self._linked()
         gain_by = touching(self.pieces.gain, self.epochs.before, reach, spec.cell_m)
@@ -50,7 +51,7 @@ class Links:
     def is_surveyed(self, i: int) -> bool:
         """Tell whether most of a building lies in the surveyed area, seen from its whole footprint."""
         whole = float(shapely.area(self.shifted[i - 1]))
-        return bool(self.seen[i] * self.spec.cell_area_m2 >= self.params.surveyed_share * whole > 0)
+        return bool(self.seen[i - 1] * self.spec.cell_area_m2 >= self.params.surveyed_share * whole > 0)
 
     def _linked(self) -> dict[int, list[int]]:
         """Return the survey's footprints of each building, the one that shares most first."""
@@ -89,17 +90,14 @@ class Links:
 
 def _shared(epochs: Epochs, cell_area_m2: float) -> dict[tuple[int, int], float]:
     """Return the area that each pair of footprints shares."""
-    both = (epochs.before > 0) & (epochs.after > 0)
-    pairs, cells = np.unique(np.stack([epochs.before[both], epochs.after[both]]), axis=1, return_counts=True)
-    return {(int(i), int(a)): float(n * cell_area_m2) for i, a, n in zip(*pairs, cells, strict=True)}
+    shared = (part.tolist() for part in shared_cells(epochs.before, epochs.after))
+    return {(i, a): cells * cell_area_m2 for i, a, cells in zip(*shared, strict=True)}
 
 
 def _within(piece: Labels, other: Labels) -> dict[int, set[int]]:
     """Return the other labels inside each piece."""
-    inside = piece > 0
-    pairs = np.unique(np.stack([piece[inside], other[inside]]), axis=1)
     found: dict[int, set[int]] = {number: set() for number in range(1, int(piece.max(initial=0)) + 1)}
-    for number, label in pairs.T.tolist():
-        if label:
-            found[number].add(label)
+    numbers, labels, _ = shared_cells(piece, other)
+    for number, label in zip(numbers.tolist(), labels.tolist(), strict=True):
+        found[number].add(label)
     return found

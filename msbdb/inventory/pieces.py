@@ -5,17 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
-from skimage.measure import label
 from skimage.morphology import isotropic_dilation, isotropic_opening
 
 from msbdb.grid import Grid, GridSpec
 from msbdb.inventory.offset import Offset
+from msbdb.labels import Labels, boxes, chosen_cells, label_zones, renumber, sizes
 from msbdb.params.change import ChangeParams
 
 Mask = NDArray[np.bool_]
-Labels = NDArray[np.int32]
-Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,17 +70,12 @@ def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Gr
     """
     values = np.zeros(spec.shape, dtype=np.float32)
     valid = np.zeros(spec.shape, dtype=np.bool_)
-    cols, rows = np.arange(spec.shape[1]), np.arange(spec.shape[0])
-    east = spec.xy(np.zeros_like(cols), cols)[0] - offset.dx_m
-    north = spec.xy(rows, np.zeros_like(rows))[1] - offset.dy_m
+    east, north = spec.centres()
+    places = east - offset.dx_m, north - offset.dy_m
     for grid in grids:
-        row, _ = grid.spec.rowcol(np.full(len(north), east[0]), north)
-        _, col = grid.spec.rowcol(east, np.full(len(east), north[0]))
-        here = np.ix_((row >= 0) & (row < grid.spec.shape[0]), (col >= 0) & (col < grid.spec.shape[1]))
-        there = np.ix_(row[here[0].ravel()], col[here[1].ravel()])
-        new = grid.valid[there] & ~valid[here]
-        values[here] = np.where(new, grid.values[there], values[here])
-        valid[here] |= new
+        new = grid.spec.sample(grid.valid, *places, outside=False) & ~valid
+        np.copyto(values, grid.spec.sample(np.asarray(grid.values), *places, outside=0), where=new)
+        valid |= new
     return Grid(values, valid, spec)
 
 
@@ -136,11 +128,6 @@ def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dic
     return found
 
 
-def boxes(labels: Labels) -> dict[int, Box]:
-    """Return the bounding box of each label that has cells."""
-    return {number: box for number, box in enumerate(find_objects(labels), start=1) if box is not None}
-
-
 def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     """Label the 8-connected pieces of a mask that a disc fits into and that are large enough, in row order."""
     # Beyond the lattice nothing is known, which must not make a piece thin.
@@ -150,11 +137,8 @@ def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     opened = isotropic_opening(padded, reach)  # type: ignore[no-untyped-call]
     # The disc rounds corners off, which are given back.
     whole = isotropic_dilation(opened, reach)[margin:-margin, margin:-margin] & mask  # type: ignore[no-untyped-call]
-    pieces = label(whole, connectivity=2).astype(np.int32)  # type: ignore[no-untyped-call]
-    large = np.bincount(pieces.ravel()) * spec.cell_area_m2 >= params.least_m2
-    large[0] = False
-    number = np.cumsum(large, dtype=np.int32) * large
-    return np.asarray(number[pieces], dtype=np.int32)
+    pieces, count = label_zones(whole)
+    return renumber(pieces, sizes(pieces, count) * spec.cell_area_m2 >= params.least_m2)[0]
 
 
 def without_crumbs(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
@@ -165,6 +149,6 @@ def without_crumbs(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
     reach = params.thickness_m / spec.cell_m
     core = isotropic_opening(np.pad(cells, int(np.ceil(reach)) + 1), reach)  # type: ignore[no-untyped-call]
     margin = (core.shape[0] - cells.shape[0]) // 2
-    pieces = label(cells, connectivity=1)  # type: ignore[no-untyped-call]  # as outlines are traced
-    whole = np.unique(pieces[core[margin:-margin, margin:-margin] & cells])
-    return np.isin(pieces, whole) if whole.size else cells
+    pieces, count = label_zones(cells, connectivity=4)  # as outlines are traced
+    whole = sizes(pieces[core[margin:-margin, margin:-margin] & cells], count) > 0
+    return chosen_cells(pieces, whole) if whole.any() else cells

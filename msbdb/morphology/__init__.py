@@ -1,11 +1,11 @@
-"""Area morphology: openings, closings, the scale-space that they build, flat zones and granulometry.
+"""Area morphology: openings, closings, the scale-space that they build, and granulometry.
 
 Beside it the component tree, and the differential profiles and gradients that find flat regions.
 The same filters on the points themselves are in `msbdb.morphology.points`.
 """
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening
-from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, maxima, minima, sums
+from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, sums
 from msbdb.morphology.gradients import external_gradient, internal_gradient, second_order_gradient
 from msbdb.morphology.granulometry import find_scales, opening_areas
 from msbdb.morphology.profiles import (
@@ -18,7 +18,6 @@ from msbdb.morphology.profiles import (
 )
 from msbdb.morphology.scalespace import ScaleSpace, build_scale_space
 from msbdb.morphology.windowprofile import window_profile
-from msbdb.morphology.zones import label_zones
 
 __all__ = [
     "AttributeProfile",
@@ -38,9 +37,6 @@ __all__ = [
     "find_scales",
     "internal_gradient",
     "is_increasing",
-    "label_zones",
-    "maxima",
-    "minima",
     "opening_areas",
     "second_order_gradient",
     "sums",

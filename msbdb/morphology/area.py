@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
 from msbdb.morphology.runs import Layout, find_runs
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 T = TypeVar("T", bound=np.generic)
 
@@ -54,7 +54,7 @@ def area_opening(values: NDArray[T], threshold_px: int, *, connectivity: int = 8
     Nodata: none; mask before. Halo: none suffices, as a component may be of any extent.
 
     Complexity: runs of equal value are visited from the highest down and joined by union-find [2]_: nearly O(n) for n
-    runs, which are ordered by radix sort where 32 bits hold the values, else O(n log n); linear in the cells beside.
+    runs after they are sorted, O(n log n); linear in the cells beside.
 
     References
     ----------

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError
+from msbdb.labels.numbering import MAX_CELLS, require_connectivity
 from msbdb.morphology.flood import flood
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
-from msbdb.morphology.runs import MAX_CELLS, require_connectivity, require_valid
+from msbdb.morphology.runs import require_valid
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 NONE = -1
 """Node of a cell that belongs to no component, and of a node without the ancestor asked for."""
@@ -122,7 +123,7 @@ def build_tree(values: NDArray[Any], valid: NDArray[np.bool_] | None = None, *, 
 
     Notes
     -----
-    The cells are ordered by radix where 32 bits hold their values, and flooded from the lowest up [1]_ with a queue of
+    The cells are ordered by value and flooded from the lowest up [1]_ with a queue of
     priorities that may be of any number [2]_, here ranks: O(n) for n cells but for the queue, a hierarchy of words of
     64 bits, of which four levels hold 16 million cells.
     Nodes are made of cells of equal value afterwards, from the root up.
@@ -181,18 +182,6 @@ def sums(tree: ComponentTree, field: NDArray[Any]) -> NDArray[np.float64]:
     return _sum_up(tree.parent, _add(tree.node_of.ravel(), _field(tree, field), tree.size))
 
 
-def maxima(tree: ComponentTree, field: NDArray[Any]) -> NDArray[Any]:
-    """Return (N,) the highest value in each component of an (H, W) field; of the image itself, the peaks."""
-    field = _field(tree, field)
-    return _highest_up(tree.parent, tree.node_of.ravel(), field, _extremes(tree.size, field.dtype, highest=True))
-
-
-def minima(tree: ComponentTree, field: NDArray[Any]) -> NDArray[Any]:
-    """Return (N,) the lowest value in each component of an (H, W) field; of row numbers, the first row."""
-    field = _field(tree, field)
-    return _lowest_up(tree.parent, tree.node_of.ravel(), field, _extremes(tree.size, field.dtype, highest=False))
-
-
 def is_increasing(tree: ComponentTree, attribute: NDArray[Any]) -> bool:
     """Tell whether no component has more than the component around it (Mongus et al. 2013, Eq. 3; M4)."""
     return bool((attribute <= tree.around(attribute)).all())
@@ -236,12 +225,6 @@ def _field(tree: ComponentTree, field: NDArray[Any]) -> NDArray[Any]:
             msg = f"The field is not finite in {np.sum(wrong & (tree.node_of != NONE))} valid cells; fill them."
             raise InputError(msg)
     return field.ravel()
-
-
-def _extremes(size: int, dtype: np.dtype[Any], *, highest: bool) -> NDArray[Any]:
-    """Return for each node the value that no other is beaten by."""
-    info = np.finfo(dtype) if dtype.kind == "f" else np.iinfo(dtype)
-    return np.full(size, info.min if highest else info.max, dtype=dtype)
 
 
 @kernel
@@ -297,32 +280,6 @@ def _sum_up(parent: NDArray[np.int32], total: NDArray[Any]) -> NDArray[Any]:
         if parent[node] != node:
             total[parent[node]] += total[node]
     return total
-
-
-@kernel
-def _highest_up(
-    parent: NDArray[np.int32], node_of: NDArray[np.int32], field: NDArray[Any], highest: NDArray[Any]
-) -> NDArray[Any]:
-    """Raise each node to its cells and children, in place."""
-    for cell, node in enumerate(node_of):
-        if node != NONE:
-            highest[node] = max(highest[node], field[cell])
-    for node in range(parent.size - 1, -1, -1):
-        highest[parent[node]] = max(highest[parent[node]], highest[node])
-    return highest
-
-
-@kernel
-def _lowest_up(
-    parent: NDArray[np.int32], node_of: NDArray[np.int32], field: NDArray[Any], lowest: NDArray[Any]
-) -> NDArray[Any]:
-    """Lower each node to its cells and children, in place."""
-    for cell, node in enumerate(node_of):
-        if node != NONE:
-            lowest[node] = min(lowest[node], field[cell])
-    for node in range(parent.size - 1, -1, -1):
-        lowest[parent[node]] = min(lowest[parent[node]], lowest[node])
-    return lowest
 
 
 @kernel

@@ -8,7 +8,7 @@ that wait are bits of a hierarchy of words, an eighth of a byte a cell.
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
+from msbdb.threads import kernel
 
 NONE = -1
 """No rank, no cell."""

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.runs import require_image, widen
+from msbdb.labels.numbering import require_image
+from msbdb.morphology.runs import widen
 from msbdb.params import GranulometryParams
+from msbdb.threads import kernel
 
 logger = logging.getLogger(__name__)
 

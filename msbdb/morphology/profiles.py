@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.componenttree import NONE, ComponentTree, areas, is_increasing
-from msbdb.morphology.kernels import kernel
+from msbdb.morphology.componenttree import NONE, ComponentTree, is_increasing
+from msbdb.threads import kernel
 
 MAX_ZONES = 2**15 - 2
 """Zones and one more, for what remains, are counted in 16 bits."""
@@ -109,18 +109,12 @@ class AttributeProfile:
         Returns
         -------
         (N,) ndarray of bool
-            The components kept, among those of `components`; to be read by `support` and `union`.
+            The components kept, among those of `components`; to be read by `union`.
         """
         if least.shape != self.thresholds.shape:
             msg = f"One value for each of {self.zones} zones is needed, after one that is unused; got {least.shape}."
             raise InputError(msg)
         return self.components() & (attribute >= np.append(least, np.inf)[self.zone])
-
-    def support(self, i: int, kept: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-        """Return (H, W) bool, the support {δ_i > 0} of zone i from 1 to I, or of its kept components only."""
-        self._require_zone(i, first=1)
-        components = self.components() if kept is None else kept
-        return self.tree.paint(self.tree.innermost(components & (self.zone == i)) != NONE)
 
     def union(self, kept: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return (H, W) the union of all zones' kept components: at each cell the largest one's node, -1 outside.
@@ -129,12 +123,6 @@ class AttributeProfile:
         (Eq. 14; M18). Where the smallest one is asked for instead, paint ``tree.innermost(kept)``.
         """
         return self.tree.paint(self.tree.outermost(kept), fill=NONE)
-
-    def spectrum(self) -> NDArray[np.float64]:
-        """Return (I,) the pattern spectrum: the sum of δ_i over all cells, in the surface's unit times cells."""
-        volumes = self.tree.heights()
-        volumes *= areas(self.tree)
-        return np.bincount(self.zone, weights=volumes, minlength=self.zones + 2)[1:-1].astype(np.float64)
 
     def _require_zone(self, i: int, *, first: int) -> None:
         """Refuse a zone that the profile does not have."""

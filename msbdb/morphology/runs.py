@@ -10,11 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.kernels import kernel
-
-MAX_CELLS = 2**31 - 2**16
-"""Cells and runs are counted in 32 bits, which halves the memory."""
+from msbdb.errors import InputError
+from msbdb.labels.numbering import require_connectivity, require_image
+from msbdb.threads import kernel
 
 
 class Layout(NamedTuple):
@@ -78,26 +76,6 @@ def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
     reach = 1 if connectivity == 8 else 0
     width = values.shape[1]
     return Runs(Layout(starts, _first_touching(starts, width, reach), width, reach), values[changes])
-
-
-def require_connectivity(connectivity: int) -> None:
-    """Refuse a neighbourhood other than the two of the square lattice."""
-    if connectivity not in (4, 8):
-        msg = f"The connectivity must be 4 or 8; got {connectivity!r}."
-        raise ParameterError(msg)
-
-
-def require_image(values: NDArray[Any]) -> None:
-    """Refuse what is no image: other than two dimensions, no cells or too many, NaN, or no real numbers."""
-    if values.ndim != 2 or not 0 < values.size <= MAX_CELLS:
-        msg = f"An image needs two dimensions and 1 to {MAX_CELLS} cells; got the shape {values.shape}."
-        raise InputError(msg)
-    if values.dtype.kind not in "biuf":
-        msg = f"An image must hold booleans, integers or floats; got {values.dtype}."
-        raise InputError(msg)
-    if values.dtype.kind == "f" and np.isnan(values).any():
-        msg = f"The image holds {np.isnan(values).sum()} NaN, which have no order. Fill them and keep a validity mask."
-        raise InputError(msg)
 
 
 def require_valid(values: NDArray[Any], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.labels.numbering import require_image
 from msbdb.morphology.area import area_open_close, require_threshold
-from msbdb.morphology.runs import require_image
 
 
 @dataclass(frozen=True, slots=True, eq=False)

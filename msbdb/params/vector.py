@@ -20,9 +20,9 @@ class VectorParams:
     outline: str = param(
         "alpha",
         unit="-",
-        choices=("alpha", "grid", "hull"),
+        choices=("alpha", "hull"),
         source="S7, S1: alpha shape and Douglas-Peucker",
-        doc="Outline of regions of points: alpha shape, cells of the spacing, or concave hull.",
+        doc="Outline of regions of points: alpha shape or concave hull.",
     )
     alpha_factor: float = param(
         2.0,

@@ -99,7 +99,6 @@ def _taken(db: str | Path, cloud: PointCloud, survey: str | None, of: str) -> Ma
     known = surface.valid & kept.valid
     above = np.asarray(kept.values, dtype=np.float64)
     terrain = np.where(known, np.asarray(surface.values, dtype=np.float64) - above, np.nan)
-    row, col = spec.rowcol(cloud.x, cloud.y)
-    row, col = np.clip(row, 0, spec.shape[0] - 1), np.clip(col, 0, spec.shape[1] - 1)
+    ground_m = spec.sample(terrain, cloud.x, cloud.y, outside=np.nan)
     cells = rasterise(outlines.geometry, spec) > 0
-    return points_in(cells, spec, cloud, cloud.z - terrain[row, col], params.surface.mask_m)
+    return points_in(cells, spec, cloud, cloud.z - ground_m, params.surface.mask_m)

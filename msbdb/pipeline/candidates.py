@@ -79,13 +79,9 @@ def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | 
         return None
     total = red + nir
     usable = bands.valid & (total > 0)
-    index = np.full(red.shape, np.nan, dtype=np.float32)
+    index: NDArray[np.float32] = np.full(red.shape, np.nan, dtype=np.float32)
     np.divide(nir - red, total, out=index, where=usable)
-    row, col = bands.spec.rowcol(cloud.x, cloud.y)
-    inside = (row >= 0) & (col >= 0) & (row < red.shape[0]) & (col < red.shape[1])
-    result = np.full(len(cloud), np.nan, dtype=np.float32)
-    result[inside] = index[row[inside], col[inside]]
-    return result
+    return bands.spec.sample(index, cloud.x, cloud.y, outside=np.nan)
 
 
 def point_candidates(

@@ -188,11 +188,7 @@ def points_in(cells: Mask, spec: GridSpec, cloud: PointCloud, heights: NDArray[n
     -------
     (N,) ndarray of bool
     """
-    row, col = spec.rowcol(cloud.x, cloud.y)
-    inside = (row >= 0) & (col >= 0) & (row < spec.shape[0]) & (col < spec.shape[1])
-    result = np.zeros(len(cloud), dtype=np.bool_)
-    result[inside] = cells[row[inside], col[inside]]
-    return result & (heights >= least_m)
+    return spec.sample(cells, cloud.x, cloud.y, outside=False) & (heights >= least_m)
 
 
 def _prepare(inputs: Inputs, cloud: PointCloud, params: Params, stages: Stages) -> _Scene:

@@ -11,6 +11,7 @@ from msbdb.bands import Bands
 from msbdb.classmap import LABELS, ClassMap, overlay
 from msbdb.errors import InputError
 from msbdb.grid import Grid
+from msbdb.labels import sizes, sums
 from msbdb.params import Params
 from msbdb.spectral.classes import classify
 from msbdb.surface import drop_green_regions
@@ -108,18 +109,17 @@ def classify_cover(
 
 def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:
     """Describe the two structural classes, which follow the spectral ones; one without cells is 0 m high."""
-    index = structure.index.ravel()
-    cells = np.bincount(index, minlength=3)[1:3]
+    cells = sizes(structure.index, 2)
     size = np.where(cells > 0, cells, np.nan)
-    heights = np.bincount(index, weights=np.asarray(ndsm.values, dtype=np.float64).ravel(), minlength=3)[1:3]
-    rough = np.bincount(index, weights=roughness_m.astype(np.float64).ravel(), minlength=3)[1:3]
+    heights = sums(structure.index, np.asarray(ndsm.values, dtype=np.float64), 2)
+    rough = sums(structure.index, roughness_m.astype(np.float64), 2)
     rows = pd.DataFrame(
         {
             "speindex": np.array([count + 1, count + 2], dtype=np.int64),
             "label": ["building", "vegetation"],
             "labelled_by": "automatic",
             "source": "structure",
-            "cells": cells.astype(np.int64),
+            "cells": cells,
             "share": cells / max(int(cells.sum()), 1),
             "ndvi": np.nan,
             "brightness": np.nan,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from msbdb.extract.flatregions.initialise import initialise
 from msbdb.extract.flatregions.run import extract_flat_regions
 from msbdb.grid import Grid, GridSpec
+from msbdb.labels import reorder
 from msbdb.params import Params
 from msbdb.pointcloud import PointCloud
 from msbdb.surface import Surface
@@ -78,9 +79,7 @@ def find_flat_regions(
     if figure is not None:
         draw_denoising(lowest, found.denoised, figure, title=survey)
     order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
-    rank = np.zeros(len(order) + 1, dtype=np.int32)
-    rank[order + 1] = np.arange(1, len(order) + 1)
-    labels = rank[found.labels]
+    labels = reorder(found.labels, order, len(order))
     traced = polygonise(labels, spec, len(order))
     outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
     regions = found.regions.iloc[order].reset_index(drop=True)

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from msbdb.database import Engine, read_buildings, read_run, read_state, read_survey
 from msbdb.errors import InputError
-from msbdb.extract.heightstats import height_statistics, order_heights
 from msbdb.grid import Grid
+from msbdb.labels import height_statistics, order_heights, reorder, sizes, sums
 from msbdb.params import Params, with_values
 from msbdb.pipeline.state import lattice_of, unpack_heights
 from msbdb.vector.polygons import polygonise
@@ -54,10 +54,8 @@ def read_together(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame
     spec = lattice_of(record, state)
     buildings = read_buildings(engine, survey)
     kept = np.asarray(state["together"], dtype=np.int32)
-    there = np.flatnonzero(np.bincount(kept.ravel(), minlength=len(buildings) + 1)[1:])
-    number = np.zeros(len(buildings) + 1, dtype=np.int32)
-    number[there + 1] = np.arange(1, len(there) + 1)
-    labels = number[kept]
+    there = np.flatnonzero(sizes(kept, len(buildings)))
+    labels = reorder(kept, there, len(buildings))
     rows = buildings.iloc[there][["building_id", "root_id", "state", "storeys"]].reset_index(drop=True)
     rows = rows.assign(**_measured(labels, len(there), unpack_heights(state, spec)))
     outlines = polygonise(labels, spec, len(there)) if len(there) else np.empty(0, dtype=object)
@@ -72,6 +70,6 @@ def _measured(labels: NDArray[np.int32], count: int, heights: Grid) -> dict[str,
     cell_m2 = heights.spec.cell_area_m2
     return {
         **{name: found[name].to_numpy() for name in ("h_max", "h_mean", "h_p50", "h_p90")},
-        "area_m2": np.bincount(labels.ravel(), minlength=count + 1)[1:] * cell_m2,
-        "volume_m3": np.bincount(labels.ravel(), above.ravel(), count + 1)[1:] * cell_m2,
+        "area_m2": sizes(labels, count) * cell_m2,
+        "volume_m3": sums(labels, above, count) * cell_m2,
     }

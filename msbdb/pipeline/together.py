@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from msbdb.extract.multiscale.forest import Forest
 from msbdb.grid import Grid
 from msbdb.inventory.fuse import RoofEvidence, fuse_footprints
+from msbdb.labels import reorder
 from msbdb.params import Params
 from msbdb.pipeline.flat import Flat
 from msbdb.surface import Structure
@@ -89,6 +90,5 @@ def fuse(forest: Forest, flat: Flat, evidence: Evidence | None, heights: Grid, p
     labels = fuse_footprints(forest.root_labels, flat.firm_labels, plain, params)
     parts = forest.parts
     roots = np.flatnonzero((parts["supid"] == 0).to_numpy())
-    number = np.zeros(len(parts) + 1, dtype=np.int32)
-    number[roots[np.argsort(parts["part_id"].to_numpy()[roots])] + 1] = np.arange(1, len(roots) + 1)
-    return Together(number[labels], evidence)
+    roots = roots[np.argsort(parts["part_id"].to_numpy()[roots])]
+    return Together(reorder(labels, roots, len(parts)), evidence)

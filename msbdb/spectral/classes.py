@@ -10,6 +10,7 @@ from msbdb.bands import Bands
 from msbdb.classmap import LABELS, ClassMap
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Grid
+from msbdb.labels import sizes
 from msbdb.params import Params
 from msbdb.spectral.kmeans import draw_sample, predict
 from msbdb.spectral.model import ClassModel, filter_to_classify, fit_model
@@ -63,7 +64,7 @@ def classify(
     model = fit_model(sample, spectral) if len(sample) else None
     labels = merged_labels(model, operator_labels)
     index = predict(filtered, model.centres) if model else np.zeros(ndsm.spec.shape, dtype=np.uint8)
-    cells = np.bincount(index.ravel(), minlength=len(labels) + 1)[1:]
+    cells = sizes(index, len(labels))
     tables = class_tables(model, labels, set(operator_labels or ()), cells)
     return ClassMap(index, labels, ndsm.spec), *tables
 

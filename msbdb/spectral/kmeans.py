@@ -1,6 +1,5 @@
 """K-means of the bands (V35): one seeded fit on a sample of cells, the same for any tiling, then prediction."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,17 +106,6 @@ def draw_sample(
         rough,
         heights[row, col].astype(np.float64),
     )
-
-
-def merge_samples(samples: Sequence[Sample], *, count: int) -> Sample:
-    """Return the sample that one draw over all tiles would have given; a cell that tiles share counts once."""
-    keys, first = np.unique(np.concatenate([s.keys for s in samples]), return_index=True)
-    kept = first[_smallest(keys, count)]
-    filtered, bands, roughness, height = (
-        np.concatenate([getattr(s, name) for s in samples])[kept]
-        for name in ("filtered", "bands", "roughness", "height")
-    )
-    return Sample(samples[0].names, keys[:count], filtered, bands, roughness, height)
 
 
 def _smallest(keys: NDArray[np.uint64], count: int) -> NDArray[np.intp]:

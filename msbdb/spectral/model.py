@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from msbdb.bands import Bands
 from msbdb.errors import ParameterError
 from msbdb.grid import Grid
+from msbdb.labels import sizes, sums
 from msbdb.params import Params, SpectralParams
 from msbdb.spectral.filtering import filter_bands
 from msbdb.spectral.kmeans import Centres, Sample, fit_centres, nearest_class
@@ -86,8 +87,7 @@ def fit_model(sample: Sample, params: SpectralParams) -> ClassModel:
 
 def _by_class(values: NDArray[np.float64], member: NDArray[np.uint8], classes: int) -> NDArray[np.float64]:
     """Mean of the values in each class; NaN for a class without cells."""
-    count = np.bincount(member, minlength=classes + 1)[1:]
-    total = np.bincount(member, weights=values, minlength=classes + 1)[1:]
+    count, total = sizes(member, classes), sums(member, values, classes)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 

@@ -10,10 +10,11 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, label, maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from msbdb.classmap import ClassMap
 from msbdb.grid import Grid
+from msbdb.labels import chosen_cells, label_zones, sizes, sums
 from msbdb.params import CoverParams
 from msbdb.surface.texture import Echoes
 from msbdb.threads import in_threads
@@ -21,7 +22,6 @@ from msbdb.threads import in_threads
 ROOF, VEGETATION = 1, 2
 """Indices of the structural classes."""
 
-EIGHT = np.ones((3, 3), dtype=np.bool_)
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
@@ -138,16 +138,14 @@ def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m
     On cells above 1 m a window spans several planes of a roof, so that the limit of smoothness grows with the cell.
     """
     limit = params.smooth_m_limit * max(1.0, cell_m)
-    labels, count = label(roof, EIGHT)
-    cells = np.maximum(np.bincount(labels.ravel(), minlength=count + 1), 1)
-    smooth = np.bincount(labels[roughness_m < limit], minlength=count + 1) / cells
-    needed = np.full(count + 1, params.min_smooth_share)
+    labels, count = label_zones(roof)
+    cells = sizes(labels, count)
+    smooth = sizes(labels[roughness_m < limit], count) / cells
+    needed = np.full(count, params.min_smooth_share)
     if echoes:
-        split = np.bincount(labels.ravel(), weights=echoes.split.ravel(), minlength=count + 1) / cells
+        split = sums(labels, echoes.split, count) / cells
         needed = params.smooth_per_split * (split - params.free_split_share)
-    keep = smooth >= needed
-    keep[0] = False
-    return np.asarray(keep[labels], dtype=np.bool_)
+    return chosen_cells(labels, smooth >= needed)
 
 
 def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params: CoverParams) -> ClassMap:
@@ -166,14 +164,13 @@ def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params:
     params : CoverParams
         Shares and the limit of smoothness.
     """
-    labels, count = label(cover.index == ROOF, EIGHT)
-    cells = np.maximum(np.bincount(labels.ravel(), minlength=count + 1), 1)
+    labels, count = label_zones(cover.index == ROOF)
+    cells = sizes(labels, count)
     limit = params.smooth_m_limit * max(1.0, cover.spec.cell_m)
-    green_share = np.bincount(labels[green], minlength=count + 1) / cells
-    smooth_share = np.bincount(labels[roughness_m < limit], minlength=count + 1) / cells
+    green_share = sizes(labels[green], count) / cells
+    smooth_share = sizes(labels[roughness_m < limit], count) / cells
     crown = (green_share >= params.green_share) & (smooth_share < params.green_smooth_share)
-    crown[0] = False
-    index = np.where(crown[labels], np.uint8(VEGETATION), cover.index)
+    index = np.where(chosen_cells(labels, crown), np.uint8(VEGETATION), cover.index)
     return ClassMap(index, cover.labels, cover.spec)
 
 
@@ -197,7 +194,5 @@ def _small(mask: Mask, cells: float, *, eight: bool) -> Mask:
 
     Holes are 4-connected, as the background of 8-connected roofs.
     """
-    labels, count = label(mask, EIGHT if eight else None)
-    small = np.bincount(labels.ravel(), minlength=count + 1) < cells
-    small[0] = False
-    return np.asarray(small[labels], dtype=np.bool_)
+    labels, count = label_zones(mask, connectivity=8 if eight else 4)
+    return chosen_cells(labels, sizes(labels, count) < cells)

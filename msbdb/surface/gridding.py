@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points import index_cells
 from msbdb.pointcloud import PointCloud
+from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from msbdb.grid import Grid
-from msbdb.morphology.kernels import kernel
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.gridding import Frame, Samples, cell_of, frame
+from msbdb.threads import kernel
 
 NO_PLANE_M = 5.0
 """Roughness where too few samples hold a plane, and the largest that is told, metres."""

@@ -7,13 +7,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, shortest_path
 from scipy.spatial import Delaunay, QhullError
 
+from msbdb.labels import Labels
 from msbdb.threads import in_threads
 from msbdb.vector.packing import pack
 from msbdb.vector.polygons import Geometries
 from msbdb.vector.thinning import thinned
 
 Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 
 GAP_CELLS = 2

@@ -1,4 +1,4 @@
-"""Outlines of regions that are points: alpha shape, cells, or concave hull; then Douglas-Peucker (S7)."""
+"""Outlines of regions that are points: alpha shape or concave hull; then Douglas-Peucker (S7)."""
 
 from typing import Literal
 
@@ -7,17 +7,16 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.order import order_of_points
+from msbdb.labels import Labels, sizes
+from msbdb.order import order_of_points
 from msbdb.params import VectorParams
 from msbdb.vector.alphashape import alpha_shapes
-from msbdb.vector.cellshape import cell_shapes
 from msbdb.vector.polygons import Geometries
 
 Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
-Method = Literal["alpha", "grid", "hull"]
+Method = Literal["alpha", "hull"]
 
-METHODS = ("alpha", "grid", "hull")
+METHODS = ("alpha", "hull")
 
 ALPHA_SPACINGS = 2.0
 """Radius 1/alpha where none is given, in spacings."""
@@ -80,9 +79,8 @@ def outline_points(
         1 to ``count``, each with a point at least; 0 for points of no region.
     count : int
         Number of regions.
-    method : {'alpha', 'grid', 'hull'}
-        Alpha shape with holes; cells of the spacing, closed; or concave hull without holes (the "modified convex
-        hull").
+    method : {'alpha', 'hull'}
+        Alpha shape with holes, or concave hull without holes (the "modified convex hull").
     spacing_m : float
         Mean spacing of the points, metres.
     simplify_m : float
@@ -90,7 +88,7 @@ def outline_points(
     radius_m : float, optional
         1/alpha, metres; edges of the hull are at most twice as long. `ALPHA_SPACINGS` unless given.
     grow_m : float, optional
-        By how much alpha shapes and hulls grow, metres; `GROW_SPACINGS` unless given. Cells grow by themselves.
+        By how much alpha shapes and hulls grow, metres; `GROW_SPACINGS` unless given.
     residual_m2 : float
         Smaller pieces and holes are left out, but not the largest piece, m2.
 
@@ -109,8 +107,8 @@ def outline_points(
     Notes
     -----
     A region whose points span no shape (too few, on one line, too sparse) becomes its convex hull, grown by half of
-    the spacing. Outlines do not overlap by more than rounding: alpha shapes and cells of different regions are
-    disjoint as they are made, and what growth, simplification and hulls make common stays with the smaller outline
+    the spacing. Outlines do not overlap by more than rounding: alpha shapes of different regions are disjoint
+    as they are made, and what growth, simplification and hulls make common stays with the smaller outline
     (of equal ones, the lower label), for it may lie in a bay of the larger. Nothing depends on the points' order.
 
     References
@@ -123,16 +121,12 @@ def outline_points(
     x, y, labels = _members(x, y, labels, count)
     if count == 0:
         return np.empty(0, dtype=np.object_)
-    if method == "alpha":
-        shapes = alpha_shapes(x, y, labels, count, radius_m)
-    elif method == "grid":
-        shapes, grow_m = cell_shapes(x, y, labels, count, spacing_m), 0.0
-    else:
-        shapes = _hulls(x, y, labels, 2 * radius_m)
+    is_alpha = method == "alpha"
+    shapes = alpha_shapes(x, y, labels, count, radius_m) if is_alpha else _hulls(x, y, labels, 2 * radius_m)
     shapes = simplified(without_residuals(shapes, residual_m2), simplify_m)
     if grow_m:
         shapes = shapely.buffer(shapes, grow_m, join_style="mitre", mitre_limit=MITRE)
-    size = np.bincount(labels, minlength=count + 1)[1:]
+    size = sizes(labels, count)
     bare = ~_has_area(shapes) | (shapely.area(shapes) > SPARSE * size * (2 * radius_m) ** 2)
     if bare.any():
         shapes[bare] = _buffered(x, y, labels, np.flatnonzero(bare), spacing_m / 2)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.order import ranks
+from msbdb.order import ranks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,13 +26,6 @@ class Axis:
     cell: Ints
     occupied: Ints
     number: Ints
-
-    def absolute(self, cell: Ints) -> Ints:
-        """Return the absolute numbers of packed cells, by the shift of the nearest one that is occupied."""
-        after = np.clip(np.searchsorted(self.number, cell), 1, max(len(self.number) - 1, 1))
-        before, after = after - 1, np.minimum(after, len(self.number) - 1)
-        nearest = np.where(cell - self.number[before] <= np.abs(self.number[after] - cell), before, after)
-        return np.asarray(cell + (self.occupied - self.number)[nearest])
 
 
 def pack(values: Floats, side_m: float, gap: int) -> Axis:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
+from msbdb.labels import sizes
 
 Geometries = NDArray[np.object_]
 """An array of shapely geometries."""
@@ -56,7 +57,7 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
     world = np.column_stack(
         (spec.transform.c + vertices[:, 0] * spec.cell_m, spec.transform.f - vertices[:, 1] * spec.cell_m)
     )
-    offsets = (_offsets(ring_sizes), _offsets(rings), _offsets(np.bincount(owner, minlength=count + 1)[1:]))
+    offsets = (_offsets(ring_sizes), _offsets(rings), _offsets(sizes(owner, count)))
     outlines = shapely.from_ragged_array(shapely.GeometryType.MULTIPOLYGON, world, offsets)
     return np.asarray(shapely.orient_polygons(outlines), dtype=np.object_)
 

@@ -3,13 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
+from msbdb.labels import Labels
+from msbdb.order import order_of
+from msbdb.threads import kernel
 from msbdb.vector.packing import pack
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 
 REACH = 2

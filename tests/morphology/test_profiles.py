@@ -1,6 +1,5 @@
 """Differential attribute profiles: all zones of one tree equal one opening and one filter a zone."""
 
-import math
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +17,6 @@ from msbdb.morphology import (
     attribute_opening,
     build_profile,
     build_tree,
-    maxima,
     second_order_gradient,
     sums,
     zone_thresholds,
@@ -102,16 +100,13 @@ def test_theta_is_the_largest_response_and_the_largest_zone_that_has_it(drawn):
 
 @given(DRAWN)
 def test_supports_filtered_by_area_equal_one_binary_opening_a_zone(drawn):
-    """The nodes kept are the area opening of each {δ_i > 0} (M16, M17), and their union is G (Eq. 14; M18)."""
+    """The union of the nodes kept is that of the area openings of each {δ_i > 0} (Eq. 14; M16 to M18)."""
     profile = drawn.profile
     least = RATIO * drawn.thresholds
     kept = profile.filter_supports(areas(drawn.tree), least)
     union = np.zeros(drawn.values.shape, dtype=bool)
     for i, zone in enumerate(drawn.zones(), start=1):
-        np.testing.assert_array_equal(profile.support(i), zone > 0)
-        expected = oracles.binary_area_opening(zone > 0, least[i], drawn.connectivity)
-        np.testing.assert_array_equal(profile.support(i, kept), expected)
-        union |= expected
+        union |= oracles.binary_area_opening(zone > 0, least[i], drawn.connectivity)
     np.testing.assert_array_equal(profile.union(kept) != -1, union)
 
 
@@ -135,13 +130,6 @@ def test_the_components_are_those_of_the_supports(drawn):
     for i, zone in enumerate(drawn.zones(), start=1):
         count = oracles.flat_zones(zone > 0, drawn.connectivity).max()
         assert (marked & (drawn.profile.zone == i)).sum() == count
-
-
-@given(DRAWN)
-def test_the_spectrum_is_the_volume_of_each_zone(drawn):
-    """The sum of δ_i over all cells, read from the nodes."""
-    expected = [math.fsum(zone.ravel()) for zone in drawn.zones()]
-    np.testing.assert_allclose(drawn.profile.spectrum(), expected, rtol=1e-12, atol=1e-12)
 
 
 @given(DRAWN, st.integers(0, 40), st.integers(0, 40))
@@ -214,7 +202,7 @@ def test_a_flat_roof_is_kept_and_a_rough_crown_is_not():
     assert (union[:, 40:] == -1).all()
     node = union[10, 10]
     assert areas(tree)[node] == 625
-    assert tree.level[node] == maxima(tree, surface)[node] == 6
+    assert tree.level[node] == 6
 
 
 def test_ties_go_to_the_larger_zone():

@@ -11,7 +11,8 @@ from scipy import ndimage
 from strategies import CONNECTIVITIES, images, integer_images
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology import ScaleSpace, area_open_close, build_scale_space, label_zones
+from msbdb.labels import label_zones
+from msbdb.morphology import ScaleSpace, area_open_close, build_scale_space
 
 LADDERS = st.sets(st.integers(1, 40), min_size=1, max_size=5).map(sorted)
 

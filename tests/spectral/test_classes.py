@@ -10,8 +10,6 @@ from msbdb.errors import GridMismatchError, InputError, ParameterError
 from msbdb.grid import Grid
 from msbdb.params import Params, with_values
 from msbdb.spectral import classify, spectral_bands
-from msbdb.spectral.kmeans import draw_sample, merge_samples, predict
-from msbdb.spectral.model import filter_to_classify, fit_model
 from msbdb.surface.gridding import sample_nearest
 from msbdb.surface.texture import roughness
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate
@@ -110,26 +108,6 @@ def test_labels_of_nothing_are_refused(city, labels):
     """An unknown class or label is an error that names what exists."""
     with pytest.raises(InputError, match="classes 1 to 15"):
         classify(city.bands, city.ndsm, city.roughness, PARAMS, labels)
-
-
-def test_tiles_classified_by_one_model_give_the_whole(city, classified):
-    """Samples of tiles merged, one fit, and prediction by tile equal the classification at once.
-
-    The tiles' border runs where no island is cut, as islands are what is handed out.
-    """
-    params = with_values(PARAMS, {"spectral": {"sample": 5000, "filter_share": 0.0}})
-    whole = classify(city.bands, city.ndsm, city.roughness, params)[0]
-    samples, filtered = [], []
-    for rows in (slice(0, 170), slice(170, 400)):
-        cols = slice(0, 400)
-        spec = city.bands.spec.crop(rows, cols)
-        bands = Bands(city.bands.values[:, rows].copy(), city.bands.names, city.bands.valid[rows].copy(), spec)
-        ndsm = Grid(city.ndsm.values[rows].copy(), city.ndsm.valid[rows].copy(), spec)
-        filtered.append(filter_to_classify(bands, ndsm, params))
-        samples.append(draw_sample(filtered[-1], bands, ndsm.values, city.roughness[rows], count=5000, seed=0))
-    model = fit_model(merge_samples(samples[::-1], count=5000), params.spectral)
-    assert dict(enumerate(model.suggested, start=1)) == dict(whole.labels)
-    np.testing.assert_array_equal(np.vstack([predict(part, model.centres) for part in filtered]), whole.index)
 
 
 def test_a_planted_roof_stays_a_building():

@@ -5,7 +5,7 @@ from pyproj import CRS
 
 from msbdb.bands import Bands
 from msbdb.grid import lattice
-from msbdb.spectral.kmeans import draw_sample, fit_centres, lattice_keys, merge_samples, nearest_class, predict
+from msbdb.spectral.kmeans import draw_sample, fit_centres, lattice_keys, nearest_class, predict
 
 UTM = CRS.from_epsg(32633)
 
@@ -40,14 +40,14 @@ def test_keys_are_distinct_and_depend_on_the_seed():
 
 
 def test_tiles_give_the_sample_of_the_whole():
-    """Samples of overlapping tiles, merged in any order, are the sample that one draw gives."""
+    """The smallest keys of the samples of overlapping tiles are the sample that one draw gives."""
     bands, _ = _image()
     whole = _draw(bands)
     tiles = [_draw(_crop(bands, slice(0, 20), cols)) for cols in (slice(18, 30), slice(0, 11), slice(9, 20))]
-    merged = merge_samples(tiles, count=100)
-    np.testing.assert_array_equal(merged.keys, whole.keys)
-    np.testing.assert_array_equal(merged.filtered, whole.filtered)
-    np.testing.assert_array_equal(merged.height, whole.height)
+    keys, first = np.unique(np.concatenate([tile.keys for tile in tiles]), return_index=True)
+    np.testing.assert_array_equal(keys[:100], whole.keys)
+    filtered = np.concatenate([tile.filtered for tile in tiles])
+    np.testing.assert_array_equal(filtered[first[:100]], whole.filtered)
     assert len(whole) == 100
 
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.extract.adaptive.points import Labels, OffGround
+from msbdb.extract.adaptive.points import OffGround
 from msbdb.extract.adaptive.vegetation import Structure
-from msbdb.morphology.order import order_of_points
+from msbdb.labels import Labels
 from msbdb.morphology.points import linked
+from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams
 
 Floats = NDArray[np.float64]

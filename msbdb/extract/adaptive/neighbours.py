@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points import CellIndex, cell_place, index_cells, strip
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
 

@@ -9,11 +9,10 @@ from msbdb.errors import InputError
 from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PlacedPoints, places
 from msbdb.grid import GridSpec
-from msbdb.morphology.order import order_of_points
+from msbdb.order import order_of_points
 from msbdb.pointcloud import PointCloud
 
 Floats = NDArray[np.float64]
-Labels = NDArray[np.int32]
 
 KIND = "\0adaptive"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from msbdb.extract.adaptive.points import Floats, Labels, OffGround
-from msbdb.extract.heightstats import HeightOrder, height_statistics
-from msbdb.extract.placed import PlacedPoints, region_means
+from msbdb.extract.adaptive.points import Floats, OffGround
+from msbdb.extract.placed import PlacedPoints
+from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, sizes
 from msbdb.tables import CANDIDATE_REGION
 
 METHOD = "adaptive"
@@ -31,7 +31,7 @@ def describe(points: OffGround, labels: Labels, count: int, placed: PlacedPoints
             "method": METHOD,
             "rule": RULE,
             "height_scale_m": unknown,
-            "points": np.bincount(labels, minlength=count + 1)[1:],
+            "points": sizes(labels, count),
             "area_m2": area,
             "perimeter": 0,
             "mbr_m2": mbr,

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from msbdb.extract.adaptive.clusters import Step, cluster, judge, ladder
-from msbdb.extract.adaptive.points import Labels, OffGround, off_ground
+from msbdb.extract.adaptive.points import OffGround, off_ground
 from msbdb.extract.adaptive.regions import METHOD, describe
 from msbdb.extract.adaptive.vegetation import GREEN, SCATTERED, Structure, structure, tell_vegetation
 from msbdb.extract.candidates import Candidates
 from msbdb.extract.placed import PointBooks
 from msbdb.grid import GridSpec
+from msbdb.labels import Labels, renumber, reorder
 from msbdb.params import AdaptiveParams, Params
 from msbdb.pointcloud import PointCloud
 from msbdb.threads import cores
@@ -87,10 +88,8 @@ def extract_adaptive(
     labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
     regions = describe(points, labels, count, placed)
     order = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
-    rank = np.zeros(count + 1, dtype=np.int32)
-    rank[order + 1] = np.arange(1, count + 1)
     full = np.zeros(len(cloud), dtype=np.int32)
-    full[points.index] = rank[labels]
+    full[points.index] = reorder(labels, order, count)
     logger.info("Adaptive: %d regions of %d off-ground points, spacing %.2f m", count, len(points), points.spacing_m)
     return Candidates(METHOD, full, regions.iloc[order].reset_index(drop=True), books.rejections(), books.counts)
 
@@ -137,9 +136,8 @@ def _tightened(
         pieces = cluster(points, labels > 0, values.distance_m)
     reasons = judge(points, found, *pieces, values)
     lost = reasons != ""
-    renumbered = np.concatenate(([0], np.where(lost, np.cumsum(lost), 0))).astype(np.int32)
-    dropped = books.reject(stage, reasons[lost], renumbered[pieces[0]], len(KINDS) + number)
-    kept = np.concatenate(([0], np.where(lost, 0, np.cumsum(~lost)))).astype(np.int32)
-    left = pieces[1] - dropped
+    rejected, _ = renumber(pieces[0], lost)
+    dropped = books.reject(stage, reasons[lost], rejected, len(KINDS) + number)
+    kept, left = renumber(pieces[0], ~lost)
     books.count(stage, count, left, dropped, pieces=pieces[1] - count)
-    return kept[pieces[0]], left
+    return kept, left

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points import CellIndex, cell_place, index_cells, parts_of, strip
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, kernel
 
 ALL_SECTORS = 255
 """A bit for each of the eight sectors."""

@@ -7,9 +7,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.extract.area3d.shape import Shapes
-from msbdb.extract.heightstats import HeightOrder, height_statistics
-from msbdb.extract.placed import PlacedPoints, region_means
+from msbdb.extract.placed import PlacedPoints
 from msbdb.grid import GridSpec
+from msbdb.labels import HeightOrder, Labels, height_statistics, region_means
 from msbdb.tables import CANDIDATE_REGION
 
 METHOD = "area3d"
@@ -19,8 +19,6 @@ KIND = "\0area3d"
 
 STAGES = ("area3d fusion", "area3d opening", "area3d curvature", "area3d crowns", "area3d rules")
 """The stages that reject regions, in order."""
-
-Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError, NodataError
 from msbdb.extract.area3d.coc import Structure, measure_structure
 from msbdb.extract.area3d.heights import height_scales
-from msbdb.extract.area3d.regions import METHOD, Cloud, Labels, describe
+from msbdb.extract.area3d.regions import METHOD, Cloud, describe
 from msbdb.extract.area3d.scales import Scene, fuse_over_heights
 from msbdb.extract.candidates import Candidates
 from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PointBooks, places
 from msbdb.grid import GridSpec
-from msbdb.morphology.order import order_of_points, ranks
+from msbdb.labels import Labels, chosen_cells, reorder, sums
 from msbdb.morphology.points import PointGraph, components, connect, open_close_on_set
+from msbdb.order import order_of_points, ranks
 from msbdb.params import Area3dParams, Params
 from msbdb.pointcloud import PointCloud
 
@@ -173,7 +174,7 @@ def _open_close(
     off, are never on.
     """
     islands, count = components(np.ones(len(heights), dtype=np.bool_), graph)
-    large = (np.bincount(islands - 1, area_m2, count) >= smallest_m2)[islands - 1]
+    large = chosen_cells(islands, sums(islands, area_m2, count) >= smallest_m2)
     filtered = np.full(len(heights), -np.inf)
     for height_m in scales:
         on = open_close_on_set(heights >= height_m, graph, smallest_m2, weights=area_m2)
@@ -196,9 +197,7 @@ def _structure(
 def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.intp], books: PointBooks) -> Candidates:
     """Put the regions in the order of their ids, and the labels in that of the cloud."""
     by_id = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
-    rank = np.zeros(len(by_id) + 1, dtype=np.int32)
-    rank[by_id + 1] = np.arange(1, len(by_id) + 1)
     found = np.empty(len(labels), dtype=np.int32)
-    found[order] = rank[labels]
+    found[order] = reorder(labels, by_id, len(by_id))
     rows = regions.iloc[by_id].reset_index(drop=True)
     return Candidates(METHOD, found, rows, books.rejections(), books.counts)

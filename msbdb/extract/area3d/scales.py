@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.extract.area3d.coc import Structure
-from msbdb.extract.area3d.regions import STAGES, Cloud, Labels
+from msbdb.extract.area3d.regions import STAGES, Cloud
 from msbdb.extract.area3d.regrow import Reach, grow_regions
 from msbdb.extract.area3d.rules import judge, reasons_against
 from msbdb.extract.area3d.shape import Shapes, measure_shapes
-from msbdb.extract.placed import PointBooks, region_means
+from msbdb.extract.placed import PointBooks
+from msbdb.labels import Labels, chosen_cells, region_means, renumber, sizes, sums
 from msbdb.morphology.points import PointGraph, components, connect
 from msbdb.params import Area3dParams
 
@@ -84,8 +85,7 @@ class Scene:
 
     def areas(self, labels: Labels, count: int) -> NDArray[np.float64]:
         """Return (count,) the areas of labelled regions, m2 (A17)."""
-        areas: NDArray[np.float64] = np.bincount(labels, self.cloud.area_m2, count + 1)[1:].astype(np.float64)
-        return areas
+        return sums(labels, self.cloud.area_m2, count)
 
     def shapes(self, labels: Labels, count: int) -> Shapes:
         """Measure labelled regions."""
@@ -193,12 +193,12 @@ class _Level:
         stage, graph = "area3d opening", self.scene.graph
         labels, count = components((self.scene.cloud.heights >= self.height_m) & ~self.taken, graph)
         _, opened = components(on, graph)
-        lost = np.bincount(labels, on, count + 1)[1:] == 0
-        lost &= np.bincount(labels, self.booked, count + 1)[1:] == 0
-        spans = np.bincount(labels, minlength=count + 1)[1:] >= LEAST_POINTS
+        lost = sums(labels, on, count) == 0
+        lost &= sums(labels, self.booked, count) == 0
+        spans = sizes(labels, count) >= LEAST_POINTS
         dropped = self.book(stage, labels, lost & spans, SMALL)
-        dropped += self.book_loose(stage, np.append(False, lost & ~spans)[labels])
-        self.booked[np.append(False, lost)[labels]] = True
+        dropped += self.book_loose(stage, chosen_cells(labels, lost & ~spans))
+        self.booked[chosen_cells(labels, lost)] = True
         self.books.count(stage, entered, opened, dropped, pieces=opened + dropped - entered)
         return opened
 
@@ -256,10 +256,3 @@ class _Level:
         """Write labelled regions into the ledger; return how many."""
         number = len(STAGES) * self.number + STAGES.index(stage) + 1
         return self.books.reject(stage, reasons, labels, number, scale=self.number)
-
-
-def renumber(labels: Labels, keep: Mask) -> tuple[Labels, int]:
-    """Give the regions to keep new numbers from 1 on in their order, and 0 to the others; return how many."""
-    number = np.concatenate([[False], keep]).cumsum(dtype=np.int32)
-    number[1:][~keep] = 0
-    return number[labels], int(np.count_nonzero(keep))

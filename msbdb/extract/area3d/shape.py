@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from msbdb.extract.area3d.edges import find_edges
+from msbdb.labels import sizes, sums
 from msbdb.params import Area3dParams
 from msbdb.threads import cores, in_threads
 
@@ -80,9 +81,9 @@ def measure_shapes(
     edge = find_edges(x, y, labels, radius_m=params.sector_spacings * spacing_m, gap_m=params.gap_spacings * spacing_m)
     at = np.flatnonzero(edge)
     member = labels[at] - np.int32(1)
-    points = np.bincount(labels, minlength=count + 1)[1:]
+    points = sizes(labels, count)
     perimeter = np.bincount(member, minlength=count)
-    area = np.bincount(labels, area_m2, count + 1)[1:].astype(np.float64)
+    area = sums(labels, area_m2, count)
     mbr = bounding_rectangles(x[at], y[at], member, least_m=spacing_m)
     scale = np.sqrt(params.compactness_density) * spacing_m if params.compactness_density > 0 else 1.0
     linearity, direction = measure_lines(
@@ -94,7 +95,7 @@ def measure_shapes(
         tolerance_m=params.line_error_spacings * spacing_m,
     )
     return Shapes(
-        points=points.astype(np.int64),
+        points=points,
         perimeter=perimeter.astype(np.int64),
         area_m2=area,
         mbr_m2=mbr,

@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
-from msbdb.morphology.kernels import kernel
 from msbdb.pointcloud import PointCloud
+from msbdb.threads import kernel
 
 NEAREST = 3
 """No fewer than the three nearest points (M8)."""
@@ -51,13 +51,12 @@ def initialise(points: PointCloud, spec: GridSpec, *, max_gap_m: float = 0.0) ->
         When no point lies on the lattice.
     """
     row, col = spec.rowcol(points.x, points.y)
-    rows, cols = spec.shape
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    inside = spec.inside(row, col)
     if not inside.any():
         msg = f"None of the {len(points)} points lies on the lattice {spec.bounds}; check the CRS and the extent."
         raise NodataError(msg)
     lowest = np.full(spec.shape, np.inf)
-    np.minimum.at(lowest.ravel(), (row * cols + col)[inside], points.z[inside])
+    np.minimum.at(lowest.ravel(), (row * spec.shape[1] + col)[inside], points.z[inside])
     known = np.isfinite(lowest)
     wanted = ~known
     if max_gap_m > 0 and wanted.any():

@@ -7,9 +7,8 @@ from skimage.measure import regionprops
 
 from msbdb.extract.flatregions.windowsize import window_px
 from msbdb.grid import Grid
+from msbdb.labels import Labels
 from msbdb.morphology.windows import opening
-
-Labels = NDArray[np.int32]
 
 SIDES = ((-1, 0), (0, -1), (0, 1), (1, 0))
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))

@@ -6,12 +6,10 @@ from numpy.typing import NDArray
 
 from msbdb.extract.books import Books
 from msbdb.extract.flatregions.binarise import Binarised
-from msbdb.extract.flatregions.recognise import Labels, measure_shapes
-from msbdb.extract.heightstats import height_statistics, order_heights
-from msbdb.extract.measure import centroids, measure
+from msbdb.extract.flatregions.recognise import measure_shapes
 from msbdb.grid import Grid, GridSpec
 from msbdb.identity import part_ids
-from msbdb.morphology import label_zones
+from msbdb.labels import Labels, centroids, height_statistics, label_zones, measure, order_heights, shared_cells, sums
 from msbdb.tables import FLAT_REGION, REJECTION
 
 KIND = "\0flat region"
@@ -30,7 +28,7 @@ class FlatBooks(Books):
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
         """Write the 8-connected regions of a mask, or those of labels, into the ledger, a row each; return how many."""
-        labels, count = label_zones(regions.astype(np.int32))
+        labels, count = label_zones(regions)
         table = measure(labels, count)
         xcen, ycen = centroids(table, self.spec)
         rows = pd.DataFrame(
@@ -73,7 +71,7 @@ def describe(labels: Labels, binarised: Binarised, heights: Grid, survey: str) -
     count = int(labels.max(initial=0))
     table = measure(labels, count)
     inside = labels > 0
-    gradient_sum = np.bincount(labels[inside] - 1, binarised.gradient[inside].astype(np.float64), count)
+    gradient_sum = sums(labels[inside], binarised.gradient[inside].astype(np.float64), count)
     zone = most_frequent_zone(labels, binarised.zones, count)
     shapes = measure_shapes(labels, spec.cell_m)
     statistics = height_statistics(labels, slice(0, count), order_heights(heights, inside))
@@ -97,10 +95,7 @@ def describe(labels: Labels, binarised: Binarised, heights: Grid, survey: str) -
 
 def most_frequent_zone(labels: Labels, zones: NDArray[np.int32], count: int) -> NDArray[np.int64]:
     """Return the zone of most of the cells of each region that have one, the larger of equal ones; 0 without any."""
-    inside = (labels > 0) & (zones > 0)
-    width = int(zones.max(initial=0)) + 1
-    pairs, cells = np.unique(labels[inside].astype(np.int64) * width + zones[inside], return_counts=True)
-    label, zone = np.divmod(pairs, width)
+    label, zone, cells = shared_cells(labels, zones)
     order = np.lexsort((zone, cells, label))
     found = np.zeros(count + 1, dtype=np.int64)
     found[label[order]] = zone[order]  # the last of each label is its most frequent one

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from msbdb.errors import GridMismatchError, NodataError
 from msbdb.extract.flatregions.binarise import Binarised, binarise
 from msbdb.extract.flatregions.denoise import Denoised, denoise
-from msbdb.extract.flatregions.recognise import Labels, clean, grow, measure_shapes
+from msbdb.extract.flatregions.recognise import clean, grow, measure_shapes
 from msbdb.extract.flatregions.regions import FlatBooks, describe
 from msbdb.grid import Grid
-from msbdb.morphology import label_zones
+from msbdb.labels import Labels, chosen_cells, label_zones, sizes
 from msbdb.params import FlatRegionParams, Params
 
 logger = logging.getLogger(__name__)
@@ -110,7 +110,7 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     else:
         found = binarise(denoised.grid, g, own)
     rough = books.reject("flat ratio", ROUGH, found.risen & ~found.flat)
-    _, candidates = label_zones(found.flat.astype(np.int32))
+    _, candidates = label_zones(found.flat)
     books.count("flat ratio", candidates + rough, candidates, rough)
     labels = recognise(found, candidates, heights, params, books)
     regions = describe(labels, found, heights, survey)
@@ -124,11 +124,8 @@ def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_
 
     A region of which it would leave less than half of the flat cells is gone as a whole, with its edges.
     """
-    flat, firm = (np.bincount(labels[mask], minlength=count + 1) for mask in (found.flat, found.firm))
-    most = 2 * firm >= flat
-    most[0] = False
-    cells: NDArray[np.bool_] = most[labels] & (found.firm | ~found.flat)
-    return cells
+    flat, firm = (sizes(labels[mask], count) for mask in (found.flat, found.firm))
+    return chosen_cells(labels, 2 * firm >= flat) & (found.firm | ~found.flat)
 
 
 def level_ground(heights: Grid, mask_m: float) -> Grid:
@@ -141,9 +138,9 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
     """Turn the set G into labelled regions: G_B = Γ^Ψ(Φ_w(Γ_w(G))) (Eq. 17; M22)."""
     own, cell_m = params.flatregions, heights.spec.cell_m
     cleaned = clean(found.flat, own.opening_m, cell_m)
-    labels, count = label_zones(cleaned.astype(np.int32))
-    before, _ = label_zones(found.flat.astype(np.int32))
-    vanished = ~np.isin(before, np.unique(before[cleaned])) & found.flat
+    labels, count = label_zones(cleaned)
+    before, number = label_zones(found.flat)
+    vanished = chosen_cells(before, sizes(before[cleaned], number) == 0)
     thin = books.reject("flat opening", THIN, vanished)
     books.count("flat opening", candidates, count, thin, pieces=count + thin - candidates)
     if own.on == "ndsm":
@@ -155,9 +152,9 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
 def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, books: FlatBooks) -> Labels:
     """Keep the regions of Ψ' < ψ (Eq. 16; A9) and number them anew, by their first cells."""
     compact = measure_shapes(labels, cell_m)["compactness"].to_numpy() < own.max_compactness
-    keep = np.concatenate([[False], compact])
-    long = books.reject("flat compactness", LONG, np.where(keep[labels], 0, labels))
-    kept, left = label_zones(np.where(keep[labels], labels, 0))
+    inside = chosen_cells(labels, compact)
+    long = books.reject("flat compactness", LONG, np.where(inside, 0, labels))
+    kept, left = label_zones(np.where(inside, labels, 0))
     books.count("flat compactness", count, left, long)
     return kept
 

@@ -8,11 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.extract.measure import measure
 from msbdb.extract.multiscale.kernels import grow
-from msbdb.morphology.zones import label_zones
-
-Labels = NDArray[np.int32]
+from msbdb.labels import Labels, chosen_cells, label_zones, measure, sizes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,10 +115,9 @@ def merge_slivers(level: NDArray[Any], smallest_px: int, *, connectivity: int) -
     along a high wall. As parts these would be buildings of a few cells. Zones only merge, so V11 holds on.
     """
     labels, count = label_zones(level, connectivity=connectivity)
-    large = np.bincount(labels.ravel(), minlength=count + 1) >= smallest_px
-    large[0] = True
-    if large.all():
+    small = sizes(labels, count) < smallest_px
+    if not small.any():
         return level
-    seeds = np.where(large[labels], level, 0).astype(np.int32)
+    seeds = np.where(chosen_cells(labels, small), 0, level).astype(np.int32)
     grown = grow(seeds, (level > 0).astype(np.uint8), connectivity)
     return np.where(grown > 0, grown, level).astype(level.dtype)

@@ -9,18 +9,16 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from msbdb.extract.measure import measure, offsets
 from msbdb.extract.multiscale.clusters import Clusters, Step
 from msbdb.extract.multiscale.links import NONE, link
 from msbdb.extract.multiscale.pieces import as_rows, joined
+from msbdb.labels import EIGHT, boxes, label_zones, measure, offsets, sizes
 from msbdb.params import ScaleParams
 
 logger = logging.getLogger(__name__)
 
 FAKE = "fake father"
 GAP = "gap between the children of a fake father"
-
-EIGHT = np.ones((3, 3), dtype=np.bool_)
 
 
 def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: float) -> pd.DataFrame:
@@ -128,7 +126,7 @@ def _keep_remainders(clusters: Clusters, fake: NDArray[np.int64], father: NDArra
         kept: list[NDArray[np.bool_]] = []
         count = 0
         for window, remainder in _remainders(clusters, level, here, father):
-            pieces, found = ndimage.label(remainder, EIGHT)
+            pieces, found = label_zones(remainder)
             zones[window] += np.where(pieces > 0, pieces + count, 0).astype(np.int32)
             kept.append(_wide(pieces, found, smallest_px))
             count += found
@@ -148,10 +146,10 @@ def _remainders(
     clusters: Clusters, level: int, fake: NDArray[np.int64], father: NDArray[np.int64]
 ) -> Iterator[tuple[tuple[slice, slice], NDArray[np.bool_]]]:
     """Yield for each fake father of a scale its window, and in it the cells that none of its children has."""
-    windows = ndimage.find_objects(clusters.labels[level])
+    windows = boxes(clusters.labels[level])
     levels = clusters.rows["level"].to_numpy()
     for row in fake.tolist():
-        window = windows[row]
+        window = windows[row + 1]
         remainder = clusters.labels[level][window] == row + 1
         children = np.flatnonzero(father == row)
         for finer in np.unique(levels[children]).tolist():
@@ -162,8 +160,8 @@ def _remainders(
 
 def _wide(pieces: NDArray[np.int32], count: int, smallest_px: int) -> NDArray[np.bool_]:
     """Tell for each piece whether it is large, and at least half of it lies in squares of 3 by 3 cells within it."""
-    area = np.bincount(pieces.ravel(), minlength=count + 1)[1:]
+    area = sizes(pieces, count)
     inside = ndimage.binary_opening(pieces > 0, EIGHT)
-    core = np.bincount(pieces[inside], minlength=count + 1)[1:]
+    core = sizes(pieces[inside], count)
     wide: NDArray[np.bool_] = (area >= smallest_px) & (2 * core >= area)
     return wide

@@ -7,9 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.classmap import ClassMap
-from msbdb.extract.heightstats import central_cells, height_statistics, order_heights
-from msbdb.extract.measure import centroids
-from msbdb.extract.multiscale.clusters import Clusters, Labels
+from msbdb.extract.multiscale.clusters import Clusters
 from msbdb.extract.multiscale.fathers import spread_of_children
 from msbdb.extract.multiscale.ledger import Ledger
 from msbdb.extract.multiscale.links import NONE, find_roots, link
@@ -17,6 +15,7 @@ from msbdb.extract.multiscale.slicing import storeys
 from msbdb.extract.multiscale.spectrum import measure_spectrum
 from msbdb.grid import Grid, GridSpec
 from msbdb.identity import part_ids
+from msbdb.labels import Labels, central_cells, centroids, height_statistics, order_heights, reorder
 from msbdb.params import SurfaceParams
 from msbdb.tables import PART, REJECTION, validate_parts
 
@@ -114,9 +113,8 @@ def compact(clusters: Clusters) -> Clusters:
     rows = clusters.rows
     order = np.lexsort((rows["first"], rows["level"]))
     order = order[clusters.alive[order]]
-    number = np.zeros(len(rows) + 1, dtype=np.int32)
-    number[order + 1] = np.arange(1, len(order) + 1)
-    return Clusters(tuple(number[labels] for labels in clusters.labels), rows.iloc[order].reset_index(drop=True))
+    images = tuple(reorder(labels, order, len(rows)) for labels in clusters.labels)
+    return Clusters(images, rows.iloc[order].reset_index(drop=True))
 
 
 def _cover(images: tuple[Labels, ...], chosen: NDArray[np.bool_]) -> Labels:

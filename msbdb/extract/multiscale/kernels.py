@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
+from msbdb.threads import kernel
 
 
 @kernel

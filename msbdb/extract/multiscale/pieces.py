@@ -4,9 +4,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.extract.measure import measure
 from msbdb.extract.multiscale.clusters import Clusters, Step
-from msbdb.morphology.zones import label_zones
+from msbdb.labels import label_zones, measure
 
 FRAGMENT = "piece smaller than the finest scale"
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from msbdb.classmap import ClassMap
 from msbdb.errors import GridMismatchError
-from msbdb.extract.measure import measure
 from msbdb.extract.multiscale.clusters import Clusters, Step, label_clusters, merge_slivers
 from msbdb.extract.multiscale.duplicates import drop_duplicates
 from msbdb.extract.multiscale.fathers import drop_fake_fathers
@@ -19,9 +18,9 @@ from msbdb.extract.multiscale.slicing import slice_heights
 from msbdb.extract.multiscale.spectrum import drop_unlike, split_by_classes
 from msbdb.extract.multiscale.vegetation import cut_vegetation
 from msbdb.grid import Grid
+from msbdb.labels import label_zones, measure
 from msbdb.morphology.granulometry import find_scales
 from msbdb.morphology.scalespace import build_scale_space
-from msbdb.morphology.zones import label_zones
 from msbdb.params import Params, ScaleParams
 from msbdb.tables import SCALE
 

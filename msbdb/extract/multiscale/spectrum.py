@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.classmap import ClassMap
-from msbdb.extract.multiscale.clusters import Clusters, Labels, Step
+from msbdb.extract.multiscale.clusters import Clusters, Step
 from msbdb.extract.multiscale.kernels import grow, tally
 from msbdb.extract.multiscale.pieces import cut, joined
-from msbdb.morphology.zones import label_zones
+from msbdb.labels import Labels, chosen_cells, label_zones, sizes
 
 TOO_FEW = "too few cells of building classes"
 SPLIT = "split with its father into pieces smaller than the finest scale"
@@ -169,8 +169,7 @@ def _seeds(
         seed[here] = 2 * (label[here] - 1) + number
     seeds.ravel()[cells] = seed
     components, count = label_zones(seeds, connectivity=connectivity)
-    component = components.ravel()[cells]
-    seed[np.bincount(component, minlength=count + 1)[component] < smallest_px] = 0
+    seed[chosen_cells(components.ravel()[cells], sizes(components, count) < smallest_px)] = 0
     has = np.zeros(2 * len(clusters.rows) + 1, dtype=np.bool_)
     has[seed] = True
     both = np.concatenate([[False], np.repeat(has[1::2] & has[2::2], 2)])

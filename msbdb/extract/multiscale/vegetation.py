@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from msbdb.extract.multiscale.clusters import Clusters, Labels, Step
+from msbdb.extract.multiscale.clusters import Clusters, Step
 from msbdb.extract.multiscale.kernels import edges, reaching_in
 from msbdb.extract.multiscale.pieces import cut, joined
-from msbdb.morphology.zones import label_zones
+from msbdb.labels import Labels, label_zones
 
 VEGETATION = "vegetation"
 

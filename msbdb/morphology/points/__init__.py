@@ -9,7 +9,7 @@ from msbdb.morphology.points.area import (
     components,
     open_close_on_set,
 )
-from msbdb.morphology.points.cells import CellIndex, cell_at, cell_place, index_cells, parts_of, strip
+from msbdb.morphology.points.cells import CellIndex, cell_place, index_cells, parts_of, strip
 from msbdb.morphology.points.clusters import linked
 from msbdb.morphology.points.graph import PointGraph, connect
 from msbdb.morphology.points.nearest import nearest
@@ -22,7 +22,6 @@ __all__ = [
     "area_open_close",
     "area_opening",
     "build_point_scale_space",
-    "cell_at",
     "cell_place",
     "components",
     "connect",

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.labels import chosen_cells, sums
 from msbdb.morphology.area import find_root
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
 from msbdb.morphology.points.graph import PointGraph
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 T = TypeVar("T", bound=np.generic)
 
@@ -156,9 +157,7 @@ def _large(
 ) -> NDArray[np.bool_]:
     """Return the points of a set whose components are large enough."""
     labels, count = components(mask, graph)
-    large = np.bincount(labels, weights, count + 1) >= threshold
-    large[0] = False
-    return np.asarray(large[labels])
+    return chosen_cells(labels, sums(labels, weights, count) >= threshold)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

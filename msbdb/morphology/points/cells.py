@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.order import order_of
+from msbdb.order import order_of
+from msbdb.threads import kernel
 
 MAX_POINTS = 2**31 - 2**16
 """Points are counted in 32 bits, which halves the memory."""
@@ -133,12 +133,6 @@ def parts_of(index: CellIndex) -> list[tuple[int, int]]:
     count = min(max(points // LEAST_POINTS, 1), PARTS)
     bounds = np.searchsorted(index.starts, np.linspace(0, points, count + 1).astype(np.int64))
     return list(pairwise(bounds.tolist()))
-
-
-@kernel
-def cell_at(index: CellIndex, x: float, y: float) -> tuple[int, int]:
-    """Return the row and the column in which a place lies, also outside of the lattice; for kernels."""
-    return math.floor((y - index.south) / index.cell_m), math.floor((x - index.west) / index.cell_m)
 
 
 @kernel

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.morphology.area import find_root
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points.cells import (
     MARGIN,
     CellIndex,
@@ -16,6 +15,7 @@ from msbdb.morphology.points.cells import (
     require_distance,
     strip,
 )
+from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points.cells import (
     MARGIN,
     CellIndex,
@@ -23,7 +22,7 @@ from msbdb.morphology.points.cells import (
     require_distance,
     strip,
 )
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, kernel
 
 MOST_CANDIDATES = 2**34
 """Most pairs of points in touching cells, each seen from both ends: more would take minutes."""

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
-from msbdb.morphology.kernels import kernel
 from msbdb.morphology.points.cells import (
     CellIndex,
     cell_place,
@@ -16,7 +15,7 @@ from msbdb.morphology.points.cells import (
     require_coordinates,
     strip,
 )
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.gridding import density
@@ -15,7 +14,7 @@ from msbdb.surface.ground.frames import Frame, cell_side, frame, require_points
 from msbdb.surface.ground.indicator import Profile, feature_sizes
 from msbdb.surface.ground.lowpoints import LowPoints, low_points
 from msbdb.surface.ground.pointwindows import opening
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, kernel
 
 logger = logging.getLogger(__name__)
 

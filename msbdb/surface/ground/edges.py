@@ -4,13 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
+from msbdb.labels import sizes
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
 Counts = NDArray[np.int64]
-
-EIGHT = np.ones((3, 3), dtype=np.bool_)
-"""Neighbourhood of the clusters."""
 
 
 def edge_step(params: GroundParams, cell_m: float) -> float:
@@ -38,10 +36,10 @@ def count_edges(
 
     Returns
     -------
-    boundary, edges : (count + 1,) ndarray of int
+    boundary, edges : (count,) ndarray of int
         Cells of each cluster with a neighbour in ``beside``, and the edges among them.
     """
     lowest = minimum_filter(beside, 3, mode="nearest")
     boundary = (labels > 0) & np.isfinite(lowest)
     edges = boundary & (heights - np.where(boundary, lowest, 0) > step_m)
-    return np.bincount(labels[boundary], minlength=count + 1), np.bincount(labels[edges], minlength=count + 1)
+    return sizes(labels[boundary], count), sizes(labels[edges], count)

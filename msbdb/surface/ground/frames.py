@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, NodataError
-from msbdb.morphology.order import ranks
+from msbdb.order import ranks
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.gridding import cell_size

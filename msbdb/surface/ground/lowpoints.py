@@ -7,9 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
 from msbdb.surface.ground.frames import Frame
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

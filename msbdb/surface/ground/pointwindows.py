@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
 from msbdb.surface.ground.lowpoints import LowPoints, cuts
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -4,11 +4,12 @@ import logging
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, label, maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from msbdb.grid import Grid
+from msbdb.labels import chosen_cells, label_zones, sizes
 from msbdb.params import GroundParams
-from msbdb.surface.ground.edges import EIGHT, count_edges, edge_step
+from msbdb.surface.ground.edges import count_edges, edge_step
 from msbdb.surface.ground.interpolate import interpolate_ground
 
 logger = logging.getLogger(__name__)
@@ -81,13 +82,12 @@ def _filter(heights: Heights, cell_m: float, slope: float, params: GroundParams)
 def _hills(heights: Heights, ground: Mask, cell_m: float, params: GroundParams) -> Mask:
     """Return the regions that a steeper slope keeps and that have no edges towards the ground."""
     doubtful = _filter(heights, cell_m, params.steep_slope, params) & ~ground
-    labels, count = label(doubtful, EIGHT)
+    labels, count = label_zones(doubtful)
     beside = np.where(ground, heights, np.float32(np.inf))
     boundary, edges = count_edges(labels, count, heights, beside, edge_step(params, cell_m))
-    area_m2 = np.bincount(labels.ravel(), minlength=count + 1) * cell_m**2
+    area_m2 = sizes(labels, count) * cell_m**2
     hills = (boundary > 0) & (edges < params.edge_share * boundary) & (area_m2 >= params.hill_m2)
-    hills[0] = False
-    return np.asarray(hills[labels], dtype=np.bool_)
+    return chosen_cells(labels, hills)
 
 
 def window_radii(largest: float, growth: float) -> list[int]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.order import order_of_points
 from msbdb.morphology.points.graph import PointGraph, connect
+from msbdb.order import order_of_points
 from msbdb.params import GroundParams
 from msbdb.pointcloud import PointCloud
 from msbdb.surface.gridding import density

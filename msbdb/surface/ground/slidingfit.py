@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.kernels import kernel
+from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from msbdb.grid import Grid
+from msbdb.labels import chosen_cells, label_zones
 from msbdb.params import GroundParams
-from msbdb.surface.ground.edges import EIGHT, count_edges, edge_step
+from msbdb.surface.ground.edges import count_edges, edge_step
 from msbdb.surface.ground.interpolate import interpolate_ground
 
 logger = logging.getLogger(__name__)
@@ -130,7 +130,7 @@ def _off_terrain(surface: Grid, terrain: Heights, ground: Mask, level: int, para
     if high - low < params.wavelet_cluster_m:
         return np.zeros(ground.shape, dtype=np.bool_)
     raised = ground & (details > (low + high) / 2)
-    labels, count = label(raised, EIGHT)
+    labels, count = label_zones(raised)
     beside_ground = np.where(ground & ~raised, heights, np.float32(np.inf))
     beside_filled = np.where(ground, np.float32(np.inf), terrain)
     boundary, edges = count_edges(labels, count, heights, beside_ground, step_m)
@@ -139,5 +139,4 @@ def _off_terrain(surface: Grid, terrain: Heights, ground: Mask, level: int, para
     edges = np.where(boundary > 0, edges, inner_edges)
     boundary = np.where(boundary > 0, boundary, inner_boundary)
     off = edges >= params.edge_share * np.maximum(boundary, 1)
-    off[0] = False
-    return np.asarray(off[labels], dtype=np.bool_)
+    return chosen_cells(labels, off)

@@ -15,7 +15,7 @@ from msbdb.classmap import ClassMap
 from msbdb.errors import GridMismatchError
 from msbdb.extract.multiscale import Forest, extract_parts
 from msbdb.grid import Grid, GridSpec
-from msbdb.morphology.zones import label_zones
+from msbdb.labels import label_zones
 from msbdb.params import Params, profile
 from msbdb.tables import PART, REJECTION, SCALE, validate_parts
 

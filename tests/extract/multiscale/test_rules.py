@@ -10,8 +10,6 @@ from pyproj import CRS
 
 from msbdb.classmap import ClassMap
 from msbdb.errors import TableError
-from msbdb.extract.heightstats import central_cells, height_statistics, order_heights
-from msbdb.extract.measure import measure
 from msbdb.extract.multiscale.clusters import Clusters, label_clusters, merge_slivers
 from msbdb.extract.multiscale.duplicates import SAME_AREA, SAME_STOREYS, drop_duplicates
 from msbdb.extract.multiscale.fathers import FAKE, GAP, drop_fake_fathers, spread_of_children
@@ -24,6 +22,7 @@ from msbdb.extract.multiscale.slicing import slice_heights, storeys
 from msbdb.extract.multiscale.spectrum import drop_unlike, measure_spectrum, split_by_classes
 from msbdb.extract.multiscale.vegetation import cut_vegetation
 from msbdb.grid import Grid, GridSpec
+from msbdb.labels import central_cells, height_statistics, measure, order_heights
 from msbdb.params import ScaleParams, SurfaceParams
 
 UTM = CRS.from_epsg(32633)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.kernels import kernel
-from msbdb.morphology.points import CellIndex, cell_at, cell_place, index_cells, strip
+from msbdb.morphology.points import CellIndex, cell_place, index_cells, strip
+from msbdb.threads import kernel
 
 SIZES = st.sampled_from([0.3, 1.0, 2.5, 100.0])
 
@@ -66,7 +66,6 @@ def test_the_lattice_holds_all_points_and_starts_at_multiples(cloud, cell_m):
     assert (rows.min(), cols.min()) == (0, 0)
     assert (rows.max() + 1, cols.max() + 1) == index.shape
     assert index.west / cell_m == pytest.approx(round(index.west / cell_m), abs=1e-6)
-    assert cell_at(index, x[0], y[0]) == (rows[0], cols[0])
 
 
 def test_islands_far_apart_need_no_cells_between():
@@ -75,13 +74,13 @@ def test_islands_far_apart_need_no_cells_between():
     index = index_cells(x, x, 0.1)
     assert index.keys.size <= 100
     assert index.keys.nbytes + index.order.nbytes + index.starts.nbytes < 2000
-    row, col = cell_at(index, x[99], x[99])
-    start, stop = strip(index, row, col, col)
+    rows, cols = places(x, x, index)
+    start, stop = strip(index, rows[99], cols[99], cols[99])
     assert 99 in index.order[start:stop]
 
 
 def test_many_lattice_cells_sort_the_same():
-    """Whether radix or comparison sorts, the points of a cell ascend."""
+    """Whether 32 bits hold the cells' numbers or not, the points of a cell ascend."""
     random = np.random.default_rng(3)
     x, y = random.integers(0, 3, (2, 500)) * 1.0
     near = index_cells(x, y, 1.0)
@@ -93,8 +92,7 @@ def test_a_kernel_counts_the_points_of_a_window():
     """A kernel of its own can take the index and use its helpers."""
 
     @kernel
-    def count_around(index: CellIndex, x: float, y: float, reach: int) -> int:
-        row, col = cell_at(index, x, y)
+    def count_around(index: CellIndex, row: int, col: int, reach: int) -> int:
         count = 0
         for other in range(row - reach, row + reach + 1):
             start, stop = strip(index, other, col - reach, col + reach)
@@ -103,8 +101,8 @@ def test_a_kernel_counts_the_points_of_a_window():
 
     x, y = (grid.ravel() + 0.5 for grid in np.meshgrid(np.arange(10.0), np.arange(10.0)))
     index = index_cells(x, y, 1.0)
-    assert [count_around(index, 4.5, 4.5, reach) for reach in (0, 1, 2)] == [1, 9, 25]
-    assert count_around(index, -0.5, -0.5, 1) == 1
+    assert [count_around(index, 4, 4, reach) for reach in (0, 1, 2)] == [1, 9, 25]
+    assert count_around(index, -1, -1, 1) == 1
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

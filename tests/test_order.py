@@ -1,4 +1,4 @@
-"""Order of values by radix sort."""
+"""Order of values and of points."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from msbdb.morphology.order import order_of, order_of_points, ranks
+from msbdb.order import order_of, order_of_points, ranks
 
 DTYPES = ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "f2", "f4", "f8"]
 
@@ -32,6 +32,16 @@ def test_order_of_many_values_is_that_of_a_comparing_sort(dtype):
     """Values that differ in every digit of the sort."""
     values = (np.random.default_rng(5).normal(size=20_000) * 1e4).astype("int32").astype(dtype)
     np.testing.assert_array_equal(values[order_of(values, descending=False)], np.sort(values))
+
+
+@pytest.mark.parametrize("descending", [False, True])
+@pytest.mark.parametrize("dtype", ["f4", "int64", "uint16", "bool"])
+@given(seed=st.integers(0, 10**6), count=st.integers(0, 200))
+def test_equal_values_of_32_bits_keep_their_order(dtype, descending, seed, count):
+    """As in a stable sort, of the negative values where the order descends."""
+    values = np.random.default_rng(seed).integers(0, 5, count).astype(dtype)
+    key = -values.astype(np.int64) if descending else values
+    np.testing.assert_array_equal(order_of(values, descending=descending), np.argsort(key, kind="stable"))
 
 
 @settings(max_examples=100, deadline=None)

@@ -7,7 +7,7 @@ from hypothesis import given
 from strategies import CONNECTIVITIES, images
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology import label_zones
+from msbdb.labels import label_zones
 
 
 @given(images(), CONNECTIVITIES)

@@ -1,15 +1,10 @@
-"""The order of values, by radix sort where they fit into 32 bits, and of points by their places."""
+"""The order of values and of points by their places, with numpy's sorts."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from msbdb.morphology.kernels import kernel
-
-BITS = 11
-"""Bits of a digit: three digits make 32 bits, and the places of a digit's values fit into the nearest cache."""
 
 MOST_MARKS = 1_000_000
 """Over so many numbers those that occur are marked, over more they are sorted."""
@@ -19,7 +14,7 @@ KEY_BITS = 64
 
 
 def order_of(values: NDArray[Any], *, descending: bool) -> NDArray[np.int32]:
-    """Return the index that sorts the values; ties come in any order.
+    """Return the index that sorts the values.
 
     Parameters
     ----------
@@ -30,13 +25,18 @@ def order_of(values: NDArray[Any], *, descending: bool) -> NDArray[np.int32]:
 
     Notes
     -----
-    Floats of 32 bits and integers of a range below 2^32 are sorted by radix, in O(N); others by comparison.
+    Floats of up to 32 bits and integers of a range below 2^32 share one number of 64 bits with their place, and these
+    numbers are sorted: several times as fast as `numpy.argsort`, and equal values keep their order. Other values are
+    sorted by `numpy.argsort`, where equal values come in any order.
     """
     keys = _keys(values)
     if keys is None:
         order = np.argsort(values).astype(np.int32)
         return np.ascontiguousarray(order[::-1]) if descending else order
-    return _radix(~keys if descending else keys)
+    both = (~keys if descending else keys).astype(np.uint64) << np.uint64(32)
+    both |= np.arange(both.size, dtype=np.uint64)
+    both.sort()
+    return both.astype(np.uint32).view(np.int32)
 
 
 def order_of_points(
@@ -153,28 +153,3 @@ def _float_keys(values: NDArray[np.floating]) -> NDArray[np.uint32]:
     bits = (values.astype(np.float32) + np.float32(0)).view(np.uint32)
     negative = (bits >> np.uint32(31)).astype(np.bool_)
     return np.where(negative, ~bits, bits | np.uint32(2**31))
-
-
-@kernel
-def _radix(keys: NDArray[np.uint32]) -> NDArray[np.int32]:
-    """Sort stably by each digit, from the least; digits that are the same in all keys are passed over."""
-    count = keys.size
-    digits = 2**BITS
-    order = np.arange(count, dtype=np.int32)
-    other = np.empty(count, dtype=np.int32)
-    for shift in range(0, 32, BITS):
-        places = np.zeros(digits, dtype=np.int64)
-        for key in keys:
-            places[(key >> shift) & (digits - 1)] += 1
-        if places.max() == count:
-            continue
-        before = 0
-        for digit in range(digits):
-            before += places[digit]
-            places[digit] = before - places[digit]
-        for index in order:
-            digit = (keys[index] >> shift) & (digits - 1)
-            other[places[digit]] = index
-            places[digit] += 1
-        order, other = other, order
-    return order

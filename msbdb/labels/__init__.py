@@ -1,0 +1,51 @@
+"""Label images: labelling, numbering, sizes, overlaps, and the statistics of labelled regions.
+
+A label image is an array of int32 in which 0 stands for no region and 1 to ``count`` for the regions. All functions
+but `label_zones` and `boxes` also take labelled points, as arrays of one dimension.
+"""
+
+from msbdb.labels.numbering import (
+    EIGHT,
+    Box,
+    Labels,
+    boxes,
+    chosen_cells,
+    label_zones,
+    renumber,
+    reorder,
+    shared_cells,
+    sizes,
+    sums,
+)
+from msbdb.labels.statistics import (
+    HeightOrder,
+    central_cells,
+    centroids,
+    height_statistics,
+    measure,
+    offsets,
+    order_heights,
+    region_means,
+)
+
+__all__ = [
+    "EIGHT",
+    "Box",
+    "HeightOrder",
+    "Labels",
+    "boxes",
+    "central_cells",
+    "centroids",
+    "chosen_cells",
+    "height_statistics",
+    "label_zones",
+    "measure",
+    "offsets",
+    "order_heights",
+    "region_means",
+    "renumber",
+    "reorder",
+    "shared_cells",
+    "sizes",
+    "sums",
+]

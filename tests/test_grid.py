@@ -1,0 +1,112 @@
+"""Lattices: which cells hold points, values at points, and tiles of the absolute lattice."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import CRS
+
+from msbdb.errors import GridMismatchError, InputError, ParameterError
+from msbdb.grid import GridSpec, lattice
+
+METRIC = CRS.from_epsg(28992)
+
+
+@st.composite
+def specs(draw) -> GridSpec:
+    """Return grids of a few cells anywhere on the absolute lattice, west and south of its origin too."""
+    west, south = draw(st.integers(-60, 60)), draw(st.integers(-60, 60))
+    width, height = draw(st.integers(1, 20)), draw(st.integers(1, 20))
+    return lattice((west / 2, south / 2, (west + width) / 2 - 0.1, (south + height) / 2 - 0.1), 0.5, METRIC)
+
+
+@given(specs(), st.integers(0, 2**32 - 1))
+def test_a_point_has_the_value_of_its_cell(spec, seed):
+    """Anywhere in the cell; a point beside the grid has the value for outside."""
+    rng = np.random.default_rng(seed)
+    values = rng.integers(1, 1000, spec.shape).astype(np.int32)
+    row, col = (rng.integers(-2, count + 2, 50) for count in spec.shape)
+    east, north = spec.xy(row, col)
+    found = spec.sample(values, east + rng.uniform(-0.2, 0.2, 50), north + rng.uniform(-0.2, 0.2, 50), outside=-7)
+    within = [0 <= r < spec.shape[0] and 0 <= c < spec.shape[1] for r, c in zip(row, col, strict=True)]
+    np.testing.assert_array_equal(spec.inside(row, col), within)
+    expected = [values[r, c] if held else -7 for r, c, held in zip(row, col, within, strict=True)]
+    np.testing.assert_array_equal(found, expected)
+    assert found.dtype == values.dtype
+
+
+@given(specs())
+def test_a_grid_sampled_at_its_own_centres_is_itself(spec):
+    """The centres broadcast to the shape of the grid."""
+    values = np.arange(spec.shape[0] * spec.shape[1], dtype=np.float32).reshape(spec.shape)
+    np.testing.assert_array_equal(spec.sample(values, *spec.centres(), outside=np.nan), values)
+
+
+@given(specs(), specs())
+def test_what_two_grids_share_has_the_value_of_one_in_the_other(one, other):
+    """By the absolute lattice: cells that the other grid lacks are not a number."""
+    rows, cols = np.indices(other.shape)
+    numbers = (rows + other.origin[0]) * 1000.0 + cols + other.origin[1]
+    found = other.sample(numbers, *one.centres(), outside=np.nan)
+    rows, cols = np.indices(one.shape)
+    row, col = rows + one.origin[0], cols + one.origin[1]
+    shared = other.inside(row - other.origin[0], col - other.origin[1])
+    np.testing.assert_array_equal(found, np.where(shared, row * 1000.0 + col, np.nan))
+
+
+def test_values_of_another_shape_are_not_sampled():
+    """The message names both shapes."""
+    spec = lattice((0, 0, 2, 3), 1.0, METRIC)
+    with pytest.raises(GridMismatchError, match=r"\(4, 3\).*\(3, 4\)"):
+        spec.sample(np.zeros((3, 4)), np.zeros(1), np.zeros(1), outside=0)
+
+
+@given(specs(), st.integers(1, 12))
+def test_tiles_partition_the_grid(spec, size):
+    """Each cell lies in the window of one tile, which is the tile that is located for it."""
+    found = np.zeros(spec.shape, dtype=np.int64)
+    tile_row, tile_col = spec.tile_of(*np.indices(spec.shape), size)
+    tiles = spec.tiles(size)
+    assert len(set(tiles)) == len(tiles)
+    for tile in tiles:
+        window = spec.tile_window(tile, size)
+        found[window] += 1
+        assert found[window].size > 0
+        assert (tile_row[window] == tile[0]).all()
+        assert (tile_col[window] == tile[1]).all()
+    assert (found == 1).all()
+
+
+@given(specs(), specs(), st.integers(1, 12))
+def test_grids_share_their_tiles(one, other, size):
+    """A tile that two grids have cells of holds the same cells of the absolute lattice in both, where they have it."""
+    for tile in set(one.tiles(size)) & set(other.tiles(size)):
+        for spec in (one, other):
+            row, col = spec.crop(*spec.tile_window(tile, size)).origin
+            assert row // size == tile[0]
+            assert col // size == tile[1]
+
+
+@given(specs(), st.integers(1, 12), st.integers(0, 5))
+def test_a_cropped_tile_is_its_window(spec, size, halo):
+    """The crop has the window's cells at their places, and the halo reaches as far as the grid allows."""
+    values = np.arange(spec.shape[0] * spec.shape[1]).reshape(spec.shape)
+    for tile in spec.tiles(size):
+        core, window = spec.tile_window(tile, size), spec.tile_window(tile, size, halo=halo)
+        crop = spec.crop(*window)
+        assert crop.origin == (spec.origin[0] + window[0].start, spec.origin[1] + window[1].start)
+        np.testing.assert_array_equal(spec.sample(values, *crop.centres(), outside=-1), values[window])
+        for inner, outer, count in zip(core, window, spec.shape, strict=True):
+            assert outer.start == max(inner.start - halo, 0)
+            assert outer.stop == min(inner.stop + halo, count)
+
+
+def test_a_tile_elsewhere_and_impossible_sizes_are_refused():
+    """A tile without cells of the grid has no window, even if its halo would reach the grid."""
+    spec = lattice((0, 0.1, 8.9, 8.9), 1.0, METRIC)
+    with pytest.raises(InputError, match="no cell of the tile"):
+        spec.tile_window((0, 0), 5, halo=3)
+    with pytest.raises(ParameterError, match="at least 1 cell"):
+        spec.tiles(0)
+    with pytest.raises(ParameterError, match="halo of 0 or more"):
+        spec.tile_window((-1, 0), 5, halo=-1)
