@@ -6,7 +6,7 @@ from pathlib import Path
 
 import psycopg
 import pytest
-from builds import EPSG, small_build
+from simulated.builds import EPSG, small_build
 from sqlalchemy import URL, Engine, make_url
 
 from msbdb.database import open_database, write_build

@@ -10,7 +10,7 @@ import geopandas as gpd
 import numpy as np
 import psycopg
 import pytest
-from builds import CROWN, EPSG, HOUSE, LIFT, PODIUM, SLAB, SLAB_ROOF, small_build
+from simulated.builds import CROWN, EPSG, HOUSE, LIFT, PODIUM, SLAB, SLAB_ROOF, small_build
 from sqlalchemy import URL, Engine, make_url
 
 from msbdb.database import (

@@ -1,6 +1,5 @@
 """A kill at any moment of a load leaves the last committed state readable, and the next load completes."""
 
-import os
 import shutil
 import signal
 import subprocess
@@ -8,19 +7,18 @@ import sys
 from pathlib import Path
 
 import pytest
-from builds import EPSG, big_build, small_build
+from simulated.builds import EPSG, big_build, small_build
 from sqlalchemy import Engine, text
+from support.processes import environment
 
 from msbdb.database import canonical_dump, open_database, read_parts, store_build, write_build
 from msbdb.database.dialect import dialect_of
 from msbdb.database.engine import database_url
 from msbdb.errors import DatabaseError
 
-ROOT = Path(__file__).resolve().parents[2]
-
 LOADER = """
 import sys
-from builds import big_build
+from simulated.builds import big_build
 from msbdb.database import open_database, {dialect}, write_build
 
 def stop_here(original):
@@ -38,9 +36,8 @@ write_build(open_database(sys.argv[1]), big_build(3000))
 def killed_load(target: str, function: str) -> None:
     """Load 6000 parts in another process, and kill it after a hook of the dialect was called."""
     code = LOADER.format(dialect="postgis" if "://" in target else "spatialite", function=function)
-    env = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
     call = [sys.executable, "-c", code, target]
-    process = subprocess.Popen(call, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(call, env=environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdin is not None
     assert process.stdout.readline() == "here\n"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from sqlalchemy import Engine, text
-from towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
+from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
 from msbdb.database import (
     canonical_dump,

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from builds import (
+from geopandas.testing import assert_geodataframe_equal
+from simulated.builds import (
     AWNING,
     BLOCK,
     CRANE,
@@ -31,7 +32,6 @@ from builds import (
     WING,
     small_build,
 )
-from geopandas.testing import assert_geodataframe_equal
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
 

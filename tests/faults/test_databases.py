@@ -14,9 +14,9 @@ import geopandas as gpd
 import pytest
 import shapely
 from click.testing import CliRunner
-from faultfiles import write_points
 from pyproj import CRS
-from scenes import SCENES
+from simulated.scenes import SCENES
+from support.faultfiles import write_points
 
 import msbdb
 from msbdb.cli.main import cli

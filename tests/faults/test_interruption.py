@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from faultfiles import write_points
-from killing import stop_at
-from scenes import SCENES
+from disturbance.forks import stop_at
+from simulated.scenes import SCENES
+from support.faultfiles import write_points
+from support.processes import environment
 
 import msbdb
 from msbdb.cli import build as build_module
 from msbdb.cli.main import cli
 from msbdb.pipeline.stage import STAGES
 
-ROOT = Path(__file__).resolve().parents[2]
 TOLD = "Interrupted. A database keeps its last complete build; run the command again."
 
 OLD, NEW = "an old database", "no database"
@@ -56,12 +56,12 @@ INTERRUPTED = ("in the schema", "between the first rows", "between more rows", "
 
 
 class Killer:
-    """The server of forks that are killed; see ``killing``."""
+    """The server of forks that are killed; see ``disturbance.forks``."""
 
     def __init__(self):
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        self.process = subprocess.Popen([sys.executable, str(ROOT / "tests" / "killing.py")], env=environment, **pipes)
+        command = [sys.executable, "-m", "disturbance.forks"]
+        self.process = subprocess.Popen(command, env=environment(), **pipes)
 
     def run(self, *argv, **how):
         """Run the program in a fork that is stopped as told; return its exit code and standard error."""
@@ -238,9 +238,8 @@ def test_ctrl_c_in_an_output_leaves_nothing(killer, tile, starts, tmp_path, comm
 def test_ctrl_c_of_the_program_itself(tile, tmp_path):
     """A real process, interrupted while it works: 130, and one line after what it had told."""
     command = [sys.executable, "-m", "msbdb.cli.main", *build(tile, tmp_path / "town.sqlite"), "-v"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
-        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment()
     ) as process:
         told = process.stderr.readline()
         process.send_signal(signal.SIGINT)

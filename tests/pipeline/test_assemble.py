@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from affine import Affine
-from files import write_points
 from pyproj import CRS
-from scenes import SCENES
+from simulated.files import write_points
+from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.classmap import ClassMap

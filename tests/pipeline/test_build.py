@@ -10,10 +10,10 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import rasterio.warp
-import scenes
 import shapely
-from files import write_image, write_points
 from pyproj import CRS, Transformer
+from simulated import scenes
+from simulated.files import write_image, write_points
 
 import msbdb
 from msbdb.database import canonical_dump, open_database, read_build

@@ -4,8 +4,8 @@ import shutil
 
 import numpy as np
 import pytest
-from files import write_points
-from scenes import SCENES
+from simulated.files import write_points
+from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.database import read_part_flat_regions

@@ -11,10 +11,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-import scenes
 import shapely
-from files import write_points
 from numpy.typing import NDArray
+from simulated import scenes
+from simulated.files import write_points
 
 import msbdb
 from msbdb.params import Params, profile, with_values

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pyogrio
 import pytest
-from files import write_points
-from scenes import SCENES, VEGETATION
+from simulated.files import write_points
+from simulated.scenes import SCENES, VEGETATION
 
 import msbdb
 from msbdb.database import read_state, read_survey

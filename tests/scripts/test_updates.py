@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import scenes
-from files import write_points
+from simulated import scenes
+from simulated.files import write_points
 
 from msbdb.database import footprint_at, open_database, read_changes
 

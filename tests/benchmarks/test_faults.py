@@ -1,17 +1,13 @@
-"""Disturbed writers lose nothing: the long test of scripts/fault_test, in short."""
+"""Disturbed writers lose nothing: the long test of scripts/benchmarks/faults, in short."""
 
 import json
-import subprocess
-import sys
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from types import ModuleType
 
 import pytest
-from faultruns import Outcome
+from disturbance.runs import Outcome
+from support.processes import BENCHMARKS, load_script, run_script
 
-ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = BENCHMARKS / "faults"
 HAS_SERVER = bool(list(Path("/usr/lib/postgresql").glob("*/lib/postgis-3.so")))
 
 
@@ -28,9 +24,8 @@ BOTH = ["spatialite", "postgis"]
 )
 def test_disturbed_writers_lose_nothing(dialects: list[str]) -> None:
     """Killed, cut off, restarted under, or without room: sound at once, and whole after a repeat."""
-    command = [sys.executable, str(ROOT / "scripts" / "fault_test"), "--kills", "2", "--others", "1", "--json"]
-    command += [word for dialect in dialects for word in ("--dialect", dialect)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    words = [word for dialect in dialects for word in ("--dialect", dialect)]
+    done = run_script(SCRIPT, "--kills", 2, "--others", 1, "--json", *words)
     assert done.returncode == 0, done.stderr
     runs = json.loads(done.stdout)["runs"]
     assert {run["problem"] for run in runs} == {""}
@@ -42,7 +37,7 @@ def test_disturbed_writers_lose_nothing(dialects: list[str]) -> None:
 
 def test_the_table_counts_what_was_left_and_what_was_wrong() -> None:
     """A wrong run is in the table, whatever else it is."""
-    script = load_script()
+    script = load_script(SCRIPT)
     good = Outcome("spatialite", "kill", "update", "", "killed", "", "old")
     bad = Outcome("spatialite", "full", "copy", "", "done", "", "new", "a row is gone")
     lines = script.table([good, good, bad], "disturbance", lambda outcome: outcome.fault)
@@ -52,16 +47,3 @@ def test_the_table_counts_what_was_left_and_what_was_wrong() -> None:
         "| full | 1 | 1 | 0 | 0 | 0 | 1 | 1 |",
         "| all | 3 | 1 | 0 | 2 | 0 | 1 | 1 |",
     ]
-
-
-def load_script() -> ModuleType:
-    """Return the script as a module."""
-    loader = SourceFileLoader("fault_test", str(ROOT / "scripts" / "fault_test"))
-    spec = spec_from_loader(loader.name, loader)
-    assert spec is not None
-    module = module_from_spec(spec)
-    sys.modules[loader.name] = module
-    written, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    loader.exec_module(module)
-    sys.dont_write_bytecode = written
-    return module

@@ -1,16 +1,14 @@
 """The benchmark of the main job, on a small simulated scene."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
-import scenes
+from simulated import scenes
+from support.processes import BENCHMARKS, run_script
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "bench"
+SCRIPT = BENCHMARKS / "build"
 STAGES = [
     "read",
     "surface",
@@ -29,8 +27,7 @@ STAGES = [
 
 def run(*arguments):
     """Run the script."""
-    command = [sys.executable, "-B", str(SCRIPT), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return run_script(SCRIPT, *arguments)
 
 
 @pytest.fixture(scope="module")

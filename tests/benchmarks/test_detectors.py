@@ -1,15 +1,13 @@
 """The benchmark of the extractors on points, on a small simulated scene."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
-import scenes
-from files import write_points
+from simulated import scenes
+from simulated.files import write_points
+from support.processes import BENCHMARKS, run_script
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "bench_extractors"
+SCRIPT = BENCHMARKS / "detectors"
 
 
 def test_every_method_is_timed_at_the_size_asked_for(tmp_path):
@@ -17,8 +15,7 @@ def test_every_method_is_timed_at_the_size_asked_for(tmp_path):
     cloud = scenes.row_houses(density=2.0).points
     path = write_points(tmp_path / "houses.laz", cloud)
     points = 2 * len(cloud) + 7
-    command = [sys.executable, "-B", str(SCRIPT), str(path), "--points", str(points), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run_script(SCRIPT, path, "--points", points, "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert [row["name"] for row in found] == ["area3d", "area3d, as written", "adaptive"]

@@ -1,18 +1,18 @@
 """The benchmark of the morphology runs, and finds the tools' results equal."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from support.processes import BENCHMARKS, run_script
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "bench_morphology"
+SCRIPT = BENCHMARKS / "morphology"
 
 
 def run(*options):
     """Return what the script prints."""
-    return subprocess.run([sys.executable, SCRIPT, *options], check=True, capture_output=True, text=True).stdout
+    done = run_script(SCRIPT, *options)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_the_benchmark_compares_three_tools():

@@ -1,4 +1,4 @@
-"""Builds in forked processes, and what stops them: for tests of interruption, and for scripts/fault_test.
+"""Builds in forked processes, and what stops them.
 
 A fork of a process that has everything imported starts in no time, so that many builds can be killed. Run as a
 program, it takes one request a line, as JSON, and answers each with the exit code (negative for a signal) and what

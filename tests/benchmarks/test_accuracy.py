@@ -1,28 +1,15 @@
 """The pages of accuracy and density: what is compared, and what their tables say of it."""
 
-import sys
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 
 import pytest
-
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-
-
-def load(name):
-    """Load a script that has no suffix."""
-    loader = SourceFileLoader(f"script_{name}", str(SCRIPTS / name))
-    module = module_from_spec(spec_from_loader(loader.name, loader))
-    sys.modules[loader.name] = module
-    loader.exec_module(module)
-    return module
+from support.processes import BENCHMARKS, load_script
 
 
 @pytest.fixture(scope="module")
 def accuracy():
-    """Return scripts/accuracy."""
-    return load("accuracy")
+    """Return scripts/benchmarks/accuracy."""
+    return load_script(BENCHMARKS / "accuracy")
 
 
 def result(of, *, tile="delft_1", profile="default", classes="wiped", points=None, written=None):
@@ -88,7 +75,7 @@ def test_rasters_have_no_extractors_on_points(accuracy):
 
 def test_the_density_page_has_a_row_a_density_and_a_column_an_outline():
     """In the order of what is compared."""
-    density = load("density")
+    density = load_script(BENCHMARKS / "density")
     found = [density.Score("delft_1", 4.0, of, n, n, n) for n, of in enumerate(density.OF)]
     lines = density.table(found, "area").splitlines()
     assert lines[0] == "| tile | density | multiscale | flatregions | multiscale and flatregions | area3d | adaptive |"

@@ -1,16 +1,17 @@
 """The benchmark of the morphology on points runs, and finds the tools' on-sets equal."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
-SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "bench_points"
+from support.processes import BENCHMARKS, run_script
+
+SCRIPT = BENCHMARKS / "points"
 
 
 def run(*options):
     """Return what the script prints."""
-    return subprocess.run([sys.executable, SCRIPT, *options], check=True, capture_output=True, text=True).stdout
+    done = run_script(SCRIPT, *options)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_the_benchmark_compares_both_tools():

@@ -15,9 +15,10 @@ from itertools import count
 from pathlib import Path
 
 import psycopg
-from killing import end, fork
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "postgis_server"
+from disturbance.forks import end, fork
+
+SCRIPT = Path(__file__).resolve().parents[2] / "postgis_server"
 PATIENCE_S = 30.0
 
 

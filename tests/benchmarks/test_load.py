@@ -2,20 +2,17 @@
 
 import json
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from support.processes import BENCHMARKS, run_script
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "bench_load"
+SCRIPT = BENCHMARKS / "load"
 
 
 @pytest.mark.skipif(shutil.which("ogr2ogr") is None, reason="GDAL's tools (gdal-bin) are not installed")
 def test_the_same_rows_are_loaded_in_each_way():
     """All seconds come from one run, and the ratios from them."""
-    call = [sys.executable, "-B", SCRIPT, "--rows", "60", "--runs", "1", "--json"]
-    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    done = run_script(SCRIPT, "--rows", 60, "--runs", 1, "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     ways = told["SpatiaLite"]
@@ -27,5 +24,4 @@ def test_the_same_rows_are_loaded_in_each_way():
 
 def test_wrong_arguments_are_explained():
     """Before any work is done."""
-    call = [sys.executable, "-B", SCRIPT, "--rows", "0"]
-    assert "at least one row" in subprocess.run(call, capture_output=True, text=True, check=False).stderr
+    assert "at least one row" in run_script(SCRIPT, "--rows", 0).stderr

@@ -1,18 +1,18 @@
 """The benchmark of the profile runs, and finds equal openings."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from support.processes import BENCHMARKS, run_script
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "bench_profile"
+SCRIPT = BENCHMARKS / "profiles"
 
 
 def run(*options):
     """Return what the script prints."""
-    return subprocess.run([sys.executable, SCRIPT, *options], check=True, capture_output=True, text=True).stdout
+    done = run_script(SCRIPT, *options)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_the_benchmark_compares_all_zones_with_one_opening():

@@ -1,15 +1,14 @@
-"""The commands that are disturbed, on two surveys of a small town: for faultruns."""
+"""The commands that are disturbed, on two surveys of a small town."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from faultfiles import write_points
-from olddatabases import REVISIONS
-from scenes import SCENES, scan
+from simulated.files import write_points
+from simulated.scenes import SCENES, scan
 
 from msbdb import pipeline
-from msbdb.database import copy_database, open_database, upgrade_schema
+from msbdb.database import copy_database, open_database
 from msbdb.database.inventory_read import footprint_at
 from msbdb.database.inventory_words import write_state
 from msbdb.params import Params, with_values
@@ -41,10 +40,7 @@ class Town:
         blocks["hall"] = replace(blocks["hall"], level_m=blocks["hall"].level_m + 6)
         blocks["villa 1"] = replace(blocks["villa 1"], west=30, south=110)
         later = scan(replace(first.world, blocks=tuple(blocks.values())), seed=2, density=density)
-        self.tiles = [
-            write_points(folder / f"epoch_{n}.las", scene.points, crs=scene.points.crs)
-            for n, scene in enumerate((first, later))
-        ]
+        self.tiles = [write_points(folder / f"epoch_{n}.las", scene.points) for n, scene in enumerate((first, later))]
 
     def build(self, survey: str, epoch: int, storey_m: float = 3.0) -> Step:
         """Return a build of an epoch."""
@@ -68,12 +64,6 @@ def _advance(survey: str) -> Step:
         pipeline.advance(target, survey)
 
     return step
-
-
-def _upgrade(target: str, progress: Progress) -> None:
-    progress("upgrade", 0, 1)
-    upgrade_schema(target)
-    progress("upgrade", 1, 1)
 
 
 def _copy(source: str) -> Step:
@@ -111,10 +101,8 @@ def jobs_of(town: Town, source: str) -> tuple[Job, ...]:
         Job("build on nothing", None, build, (build,)),
         Job("update", "applied", update, steps),
         Job("copy", None, copy, (copy,), once=True),
-        *(Job(f"upgrade of {name}", name, _upgrade, (_upgrade,)) for name in REVISIONS[-1:]),
         Job("build beside another survey", "older", build, (build,)),
         Job("update again", "updated", update, steps),
         Job("copy into empty", "empty", copy, (copy,), once=True),
         Job("build in place of another", "same", build, (build,)),
-        *(Job(f"upgrade of {name}", name, _upgrade, (_upgrade,)) for name in REVISIONS[:-1]),
     )

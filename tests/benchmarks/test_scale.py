@@ -3,38 +3,26 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 import shapely
-from builds import EVERY, small_build
+from simulated.builds import EVERY, small_build
+from support.processes import BENCHMARKS, load_script, run_script
 
 from msbdb.database import open_database, write_build
 from msbdb.database.check import check_build
 from msbdb.tables import Build
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "scale_test"
+SCRIPT = BENCHMARKS / "scale"
 BUILDINGS = 2_000
 
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
     """Return the script as a module."""
-    loader = SourceFileLoader("scale_test", str(SCRIPT))
-    spec = spec_from_loader(loader.name, loader)
-    assert spec is not None
-    module = module_from_spec(spec)
-    sys.modules[loader.name] = module
-    written, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    loader.exec_module(module)
-    sys.dont_write_bytecode = written
-    return module
+    return load_script(SCRIPT)
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +70,7 @@ def test_two_thousand_buildings(tile, tmp_path):
         pytest.skip("MSBDB_TEST_POSTGIS names no PostGIS server")
     source = tmp_path / "tile.sqlite"
     write_build(open_database(source, create=True, srid=tile.survey.epsg), tile)
-    command = [sys.executable, "-B", SCRIPT, "--buildings", BUILDINGS, "--source", source, "--db", server]
-    environment = {**os.environ, "PYTHONPATH": str(SCRIPT.parents[1])}
-    command += ["--copy", "--json"]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, env=environment)
+    done = run_script(SCRIPT, "--buildings", BUILDINGS, "--source", source, "--db", server, "--copy", "--json")
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     own, plain, same, copied = figures["loading"].values()
@@ -110,8 +95,6 @@ def test_two_thousand_buildings(tile, tmp_path):
 
 def test_wrong_arguments_are_explained():
     """Before any work is done."""
-    environment = {**os.environ, "PYTHONPATH": str(SCRIPT.parents[1])}
-    command = [sys.executable, "-B", str(SCRIPT), "--buildings", "0"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    done = run_script(SCRIPT, "--buildings", 0)
     assert done.returncode == 2
     assert "at least one building" in done.stderr

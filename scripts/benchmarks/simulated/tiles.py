@@ -9,7 +9,6 @@ import laspy
 import numpy as np
 import pandas as pd
 import shapely
-from epochs import EDITS, Edit, second_epoch
 
 from msbdb.database import open_database, read_buildings, read_state, read_survey
 from msbdb.io.las import read_points
@@ -17,6 +16,7 @@ from msbdb.params import profile
 from msbdb.pipeline.state import lattice_of, unpack_heights
 from msbdb.pointcloud import PointCloud
 from msbdb.surface import build_surface, heights_above
+from simulated.epochs import EDITS, Edit, second_epoch
 
 LEAST_M2 = 50.0
 """Changes of this area must be found."""
