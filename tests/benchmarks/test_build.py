@@ -45,6 +45,7 @@ def tile(tmp_path_factory):
     return path, len(points)
 
 
+@pytest.mark.long
 def test_all_figures_come_from_one_run(tile):
     """A repeated file has as many points as asked, in whole copies; rates and shares follow from the seconds."""
     path, count = tile

@@ -10,6 +10,7 @@ from support.processes import BENCHMARKS, run_script
 SCRIPT = BENCHMARKS / "detectors"
 
 
+@pytest.mark.long
 def test_every_method_is_timed_at_the_size_asked_for(tmp_path):
     """Copies make up the size, and rates follow from the seconds."""
     cloud = scenes.row_houses(density=2.0).points
@@ -26,3 +27,10 @@ def test_every_method_is_timed_at_the_size_asked_for(tmp_path):
         assert row["times_the_paper"] is None
     assert found[0]["regions"] > 0
     assert found[2]["regions"] > 0
+
+
+def test_wrong_arguments_are_explained():
+    """Before any work is done."""
+    done = run_script(SCRIPT, "--method", "multiscale")
+    assert done.returncode == 2
+    assert "invalid choice: 'multiscale'" in done.stderr

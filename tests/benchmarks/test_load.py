@@ -9,6 +9,7 @@ from support.processes import BENCHMARKS, run_script
 SCRIPT = BENCHMARKS / "load"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("ogr2ogr") is None, reason="GDAL's tools (gdal-bin) are not installed")
 def test_the_same_rows_are_loaded_in_each_way():
     """All seconds come from one run, and the ratios from them."""

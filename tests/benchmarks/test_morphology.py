@@ -15,6 +15,7 @@ def run(*options):
     return done.stdout
 
 
+@pytest.mark.long
 def test_the_benchmark_compares_three_tools():
     """Each tool has its seconds, its ratio to this project, and the same checksum."""
     pytest.importorskip("diplib")

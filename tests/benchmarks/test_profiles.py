@@ -15,6 +15,7 @@ def run(*options):
     return done.stdout
 
 
+@pytest.mark.long
 def test_the_benchmark_compares_all_zones_with_one_opening():
     """Each run has its seconds and its ratio to one opening; what the tree opens is what the kernel opens."""
     pytest.importorskip("diplib")

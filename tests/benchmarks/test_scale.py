@@ -61,6 +61,7 @@ def test_the_rows_of_some_extractors_are_a_sound_build(script, tile):
     assert len(few.frames["part_flat_region"]) == len(tile.frames["part_flat_region"])
 
 
+@pytest.mark.long
 @pytest.mark.postgis
 @pytest.mark.skipif(not shutil.which("ogr2ogr"), reason="ogr2ogr is not installed")
 def test_two_thousand_buildings(tile, tmp_path):

@@ -148,6 +148,7 @@ def test_a_kept_run_gives_its_layers_back(tmp_path, methods):
         assert one.counts == other.counts
 
 
+@pytest.mark.long
 def test_labels_by_the_operator_keep_the_candidates(tmp_path):
     """Candidates, their links and ledger outlive another label of the classes, and speak for the buildings again."""
     points = write_points(tmp_path / "town.laz", SCENES["under_trees"]().points)
