@@ -4,7 +4,9 @@ import os
 import signal
 import socket
 import threading
+from collections import defaultdict
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -32,11 +34,25 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave the tests marked long out, unless they are asked for by ``--long`` or named by ``-m``."""
+    mark_twins(items)
     if config.getoption("--long") or "long" in config.getoption("-m"):
         return
     left_out = [item for item in items if item.get_closest_marker("long")]
     config.hook.pytest_deselected(items=left_out)
     items[:] = [item for item in items if not item.get_closest_marker("long")]
+
+
+def mark_twins(items: list[pytest.Item]) -> None:
+    """Mark as long what has a twin on SpatiaLite and would run on PostGIS, but for every third such test of a file."""
+    twins: dict[Path, int] = defaultdict(int)
+    for item in items:
+        values = item.callspec.params.values() if hasattr(item, "callspec") else ()
+        if item.get_closest_marker("postgis") and any(
+            isinstance(value, str) and value == "postgis" for value in values
+        ):
+            if twins[item.path] % 3:
+                item.add_marker(pytest.mark.long)
+            twins[item.path] += 1
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -10,6 +10,7 @@ import pytest
 from simulated.builds import EPSG, big_build, small_build
 from sqlalchemy import Engine, text
 from support.processes import environment
+from support.sizes import sample
 
 from msbdb.database import canonical_dump, open_database, read_parts, store_build, write_build
 from msbdb.database.dialect import dialect_of
@@ -55,7 +56,7 @@ def triggers_of(engine: Engine) -> list[str]:
         return list(connection.scalars(text("SELECT sql FROM sqlite_master WHERE type = 'trigger' ORDER BY name")))
 
 
-@pytest.mark.parametrize("function", ["insert_rows", "after_load"])
+@pytest.mark.parametrize("function", sample(["insert_rows", "after_load"], 2))
 def test_a_kill_during_a_load_leaves_the_old_state(target: str, function: str) -> None:
     """Whether rows are half written or all but committed, readers see what was there before."""
     engine = open_database(target, create=True, srid=EPSG)
@@ -71,7 +72,7 @@ def test_a_kill_during_a_load_leaves_the_old_state(target: str, function: str) -
         assert [p.name for p in Path(target).parent.iterdir()] == ["city.sqlite"]
 
 
-@pytest.mark.parametrize("function", ["insert_rows", "after_load"])
+@pytest.mark.parametrize("function", sample(["insert_rows", "after_load"], 2))
 def test_a_first_build_that_fails_leaves_no_database(
     target: str, monkeypatch: pytest.MonkeyPatch, function: str
 ) -> None:
