@@ -19,8 +19,8 @@ def test_no_script_needs_the_tests():
 
 def test_the_network_is_closed():
     """A test that would fetch something fails at once, with the address."""
-    with pytest.raises(RuntimeError, match=r"192\.0\.2\.1.*no network"):
-        socket.create_connection(("192.0.2.1", 80), timeout=1)
+    with socket.socket() as own, pytest.raises(RuntimeError, match=r"192\.0\.2\.1.*no network"):
+        own.connect(("192.0.2.1", 80))
 
 
 def test_a_sample_keeps_all_cases():
