@@ -1,4 +1,4 @@
-.PHONY: help install test format check docs demo
+.PHONY: help install test long format check docs demo
 
 help:  ## This list
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -9,8 +9,11 @@ install:  ## Virtual environment, system packages, msbdb
 demo:  ## A database of the real tile of Nîmes
 	@scripts/demo
 
-test:  ## All checks and tests
+test:  ## All checks, and every test file in some minutes
 	@scripts/test
+
+long:  ## All checks and all tests, on each installed Python
+	@scripts/test --long
 
 check: install  ## Style, types and layers only
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/mypy && .venv/bin/lint-imports

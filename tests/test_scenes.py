@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import scenes
+from simulated import scenes
 
 FAST = [name for name in scenes.SCENES if name != "city"]
 

@@ -11,12 +11,12 @@ import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from files import write_points
-from scenes import SCENES
+from simulated.files import write_points
+from simulated.scenes import SCENES
+from support.processes import environment
 
 from msbdb.cli.main import cli
 
-ROOT = Path(__file__).resolve().parents[2]
 GROUND, UNCLASSIFIED, BUILDING, NOISE = 2, 1, 6, 7
 
 
@@ -210,22 +210,22 @@ def test_a_database_is_scored_by_point_as_its_points_would_be(folder, tmp_path):
 
 
 STOPPED = """
-import signal, sys, killing
+import signal, sys
+from disturbance import forks
 from msbdb.cli.main import cli
 from msbdb.io import laswrite
 laswrite.CHUNK_BYTES = 20_000
-killing.stop_in("msbdb.io.laswrite:_set_classes", 3, signal.SIGINT)
+forks.stop_in("msbdb.io.laswrite:_set_classes", 3, signal.SIGINT)
 cli(["classify", sys.argv[1], sys.argv[2], "--extract", "flatregions", "--overwrite"])
 """
 
 
 def test_ctrl_c_while_writing_leaves_what_was_there(folder, tmp_path):
     """The former file, one line, and no stray."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     out = tmp_path / "out.laz"
     out.write_text("the former file")
     command = [sys.executable, "-c", STOPPED, folder / "plain.laz", out]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
     assert done.returncode == 130, done.stderr
     assert done.stderr.strip().splitlines()[-1].startswith("Interrupted.")
     assert out.read_text() == "the former file"

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from builds import EPSG, small_build
 from click.testing import CliRunner
 from olddatabases import HOSTILE, place_old_database
+from simulated.builds import EPSG, small_build
 
 from msbdb.cli.db import db as commands
 from msbdb.cli.main import cli

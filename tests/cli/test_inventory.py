@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.image import imread
 from shapely import Point, box
-from towns import ROW, SOUTH, UTM, WEST, House, footprints, town_heights
+from support.towns import ROW, SOUTH, UTM, WEST, House, footprints, town_heights
 
 from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, footprint_at, open_database, read_changes

@@ -1,51 +1,69 @@
 """The databases under test: SpatiaLite always, PostGIS where MSBDB_TEST_POSTGIS names a server."""
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import psycopg
 import pytest
-from builds import EPSG, small_build
+from simulated.builds import EPSG, small_build
 from sqlalchemy import URL, Engine, make_url
 
 from msbdb.database import open_database, write_build
 
-EMPTY = """
-SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid();
-DROP EXTENSION IF EXISTS postgis CASCADE;
-DROP SCHEMA public CASCADE;
-CREATE SCHEMA public;
-CREATE EXTENSION postgis;
-"""
-
 
 class Databases:
-    """Empty databases on the server, used again and again, as dropping one takes the server a while."""
+    """Databases on the server, copied from a template, as making the extension and the tables takes the server longer.
+
+    A template has the extension alone, or msbdb's tables in a coordinate reference system.
+    """
 
     def __init__(self, url: URL) -> None:
         self.url = url
-        self.names: list[str] = []
-        self.free: list[str] = []
+        self.prefix = f"msbdb_test_{os.getpid()}"
+        self.templates: dict[int | None, str] = {}
+        self.names: set[str] = set()
+        self.made = 0
 
-    def acquire(self) -> str:
-        """Return the URL of an empty database with PostGIS."""
-        if not self.free:
-            self.names.append(f"msbdb_test_{os.getpid()}_{len(self.names)}")
-            run_on(self.url, f"CREATE DATABASE {self.names[-1]}")
-            self.free.append(self.names[-1])
-        url = self.url.set(database=self.free.pop())
-        run_on(url, EMPTY)
-        return url.render_as_string(hide_password=False)
+    def acquire(self, srid: int | None = None) -> str:
+        """Return the URL of a database with PostGIS, empty or with msbdb's tables in an SRID."""
+        return self._url(self._create(self._template(srid)))
 
     def release(self, urls: list[str]) -> None:
         """Take databases back."""
-        self.free += [str(make_url(url).database) for url in urls]
+        for url in urls:
+            self._drop(str(make_url(url).database))
 
     def drop(self) -> None:
         """Leave nothing behind on the server."""
-        for name in self.names:
-            run_on(self.url, f"DROP DATABASE {name} WITH (FORCE)")
+        for name in [*self.names]:
+            self._drop(name)
+
+    def _url(self, name: str) -> str:
+        return self.url.set(database=name).render_as_string(hide_password=False)
+
+    def _create(self, template: str | None = None) -> str:
+        name = f"{self.prefix}_{self.made}"
+        self.made += 1
+        copied = f"TEMPLATE {template} STRATEGY wal_log" if template else ""
+        run_on(self.url, f"CREATE DATABASE {name} {copied}")
+        self.names.add(name)
+        return name
+
+    def _template(self, srid: int | None) -> str:
+        if srid not in self.templates:
+            name = self._create()
+            run_on(self.url.set(database=name), "CREATE EXTENSION postgis")
+            if srid is not None:
+                open_database(self._url(name), create=True, srid=srid)
+            self.templates[srid] = name
+        return self.templates[srid]
+
+    def _drop(self, name: str) -> None:
+        run_on(self.url, f"DROP DATABASE {name} WITH (FORCE)")
+        self.names.discard(name)
 
 
 def run_on(url: URL, statements: str) -> None:
@@ -91,10 +109,35 @@ def target(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return request.getfixturevalue("new_postgis")()
 
 
-@pytest.fixture
-def engine(target: str) -> Engine:
+@pytest.fixture(scope="session")
+def empty_file(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """Return a maker of SpatiaLite files with msbdb's tables in an SRID, to be copied; each is made once."""
+    folder = tmp_path_factory.mktemp("empty")
+
+    @cache
+    def make(srid: int) -> Path:
+        open_database(folder / f"{srid}.sqlite", create=True, srid=srid)
+        return folder / f"{srid}.sqlite"
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def srid() -> int:
+    """Return the SRID of ``engine``; modules whose surveys lie elsewhere have a fixture of their own."""
+    return EPSG
+
+
+@pytest.fixture(params=BOTH)
+def engine(request: pytest.FixtureRequest, srid: int, tmp_path: Path) -> Iterator[Engine]:
     """Return a new, empty database."""
-    return open_database(target, create=True, srid=EPSG)
+    if request.param == "spatialite":
+        yield open_database(shutil.copy(request.getfixturevalue("empty_file")(srid), tmp_path / "city.sqlite"))
+        return
+    databases = request.getfixturevalue("databases")
+    place = databases.acquire(srid)
+    yield open_database(place)
+    databases.release([place])
 
 
 @pytest.fixture(scope="module", params=BOTH)

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from builds import EPSG, small_build
 from olddatabases import HOSTILE, REVISIONS, ROWS, place_old_database
 from pyproj import CRS
+from simulated.builds import EPSG, small_build
 from sqlalchemy import func, select
 
 from msbdb.database import (

@@ -8,7 +8,7 @@ import psycopg
 import pytest
 from psycopg import sql
 from sqlalchemy import Engine, func, make_url, select
-from towns import EPSG, ROW, footprints, town_build
+from support.towns import EPSG, ROW, footprints, town_build
 
 from msbdb.database import (
     canonical_dump,

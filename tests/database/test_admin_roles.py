@@ -6,9 +6,9 @@ from typing import Any
 
 import psycopg
 import pytest
-from builds import EPSG, small_build
 from olddatabases import place_old_database
 from psycopg import sql
+from simulated.builds import EPSG, small_build
 from sqlalchemy import URL, make_url
 
 from msbdb.database import (

@@ -11,10 +11,10 @@ from typing import Any
 
 import psycopg
 import pytest
-from builds import EPSG, small_build
 from click.testing import CliRunner
+from simulated.builds import EPSG, small_build
 from sqlalchemy import make_url
-from towns import ROW, footprints, town_heights
+from support.towns import ROW, footprints, town_heights
 
 from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, create_database, footprint_at, open_database, write_build

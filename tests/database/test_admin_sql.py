@@ -5,8 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
-from builds import EPSG, small_build
 from olddatabases import HOSTILE
+from simulated.builds import EPSG, small_build
 from sqlalchemy import Engine, text
 
 from msbdb.database import list_runs, open_database, read_build, write_build

@@ -12,12 +12,12 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import pytest
-from builds import big_build, small_build
-from faultfiles import write_points
-from scenes import SCENES
+from simulated.builds import big_build, small_build
+from simulated.scenes import SCENES
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import DBAPIError
-from towns import ROW, town_build
+from support.faultfiles import write_points
+from support.towns import ROW, town_build
 
 from msbdb import pipeline
 from msbdb.database import (

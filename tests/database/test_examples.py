@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from builds import (
+from simulated.builds import (
     AWNING,
     BLOCK,
     CRANE,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from builds import EPSG, small_build
+from simulated.builds import EPSG, small_build
 from sqlalchemy import Connection, make_url, text
 
 from msbdb.database import (

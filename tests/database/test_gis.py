@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from builds import (
+from simulated.builds import (
     AWNING,
     BLOCK,
     CRANE,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from sqlalchemy import Engine, text
-from towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
+from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
 from msbdb.database import (
     canonical_dump,
@@ -46,10 +46,10 @@ FIRST = ("s1", "2020-01-01", tuple(ROW))
 SECOND = ("s2", "2021-05", tuple(LATER))
 
 
-@pytest.fixture
-def engine(target: str) -> Engine:
-    """Return a new, empty database of the town."""
-    return open_database(target, create=True, srid=EPSG)
+@pytest.fixture(scope="module")
+def srid() -> int:
+    """Return the town's."""
+    return EPSG
 
 
 def apply(engine: Engine, *survey: object, **options: object) -> str:

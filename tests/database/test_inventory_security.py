@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from olddatabases import HOSTILE
 from sqlalchemy import inspect, text
-from towns import EPSG, ROW, UTM, House, footprints, town_build, town_heights
+from support.towns import EPSG, ROW, UTM, House, footprints, town_build, town_heights
 
 from msbdb.cli.main import cli
 from msbdb.database import check_database, footprint_at, open_database, read_changes, read_states, write_build

@@ -1,5 +1,6 @@
 """Loading builds and reading them back: the same content, once, whole or not at all."""
 
+import shutil
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from builds import (
+from geopandas.testing import assert_geodataframe_equal
+from simulated.builds import (
     AWNING,
     BLOCK,
     CRANE,
@@ -31,7 +33,6 @@ from builds import (
     WING,
     small_build,
 )
-from geopandas.testing import assert_geodataframe_equal
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
 
@@ -359,9 +360,9 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_breaks_the_declaration_is_refused_by_name(tmp_path, case: str) -> None:
+def test_what_breaks_the_declaration_is_refused_by_name(tmp_path, empty_file, case: str) -> None:
     """The error names the table, the rule and the row, before anything is written."""
-    engine = open_database(tmp_path / "city.sqlite", create=True, srid=EPSG)
+    engine = open_database(shutil.copy(empty_file(EPSG), tmp_path / "city.sqlite"))
     table, columns, message = BAD[case]
     before = list(canonical_dump(engine))
     with pytest.raises(TableError, match=message):

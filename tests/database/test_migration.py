@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 from alembic import command
 from alembic.config import Config
-from builds import EPSG, HOUSE, small_build
 from olddatabases import place_old_database
-from schemaobjects import objects
+from simulated.builds import EPSG, HOUSE, small_build
 from sqlalchemy import Connection, Engine, text
+from support.schemaobjects import objects
 
 from msbdb.database import (
     canonical_dump,

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 from sqlalchemy import Engine
-from towns import EPSG, ROW, SOUTH, UTM, WEST, House, town_build
+from support.towns import EPSG, ROW, SOUTH, UTM, WEST, House, town_build
 
 from msbdb import pipeline
 from msbdb.cli.main import cli

@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
-from builds import EPSG, big_build, small_build
 from pyproj import CRS
+from simulated.builds import EPSG, big_build, small_build
 from sqlalchemy import Engine, event, text
 
 from msbdb.database import canonical_dump, open_database, read_build, spatialite, srid_of, upgrade, write_build

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from builds import EPSG
-from schemaobjects import objects
+from simulated.builds import EPSG
 from sqlalchemy import Engine, text
+from support.schemaobjects import objects
 
 from msbdb.database import open_database, upgrade
 from msbdb.database.crs import crs_from, register

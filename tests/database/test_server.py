@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from builds import EPSG
+from simulated.builds import EPSG
 
 from msbdb.database import open_database
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import geopandas as gpd
 import pytest
-import scenes
 from click.testing import CliRunner
-from files import write_points
 from shapely import Point, box
+from simulated import scenes
+from simulated.files import write_points
 from sqlalchemy import text
 
 from msbdb.cli.main import cli

@@ -14,9 +14,10 @@ import geopandas as gpd
 import pytest
 import shapely
 from click.testing import CliRunner
-from faultfiles import write_points
 from pyproj import CRS
-from scenes import SCENES
+from simulated.scenes import SCENES
+from support.faultfiles import write_points
+from support.sizes import sample
 
 import msbdb
 from msbdb.cli.main import cli
@@ -187,7 +188,7 @@ def test_another_crs_is_refused(tmp_path, tiles, town):
     assert checksums(town.parent) == before
 
 
-@pytest.mark.parametrize("lock", ["IMMEDIATE", "EXCLUSIVE"])
+@pytest.mark.parametrize("lock", sample(["EXCLUSIVE", "IMMEDIATE"], 2))
 def test_a_locked_database_is_told(tiles, town, monkeypatch, lock):
     """After a wait; the old content stays, and the build completes once the lock is gone."""
     before = dump(town)
@@ -279,7 +280,7 @@ def full_then_free(tile, db, full, *, before):
     return dump(db)
 
 
-@pytest.mark.parametrize("limit", [0, 50_000, 300_000])
+@pytest.mark.parametrize("limit", sample([50_000, 0, 300_000], 3))
 def test_a_new_file_that_may_not_grow_is_like_a_full_disk(tmp_path, tiles, built, limit):
     """Wherever in its creation it stops; the second build makes the same database as an undisturbed one."""
     assert limit < built.stat().st_size
@@ -287,13 +288,13 @@ def test_a_new_file_that_may_not_grow_is_like_a_full_disk(tmp_path, tiles, built
     assert again == dump(built)
 
 
-@pytest.mark.parametrize("limit", [0, 20_000, 100_000])
+@pytest.mark.parametrize("limit", sample([20_000, 0, 100_000], 3))
 def test_an_old_file_that_may_not_grow_keeps_its_content(tiles, town, limit):
     """Wherever in the transaction it stops."""
     full_then_free(tiles["podium_tower"], town, lambda: file_limit(limit), before=dump(town))
 
 
-@pytest.mark.parametrize("room", [0, 20_000, 80_000])
+@pytest.mark.parametrize("room", sample([20_000, 0, 80_000], 3))
 @pytest.mark.parametrize("new", [True, False], ids=["new", "old"])
 def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, tiles, built, new, room):
     """On a disk that is really full, with that much room left."""
@@ -314,7 +315,7 @@ def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, tiles, built, new, ro
         assert not new or again == dump(built)
 
 
-@pytest.mark.parametrize("ending", ["gpkg", "shp", "geojson", "png"])
+@pytest.mark.parametrize("ending", sample(["gpkg", "shp", "geojson", "png"], 3))
 def test_outputs_on_a_full_disk_are_whole_or_absent(tmp_path, tiles, built, ending):
     """An export or map that does not fit leaves the former file, or none, and no strays."""
     folder = tmp_path / "out"

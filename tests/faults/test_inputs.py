@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import shapely
 from click.testing import CliRunner
-from faultfiles import moved, write_points, write_raster
 from pyproj import CRS
-from scenes import SCENES
+from simulated.scenes import SCENES
+from support.faultfiles import moved, write_points, write_raster
 
 import msbdb
 from msbdb.cli.main import cli

@@ -10,16 +10,17 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from faultfiles import write_points
-from killing import stop_at
-from scenes import SCENES
+from disturbance.forks import stop_at
+from simulated.scenes import SCENES
+from support.faultfiles import write_points
+from support.processes import environment
+from support.sizes import sample
 
 import msbdb
 from msbdb.cli import build as build_module
 from msbdb.cli.main import cli
 from msbdb.pipeline.stage import STAGES
 
-ROOT = Path(__file__).resolve().parents[2]
 TOLD = "Interrupted. A database keeps its last complete build; run the command again."
 
 OLD, NEW = "an old database", "no database"
@@ -56,12 +57,12 @@ INTERRUPTED = ("in the schema", "between the first rows", "between more rows", "
 
 
 class Killer:
-    """The server of forks that are killed; see ``killing``."""
+    """The server of forks that are killed; see ``disturbance.forks``."""
 
     def __init__(self):
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        self.process = subprocess.Popen([sys.executable, str(ROOT / "tests" / "killing.py")], env=environment, **pipes)
+        command = [sys.executable, "-m", "disturbance.forks"]
+        self.process = subprocess.Popen(command, env=environment(), **pipes)
 
     def run(self, *argv, **how):
         """Run the program in a fork that is stopped as told; return its exit code and standard error."""
@@ -154,7 +155,7 @@ def check_and_complete(tile, place, *, written=False):
     assert {path.name for path in db.parent.iterdir()} - own == {db.name}
 
 
-@pytest.mark.parametrize(("stage", "done", "start"), STAGE_EDGES)
+@pytest.mark.parametrize(("stage", "done", "start"), sample(STAGE_EDGES, 4))
 def test_ctrl_c_at_any_stage_ends_in_one_line(tile, place, monkeypatch, stage, done):
     """Exit code 130, no file beside the database, no database where there was none."""
     monkeypatch.setattr(build_module, "progress_bars", build_module.progress_bars)
@@ -170,7 +171,7 @@ def test_ctrl_c_at_any_stage_ends_in_one_line(tile, place, monkeypatch, stage, d
     check_and_complete(tile, place, written=done == 1)
 
 
-@pytest.mark.parametrize(("stage", "done", "start"), STAGE_EDGES)
+@pytest.mark.parametrize(("stage", "done", "start"), sample(STAGE_EDGES, 4))
 def test_a_kill_at_any_stage_loses_nothing(killer, tile, place, stage, done):
     """The database stays as it was, or absent."""
     code, told = killer.run(*build(tile, place[0]), stage=stage, done=done)
@@ -178,7 +179,7 @@ def test_a_kill_at_any_stage_loses_nothing(killer, tile, place, stage, done):
     check_and_complete(tile, place, written=done == 1)
 
 
-@pytest.mark.parametrize(("moment", "start"), [(moment, how[-1]) for moment, how in MOMENTS.items()])
+@pytest.mark.parametrize(("moment", "start"), sample([(moment, how[-1]) for moment, how in MOMENTS.items()], 3))
 def test_a_kill_within_the_writing_loses_nothing(killer, tile, place, moment):
     """At each step of it, from the empty file to the log taken in."""
     name, nth, after, _ = MOMENTS[moment]
@@ -187,7 +188,7 @@ def test_a_kill_within_the_writing_loses_nothing(killer, tile, place, moment):
     check_and_complete(tile, place, written=moment in COMMITTED)
 
 
-@pytest.mark.parametrize(("moment", "start"), [(moment, MOMENTS[moment][-1]) for moment in INTERRUPTED])
+@pytest.mark.parametrize(("moment", "start"), sample([(moment, MOMENTS[moment][-1]) for moment in INTERRUPTED], 2))
 def test_ctrl_c_within_the_writing_leaves_nothing(killer, tile, place, moment):
     """What was begun is rolled back and removed at once."""
     name, nth, after, _ = MOMENTS[moment]
@@ -238,9 +239,8 @@ def test_ctrl_c_in_an_output_leaves_nothing(killer, tile, starts, tmp_path, comm
 def test_ctrl_c_of_the_program_itself(tile, tmp_path):
     """A real process, interrupted while it works: 130, and one line after what it had told."""
     command = [sys.executable, "-m", "msbdb.cli.main", *build(tile, tmp_path / "town.sqlite"), "-v"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
-        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment()
     ) as process:
         told = process.stderr.readline()
         process.send_signal(signal.SIGINT)

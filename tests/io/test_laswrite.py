@@ -14,13 +14,13 @@ import laspy
 import numpy as np
 import pytest
 from pyproj import CRS
+from support.processes import environment
 
 from msbdb.errors import FileError, InputError, MsbdbError, NodataError
 from msbdb.io.las import read_points, read_points_indexed
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.laswrite import write_classes
 
-ROOT = Path(__file__).resolve().parents[2]
 COUNT = 700
 WAVES = (4, 5, 9, 10)
 
@@ -346,10 +346,11 @@ def test_a_source_without_points_or_with_damage_leaves_nothing(tmp_path, monkeyp
 
 
 STOPPED = """
-import sys, numpy as np, killing
+import sys, numpy as np
+from disturbance import forks
 from msbdb.io import laswrite
 laswrite.CHUNK_BYTES = 5000
-killing.stop_in("msbdb.io.laswrite:_set_classes", 3, int(sys.argv[3]))
+forks.stop_in("msbdb.io.laswrite:_set_classes", 3, int(sys.argv[3]))
 laswrite.write_classes(sys.argv[1], sys.argv[2], np.full(700, 6, np.uint8), overwrite=True)
 """
 
@@ -360,10 +361,9 @@ def test_a_stop_in_the_middle_leaves_no_output(tmp_path, ending, number):
     """Neither half a file where there was none, nor a change of the one that was there; no stray after Ctrl-C."""
     source, there = write(tmp_path / f"in.{ending}", 6), tmp_path / f"there.{ending}"
     there.write_text("the former file")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     for out in (there, tmp_path / f"new.{ending}"):
         command = [sys.executable, "-c", STOPPED, source, out, str(int(number))]
-        done = subprocess.run(command, env=environment, capture_output=True, check=False)
+        done = subprocess.run(command, env=environment(), capture_output=True, check=False)
         assert done.returncode == -number
     assert there.read_text() == "the former file"
     seen = {path.name for path in tmp_path.iterdir() if not path.name.startswith(".")}
@@ -391,9 +391,7 @@ def test_no_room_is_told_of_the_output(tmp_path, ending):
     """The message names the file that could not be written, and nothing is left of it."""
     source, out = write(tmp_path / "in.las", 7), tmp_path / f"out.{ending}"
     command = [sys.executable, "-c", FULL, source, out]
-    done = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, check=False, text=True
-    )
+    done = subprocess.run(command, env=environment(), capture_output=True, check=False, text=True)
     assert done.returncode == 1
     assert f"{out} cannot be written" in done.stderr
     assert list(tmp_path.iterdir()) == [source]

@@ -1,10 +1,10 @@
 """Flat zones are numbered in row-major order, without the background."""
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
-from strategies import CONNECTIVITIES, images
+from support import oracles
+from support.strategies import CONNECTIVITIES, images
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.labels import label_zones

@@ -1,11 +1,11 @@
 """Area openings and closings obey their laws and equal the naive definitions."""
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from strategies import CONNECTIVITIES, THRESHOLDS, images, integer_images
+from support import oracles
+from support.strategies import CONNECTIVITIES, THRESHOLDS, images, integer_images
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import area_closing, area_open_close, area_opening

@@ -1,11 +1,11 @@
 """The component tree is the tree of all components of all threshold sets, with their attributes."""
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import CONNECTIVITIES, fields, images, surfaces
+from support import oracles
+from support.strategies import CONNECTIVITIES, fields, images, surfaces
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import area_opening, areas, attribute_filter, build_tree, is_increasing, sums

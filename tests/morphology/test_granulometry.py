@@ -1,11 +1,11 @@
 """Granulometry finds the sizes of buildings in an image (V8)."""
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import images
+from support import oracles
+from support.strategies import images
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import find_scales, opening_areas

@@ -3,11 +3,11 @@
 from itertools import pairwise
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import CONNECTIVITIES, fields, integer_images, surfaces
+from support import oracles
+from support.strategies import CONNECTIVITIES, fields, integer_images, surfaces
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import (

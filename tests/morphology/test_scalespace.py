@@ -3,12 +3,12 @@
 from itertools import pairwise
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
-from strategies import CONNECTIVITIES, images, integer_images
+from support import oracles
+from support.strategies import CONNECTIVITIES, images, integer_images
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.labels import label_zones

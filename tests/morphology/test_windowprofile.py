@@ -3,11 +3,11 @@
 from itertools import pairwise
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import surfaces
+from support import oracles
+from support.strategies import surfaces
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import external_gradient, internal_gradient, second_order_gradient, window_profile

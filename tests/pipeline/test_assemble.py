@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from affine import Affine
-from files import write_points
 from pyproj import CRS
-from scenes import SCENES
+from simulated.files import write_points
+from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.classmap import ClassMap
@@ -148,6 +148,7 @@ def test_a_kept_run_gives_its_layers_back(tmp_path, methods):
         assert one.counts == other.counts
 
 
+@pytest.mark.long
 def test_labels_by_the_operator_keep_the_candidates(tmp_path):
     """Candidates, their links and ledger outlive another label of the classes, and speak for the buildings again."""
     points = write_points(tmp_path / "town.laz", SCENES["under_trees"]().points)

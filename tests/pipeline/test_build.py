@@ -10,10 +10,10 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import rasterio.warp
-import scenes
 import shapely
-from files import write_image, write_points
 from pyproj import CRS, Transformer
+from simulated import scenes
+from simulated.files import write_image, write_points
 
 import msbdb
 from msbdb.database import canonical_dump, open_database, read_build
@@ -300,6 +300,7 @@ def test_an_ortho_on_another_grid_and_crs_serves(scene, tmp_path):
     assert crowns["ndvi"].max() > 0.3
 
 
+@pytest.mark.long
 def test_feet_give_what_metres_give(tower, tmp_path):
     """The same city in Oregon feet has the buildings of the one in metres, and the run says what was converted."""
     shift = [home - start for home, start in zip(OREGON, tower.world.origin, strict=True)]

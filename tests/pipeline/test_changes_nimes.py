@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 
 import pytest
-from epochs import EDITS
-from epochtiles import judge, write_first, write_second
+from simulated.epochs import EDITS
+from simulated.tiles import judge, write_first, write_second
 
 from msbdb import pipeline
 from msbdb.database import open_database, read_changes, read_history

@@ -6,9 +6,9 @@ import laspy
 import numpy as np
 import pytest
 from affine import Affine
-from files import write_points
 from pyproj import CRS
-from scenes import SCENES
+from simulated.files import write_points
+from simulated.scenes import SCENES
 
 import msbdb.pipeline
 from msbdb.bands import Bands

@@ -2,8 +2,8 @@
 
 import geopandas as gpd
 import pytest
-from files import write_points
-from scenes import SCENES
+from simulated.files import write_points
+from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.errors import InputError

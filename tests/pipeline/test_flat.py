@@ -4,8 +4,8 @@ import shutil
 
 import numpy as np
 import pytest
-from files import write_points
-from scenes import SCENES
+from simulated.files import write_points
+from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.database import read_part_flat_regions
@@ -76,6 +76,7 @@ def test_other_extractors_replace_the_run(points, town, tmp_path):
         assert one.dump() == other.dump()
 
 
+@pytest.mark.long
 def test_labels_by_the_operator_keep_the_flat_regions(town, tmp_path):
     """A class labelled anew and back leaves the database as it was, flat regions, links and ledger included."""
     db = shutil.copy(town[0], tmp_path / "labelled.sqlite")
@@ -106,6 +107,7 @@ def test_shuffled_points_give_the_same_flat_regions(town, tmp_path):
         assert one.dump() == other.dump()
 
 
+@pytest.mark.long
 def test_figures_of_zones_and_of_denoising_are_drawn(points, town, tmp_path):
     """Both are PNG; the map of a survey without flat regions is drawn, too."""
     with msbdb.open(town[0]) as opened:

@@ -148,6 +148,7 @@ def test_a_park_is_no_quarter(nimes):
     assert built < 0.03 * park.area
 
 
+@pytest.mark.long
 def test_loading_twice_changes_nothing(nimes):
     """The same tile again is the same content."""
     with msbdb.open(nimes) as opened:

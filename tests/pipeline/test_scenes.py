@@ -11,10 +11,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-import scenes
 import shapely
-from files import write_points
 from numpy.typing import NDArray
+from simulated import scenes
+from simulated.files import write_points
 
 import msbdb
 from msbdb.params import Params, profile, with_values
@@ -104,14 +104,14 @@ def test_a_field_holds_nothing(built, profile_name):
         ("podium_tower", "vu2009", 0.98),
         ("courtyard", "default", 0.98),
         ("under_trees", "default", 0.88),
-        ("under_trees", "vu2009", 0.88),
+        pytest.param("under_trees", "vu2009", 0.88, marks=pytest.mark.long),
         ("wall", "default", 0.98),
-        ("wall", "vu2009", 0.98),
+        pytest.param("wall", "vu2009", 0.98, marks=pytest.mark.long),
         ("green_roof", "default", 0.98),
-        ("green_roof", "vu2009", 0.98),
+        pytest.param("green_roof", "vu2009", 0.98, marks=pytest.mark.long),
         ("elevated_road", "default", 0.98),
         ("large_building", "default", 0.98),
-        ("large_building", "vu2009", 0.98),
+        pytest.param("large_building", "vu2009", 0.98, marks=pytest.mark.long),
     ],
 )
 def test_footprints_storeys_and_heights_are_the_true_ones(built, name, profile_name, least):
@@ -294,6 +294,7 @@ def test_a_large_hall_is_one_building_with_an_office_on_it(built):
     assert (office["hzone"] == 6).all()
 
 
+@pytest.mark.long
 def test_more_classes_than_materials_split_a_roof(built):
     """Known limit of V44: 15 classes of two materials differ by noise, and split the office; default never splits."""
     split = {"spectral": {"split_share": 0.4}}
@@ -326,6 +327,7 @@ def test_the_city_is_found_whole(built):
     )
 
 
+@pytest.mark.long
 def test_the_city_in_the_paper_s_profile(built):
     """At 1 m and the paper's scales the large buildings are found as well; the deck is one too."""
     outcome = built("city", "vu2009")

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pyogrio
 import pytest
-from files import write_points
-from scenes import SCENES, VEGETATION
+from simulated.files import write_points
+from simulated.scenes import SCENES, VEGETATION
 
 import msbdb
 from msbdb.database import read_state, read_survey
@@ -176,6 +176,7 @@ def test_the_evidence_is_rounded_to_whole_millimetres_and_255ths():
     assert unpack_evidence({}) is None
 
 
+@pytest.mark.long
 def test_the_values_of_the_fusion_are_parameters_of_the_build(folder, town, tmp_path):
     """They are in the run's record, and values that call all roofs rough cut what the defaults keep."""
     strict = with_values(Params(), {"fuse": {"edge_m": 20.0, "roof_share": 0.0}})

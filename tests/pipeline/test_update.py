@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scenes
-from files import write_points
-from towns import EPSG, ROW, town_build
+from simulated import scenes
+from simulated.files import write_points
+from support.towns import EPSG, ROW, town_build
 
 import msbdb
 from msbdb import pipeline

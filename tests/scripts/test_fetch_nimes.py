@@ -6,22 +6,17 @@ import os
 import subprocess
 import sys
 import tarfile
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
 
 import pytest
+from support.processes import ROOT, load_script
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "fetch_nimes"
+SCRIPT = ROOT / "scripts" / "fetch_nimes"
 
 
 @pytest.fixture
 def script():
     """Return the script as a module."""
-    loader = SourceFileLoader("fetch_nimes", str(SCRIPT))
-    module = module_from_spec(spec_from_loader("fetch_nimes", loader))
-    loader.exec_module(module)
-    return module
+    return load_script(SCRIPT)
 
 
 def run(cache):

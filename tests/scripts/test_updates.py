@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import scenes
-from files import write_points
+from simulated import scenes
+from simulated.files import write_points
 
 from msbdb.database import footprint_at, open_database, read_changes
 
@@ -73,6 +73,7 @@ def test_the_nightly_script_stops_at_the_first_failure(surveys: Path, tmp_path: 
     assert "usage" in run(ROOT / "scripts" / "update_nightly").stderr
 
 
+@pytest.mark.long
 def test_the_python_script_brings_a_table_of_surveys_in(surveys: Path, tmp_path: Path) -> None:
     """By date, with a file and a map a survey."""
     words = (sys.executable, ROOT / "scripts" / "update_inventory", tmp_path / "town.sqlite", surveys / "surveys.csv")

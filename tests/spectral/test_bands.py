@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scenes
 from pyproj import CRS
+from simulated import scenes
 
 from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import scenes
 from scipy import ndimage
+from simulated import scenes
 
 from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError, ParameterError

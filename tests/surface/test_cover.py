@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scenes
 from numpy.typing import NDArray
+from simulated import scenes
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid, lattice

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from simulated import scenes
 
 from msbdb.errors import InputError, NodataError
 from msbdb.grid import lattice

@@ -98,7 +98,7 @@ def test_rasterise_takes_the_cells_whose_centre_is_inside():
     assert not rasterise([], spec).any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_many_polygons_take_seconds():
     """A hundred thousand polygons of 16 million cells are traced at a usable speed."""
     rows, cols = np.arange(4000)[:, None] // 13, np.arange(4000)[None] // 13

@@ -199,7 +199,7 @@ def test_no_global_state_of_matplotlib_is_touched():
     assert done.stdout.strip() == "False"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fifty_thousand_parts_are_drawn_quickly(tmp_path):
     """A large town takes seconds, not minutes."""
     parts, buildings = city(160)

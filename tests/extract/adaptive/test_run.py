@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import CRS
-from scenes import BUILDING, courtyard, under_trees
+from simulated.scenes import BUILDING, courtyard, under_trees
 
 from msbdb.errors import InputError
 from msbdb.evaluate import PointReference, evaluate

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pyproj import CRS
-from scenes import city, flat_field, podium_tower, under_trees
+from simulated.scenes import city, flat_field, podium_tower, under_trees
 
 from msbdb.errors import InputError, NodataError
 from msbdb.extract.area3d import extract_area3d

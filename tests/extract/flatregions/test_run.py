@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from affine import Affine
 from pyproj import CRS
-from scenes import attached_to_slope, courtyard, plateau, podium_tower, under_trees, wall
+from simulated.scenes import attached_to_slope, courtyard, plateau, podium_tower, under_trees, wall
 
 from msbdb.errors import GridMismatchError, NodataError, ParameterError
 from msbdb.evaluate import PointReference, evaluate

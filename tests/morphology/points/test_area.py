@@ -1,11 +1,11 @@
 """Area filters on points obey their laws, and equal the definition at each height."""
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import clouds
+from support import oracles
+from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology.points import (

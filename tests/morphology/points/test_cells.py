@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import clouds
+from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology.points import CellIndex, cell_place, index_cells, strip

@@ -3,11 +3,11 @@
 import math
 
 import numpy as np
-import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import clouds
+from support import oracles
+from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology.points import PointGraph, connect, graph

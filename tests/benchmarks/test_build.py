@@ -1,0 +1,91 @@
+"""The benchmark of the main job, on a small simulated scene."""
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+from simulated import scenes
+from support.processes import BENCHMARKS, run_script
+
+SCRIPT = BENCHMARKS / "build"
+STAGES = [
+    "read",
+    "surface",
+    "cover",
+    "flat regions",
+    "bands",
+    "adaptive",
+    "area3d",
+    "classes",
+    "parts",
+    "together",
+    "outlines",
+    "write",
+]
+
+
+def run(*arguments):
+    """Run the script."""
+    return run_script(SCRIPT, *arguments)
+
+
+@pytest.fixture(scope="module")
+def tile(tmp_path_factory):
+    """Return a LAZ file of a row of houses, and its number of points."""
+    points = scenes.row_houses(density=2.0).points
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.01] * 3, [float(points.x.min()), float(points.y.min()), 0.0]
+    header.add_crs(points.crs)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.x, points.y, points.z
+    las.return_number, las.number_of_returns = points.return_number, points.number_of_returns
+    path = tmp_path_factory.mktemp("bench") / "houses.laz"
+    las.write(path)
+    return path, len(points)
+
+
+@pytest.mark.long
+def test_all_figures_come_from_one_run(tile):
+    """A repeated file has as many points as asked, in whole copies; rates and shares follow from the seconds."""
+    path, count = tile
+    done = run(path, "--repeat", 3 * count - 5, "--no-cold", "--json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["points"] == 3 * count
+    assert list(figures["stages"]) == STAGES
+    assert list(figures["stages_cpu"]) == STAGES
+    assert sum(figures["stages"].values()) <= figures["seconds"] <= figures["process_seconds"]
+    assert figures["points_per_second"] == pytest.approx(3 * count / figures["seconds"])
+    assert figures["ratio_to_reading"] == pytest.approx(figures["seconds"] / figures["read_seconds"])
+    assert figures["peak_mb"] > figures["start_mb"] > 10
+    assert figures["peak_mb_per_million"] == pytest.approx(figures["peak_mb"] / (3 * count / 1e6))
+    assert figures["buildings"] > 0
+    assert figures["cold_seconds"] is None
+
+
+def test_copies_lie_side_by_side(tile, tmp_path):
+    """None upon another, each with the same heights."""
+    path, count = tile
+    job = {"files": [str(path)], "points": 4 * count, "out": str(tmp_path / "many.laz")}
+    done = run("--child", "repeat", json.dumps(job))
+    assert done.returncode == 0, done.stderr
+    one, many = laspy.read(path), laspy.read(tmp_path / "many.laz")
+    assert len(many.points) == 4 * count
+    np.testing.assert_array_equal(many.Z, np.tile(one.Z, 4))
+    width, height = np.ptp(one.x), np.ptp(one.y)
+    for copy in range(4):
+        part = slice(copy * count, (copy + 1) * count)
+        east = np.unique(np.round(many.x[part] - one.x, 2))
+        north = np.unique(np.round(many.y[part] - one.y, 2))
+        assert len(east) == len(north) == 1
+        assert east[0] >= (copy % 2) * width
+        assert north[0] >= (copy // 2) * height
+        assert east[0] % 10 == north[0] % 10 == 0
+
+
+def test_wrong_arguments_are_explained(tile, tmp_path):
+    """Before any work is done."""
+    assert "there is no file" in run(tmp_path / "none.laz").stderr
+    assert "--repeat takes one file" in run(tile[0], tile[0], "--repeat", 10).stderr
+    assert run("--help").returncode == 0

@@ -1,0 +1,1 @@
+"""What several test files share: reference implementations, random inputs, small towns, and calls of scripts."""
