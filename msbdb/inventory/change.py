@@ -14,7 +14,7 @@ from msbdb.inventory.decisions import Decisions
 from msbdb.inventory.links import Links
 from msbdb.inventory.offset import Offset, estimate_offset, moved
 from msbdb.inventory.pieces import Epochs, Labels, Mask, earlier_heights, find_pieces
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 from msbdb.vector.polygons import rasterise
 
 

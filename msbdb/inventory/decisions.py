@@ -11,7 +11,7 @@ from msbdb.grid import GridSpec
 from msbdb.inventory.links import Links
 from msbdb.inventory.offset import Offset
 from msbdb.inventory.pieces import Box, Epochs, Labels, Pieces, boxes, thick, without_crumbs
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 from msbdb.vector.polygons import polygonise
 
 KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")

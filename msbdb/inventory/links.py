@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from msbdb.grid import GridSpec
 from msbdb.inventory.pieces import Epochs, Labels, Pieces, touching
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 
 
 @dataclass(eq=False)

@@ -11,7 +11,7 @@ from skimage.morphology import isotropic_dilation, isotropic_opening
 
 from msbdb.grid import Grid, GridSpec
 from msbdb.inventory.offset import Offset
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.int32]

@@ -22,7 +22,7 @@ from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
 from msbdb.io.geokeys import header_crs, vertical_unit
 from msbdb.io.lasheader import COLOURED_FORMATS, INFRARED_FORMATS, LasInfo, decoding, read_las_header
-from msbdb.pointcloud import PointCloud
+from msbdb.pointcloud import NOISE_CLASSES, PointCloud
 
 logger = logging.getLogger(__name__)
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.
@@ -31,8 +31,6 @@ logging.getLogger("laspy").addHandler(logging.NullHandler())
 CHUNK_POINTS = 1_000_000
 """Points in memory in their raw form at a time."""
 
-NOISE_CLASSES = (7, 18)
-"""ASPRS low and high noise."""
 
 MAX_EASTING_M = 1e8
 """Beyond it no projected CRS has a point: the largest false origins, with a zone's number in front, end at 6.1e7."""

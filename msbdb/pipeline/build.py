@@ -14,10 +14,10 @@ from msbdb.database import PATIENCE_S, BuildBasis, OutdatedError, check_target, 
 from msbdb.errors import DatabaseError, ParameterError
 from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
-from msbdb.params import Params, as_dict
+from msbdb.params import DETECTORS, POINT_DETECTORS, Params, as_dict
 from msbdb.params import profile as named_profile
 from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.candidates import METHODS, CandidateLayer, find_regions, point_ndvi
+from msbdb.pipeline.candidates import CandidateLayer, find_regions, point_ndvi
 from msbdb.pipeline.cover import Cover, classify_cover
 from msbdb.pipeline.flat import Flat, find_flat_regions, no_flat_regions
 from msbdb.pipeline.inputs import Inputs, collect_notices, make_surface, read_cloud, read_ortho, record_survey
@@ -30,9 +30,6 @@ from msbdb.spectral.bands import spectral_bands
 from msbdb.surface import Surface, cover_from_surface
 from msbdb.tables import Build, Run, Survey
 from msbdb.version import __version__
-
-EXTRACTORS = ("multiscale", "flatregions", "area3d", "adaptive")
-"""The extractors that there are; all of them by default."""
 
 NO_IMAGERY = "There is no imagery: roofs and vegetation are told by height texture and echoes alone."
 NO_POINTS = "There are no points: {names}, which {take} the points themselves, {were} left out."
@@ -73,7 +70,7 @@ def build(
     z_unit: str = "auto",
     params: Params | None = None,
     profile: str = "default",
-    extract: Sequence[str] = EXTRACTORS,
+    extract: Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
     progress: Progress | None = None,
 ) -> BuildReport:
@@ -171,9 +168,9 @@ def check_extractors(names: Sequence[str]) -> tuple[str, ...]:
     ParameterError
         When one does not exist, or none is named.
     """
-    unknown = sorted(set(names) - set(EXTRACTORS))
+    unknown = sorted(set(names) - set(DETECTORS))
     if unknown or not names:
-        msg = f"The extractors are {', '.join(EXTRACTORS)}; got {', '.join(unknown) or 'none'}."
+        msg = f"The extractors are {', '.join(DETECTORS)}; got {', '.join(unknown) or 'none'}."
         raise ParameterError(msg)
     return tuple(sorted(set(names)))
 
@@ -186,14 +183,14 @@ def possible_extractors(names: tuple[str, ...], inputs: Inputs, notices: list[st
     ParameterError
         When no other was asked for.
     """
-    without = [name for name in names if name in METHODS]
+    without = [name for name in names if name in POINT_DETECTORS]
     if inputs.points or not without:
         return names
     several = len(without) > 1
     told = NO_POINTS.format(
         names=" and ".join(without), take="take" if several else "takes", were="were" if several else "was"
     )
-    left = tuple(name for name in names if name not in METHODS)
+    left = tuple(name for name in names if name not in POINT_DETECTORS)
     if not left:
         msg = f"{told} Give LAS or LAZ files by --points, or ask for multiscale or flatregions."
         raise ParameterError(msg)
@@ -268,7 +265,7 @@ def find_candidates(
 ) -> tuple[CandidateLayer, ...]:
     """Find the candidate regions of each extractor on points that was asked for, a stage each."""
     layers = []
-    for method in METHODS:
+    for method in POINT_DETECTORS:
         if cloud is None or method not in job.methods:
             continue
         with stages.stage(method):
@@ -309,7 +306,7 @@ def count_cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
 def candidates_by_method(build: Build) -> dict[str, int]:
     """Count the candidate regions of each extractor on points that was run."""
     found = build.frames["candidate_region"]["method"]
-    return {name: int((found == name).sum()) for name in METHODS if name in build.run.method.split(",")}
+    return {name: int((found == name).sum()) for name in POINT_DETECTORS if name in build.run.method.split(",")}
 
 
 def report_of(build: Build, stages: Stages, *, changed: bool) -> BuildReport:
