@@ -24,6 +24,10 @@ class SurfaceParams:
     slicing: str = param("storey", "-", "Slice the heights by storeys, or by a metric step.", paper="V18, V19",
         choices=("storey", "step"))
     storey_m: float = param(3.0, "m", "Height of a storey.", paper="V18: 2 to 3 m", low=1.5, high=10)
+    storeys_from: str = param("p90", "-",
+        "H of a part: storeys of the 90th percentile of its heights, or of its flat zone as written.",
+        paper="V30: the flat zone", ours="an opening lowers the zone of a podium under a tower",
+        choices=("p90", "zone"))
     step_m: float = param(1.0, "m", "Height of a slice where slicing is 'step'.", ours="V19 gives no step",
         low=0.05, high=50)
 

@@ -71,7 +71,7 @@ def profile(name: str = "default") -> Params:
 
 
 VU: dict[str, dict[str, Any]] = {
-    "surface": {"cell_m": 1.0},
+    "surface": {"cell_m": 1.0, "storeys_from": "zone"},
     "ground": {"ground_filter": "wavelet"},
     "scale": {
         "scales_m2": (50.0, 100.0, 200.0, 500.0, 1000.0),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from msbdb.bands import Bands
 from msbdb.database import PATIENCE_S, BuildBasis, OutdatedError, check_target, read_labelled_classes, store_build
 from msbdb.errors import DatabaseError, ParameterError
-from msbdb.extract.multiscale.run import extract_parts
+from msbdb.extract.multiscale.run import choose_scales, extract_parts
 from msbdb.grid import Grid
 from msbdb.params import DETECTORS, POINT_DETECTORS, Params, as_dict
 from msbdb.params import profile as named_profile
@@ -134,6 +134,7 @@ def build(
         "cells": count_cells(found.ndsm, found.cover),
         "cover": {"colours_decide": int(found.cover.colours_decide), "green_decides": int(found.cover.green_decides)},
         "stated": inputs.stated(),
+        "chosen": found.chosen,
     }
     values: dict[str, object] = dict(as_dict(params))
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
@@ -202,7 +203,8 @@ def possible_extractors(names: tuple[str, ...], inputs: Inputs, notices: list[st
 class Found:
     """What one run found: the survey's record, what the database keeps of each stage, and the tables.
 
-    ``regions`` are the counts of all stages, ``frames`` the tables by name.
+    ``regions`` are the counts of all stages, ``frames`` the tables by name, ``chosen`` is what the run decided itself
+    (`chosen_of`).
     """
 
     survey: Survey
@@ -213,6 +215,7 @@ class Found:
     together: Together | None
     regions: dict[str, dict[str, int]]
     frames: dict[str, Any]
+    chosen: dict[str, object]
 
 
 def run(job: Job, stages: Stages, notices: list[str]) -> Found:
@@ -229,7 +232,7 @@ def run(job: Job, stages: Stages, notices: list[str]) -> Found:
         structure = cover_from_surface(surface, cloud, params)
         echoes = cloud is not None and cloud.has_echoes
     record = record_survey(inputs, name=job.survey, date=job.date, surface=surface, cloud=cloud)
-    ndsm = surface.ndsm
+    ndsm, ground_filter = surface.ndsm, surface.ground_filter
     flat = no_flat_regions(ndsm.spec)
     if "flatregions" in job.methods:
         with stages.stage("flat regions"):
@@ -241,6 +244,7 @@ def run(job: Job, stages: Stages, notices: list[str]) -> Found:
     candidates = find_candidates(job, stages, surface, cloud, bands)
     del surface, cloud
     with stages.stage("classes"):
+        params = choose_scales(ndsm, structure.cover, params)
         cover = classify_cover(structure.cover, bands, ndsm, structure.roughness_m, params, echoes=echoes)
         cover = keep_labels(cover, job.labelled, job.lost)
         notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
@@ -257,7 +261,28 @@ def run(job: Job, stages: Stages, notices: list[str]) -> Found:
     regions = forest.counts | flat.counts
     for layer in candidates:
         regions |= layer.counts
-    return Found(record, ndsm, cover, flat, candidates, together, regions, frames)
+    return Found(
+        record, ndsm, cover, flat, candidates, together, regions, frames, chosen_of(ground_filter, params, cover)
+    )
+
+
+def chosen_of(ground_filter: str, params: Params, cover: Cover) -> dict[str, object]:
+    """Return what a run decided itself, to be kept with it (V21, X2).
+
+    Parameters
+    ----------
+    ground_filter : str
+        The filter that found the ground, where ``auto`` was asked for; ``given`` for a terrain raster.
+    params : Params
+        With the scales that were used.
+    cover : Cover
+        With the fit of the classes by colour, where there are any.
+    """
+    return {
+        "ground_filter": ground_filter,
+        "scales_m2": list(params.scale.scales_m2),
+        "spectral": cover.model.as_dict() if cover.model else None,
+    }
 
 
 def find_candidates(

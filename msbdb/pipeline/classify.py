@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.extract.multiscale.run import extract_parts
+from msbdb.extract.multiscale.run import choose_scales, extract_parts
 from msbdb.grid import GridSpec
 from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
@@ -219,6 +219,7 @@ def _find_parts(scene: _Scene) -> tuple[Mask, int]:
     """Return the points in the parts of the multi-scale extraction, and the number of buildings."""
     surface, cloud, params = scene.surface, scene.cloud, scene.params
     found = cover_from_surface(surface, cloud, params)
+    params = choose_scales(surface.ndsm, found.cover, params)
     cover = classify_cover(found.cover, scene.bands, surface.ndsm, found.roughness_m, params, echoes=cloud.has_echoes)
     forest = extract_parts(surface.ndsm, cover.classes, survey=scene.survey, params=params)
     cells = np.logical_or.reduce([labels > 0 for labels in forest.labels])

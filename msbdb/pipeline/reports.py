@@ -146,6 +146,8 @@ def _relabelled(old: Build, labels: Mapping[int, str], stages: Stages) -> Build:
     heights = unpack_heights(old.state, spec)
     cover = unpack_cover(old, spec).relabelled(labels)
     params = with_values(Params(), old.run.parameters)  # type: ignore[arg-type]  # plain nested values
+    # The run's own scales, as other labels would find others where the parameters give none.
+    params = with_values(params, {"scale": {"scales_m2": old.frames["scale"]["threshold_m2"].tolist()[::-1]}})
     flat, candidates = unpack_flat(old, spec), unpack_candidates(old)
     searched = heights if "multiscale" in old.run.method else Grid(heights.values, np.zeros_like(heights.valid), spec)
     with stages.stage("parts"):
@@ -306,6 +308,7 @@ def _counts(build: Build) -> dict[str, Any]:
         "highest_m": round(float(buildings["h_max"].max()), 2) if len(buildings) else None,
         "scales_m2": build.frames["scale"].sort_values("scale")["threshold_m2"].tolist(),
         "seconds": round(sum(build.run.timings.values()), 2),
+        "chosen": build.run.counts.get("chosen", {}),
     }
 
 

@@ -6,7 +6,7 @@ import scenes
 from scipy import ndimage
 
 from msbdb.bands import Bands
-from msbdb.errors import GridMismatchError, InputError, ParameterError
+from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Grid
 from msbdb.params import Params, with_values
 from msbdb.spectral import classify, spectral_bands
@@ -97,7 +97,7 @@ def test_classes_come_in_canonical_order(classified):
 
 def test_operator_overrules(city, classified):
     """Labels given by class replace the suggestion, and say so; the map of indices stays."""
-    classes, frame, _ = classify(city.bands, city.ndsm, city.roughness, PARAMS, {1: "water", 15: "building"})
+    classes, frame, *_ = classify(city.bands, city.ndsm, city.roughness, PARAMS, {1: "water", 15: "building"})
     assert classes.labels[1] == "water"
     assert classes.labels[15] == "building"
     assert frame.set_index("speindex").loc[[1, 15], "labelled_by"].tolist() == ["operator", "operator"]
@@ -143,7 +143,7 @@ def test_a_planted_roof_stays_a_building():
 def test_nothing_above_the_mask_gives_an_empty_map():
     """A bare field has no class, and the tables have no rows but all columns."""
     case = Case("flat_field")
-    classes, frame, means = classify(case.bands, case.ndsm, case.roughness, PARAMS)
+    classes, frame, means, _ = classify(case.bands, case.ndsm, case.roughness, PARAMS)
     assert not classes.index.any()
     assert dict(classes.labels) == {}
     validate(frame, SPECTRAL_CLASS)
@@ -155,14 +155,14 @@ def test_intensity_alone_still_gives_classes(city):
     """Without image bands brightness and index are unknown, and only very rough classes are vegetation."""
     bands = spectral_bands(None, city.scene.points, city.scene.spec, max_gap_m=5.0)
     only = Bands(bands.values[4:].copy(), ("intensity",), bands.valid.copy(), bands.spec)
-    _, frame, _ = classify(only, city.ndsm, None, PARAMS)
+    _, frame, *_ = classify(only, city.ndsm, None, PARAMS)
     assert frame["ndvi"].isna().all()
     assert frame["brightness"].isna().all()
     assert frame["roughness_m"].isna().all()
     assert set(frame["label"]) == {"building"}
 
 
-def test_other_lattices_and_an_unknown_finest_scale_are_refused(city):
+def test_other_lattices_are_refused(city):
     """The messages say what to do next."""
     spec = city.bands.spec.crop(slice(0, 10), slice(0, 10))
     small = Grid(np.zeros((10, 10), dtype=np.float32), np.ones((10, 10), dtype=bool), spec)
@@ -170,7 +170,3 @@ def test_other_lattices_and_an_unknown_finest_scale_are_refused(city):
         classify(city.bands, small, None, PARAMS)
     with pytest.raises(GridMismatchError, match="roughness"):
         classify(city.bands, city.ndsm, np.zeros((3, 3)), PARAMS)
-    empty = with_values(PARAMS, {"scale": {"scales_m2": ()}})
-    with pytest.raises(ParameterError, match="finest_m2"):
-        classify(city.bands, city.ndsm, None, empty)
-    classify(city.bands, city.ndsm, None, empty, finest_m2=20.0)

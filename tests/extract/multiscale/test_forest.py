@@ -118,6 +118,17 @@ def test_heights_come_from_the_surface_and_not_from_the_zone():
     assert root[["hzone", "hindex", "area_px"]].to_numpy().tolist() == [[1, 9, 100]]
 
 
+def test_storeys_come_from_the_zone_as_written():
+    """In the paper's profile the podium keeps the storeys of its flat zone, and loses those of the tower (V30)."""
+    image = np.zeros((14, 14), dtype=int)
+    image[2:12, 2:12] = 1
+    image[2:12, 2:11] = 9
+    base = profile("vu2009")
+    params = replace(base, scale=replace(base.scale, scales_m2=(5.0, 95.0)))
+    root = extract_parts(heights_of(image), None, survey="test", params=params).parts
+    assert root[["hzone", "hindex", "h_p90"]].to_numpy().tolist() == [[1, 1, 27.5]]
+
+
 def test_tables_are_as_declared():
     """All columns, in order, of the declared dtypes."""
     forest = extract(podium(), 10, 50, 200, index=np.where(podium() > 0, 2, 0))
