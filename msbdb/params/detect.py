@@ -17,6 +17,9 @@ class FlatRegionParams:
     on: str = param("ndsm", "-",
         "Search flat regions on heights above ground, or on the raw surface as the paper does.",
         paper="M27: the paper itself recommends a ground filter against plateaus", choices=("ndsm", "surface"))
+    gaps: str = param("near", "-",
+        "Empty cells to interpolate from lowest points: those within surface.max_gap_m, or all.", paper="M8: all",
+        ours="over water the surface would slope from quay to quay and be flat", choices=("near", "all"))
     s_max_m: float = param(1.5, "m", "S_I: largest window of the profile that finds outliers.", paper="M11 gives 3.0",
         ours="that removes narrow roofs and corners too; against crowns 1 to 2 m do as well", low=0, high=50)
     valley_factor: float = param(0.0, "cells", "A valley this many times R_g deep is an outlier; 0 keeps valleys.",
@@ -40,6 +43,9 @@ class FlatRegionParams:
     lambda_step_m2: float = param(20.0, "m2", "λ_Δ: width of a zone.",
         paper="M23 gives 250, 500, 300, against plateaus", ours="heights above ground have none, and small roofs gain",
         low=0, high=1e6)
+    lambda_unit: str = param("m2", "-",
+        "Unit in which the three λ count gradients: their sum times the cell's area, or over cells.",
+        paper="M14 states none", ours="A13: Table 1 gives λ_min as an area of 30 or 20 m2", choices=("m2", "px"))
     ratio: float = param(2.0, "1/m",
         "R: a flat region has at least R times its zone's upper λ of area; less in cells above 0.35 m.",
         paper="M17, M23 give 1.5", ours="with capped gradients 1.9 to 2.2 do best", low=0, high=100)
@@ -47,6 +53,8 @@ class FlatRegionParams:
         ours="λ_max alone takes all the ground of a tile of a few hectares for one building", low=0, high=1e9)
     opening_m: float = param(1.5, "m", "Window of the opening and closing of flat regions.", paper="M19 gives 3",
         ours="that cuts roofs of 3 m and all that trees indent", low=0, high=50)
+    compactness: str = param("inverse", "-", "Ψ: P²/(4πA), or 4πA/P² as printed.", paper="M20: 4πA/P²",
+        ours="A9: that is 1 at most, so that Ψ < ψ = 9 rejects nothing", choices=("inverse", "literal"))
     max_compactness: float = param(30.0, "1", "ψ: regions of this Ψ or more are too long and thin.",
         paper="M20, M23 give 9, 11, 10.5",
         ours="connected blocks of an old town reach 18; 30 is a rectangle of 93 to 1", low=1, high=1e6)
@@ -74,6 +82,9 @@ class Area3dParams:
         "T_c: points nearer than this many mean point spacings are connected.",
         ours="C2 gives no T_c; 1.75 cuts roofs apart, 2.5 joins crowns to roofs", low=1, high=20)
     smallest_m2: float = param(10.0, "m2", "T_a: area of the smallest building.", paper="C14, A17", low=0.01, high=1e6)
+    areas_m2: tuple[float, ...] = param((), "m2",
+        "T_a of each area scale, each fed by the one below; empty takes smallest_m2 alone.", paper="C7; C14 uses one",
+        low=0.01, high=1e6)
     neighbours: int = param(16, "count", "K: points whose change of curvature is taken together.",
         ours="C16 gives no K; 12 takes crowns for roofs, 32 loses narrow roofs", low=4, high=200)
     max_curvature: float = param(0.06, "1", "T_coc: points with a larger change of curvature belong to crowns.",

@@ -16,6 +16,10 @@ class SurfaceParams:
 
     cell_m: float = param(0.0, "m", "Cell size; 0 takes the mean spacing of the first echoes, by cell_rule.",
         paper="V14: mean point spacing, 1/sqrt(density)", low=0, high=50)
+    cell_rule: str = param("spacing", "-",
+        "With cell_m 0: 1/sqrt(density) on a ladder of round values, or 1/density in whole cm as printed.",
+        paper="V14, M7", ours="A10: 1/density is no length; it leaves 13 empty cells a point",
+        choices=("spacing", "literal"))
     max_gap_m: float = param(1.0, "m",
         "Empty cells this near to a measured cell, or within two cells, take its value; others stay invalid.",
         ours="water and canals stay open, however far a crown leans over them", low=0, high=1000)

@@ -85,6 +85,7 @@ VU: dict[str, dict[str, Any]] = {
 
 MONGUS: dict[str, Any] = {
     "on": "surface",
+    "gaps": "all",
     "s_max_m": 3.0,
     "valley_factor": 2.0,
     "peak_factor": 4.0,

@@ -76,7 +76,7 @@ def test_only_cells_of_at_least_one_storey_are_classified(city, classified):
 
 def test_tables_are_as_declared_and_add_up(city, classified):
     """Counts, shares and means describe the map."""
-    classes, frame, means = classified
+    classes, frame, means, _ = classified
     validate(frame, SPECTRAL_CLASS)
     validate(means, SPECTRAL_CLASS_BAND)
     assert frame["speindex"].tolist() == list(range(1, 16))

@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 from affine import Affine
 from hypothesis import given, settings
@@ -289,7 +290,10 @@ def test_every_cell_above_ground_is_a_part_or_in_the_ledger(scene):
 @settings(max_examples=30, deadline=None)
 @given(scenes(), st.integers(-5, 50), st.integers(-5, 50))
 def test_a_shift_moves_places_and_nothing_else(scene, row, col):
-    """By whole cells XO and YO move, ids follow the place, all else stays."""
+    """By whole cells XO and YO move and every part gets another id; attributes, fathers and their order stay.
+
+    Ids come from the place: where a part moves onto the old place of an equal one, it gets the id that this one had.
+    """
     image, index = scene
     here = extract(image, 4, 12, 40, index=index).parts
     there = extract(image, 4, 12, 40, index=index, row=row, col=col).parts
@@ -297,8 +301,19 @@ def test_a_shift_moves_places_and_nothing_else(scene, row, col):
     assert there["yo"].tolist() == pytest.approx((here["yo"] - row).tolist())
     same = ["supscale", "scale", "hindex", "hzone", "speindex", "area_px", "h_max", "h_mean", "building_share"]
     assert there[same].equals(here[same])
+    fathers = [pd.Index(parts["part_id"]).get_indexer(parts["supid"]).tolist() for parts in (here, there)]
+    assert fathers[0] == fathers[1]
     if (row, col) != (0, 0):
-        assert not set(here["part_id"]) & set(there["part_id"])
+        assert (there["part_id"].to_numpy() != here["part_id"].to_numpy()).all()
+
+
+def test_an_equal_part_at_the_old_place_of_another_has_its_id():
+    """Two equal houses, shifted by their distance: the second one stands where the first one was."""
+    image = np.zeros((14, 30), dtype=int)
+    image[2:12, 2:12], image[2:12, 16:26] = 2, 2
+    here, there = extract(image, 4).parts, extract(image, 4, col=-14).parts
+    assert there["part_id"].iloc[1] == here["part_id"].iloc[0]
+    assert there["part_id"].iloc[0] not in set(here["part_id"])
 
 
 @settings(max_examples=30, deadline=None)
