@@ -19,6 +19,6 @@ def info(*, db: str, as_json: bool) -> None:
     if as_json:
         emit_json(result)
     else:
-        for run in result["runs"]:
+        for run in result.get("runs", []):
             run["ground_filter"] = run.pop("chosen").get("ground_filter")
         emit(result)
