@@ -9,6 +9,10 @@ from pyproj import CRS
 from msbdb.errors import InputError
 from msbdb.grid import Bounds, require_metric
 
+UNCLASSIFIED_CLASS, GROUND_CLASS, BUILDING_CLASS = 1, 2, 6
+NOISE_CLASSES = (7, 18)
+"""Classes of points by the ASPRS LAS specification; noise is low or high."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud:
@@ -62,6 +66,12 @@ class PointCloud:
         """Return the arrays that are present, by name."""
         found = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+
+    def in_class(self, *classes: int) -> NDArray[np.bool_]:
+        """Return (N,) bool, which points have one of the ASPRS classes; none where the source holds no classes."""
+        if self.classification is None:
+            return np.zeros(len(self), dtype=np.bool_)
+        return np.isin(self.classification, classes)
 
     def take(self, index: NDArray[np.generic]) -> "PointCloud":
         """Return the points that a boolean or integer index selects, with all their attributes."""

@@ -295,9 +295,6 @@ TABLES = (
     FLAT_REGION_CANDIDATE,
 )
 
-CANDIDATE_METHODS = ("area3d", "adaptive")
-"""The extractors that find candidate regions."""
-
 EXTRACTOR_SHARES = {"flatregions": "flat_share", "area3d": "area3d_share", "adaptive": "adaptive_share"}
 """The extractors that bear witness for parts and buildings, each with the column of the share that it covers."""
 

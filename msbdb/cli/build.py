@@ -9,7 +9,7 @@ import click
 from msbdb.cli.command import command, notice
 from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, F, crs_name, extractors, iso_date, scales_m2, setting, shared
 from msbdb.cli.output import emit_json, emit_pairs, progress_bars
-from msbdb.params import PROFILES, Params
+from msbdb.params import DETECTORS, PROFILES, Params
 
 if TYPE_CHECKING:
     from msbdb.pipeline import BuildReport
@@ -66,7 +66,7 @@ _VALUES = (
     click.option(
         "--extract",
         type=extractors,
-        default="multiscale,flatregions,area3d,adaptive",
+        default=",".join(DETECTORS),
         show_default=True,
         metavar="NAME,NAME",
         help="Extractors: multiscale finds buildings as trees of parts, flatregions finds flat regions, area3d and "

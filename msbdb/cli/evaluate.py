@@ -7,8 +7,9 @@ import click
 from click.core import ParameterSource
 
 from msbdb.cli.command import command
-from msbdb.cli.options import INPUT_FILE, crs_name, shared
+from msbdb.cli.options import INPUT_FILE, crs_name, declared_range, shared
 from msbdb.cli.output import emit, emit_json
+from msbdb.params import REGION_DETECTORS, EvaluateParams
 
 BY_AREA = ("layer", "aoi", "height", "overlap", "cell_m")
 """Options that mean nothing by point."""
@@ -42,22 +43,22 @@ BY_DATABASE = ("of", "survey")
 @click.option("--crs", type=crs_name, metavar="EPSG", help="The reference's CRS where it does not state it.")
 @click.option(
     "--overlap",
-    type=click.FloatRange(0, 1, min_open=True),
-    default=0.5,
+    type=declared_range(EvaluateParams, "overlap"),
+    default=EvaluateParams().overlap,
     show_default=True,
     help="Share of an object's area that the other side must cover for it to count as found.",
 )
 @click.option(
     "--cell",
     "cell_m",
-    type=click.FloatRange(0, min_open=True),
-    default=0.5,
+    type=declared_range(EvaluateParams, "cell_m"),
+    default=EvaluateParams().cell_m,
     show_default=True,
     help="Cell of the grid on which areas are compared, metres.",
 )
 @click.option(
     "--of",
-    type=click.Choice(["buildings", "confirmed", "together", "parts", "flatregions", "area3d", "adaptive"]),
+    type=click.Choice(["buildings", "confirmed", "together", "parts", *REGION_DETECTORS]),
     default="buildings",
     show_default=True,
     help="What to compare with the reference.",

@@ -10,7 +10,8 @@ from msbdb.cli.output import emit, emit_json
 def info(*, db: str, as_json: bool) -> None:
     """Tell what a database holds.
 
-    Its surveys with their sources, its runs with their counts, and the version of its schema.
+    Its surveys with their sources, its runs with their counts, and the version of its schema. With --json also what
+    each run decided itself: the ground filter, the scales, the scaling of the bands and the centres of the classes.
     """
     from msbdb import pipeline
 
@@ -18,4 +19,6 @@ def info(*, db: str, as_json: bool) -> None:
     if as_json:
         emit_json(result)
     else:
+        for run in result.get("runs", []):
+            run["ground_filter"] = run.pop("chosen").get("ground_filter")
         emit(result)

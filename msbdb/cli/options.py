@@ -4,6 +4,7 @@ import datetime
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -65,6 +66,12 @@ def extractors(text: str) -> tuple[str, ...]:
     ('multiscale', 'flatregions')
     """
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def declared_range(section: type, name: str) -> click.FloatRange:
+    """Return the type of an option that sets a parameter: a number within the parameter's bounds."""
+    bounds = next(item.metadata for item in fields(section) if item.name == name)
+    return click.FloatRange(bounds["low"], bounds["high"])
 
 
 def assignment(text: str) -> tuple[str, str]:

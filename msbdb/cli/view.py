@@ -6,6 +6,7 @@ import click
 
 from msbdb.cli.command import command
 from msbdb.cli.options import OUTPUT_FILE, shared
+from msbdb.params import REGION_DETECTORS
 
 
 @command(
@@ -16,7 +17,7 @@ from msbdb.cli.options import OUTPUT_FILE, shared
 @click.option("--out", type=OUTPUT_FILE, required=True, metavar="FILE.png", help="The picture to write.")
 @click.option(
     "--of",
-    type=click.Choice(["buildings", "flatregions", "area3d", "adaptive"]),
+    type=click.Choice(["buildings", *REGION_DETECTORS]),
     default="buildings",
     show_default=True,
     help="What to draw.",

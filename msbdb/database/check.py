@@ -8,7 +8,8 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, TableError
-from msbdb.tables import CANDIDATE_METHODS, TABLES, Build, Table, validate, validate_parts
+from msbdb.params import POINT_DETECTORS
+from msbdb.tables import TABLES, Build, Table, validate, validate_parts
 from msbdb.threads import cores, in_threads
 
 _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
@@ -115,7 +116,7 @@ def _check_references(frames: dict[str, pd.DataFrame], methods: list[str]) -> No
         ("spectral_class_band", "speindex", classes),
         ("part_flat_region", "part_id", part["part_id"]),
         ("part_flat_region", "region_id", regions),
-        ("candidate_region", "method", [name for name in CANDIDATE_METHODS if name in methods]),
+        ("candidate_region", "method", [name for name in POINT_DETECTORS if name in methods]),
         ("part_candidate", "part_id", part["part_id"]),
         ("part_candidate", "candidate_id", candidates),
         ("flat_region_candidate", "region_id", regions),

@@ -16,9 +16,9 @@ from msbdb.database.load import ORDER
 from msbdb.database.models import Run, RunState, Source, Survey
 from msbdb.database.snapshot import snapshot
 from msbdb.errors import InputError
+from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
-    CANDIDATE_METHODS,
     CANDIDATE_REGION,
     FLAT_REGION,
     FLAT_REGION_CANDIDATE,
@@ -147,8 +147,8 @@ def read_candidates(engine: Engine, survey: str | None = None, method: str | Non
         When there is no such survey, no name was given and there are several, or no extractor of that name gives
         candidate regions.
     """
-    if method not in (None, *CANDIDATE_METHODS):
-        msg = f"Candidate regions come from {' and '.join(CANDIDATE_METHODS)}; got '{method}'."
+    if method not in (None, *POINT_DETECTORS):
+        msg = f"Candidate regions come from {' and '.join(POINT_DETECTORS)}; got '{method}'."
         raise InputError(msg)
     found = _read(engine, CANDIDATE_REGION, survey)
     return found if method is None else found[found["method"] == method].reset_index(drop=True)

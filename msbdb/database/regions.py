@@ -16,8 +16,8 @@ from msbdb.database.columns import (
     run_key,
     shares,
 )
+from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
-    CANDIDATE_METHODS,
     CANDIDATE_REGION,
     FLAT_REGION,
     FLAT_REGION_CANDIDATE,
@@ -92,7 +92,7 @@ class CandidateRegion(Base):
     __tablename__ = "candidate_region"
     __table_args__ = (
         CheckConstraint("candidate_id > 0", name="candidate_id"),
-        one_of("method", CANDIDATE_METHODS),
+        one_of("method", POINT_DETECTORS),
         CheckConstraint("rule <> ''", name="rule"),
         CheckConstraint("height_scale_m IS NULL OR method = 'area3d'", name="height_scale"),
         CheckConstraint("points > 0 AND perimeter >= 0", name="points"),

@@ -3,7 +3,7 @@
 from msbdb.evaluate.points import PointEvaluation, PointScores, match_points, score_points
 from msbdb.evaluate.reference import PointReference, PolygonReference, Reference
 from msbdb.evaluate.report import Evaluation, evaluate
-from msbdb.evaluate.settings import EvaluateParams
+from msbdb.params import EvaluateParams
 
 __all__ = [
     "EvaluateParams",

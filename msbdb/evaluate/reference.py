@@ -10,9 +10,9 @@ from pyproj import CRS
 from scipy import ndimage
 
 from msbdb.errors import CRSError, InputError, NodataError
-from msbdb.evaluate.settings import EvaluateParams
 from msbdb.grid import Bounds, GridSpec, lattice
 from msbdb.labels import label_zones, renumber, sizes
+from msbdb.params import EvaluateParams
 from msbdb.vector.polygons import Geometries, polygonise, rasterise
 
 Mask = NDArray[np.bool_]

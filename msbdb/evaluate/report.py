@@ -27,10 +27,10 @@ from msbdb.evaluate.reference import (
     polygon_side,
     polygons,
 )
-from msbdb.evaluate.settings import EvaluateParams
 from msbdb.evaluate.shape import ShapeScore, score_shape
 from msbdb.grid import Bounds, Grid, GridSpec, require_metric
 from msbdb.labels import EIGHT, sizes
+from msbdb.params import EvaluateParams
 from msbdb.vector.polygons import Geometries, rasterise
 
 Mask = NDArray[np.bool_]

@@ -15,7 +15,7 @@ from msbdb.inventory.links import Links
 from msbdb.inventory.offset import Offset, estimate_offset, moved
 from msbdb.inventory.pieces import Epochs, Mask, earlier_heights, find_pieces
 from msbdb.labels import Labels
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 from msbdb.vector.polygons import rasterise
 
 

@@ -12,7 +12,7 @@ from msbdb.inventory.links import Links
 from msbdb.inventory.offset import Offset
 from msbdb.inventory.pieces import Epochs, Pieces, thick, without_crumbs
 from msbdb.labels import Box, Labels, boxes, sizes
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 from msbdb.vector.polygons import polygonise
 
 KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from msbdb.grid import GridSpec
 from msbdb.inventory.pieces import Epochs, Pieces, touching
 from msbdb.labels import Labels, shared_cells, sizes
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 
 
 @dataclass(eq=False)

@@ -10,7 +10,7 @@ from skimage.morphology import isotropic_dilation, isotropic_opening
 from msbdb.grid import Grid, GridSpec
 from msbdb.inventory.offset import Offset
 from msbdb.labels import Labels, boxes, chosen_cells, label_zones, renumber, sizes
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 
 Mask = NDArray[np.bool_]
 

@@ -29,7 +29,7 @@ from msbdb.io.lasheader import (
     read_las_header,
     vertical_unit,
 )
-from msbdb.pointcloud import PointCloud
+from msbdb.pointcloud import NOISE_CLASSES, PointCloud
 
 logger = logging.getLogger(__name__)
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.
@@ -38,8 +38,6 @@ logging.getLogger("laspy").addHandler(logging.NullHandler())
 CHUNK_POINTS = 1_000_000
 """Points in memory in their raw form at a time."""
 
-NOISE_CLASSES = (7, 18)
-"""ASPRS low and high noise."""
 
 MAX_EASTING_M = 1e8
 """Beyond it no projected CRS has a point: the largest false origins, with a zone's number in front, end at 6.1e7."""

@@ -1,30 +1,36 @@
 """Every parameter of msbdb, declared once: the command line, the docs and the run table derive from here.
 
-A stage has one frozen dataclass. Each field carries its unit, bounds, meaning and provenance: the paper's
-requirement number where a paper gives the value, or ``ours`` with the reason. A profile is a set of other values.
+A stage has one frozen dataclass, its section. Each field carries its unit, bounds, meaning and provenance: the paper's
+requirement where a paper gives the value, ``ours`` with the reason where it does not. A profile is a set of other
+values.
 """
 
-from msbdb.params.adaptive import AdaptiveParams
-from msbdb.params.area3d import Area3dParams
-from msbdb.params.change import ChangeParams
-from msbdb.params.cover import CoverParams
-from msbdb.params.declare import param
-from msbdb.params.flatregions import FlatRegionParams
-from msbdb.params.fuse import FuseParams
-from msbdb.params.ground import GroundParams
-from msbdb.params.profiles import PROFILES, profile
-from msbdb.params.scale import GranulometryParams, ScaleParams
-from msbdb.params.sections import Params, as_dict, declared, read_params, sections, with_values
-from msbdb.params.spectral import SpectralParams
-from msbdb.params.surface import SurfaceParams
-from msbdb.params.vector import VectorParams
+from msbdb.params.declare import checked_value, param, read_params, with_values
+from msbdb.params.detect import AdaptiveParams, Area3dParams, FlatRegionParams
+from msbdb.params.parts import ChangeParams, EvaluateParams, FuseParams, GranulometryParams, ScaleParams, VectorParams
+from msbdb.params.prepare import CoverParams, GroundParams, SpectralParams, SurfaceParams
+from msbdb.params.profiles import (
+    DETECTORS,
+    POINT_DETECTORS,
+    PROFILES,
+    REGION_DETECTORS,
+    Params,
+    as_dict,
+    declared,
+    profile,
+    sections,
+)
 
 __all__ = [
+    "DETECTORS",
+    "POINT_DETECTORS",
     "PROFILES",
+    "REGION_DETECTORS",
     "AdaptiveParams",
     "Area3dParams",
     "ChangeParams",
     "CoverParams",
+    "EvaluateParams",
     "FlatRegionParams",
     "FuseParams",
     "GranulometryParams",
@@ -35,6 +41,7 @@ __all__ = [
     "SurfaceParams",
     "VectorParams",
     "as_dict",
+    "checked_value",
     "declared",
     "param",
     "profile",

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from msbdb.bands import Bands
 from msbdb.database import PATIENCE_S, BuildBasis, OutdatedError, check_target, read_labelled_classes, store_build
 from msbdb.errors import DatabaseError, ParameterError
-from msbdb.extract.multiscale.run import extract_parts
+from msbdb.extract.multiscale.run import choose_scales, extract_parts
 from msbdb.grid import Grid
-from msbdb.params import Params, as_dict
+from msbdb.params import DETECTORS, POINT_DETECTORS, Params, as_dict
 from msbdb.params import profile as named_profile
 from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.candidates import METHODS, CandidateLayer, find_regions, point_ndvi
+from msbdb.pipeline.candidates import CandidateLayer, find_regions, point_ndvi
 from msbdb.pipeline.cover import Cover, classify_cover
 from msbdb.pipeline.flat import Flat, find_flat_regions, no_flat_regions
 from msbdb.pipeline.inputs import Inputs, collect_notices, make_surface, read_cloud, read_ortho, record_survey
@@ -30,9 +30,6 @@ from msbdb.spectral.bands import spectral_bands
 from msbdb.surface import Surface, cover_from_surface
 from msbdb.tables import Build, Run, Survey
 from msbdb.version import __version__
-
-EXTRACTORS = ("multiscale", "flatregions", "area3d", "adaptive")
-"""The extractors that there are; all of them by default."""
 
 NO_IMAGERY = "There is no imagery: roofs and vegetation are told by height texture and echoes alone."
 NO_POINTS = "There are no points: {names}, which {take} the points themselves, {were} left out."
@@ -73,7 +70,7 @@ def build(
     z_unit: str = "auto",
     params: Params | None = None,
     profile: str = "default",
-    extract: Sequence[str] = EXTRACTORS,
+    extract: Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
     progress: Progress | None = None,
 ) -> BuildReport:
@@ -137,6 +134,7 @@ def build(
         "cells": count_cells(found.ndsm, found.cover),
         "cover": {"colours_decide": int(found.cover.colours_decide), "green_decides": int(found.cover.green_decides)},
         "stated": inputs.stated(),
+        "chosen": found.chosen,
     }
     values: dict[str, object] = dict(as_dict(params))
     entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
@@ -171,9 +169,9 @@ def check_extractors(names: Sequence[str]) -> tuple[str, ...]:
     ParameterError
         When one does not exist, or none is named.
     """
-    unknown = sorted(set(names) - set(EXTRACTORS))
+    unknown = sorted(set(names) - set(DETECTORS))
     if unknown or not names:
-        msg = f"The extractors are {', '.join(EXTRACTORS)}; got {', '.join(unknown) or 'none'}."
+        msg = f"The extractors are {', '.join(DETECTORS)}; got {', '.join(unknown) or 'none'}."
         raise ParameterError(msg)
     return tuple(sorted(set(names)))
 
@@ -186,14 +184,14 @@ def possible_extractors(names: tuple[str, ...], inputs: Inputs, notices: list[st
     ParameterError
         When no other was asked for.
     """
-    without = [name for name in names if name in METHODS]
+    without = [name for name in names if name in POINT_DETECTORS]
     if inputs.points or not without:
         return names
     several = len(without) > 1
     told = NO_POINTS.format(
         names=" and ".join(without), take="take" if several else "takes", were="were" if several else "was"
     )
-    left = tuple(name for name in names if name not in METHODS)
+    left = tuple(name for name in names if name not in POINT_DETECTORS)
     if not left:
         msg = f"{told} Give LAS or LAZ files by --points, or ask for multiscale or flatregions."
         raise ParameterError(msg)
@@ -205,7 +203,8 @@ def possible_extractors(names: tuple[str, ...], inputs: Inputs, notices: list[st
 class Found:
     """What one run found: the survey's record, what the database keeps of each stage, and the tables.
 
-    ``regions`` are the counts of all stages, ``frames`` the tables by name.
+    ``regions`` are the counts of all stages, ``frames`` the tables by name, ``chosen`` is what the run decided itself
+    (`chosen_of`).
     """
 
     survey: Survey
@@ -216,6 +215,7 @@ class Found:
     together: Together | None
     regions: dict[str, dict[str, int]]
     frames: dict[str, Any]
+    chosen: dict[str, object]
 
 
 def run(job: Job, stages: Stages, notices: list[str]) -> Found:
@@ -232,7 +232,7 @@ def run(job: Job, stages: Stages, notices: list[str]) -> Found:
         structure = cover_from_surface(surface, cloud, params)
         echoes = cloud is not None and cloud.has_echoes
     record = record_survey(inputs, name=job.survey, date=job.date, surface=surface, cloud=cloud)
-    ndsm = surface.ndsm
+    ndsm, ground_filter = surface.ndsm, surface.ground_filter
     flat = no_flat_regions(ndsm.spec)
     if "flatregions" in job.methods:
         with stages.stage("flat regions"):
@@ -244,6 +244,7 @@ def run(job: Job, stages: Stages, notices: list[str]) -> Found:
     candidates = find_candidates(job, stages, surface, cloud, bands)
     del surface, cloud
     with stages.stage("classes"):
+        params = choose_scales(ndsm, structure.cover, params)
         cover = classify_cover(structure.cover, bands, ndsm, structure.roughness_m, params, echoes=echoes)
         cover = keep_labels(cover, job.labelled, job.lost)
         notices += [NO_IMAGERY] * (cover.spectral is None) + [NO_ECHOES] * (not echoes)
@@ -260,7 +261,28 @@ def run(job: Job, stages: Stages, notices: list[str]) -> Found:
     regions = forest.counts | flat.counts
     for layer in candidates:
         regions |= layer.counts
-    return Found(record, ndsm, cover, flat, candidates, together, regions, frames)
+    return Found(
+        record, ndsm, cover, flat, candidates, together, regions, frames, chosen_of(ground_filter, params, cover)
+    )
+
+
+def chosen_of(ground_filter: str, params: Params, cover: Cover) -> dict[str, object]:
+    """Return what a run decided itself, to be kept with it (V21, X2).
+
+    Parameters
+    ----------
+    ground_filter : str
+        The filter that found the ground, where ``auto`` was asked for; ``given`` for a terrain raster.
+    params : Params
+        With the scales that were used.
+    cover : Cover
+        With the fit of the classes by colour, where there are any.
+    """
+    return {
+        "ground_filter": ground_filter,
+        "scales_m2": list(params.scale.scales_m2),
+        "spectral": cover.model.as_dict() if cover.model else None,
+    }
 
 
 def find_candidates(
@@ -268,7 +290,7 @@ def find_candidates(
 ) -> tuple[CandidateLayer, ...]:
     """Find the candidate regions of each extractor on points that was asked for, a stage each."""
     layers = []
-    for method in METHODS:
+    for method in POINT_DETECTORS:
         if cloud is None or method not in job.methods:
             continue
         with stages.stage(method):
@@ -309,7 +331,7 @@ def count_cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
 def candidates_by_method(build: Build) -> dict[str, int]:
     """Count the candidate regions of each extractor on points that was run."""
     found = build.frames["candidate_region"]["method"]
-    return {name: int((found == name).sum()) for name in METHODS if name in build.run.method.split(",")}
+    return {name: int((found == name).sum()) for name in POINT_DETECTORS if name in build.run.method.split(",")}
 
 
 def report_of(build: Build, stages: Stages, *, changed: bool) -> BuildReport:

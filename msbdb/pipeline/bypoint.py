@@ -9,12 +9,12 @@ from msbdb.database import read_build
 from msbdb.errors import CRSError, InputError
 from msbdb.evaluate import PointEvaluation, match_points, score_points
 from msbdb.evaluate.reference import horizontal
-from msbdb.io.las import NOISE_CLASSES, read_points_indexed
+from msbdb.io.las import read_points_indexed
 from msbdb.params import Params, with_values
-from msbdb.pipeline.classify import BUILDING, points_in
+from msbdb.pipeline.classify import points_in
 from msbdb.pipeline.reports import POINT_SUFFIXES, compared, opened
 from msbdb.pipeline.state import lattice_of, unpack_heights
-from msbdb.pointcloud import PointCloud
+from msbdb.pointcloud import BUILDING_CLASS, NOISE_CLASSES, PointCloud
 from msbdb.surface import grid_surface
 from msbdb.vector.polygons import rasterise
 
@@ -64,24 +64,14 @@ def evaluate_points(
     of_points = Path(found).suffix.lower() in POINT_SUFFIXES
     truth, _, _ = read_points_indexed(reference, crs=crs, noise=of_points)
     if not of_points:
-        return PointEvaluation("footprints", score_points(_taken(found, truth, survey, of), _is_building(truth)))
+        return PointEvaluation(
+            "footprints", score_points(_taken(found, truth, survey, of), truth.in_class(BUILDING_CLASS))
+        )
     predicted, _, _ = read_points_indexed(Path(found), crs=crs, noise=True)
     index, matched = match_points(predicted, truth)
-    scored = ~_is_noise(truth)
-    mine, theirs = _is_building(predicted)[index], _is_building(truth)
+    scored = ~truth.in_class(*NOISE_CLASSES)
+    mine, theirs = predicted.in_class(BUILDING_CLASS)[index], truth.in_class(BUILDING_CLASS)
     return PointEvaluation(matched, score_points(mine[scored], theirs[scored]))
-
-
-def _is_building(cloud: PointCloud) -> Mask:
-    """Return the points of class 6."""
-    none = np.zeros(len(cloud), dtype=np.bool_)
-    return none if cloud.classification is None else np.equal(cloud.classification, BUILDING)
-
-
-def _is_noise(cloud: PointCloud) -> Mask:
-    """Return the points of the noise classes."""
-    none = np.zeros(len(cloud), dtype=np.bool_)
-    return none if cloud.classification is None else np.isin(cloud.classification, NOISE_CLASSES)
 
 
 def _taken(db: str | Path, cloud: PointCloud, survey: str | None, of: str) -> Mask:

@@ -44,10 +44,6 @@ class CandidateLayer:
     counts: dict[str, dict[str, int]]
 
 
-METHODS = ("adaptive", "area3d")
-"""The extractors that take the points themselves."""
-
-
 def point_heights(cloud: PointCloud, surface: Surface, params: Params) -> NDArray[np.float64]:
     """Return the points' heights above ground, metres.
 
@@ -87,7 +83,7 @@ def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | 
 def point_candidates(
     method: str, cloud: PointCloud, surface: Surface, *, ndvi: NDArray[np.float32] | None, params: Params, survey: str
 ) -> Candidates:
-    """Extract the candidate regions of one of ``METHODS``."""
+    """Extract the candidate regions of one of ``POINT_DETECTORS``."""
     extract = extract_area3d if method == "area3d" else extract_adaptive
     heights = point_heights(cloud, surface, params)
     return extract(cloud, heights, spec=surface.ndsm.spec, survey=survey, params=params, ndvi=ndvi)
@@ -96,7 +92,7 @@ def point_candidates(
 def find_regions(
     method: str, cloud: PointCloud, surface: Surface, *, ndvi: NDArray[np.float32] | None, params: Params, survey: str
 ) -> CandidateLayer:
-    """Extract the candidate regions of one of ``METHODS``, and draw their outlines."""
+    """Extract the candidate regions of one of ``POINT_DETECTORS``, and draw their outlines."""
     found = point_candidates(method, cloud, surface, ndvi=ndvi, params=params, survey=survey)
     spec = surface.ndsm.spec
     outlines = outline_regions(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.extract.multiscale.run import extract_parts
+from msbdb.extract.multiscale.run import choose_scales, extract_parts
 from msbdb.grid import GridSpec
 from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
@@ -22,13 +22,12 @@ from msbdb.pipeline.cover import classify_cover
 from msbdb.pipeline.flat import find_flat_regions
 from msbdb.pipeline.inputs import Inputs, collect_notices, read_ortho
 from msbdb.pipeline.stage import Progress, Stages
-from msbdb.pointcloud import PointCloud
+from msbdb.pointcloud import BUILDING_CLASS, UNCLASSIFIED_CLASS, PointCloud
 from msbdb.spectral.bands import spectral_bands
 from msbdb.surface import Surface, build_surface, cover_from_surface, heights_above
 
 Mask = NDArray[np.bool_]
 
-UNCLASSIFIED, BUILDING = 1, 6
 """ASPRS classes: looked at but of no kind, and building."""
 
 
@@ -216,6 +215,7 @@ def _find_parts(scene: _Scene) -> tuple[Mask, int]:
     """Return the points in the parts of the multi-scale extraction, and the number of buildings."""
     surface, cloud, params = scene.surface, scene.cloud, scene.params
     found = cover_from_surface(surface, cloud, params)
+    params = choose_scales(surface.ndsm, found.cover, params)
     cover = classify_cover(found.cover, scene.bands, surface.ndsm, found.roughness_m, params, echoes=cloud.has_echoes)
     forest = extract_parts(surface.ndsm, cover.classes, survey=scene.survey, params=params)
     cells = np.logical_or.reduce([labels > 0 for labels in forest.labels])
@@ -239,14 +239,12 @@ def _find_candidates(method: str, scene: _Scene) -> tuple[Mask, int]:
 
 def _stale(cloud: PointCloud, taken: Mask) -> Mask:
     """Return the points that the source calls buildings, and that were not found to be."""
-    if cloud.classification is None:
-        return np.zeros(len(cloud), dtype=np.bool_)
-    return np.equal(cloud.classification, BUILDING) & ~taken
+    return cloud.in_class(BUILDING_CLASS) & ~taken
 
 
 def _as_in_file(points: int, index: NDArray[np.int64], taken: Mask, stale: Mask) -> tuple[NDArray[np.uint8], Mask]:
     """Return the classes of all points of a file, and which of them are to be written."""
-    classes, where = np.full(points, UNCLASSIFIED, dtype=np.uint8), np.zeros(points, dtype=np.bool_)
-    classes[index[taken]] = BUILDING
+    classes, where = np.full(points, UNCLASSIFIED_CLASS, dtype=np.uint8), np.zeros(points, dtype=np.bool_)
+    classes[index[taken]] = BUILDING_CLASS
     where[index[taken | stale]] = True
     return classes, where

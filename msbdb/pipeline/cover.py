@@ -14,6 +14,7 @@ from msbdb.grid import Grid
 from msbdb.labels import sizes, sums
 from msbdb.params import Params
 from msbdb.spectral.classes import classify
+from msbdb.spectral.model import ClassModel
 from msbdb.surface import drop_green_regions
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND
 
@@ -38,6 +39,8 @@ class Cover:
         Spectral vegetation is vegetation even where the structure sees a roof.
     operator : mapping of int to str
         The operator's labels.
+    model : ClassModel, optional
+        The fit of the classes by colour; None without imagery, and for a kept run, whose record has it.
     """
 
     structure: ClassMap
@@ -47,6 +50,7 @@ class Cover:
     colours_decide: bool
     green_decides: bool
     operator: Mapping[int, str]
+    model: ClassModel | None = None
 
     @property
     def classes(self) -> ClassMap:
@@ -96,15 +100,15 @@ def classify_cover(
 
     One band of intensity alone is no imagery: it tells materials apart too poorly.
     """
-    spectral, table, band_table = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty()
+    spectral, table, band_table, model = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), None
     if bands is not None and COLOURS & set(bands.names):
-        spectral, table, band_table = classify(bands, ndsm, roughness_m, params)
+        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params)
     colours_decide = spectral is not None and params.spectral.decides == "spectral"
     if spectral is not None:
         structure = drop_green_regions(structure, spectral.labelled("vegetation"), roughness_m, params.cover)
     table = pd.concat([table, _structure_rows(structure, len(table), ndsm, roughness_m)], ignore_index=True)
     green = bands is not None and "nir" in bands.names and not echoes
-    return Cover(structure, spectral, table, band_table, colours_decide, green, {})
+    return Cover(structure, spectral, table, band_table, colours_decide, green, {}, model)
 
 
 def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:

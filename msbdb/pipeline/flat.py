@@ -72,7 +72,8 @@ def find_flat_regions(
     From points the lowest echo of each cell counts (M8); from rasters, the surface as it is.
     """
     spec = surface.ndsm.spec
-    lowest = initialise(cloud, spec, max_gap_m=params.surface.max_gap_m) if cloud is not None else surface.dsm
+    max_gap_m = params.surface.max_gap_m if params.flatregions.gaps == "near" else 0.0
+    lowest = initialise(cloud, spec, max_gap_m=max_gap_m) if cloud is not None else surface.dsm
     if params.flatregions.on == "ndsm":
         lowest = above_ground(lowest, surface.dtm)
     found = extract_flat_regions(lowest, heights=surface.ndsm, survey=survey, params=params)

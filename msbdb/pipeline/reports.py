@@ -39,10 +39,9 @@ from msbdb.extract.multiscale.run import extract_parts
 from msbdb.grid import Grid
 from msbdb.io.las import read_points
 from msbdb.io.vector import read_polygons
-from msbdb.params import Params, with_values
+from msbdb.params import POINT_DETECTORS, Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
 from msbdb.pipeline.build import BuildReport, candidates_by_method, count_cells, report_of
-from msbdb.pipeline.candidates import METHODS
 from msbdb.pipeline.footprints import has_together, read_together
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import (
@@ -55,7 +54,8 @@ from msbdb.pipeline.state import (
     unpack_heights,
 )
 from msbdb.pipeline.together import fuse
-from msbdb.tables import CANDIDATE_METHODS, Build
+from msbdb.pointcloud import BUILDING_CLASS
+from msbdb.tables import Build
 from msbdb.view.candidates import draw_candidates
 from msbdb.view.figure import draw_map
 from msbdb.view.flat import draw_zones
@@ -65,7 +65,6 @@ logger = logging.getLogger(__name__)
 ATTEMPTS = 5
 """How often labels are given again, when others label the same survey meanwhile."""
 
-BUILDING_CLASS = 6
 POINT_SUFFIXES = {".las", ".laz"}
 
 
@@ -147,6 +146,8 @@ def _relabelled(old: Build, labels: Mapping[int, str], stages: Stages) -> Build:
     heights = unpack_heights(old.state, spec)
     cover = unpack_cover(old, spec).relabelled(labels)
     params = with_values(Params(), old.run.parameters)  # type: ignore[arg-type]  # plain nested values
+    # The run's own scales, as other labels would find others where the parameters give none.
+    params = with_values(params, {"scale": {"scales_m2": old.frames["scale"]["threshold_m2"].tolist()[::-1]}})
     flat, candidates = unpack_flat(old, spec), unpack_candidates(old)
     searched = heights if "multiscale" in old.run.method else Grid(heights.values, np.zeros_like(heights.valid), spec)
     with stages.stage("parts"):
@@ -188,7 +189,7 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
         title = f"{build.survey.name}: {len(regions)} flat regions"
         draw_zones(gpd.GeoDataFrame(regions), relief, Path(out), title=title, subtitle=subtitle)
         return
-    if of in METHODS:
+    if of in POINT_DETECTORS:
         frame = build.frames["candidate_region"]
         chosen = gpd.GeoDataFrame(frame[frame["method"] == of])
         title = f"{build.survey.name}: {len(chosen)} candidate regions of {of}"
@@ -266,10 +267,7 @@ def evaluate(
     params = EvaluateParams(overlap=overlap, cell_m=cell_m)
     if Path(reference).suffix.lower() in POINT_SUFFIXES:
         points, _ = read_points([reference], crs=crs)
-        if points.classification is None:
-            truth = np.zeros(len(points), dtype=np.bool_)
-        else:
-            truth = np.equal(points.classification, BUILDING_CLASS)
+        truth = points.in_class(BUILDING_CLASS)
         given = PointReference(points.x, points.y, truth, points.crs, points.first_echo)
         return score(outlines, given, aoi=area, params=params)
     footprints = read_polygons(reference, layer=layer, crs=crs, to=spec.crs)
@@ -310,6 +308,7 @@ def _counts(build: Build) -> dict[str, Any]:
         "highest_m": round(float(buildings["h_max"].max()), 2) if len(buildings) else None,
         "scales_m2": build.frames["scale"].sort_values("scale")["threshold_m2"].tolist(),
         "seconds": round(sum(build.run.timings.values()), 2),
+        "chosen": build.run.counts.get("chosen", {}),
     }
 
 
@@ -332,8 +331,8 @@ def compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
         return read_flat_regions(engine, survey)
     if of == "parts":
         return read_parts(engine, survey)
-    if of in CANDIDATE_METHODS:
+    if of in POINT_DETECTORS:
         return read_candidates(engine, survey, of)
-    known = ", ".join(("buildings", "confirmed", "together", "parts", "flatregions", *CANDIDATE_METHODS))
+    known = ", ".join(("buildings", "confirmed", "together", "parts", "flatregions", *POINT_DETECTORS))
     msg = f"There is nothing called '{of}' to evaluate; there are {known}."
     raise InputError(msg)

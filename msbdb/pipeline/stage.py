@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from msbdb.params import POINT_DETECTORS
+
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[str, int, int], None]
@@ -16,8 +18,7 @@ STAGES = (
     "cover",
     "flat regions",
     "bands",
-    "adaptive",
-    "area3d",
+    *POINT_DETECTORS,
     "classes",
     "parts",
     "together",

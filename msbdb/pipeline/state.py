@@ -11,12 +11,13 @@ from pyproj import CRS
 
 from msbdb.classmap import ClassMap
 from msbdb.grid import Grid, GridSpec
+from msbdb.params import POINT_DETECTORS
 from msbdb.pipeline.candidates import CandidateLayer
 from msbdb.pipeline.cover import Cover
 from msbdb.pipeline.flat import STAGES, Flat, no_flat_regions
 from msbdb.pipeline.together import Evidence, Together
 from msbdb.surface.heights import PER_METRE
-from msbdb.tables import CANDIDATE_METHODS, REJECTION, Build, Survey
+from msbdb.tables import REJECTION, Build, Survey
 
 State = Mapping[str, NDArray[np.generic]]
 
@@ -58,7 +59,7 @@ def unpack_candidates(build: Build) -> tuple[CandidateLayer, ...]:
     """Return the candidate regions of a kept run, a layer an extractor, with what they wrote into ledger and counts."""
     frame = build.frames["candidate_region"].sort_values("candidate_id", ignore_index=True)
     layers = []
-    for method in (name for name in build.run.method.split(",") if name in CANDIDATE_METHODS):
+    for method in (name for name in build.run.method.split(",") if name in POINT_DETECTORS):
         regions = gpd.GeoDataFrame(frame[frame["method"] == method].reset_index(drop=True))
         labels = build.state[method].astype(np.int32)
         layers.append(CandidateLayer(method, labels, regions, *_written_by(build, method)))

@@ -35,10 +35,9 @@ from msbdb.grid import Grid
 from msbdb.inventory.change import Comparison, compare
 from msbdb.inventory.measure import measure
 from msbdb.io.vector import read_polygons
-from msbdb.params import Params, as_dict, with_values
+from msbdb.params import DETECTORS, ChangeParams, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
-from msbdb.params.change import ChangeParams
-from msbdb.pipeline.build import EXTRACTORS, BuildReport, build, check_extractors, possible_extractors
+from msbdb.pipeline.build import BuildReport, build, check_extractors, possible_extractors
 from msbdb.pipeline.inputs import Inputs
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import lattice_of, unpack_heights
@@ -147,7 +146,7 @@ def is_built(
     ortho: Sequence[Path] = (),
     params: Params | None = None,
     profile: str = "default",
-    extract: Sequence[str] = EXTRACTORS,
+    extract: Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
     **given: Any,  # noqa: ANN401  (the other inputs of build)
 ) -> bool:

@@ -1,6 +1,7 @@
 """From bands to a class map with its tables (V34 to V36): filter, cluster, label."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,15 +18,25 @@ from msbdb.spectral.model import ClassModel, filter_to_classify, fit_model
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate
 
 
+class Classified(NamedTuple):
+    """The classes by colour: their map, their tables, and the fitted model, None where no cell qualified.
+
+    ``table`` is ``tables.SPECTRAL_CLASS``, ``band_table`` is ``tables.SPECTRAL_CLASS_BAND``.
+    """
+
+    classes: ClassMap
+    table: pd.DataFrame
+    band_table: pd.DataFrame
+    model: ClassModel | None
+
+
 def classify(
     bands: Bands,
     ndsm: Grid,
     roughness: NDArray[np.floating] | None,
     params: Params,
     operator_labels: Mapping[int, str] | None = None,
-    *,
-    finest_m2: float | None = None,
-) -> tuple[ClassMap, pd.DataFrame, pd.DataFrame]:
+) -> Classified:
     """Classify the cells of at least one storey by their bands (V34 to V36).
 
     Parameters
@@ -37,16 +48,14 @@ def classify(
     roughness : (H, W) ndarray of float, metres, optional
         Local roughness of the surface, as `msbdb.surface.texture.roughness` gives it. Labels are surer with it.
     params : Params
-        Sections ``spectral``, ``surface`` (the mask) and ``scale`` (finest scale, connectivity).
+        Sections ``spectral``, ``surface`` (the mask) and ``scale`` (connectivity, and the scales, at least one).
     operator_labels : mapping of int to str, optional
         Information class of some classes; overrules the suggestion.
-    finest_m2 : float, optional
-        The finest scale, m2, when the scales come from granulometry.
 
     Returns
     -------
-    tuple of ClassMap, DataFrame, DataFrame
-        The map, its ``tables.SPECTRAL_CLASS`` and ``tables.SPECTRAL_CLASS_BAND``. Empty when no cell qualifies.
+    Classified
+        Empty when no cell qualifies.
 
     Raises
     ------
@@ -54,11 +63,9 @@ def classify(
         When the lattices differ.
     InputError
         For labels or classes that do not exist.
-    ParameterError
-        When no finest scale is known.
     """
     _require_lattice(bands, ndsm, roughness)
-    filtered = filter_to_classify(bands, ndsm, params, finest_m2=finest_m2)
+    filtered = filter_to_classify(bands, ndsm, params)
     spectral = params.spectral
     sample = draw_sample(filtered, bands, ndsm.values, roughness, count=spectral.sample, seed=spectral.seed)
     model = fit_model(sample, spectral) if len(sample) else None
@@ -66,7 +73,7 @@ def classify(
     index = predict(filtered, model.centres) if model else np.zeros(ndsm.spec.shape, dtype=np.uint8)
     cells = sizes(index, len(labels))
     tables = class_tables(model, labels, set(operator_labels or ()), cells)
-    return ClassMap(index, labels, ndsm.spec), *tables
+    return Classified(ClassMap(index, labels, ndsm.spec), *tables, model)
 
 
 def merged_labels(model: ClassModel | None, operator_labels: Mapping[int, str] | None) -> dict[int, str]:

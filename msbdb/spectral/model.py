@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.errors import ParameterError
 from msbdb.grid import Grid
 from msbdb.labels import sizes, sums
 from msbdb.params import Params, SpectralParams
@@ -49,17 +48,31 @@ class ClassModel:
     index: str | None
     threshold: float
 
+    def as_dict(self) -> dict[str, object]:
+        """Return what classifies another tile alike, as plain values: scaling, centres, and vegetation index (V21).
 
-def filter_to_classify(bands: Bands, ndsm: Grid, params: Params, *, finest_m2: float | None = None) -> Bands:
-    """Return the bands after the area filter (V34), valid just where cells are clustered: above the mask (V35)."""
-    if finest_m2 is None:
-        if not params.scale.scales_m2:
-            msg = "The finest scale is needed to filter the bands; scale.scales_m2 is empty. Pass finest_m2."
-            raise ParameterError(msg)
-        finest_m2 = min(params.scale.scales_m2)
+        ``low`` and ``high`` hold the values of each of ``bands`` that become 0 and 1; ``centres`` has a row for each
+        class, from class 1 on, with a scaled value for each band.
+        """
+        scaling = self.centres.scaling
+        return {
+            "bands": list(scaling.names),
+            "low": list(scaling.low),
+            "high": list(scaling.high),
+            "centres": self.centres.values.tolist(),
+            "vegetation_index": self.index,
+            "vegetation_threshold": self.threshold,
+        }
+
+
+def filter_to_classify(bands: Bands, ndsm: Grid, params: Params) -> Bands:
+    """Return the bands after the area filter (V34), valid just where cells are clustered: above the mask (V35).
+
+    The filter follows the finest scale, so ``scale.scales_m2`` must not be empty.
+    """
     heights = np.asarray(ndsm.values, dtype=np.float64)
     inside = ndsm.valid & (heights >= params.surface.mask_m)
-    area_m2 = params.spectral.filter_share * finest_m2
+    area_m2 = params.spectral.filter_share * min(params.scale.scales_m2)
     return filter_bands(bands, inside, area_m2, connectivity=params.scale.connectivity)
 
 

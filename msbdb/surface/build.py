@@ -65,7 +65,7 @@ def build_surface(points: PointCloud, params: Params) -> Surface:
         When there is no first echo, or no ground.
     """
     points_m2 = density(points)
-    cell_m = params.surface.cell_m or cell_size(points_m2)
+    cell_m = params.surface.cell_m or cell_size(points_m2, literal=params.surface.cell_rule == "literal")
     spec = lattice(points.bounds, cell_m, points.crs)
     dsm, samples = grid_surface(points, spec, params)
     dtm, name = terrain(points, spec, params.ground)

@@ -94,8 +94,18 @@ def _scattered_density(x: Floats, y: Floats) -> float:
         cell_m *= OCCUPANCY_GROWTH
 
 
-def cell_size(points_m2: float) -> float:
-    """Return the round cell size nearest to the mean point spacing, 1/sqrt(density) (V14), metres."""
+def cell_size(points_m2: float, *, literal: bool = False) -> float:
+    """Return the round cell size nearest to the mean point spacing, 1/sqrt(density) (V14), metres.
+
+    With ``literal`` it is R_g = 1/density as Mongus et al. print it (M7, A10), in whole centimetres.
+
+    Examples
+    --------
+    >>> cell_size(12.35), cell_size(12.35, literal=True)
+    (0.3, 0.08)
+    """
+    if literal:
+        return max(round(1 / points_m2, 2), 0.01)
     spacing = 1.0 / np.sqrt(points_m2)
     ladder = np.asarray(CELL_LADDER_M)
     return float(ladder[np.argmin(np.abs(np.log(ladder / spacing)))])

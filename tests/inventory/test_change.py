@@ -12,7 +12,7 @@ from msbdb.inventory.change import Comparison, compare
 from msbdb.inventory.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.inventory.offset import estimate_offset
 from msbdb.inventory.pieces import without_crumbs
-from msbdb.params.change import ChangeParams
+from msbdb.params import ChangeParams
 from msbdb.vector.polygons import rasterise
 
 UTM = CRS.from_epsg(32631)

@@ -264,5 +264,5 @@ def test_images_of_different_shapes_are_refused():
 
 def test_values_out_of_bounds_are_refused():
     """The message names the value, its bounds and its unit."""
-    with pytest.raises(ParameterError, match=r"fuse\.smooth_m must lie between 0\.001 and 5\.0 m; got 0"):
+    with pytest.raises(ParameterError, match=r"fuse\.smooth_m must lie between 0\.001 and 5 m; got 0"):
         with_values(Params(), {"fuse": {"smooth_m": 0}})

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 import rasterio.warp
 import shapely
+from click.testing import CliRunner
 from pyproj import CRS, Transformer
 from simulated import scenes
 from simulated.files import write_image, write_points
 
 import msbdb
+from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, open_database, read_build
 from msbdb.errors import DatabaseError, InputError
 from msbdb.grid import Grid, lattice
@@ -98,6 +100,58 @@ def test_the_report_says_what_the_database_holds(town):
     assert run["survey_record"]["date"] == "2026-01-31"
     assert run["survey_record"]["density"] == pytest.approx(4, rel=0.02)
     assert run["survey_record"]["sources"][0]["name"] == "town.laz"
+
+
+def command(*words):
+    """Run the program; return what --json prints."""
+    result = CliRunner().invoke(cli, [*map(str, words), "--json"])
+    assert result.exit_code == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.mark.parametrize("coloured", [True, False])
+def test_scales_auto_works_with_and_without_colours(scene, tmp_path, coloured):
+    """--scales auto finds the scales once, for the filter of the bands and for the parts; labels do not change them."""
+    file = write_points(tmp_path / "town.laz", scene.points if coloured else colourless(scene.points))
+    db = tmp_path / "town.sqlite"
+    report = command("build", "--points", file, "--db", db, "--scales", "auto", "--extract", "multiscale")
+    assert report["parts"] > 0
+    run = command("info", db)["runs"][0]
+    scales = run["chosen"]["scales_m2"]
+    assert scales == sorted(scales)
+    assert run["scales_m2"] == scales[::-1]
+    assert (run["chosen"]["spectral"] is not None) == coloured
+    with msbdb.open(db) as opened:
+        table = opened.classes()
+    number = int(table["speindex"].iloc[0])
+    msbdb.relabel(db, {number: "vegetation"})
+    assert command("info", db)["runs"][0]["chosen"] == run["chosen"]
+    assert command("info", db)["runs"][0]["scales_m2"] == scales[::-1]
+
+
+def test_what_a_run_decided_itself_is_kept(town):
+    """The ground filter, the scaling of the bands and the centres of the classes are in the run (V21, X2)."""
+    db, _ = town
+    chosen = command("info", db)["runs"][0]["chosen"]
+    assert chosen["ground_filter"] == "progressive"
+    assert chosen["scales_m2"] == list(profile().scale.scales_m2)
+    spectral = chosen["spectral"]
+    assert {"red", "green", "blue", "nir", "intensity"} == set(spectral["bands"])
+    assert spectral["vegetation_index"] == "ndvi"
+    with msbdb.open(db) as opened:
+        classes = opened.classes()
+    colours = classes[classes["source"] == "spectral"]
+    centres = np.array(spectral["centres"])
+    assert centres.shape == (len(colours), len(spectral["bands"]))
+    assert ((centres >= 0) & (centres <= 1)).all()
+    assert all(low < high for low, high in zip(spectral["low"], spectral["high"], strict=True))
+
+
+def test_info_for_people_names_the_ground_filter_and_no_centres(town):
+    """The record for people stays short."""
+    result = CliRunner().invoke(cli, ["info", str(town[0])])
+    assert "progressive" in result.stdout
+    assert "centres" not in result.stdout
 
 
 def test_a_second_build_changes_nothing(town, points, tmp_path):

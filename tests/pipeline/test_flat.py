@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import SCENES
 
@@ -11,6 +12,9 @@ import msbdb
 from msbdb.database import read_part_flat_regions
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
+from msbdb.pipeline.flat import find_flat_regions
+from msbdb.pointcloud import PointCloud
+from msbdb.surface import build_surface
 from msbdb.tables import EXTRACTOR_SHARES
 
 MULTISCALE = ("multiscale",)
@@ -132,6 +136,27 @@ def test_flat_regions_are_evaluated_on_their_own(town, tmp_path):
             opened.evaluate(tmp_path / "truth.gpkg", of="roofs")
     assert score.area.rates.completeness == pytest.approx(buildings["flat_share"].iloc[0], abs=0.05)
     assert parts.area.rates.quality > 0.99
+
+
+def test_gaps_are_filled_as_the_profile_says():
+    """A gap of 6 m in a roof is part of its region where all cells are interpolated, as in mongus2013 (M8)."""
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 50, (2, 10_000))
+    roof = (np.abs(x - 25) < 10) & (np.abs(y - 25) < 10)
+    gap = (np.abs(x - 25) < 3) & (np.abs(y - 25) < 3)
+    z = np.where(roof, 6.0, 0.0) + rng.normal(0, 0.01, x.size)
+    points = PointCloud(x[~gap] + 389_000, y[~gap] + 5_821_000, z[~gap], CRS.from_epsg(32633))
+    areas = {}
+    for gaps in ("near", "all"):
+        params = with_values(profile(), {"flatregions": {"gaps": gaps}})
+        found = find_flat_regions(build_surface(points, params), points, params, survey="roof", figure=None)
+        areas[gaps] = found.regions["area_m2"].tolist()
+    assert [len(found) for found in areas.values()] == [1, 1]
+    assert areas["all"][0] == pytest.approx(400, rel=0.06)
+    assert areas["all"][0] - areas["near"][0] == pytest.approx(16, abs=8), (
+        "6 m less the 1 m that is filled to each side"
+    )
+    assert profile("mongus2013").flatregions.gaps == "all"
 
 
 def test_the_paper_s_profile_works_on_the_raw_surface(points, tmp_path):

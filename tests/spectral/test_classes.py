@@ -6,9 +6,9 @@ from scipy import ndimage
 from simulated import scenes
 
 from msbdb.bands import Bands
-from msbdb.errors import GridMismatchError, InputError, ParameterError
+from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Grid
-from msbdb.params import Params, with_values
+from msbdb.params import Params
 from msbdb.spectral import classify, spectral_bands
 from msbdb.surface.gridding import sample_nearest
 from msbdb.surface.texture import roughness
@@ -74,7 +74,7 @@ def test_only_cells_of_at_least_one_storey_are_classified(city, classified):
 
 def test_tables_are_as_declared_and_add_up(city, classified):
     """Counts, shares and means describe the map."""
-    classes, frame, means = classified
+    classes, frame, means, _ = classified
     validate(frame, SPECTRAL_CLASS)
     validate(means, SPECTRAL_CLASS_BAND)
     assert frame["speindex"].tolist() == list(range(1, 16))
@@ -95,7 +95,7 @@ def test_classes_come_in_canonical_order(classified):
 
 def test_operator_overrules(city, classified):
     """Labels given by class replace the suggestion, and say so; the map of indices stays."""
-    classes, frame, _ = classify(city.bands, city.ndsm, city.roughness, PARAMS, {1: "water", 15: "building"})
+    classes, frame, *_ = classify(city.bands, city.ndsm, city.roughness, PARAMS, {1: "water", 15: "building"})
     assert classes.labels[1] == "water"
     assert classes.labels[15] == "building"
     assert frame.set_index("speindex").loc[[1, 15], "labelled_by"].tolist() == ["operator", "operator"]
@@ -121,7 +121,7 @@ def test_a_planted_roof_stays_a_building():
 def test_nothing_above_the_mask_gives_an_empty_map():
     """A bare field has no class, and the tables have no rows but all columns."""
     case = Case("flat_field")
-    classes, frame, means = classify(case.bands, case.ndsm, case.roughness, PARAMS)
+    classes, frame, means, _ = classify(case.bands, case.ndsm, case.roughness, PARAMS)
     assert not classes.index.any()
     assert dict(classes.labels) == {}
     validate(frame, SPECTRAL_CLASS)
@@ -133,14 +133,14 @@ def test_intensity_alone_still_gives_classes(city):
     """Without image bands brightness and index are unknown, and only very rough classes are vegetation."""
     bands = spectral_bands(None, city.scene.points, city.scene.spec, max_gap_m=5.0)
     only = Bands(bands.values[4:].copy(), ("intensity",), bands.valid.copy(), bands.spec)
-    _, frame, _ = classify(only, city.ndsm, None, PARAMS)
+    _, frame, *_ = classify(only, city.ndsm, None, PARAMS)
     assert frame["ndvi"].isna().all()
     assert frame["brightness"].isna().all()
     assert frame["roughness_m"].isna().all()
     assert set(frame["label"]) == {"building"}
 
 
-def test_other_lattices_and_an_unknown_finest_scale_are_refused(city):
+def test_other_lattices_are_refused(city):
     """The messages say what to do next."""
     spec = city.bands.spec.crop(slice(0, 10), slice(0, 10))
     small = Grid(np.zeros((10, 10), dtype=np.float32), np.ones((10, 10), dtype=bool), spec)
@@ -148,7 +148,3 @@ def test_other_lattices_and_an_unknown_finest_scale_are_refused(city):
         classify(city.bands, small, None, PARAMS)
     with pytest.raises(GridMismatchError, match="roughness"):
         classify(city.bands, city.ndsm, np.zeros((3, 3)), PARAMS)
-    empty = with_values(PARAMS, {"scale": {"scales_m2": ()}})
-    with pytest.raises(ParameterError, match="finest_m2"):
-        classify(city.bands, city.ndsm, None, empty)
-    classify(city.bands, city.ndsm, None, empty, finest_m2=20.0)

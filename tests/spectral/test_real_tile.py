@@ -58,7 +58,7 @@ def test_crowns_are_told_from_roofs(tile, infrared, seed):
     """Nine of ten crown cells are vegetation and nine of ten roof cells building, with near infrared or without."""
     bands, ndsm, rough, crown, roof = tile
     params = with_values(Params(), {"spectral": {"seed": seed}})
-    classes, _, _ = classify(bands if infrared else _without_infrared(bands), ndsm, rough, params)
+    classes, *_ = classify(bands if infrared else _without_infrared(bands), ndsm, rough, params)
     seen = classes.index > 0
     assert seen.sum() > 3000
     assert classes.labelled("vegetation")[seen & crown].mean() > 0.9

@@ -104,6 +104,13 @@ def test_the_cell_follows_the_density_unless_given():
     assert build_surface(points, with_values(Params(), {"surface": {"cell_m": 1.5}})).dsm.spec.cell_m == 1.5
 
 
+def test_the_cell_as_printed_is_one_over_the_density():
+    """R_g = 1/D of Mongus et al.: 4 points a square metre make cells of 0.25 m (M7, A10)."""
+    points = scenes.flat_field().points
+    params = with_values(Params(), {"surface": {"cell_rule": "literal"}})
+    assert build_surface(points, params).dsm.spec.cell_m == pytest.approx(0.25, abs=0.01)
+
+
 def test_an_empty_field_has_no_roofs():
     """Nothing stands above the mask, so nothing is classified."""
     points = scenes.flat_field().points

@@ -11,13 +11,13 @@ from msbdb.errors import InputError, NodataError
 from msbdb.extract.area3d.coc import Structure, measure_structure
 from msbdb.extract.area3d.heights import height_scales
 from msbdb.extract.area3d.regions import METHOD, Cloud, describe
-from msbdb.extract.area3d.scales import Scene, fuse_over_heights
+from msbdb.extract.area3d.scales import Scene, fuse_over_scales
 from msbdb.extract.candidates import Candidates
 from msbdb.extract.density import measure_density
 from msbdb.extract.placed import PointBooks, places
 from msbdb.grid import GridSpec
 from msbdb.labels import Labels, chosen_cells, reorder, sums
-from msbdb.morphology.points import PointGraph, components, connect, open_close_on_set
+from msbdb.morphology.points import PointGraph, build_point_scale_space, components, connect, open_close_on_set
 from msbdb.order import order_of_points, ranks
 from msbdb.params import Area3dParams, Params
 from msbdb.pointcloud import PointCloud
@@ -86,10 +86,11 @@ def extract_area3d(
     _require(cloud, heights, ndvi)
     order = _canonical_order(cloud, heights, ndvi)
     needed = replace(cloud, classification=None, intensity=None, colours=None, colour_names=())
-    scene, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
+    scenes, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
+    scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
     books = PointBooks(placed)
-    accepted = fuse_over_heights(scene, scales, books)
+    accepted = fuse_over_scales(scenes, scales, books)
     regions = describe(
         scene.cloud,
         accepted.labels,
@@ -139,8 +140,8 @@ def _prepare(
     ndvi: NDArray[np.float32] | None,
     spec: GridSpec,
     params: Params,
-) -> tuple[Scene, tuple[float, ...]]:
-    """Build what all height scales share from the points in canonical order, and choose the scales."""
+) -> tuple[tuple[Scene, ...], tuple[float, ...]]:
+    """Build what all height scales share from the points in canonical order, for each area; choose the heights."""
     own, mask_m = params.area3d, params.surface.mask_m
     points = np.empty((len(cloud), 3), order="F")  # by columns, each of which the steps take as it is
     x, y, z = points.T
@@ -152,33 +153,64 @@ def _prepare(
     link_m = own.link_spacings * density.spacing_m
     graph = connect(x, y, z, link_m)
     scales = height_scales(heights, own, mask_m=mask_m)
-    filtered = _open_close(heights, graph, density.area_m2, own.smallest_m2, scales)
+    areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
+    filtered = _open_close(heights, graph, density.area_m2, areas, scales)
     several = cloud.number_of_returns > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
-    structure = _structure(points, several, filtered >= scales[0], own)
+    structure = _structure(points, several, np.logical_or.reduce(filtered >= scales[0]), own)
     green = None if ndvi is None else ndvi.astype(np.float64)
     place = places(spec, cloud.x, cloud.y)
     known = Cloud(points, heights, density.area_m2, several, green, place, origin[:2])
-    return Scene(known, graph, filtered, density.spacing_m, link_m, structure, own, mask_m), scales
+    return tuple(
+        Scene(known, graph, on, density.spacing_m, link_m, structure, replace(own, smallest_m2=area), mask_m)
+        for on, area in zip(filtered, areas, strict=True)
+    ), scales
 
 
 def _open_close(
     heights: NDArray[np.float64],
     graph: PointGraph,
     area_m2: NDArray[np.float64],
-    smallest_m2: float,
+    areas: tuple[float, ...],
     scales: tuple[float, ...],
 ) -> NDArray[np.float64]:
-    """Return the highest scale at which each point is on after AOC (C6); minus infinity where there is none.
+    """Return, for each area scale, the highest height scale at which each point is on after AOC (C6, C7).
 
-    On-sets of a higher scale lie within those of a lower one. Islands of less than T_a, which no height tells on from
-    off, are never on.
+    Parameters
+    ----------
+    heights : (N,) ndarray of float64, metres
+        Heights above ground.
+    graph : PointGraph
+        The connected points.
+    area_m2 : (N,) ndarray of float64
+        Area of each point.
+    areas : tuple of float
+        Ta_k, m2, ascending; SP_k is fed by SP_{k-1} (Eq. 3).
+    scales : tuple of float
+        h_j, metres, ascending.
+
+    Returns
+    -------
+    (K, N) ndarray of float64
+        Metres; minus infinity where there is none.
+
+    Notes
+    -----
+    On-sets of a higher h_j lie within those of a lower one. Islands of less than T_a, for which no height decides
+    between on and off, are never on. For one area the on-sets are filtered one by one, which is faster than a sweep
+    over all heights (`open_close_on_set`) and gives the same.
     """
     islands, count = components(np.ones(len(heights), dtype=np.bool_), graph)
-    large = chosen_cells(islands, sums(islands, area_m2, count) >= smallest_m2)
-    filtered = np.full(len(heights), -np.inf)
-    for height_m in scales:
-        on = open_close_on_set(heights >= height_m, graph, smallest_m2, weights=area_m2)
-        filtered[on & large] = height_m
+    size = sums(islands, area_m2, count)
+    space = build_point_scale_space(heights, graph, areas, weights=area_m2) if len(areas) > 1 else None
+    filtered = np.full((len(areas), len(heights)), -np.inf)
+    for number, area in enumerate(areas):
+        large = chosen_cells(islands, size >= area)
+        for height_m in scales:
+            if space is None:
+                on = open_close_on_set(heights >= height_m, graph, area, weights=area_m2)
+            else:
+                on = space.on_set(number, height_m)
+            filtered[number, on & large] = height_m
     return filtered
 
 

@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What all height scales share.
+    """What all height scales of one area scale share.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Accepted:
-    """The union of the accepted regions over all height scales (C19).
+    """The union of the accepted regions over all area and height scales (C7, C19).
 
     Parameters
     ----------
@@ -114,18 +115,28 @@ class Accepted:
     height_m: NDArray[np.float64]
 
 
-def fuse_over_heights(scene: Scene, scales: tuple[float, ...], books: PointBooks) -> Accepted:
-    """Judge the regions at each height scale, from the lowest up, and take the union of the accepted ones (C19).
+def fuse_over_scales(scenes: tuple[Scene, ...], scales: tuple[float, ...], books: PointBooks) -> Accepted:
+    """Judge the regions at each area and height scale, and take the union of the accepted ones (C7, C19).
+
+    Parameters
+    ----------
+    scenes : tuple of Scene
+        One for each area scale Ta_k, ascending.
+    scales : tuple of float
+        Height scales h_j, metres, ascending.
+    books : PointBooks
+        Gets what is lost.
 
     Notes
     -----
-    Regions of a higher scale lie within those of a lower one. So each place is taken by the lowest scale that accepts
-    it, and higher scales look only at what is left.
+    Of one area scale, regions of a higher h_j lie within those of a lower one. So each place is taken by the lowest
+    height that accepts it, and higher ones look only at what is left. Larger area scales follow in the same way; their
+    union with the smaller ones is ours.
     """
-    labels = np.zeros(len(scene.cloud.heights), dtype=np.int32)
+    labels = np.zeros(len(scenes[0].cloud.heights), dtype=np.int32)
     booked = np.zeros(len(labels), dtype=np.bool_)
     rules, heights = [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
-    for number, height_m in enumerate(scales, 1):
+    for number, (scene, height_m) in enumerate(product(scenes, scales), 1):
         found, rule = _Level(scene, books, number, height_m, labels > 0, booked).regions()
         before = sum(len(values) for values in rules)
         labels += np.where(found > 0, found + np.int32(before), np.int32(0))
@@ -137,7 +148,7 @@ def fuse_over_heights(scene: Scene, scales: tuple[float, ...], books: PointBooks
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """One height scale: its steps, in their order, and what they write into the books.
+    """One height scale of an area scale: its steps, in their order, and what they write into the books.
 
     ``taken`` are the points of regions that lower scales accepted, ``booked`` those in regions that the opening took
     away; each scale adds its own to these. What lies within one of them higher up stands in the ledger already.

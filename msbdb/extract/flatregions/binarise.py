@@ -68,7 +68,8 @@ def binarise(g: Grid, initial: Grid, params: FlatRegionParams) -> Binarised:
 
     Notes
     -----
-    Λ(C) is the sum of second-order gradients over C times the cell's area (A13). A component C of the support
+    Λ(C) is the sum of second-order gradients over C times the cell's area (A13), or over its cells with ``lambda_unit``
+    'px'. A component C of the support
     {δ_i > 0} of zone i stays when its area is at least R λ_i (A12): when its mean gradient is below about 1/R, by the
     zone's upper threshold. All zones are read from one component tree of 8-connected cells; its nodes that leave
     their zone are these components. Ours: components larger than ``largest_m2`` are terrain.
@@ -78,6 +79,9 @@ def binarise(g: Grid, initial: Grid, params: FlatRegionParams) -> Binarised:
     the raw surface the lowest level of a connected area of valid cells is never a region.
     """
     thresholds = zone_thresholds(params.lambda_min_m2, params.lambda_max_m2, params.lambda_step_m2)
+    if params.lambda_unit == "px":
+        # A λ of cells is as many cell areas of m2: Λ and A in cells, or both in m2, compare alike.
+        thresholds = thresholds * g.spec.cell_area_m2
     if not g.valid.any():
         msg = "The surface has no valid cell in which flat regions could be sought."
         raise NodataError(msg)

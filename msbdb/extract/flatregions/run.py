@@ -150,8 +150,12 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
 
 
 def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, books: FlatBooks) -> Labels:
-    """Keep the regions of Ψ' < ψ (Eq. 16; A9) and number them anew, by their first cells."""
-    compact = measure_shapes(labels, cell_m)["compactness"].to_numpy() < own.max_compactness
+    """Keep the regions of Ψ < ψ (Eq. 16) and number them again, by their first cells.
+
+    Ψ is P²/(4πA) (A9), or its inverse as printed (M20).
+    """
+    psi = measure_shapes(labels, cell_m)["compactness"].to_numpy()
+    compact = (1 / psi if own.compactness == "literal" else psi) < own.max_compactness
     inside = chosen_cells(labels, compact)
     long = books.reject("flat compactness", LONG, np.where(inside, 0, labels))
     kept, left = label_zones(np.where(inside, labels, 0))

@@ -165,12 +165,18 @@ def _span(clusters: Clusters, level: int) -> slice:
 
 
 def _heights(clusters: Clusters, father: NDArray[np.int64], context: Context) -> dict[str, NDArray[np.generic]]:
-    """Return height statistics and storeys of every cluster, from the nDSM inside of it (V30)."""
+    """Return height statistics of every cluster, from the nDSM inside of it, and its storeys, from there or as written.
+
+    As written (V30), H is the value of the flat zone, which the opening lowers where a tower is about as large as the
+    podium under it.
+    """
     order = order_heights(context.ndsm, _cover(clusters.labels, father == NONE) > 0)
     tables = [height_statistics(labels, _span(clusters, level), order) for level, labels in enumerate(clusters.labels)]
     table = pd.concat(tables, ignore_index=True)
     found = {name: table[name].to_numpy() for name in table.columns}
-    return {**found, "hindex": storeys(found["h_p90"], context.surface)}
+    zone = context.surface.storeys_from == "zone"
+    hindex = clusters.rows["hzone"].to_numpy() if zone else storeys(found["h_p90"], context.surface)
+    return {**found, "hindex": hindex}
 
 
 def _spectra(clusters: Clusters, context: Context) -> dict[str, NDArray[np.generic]]:

@@ -21,7 +21,7 @@ from msbdb.grid import Grid
 from msbdb.labels import label_zones, measure
 from msbdb.morphology.granulometry import find_scales
 from msbdb.morphology.scalespace import build_scale_space
-from msbdb.params import Params, ScaleParams
+from msbdb.params import Params, ScaleParams, with_values
 from msbdb.tables import SCALE
 
 logger = logging.getLogger(__name__)
@@ -68,11 +68,11 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
         )
         raise GridMismatchError(msg)
     ledger = Ledger()
+    params = choose_scales(ndsm, classes, params)
     sliced = slice_heights(ndsm, params.surface)
     if classes is not None and params.spectral.decides == "structure":
         sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger)
-    cell_area = ndsm.spec.cell_area_m2
-    scales = number_scales(params.scale.scales_m2 or find_scales(sliced, cell_area, params.granulometry), cell_area)
+    scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
     thresholds = scales["threshold_px"].tolist()[::-1]
     clusters = form_clusters(sliced, thresholds, params.scale, ledger)
     step = drop_duplicates(clusters, params.scale.duplicate_share)
@@ -84,6 +84,28 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
     forest = grow_forest(clusters, Context(ndsm, classes, scales, survey, params.surface), ledger)
     logger.info("Multi-scale extraction: %d parts, %d regions rejected", len(forest.parts), len(forest.rejections))
     return forest
+
+
+def choose_scales(ndsm: Grid, classes: ClassMap | None, params: Params) -> Params:
+    """Return the parameters with scales: those that were given, or those that the heights contain (V8).
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    classes : ClassMap or None
+        Classes on the same lattice, by which vegetation has no part in the sizes where the structure decides. A build
+        finds its scales before there are colours, as the filter of the bands needs the finest one (V34).
+    params : Params
+        Where ``scale.scales_m2`` is empty, `find_scales` finds it by ``granulometry``.
+    """
+    if params.scale.scales_m2:
+        return params
+    sliced = slice_heights(ndsm, params.surface)
+    if classes is not None and params.spectral.decides == "structure":
+        sliced = np.where(classes.labelled("vegetation"), np.uint16(0), sliced)
+    found = find_scales(sliced, ndsm.spec.cell_area_m2, params.granulometry)
+    return with_values(params, {"scale": {"scales_m2": found}})
 
 
 def number_scales(scales_m2: tuple[float, ...], cell_area_m2: float) -> pd.DataFrame:

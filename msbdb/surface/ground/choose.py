@@ -9,7 +9,7 @@ from scipy.ndimage import median_filter, uniform_filter
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.params import GroundParams
-from msbdb.pointcloud import PointCloud
+from msbdb.pointcloud import GROUND_CLASS, PointCloud
 from msbdb.surface.gridding import lowest
 from msbdb.surface.ground.adaptive import adaptive_ground
 from msbdb.surface.ground.interpolate import interpolate_ground, refine
@@ -17,7 +17,6 @@ from msbdb.surface.ground.progressive import progressive_ground
 from msbdb.surface.ground.quadratic import quadratic_ground
 from msbdb.surface.ground.wavelet import wavelet_ground
 
-GROUND_CLASS = 2
 MIN_GROUND_SHARE = 0.02
 """Below this share of class 2 the given classes are not taken for a classification of the ground."""
 
@@ -79,7 +78,7 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
     name = _resolve(points, params.ground_filter)
     coarse = lattice(spec.bounds, max(params.ground_cell_m, spec.cell_m), spec.crs)
     if name == "class2":
-        return refine(_through(points, _class2(points), coarse), spec), name
+        return refine(_through(points, points.in_class(GROUND_CLASS), coarse), spec), name
     if name in POINT_FILTERS:
         return refine(_through(points, POINT_FILTERS[name](points, params), coarse), spec), name
     surface = lowest_surface(points, coarse, params)
@@ -113,17 +112,10 @@ def _supported(observed: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _resolve(points: PointCloud, name: str) -> str:
     """Turn ``auto`` into the filter that fits the points, and check that class 2 is there when asked for."""
-    share = float(np.count_nonzero(_class2(points))) / max(len(points), 1)
+    share = float(np.count_nonzero(points.in_class(GROUND_CLASS))) / max(len(points), 1)
     if name == "auto":
         return "class2" if share >= MIN_GROUND_SHARE else "progressive"
     if name == "class2" and share == 0.0:
         msg = "The ground filter 'class2' needs points of class 2 and there are none; take 'progressive' or 'wavelet'."
         raise NodataError(msg)
     return name
-
-
-def _class2(points: PointCloud) -> NDArray[np.bool_]:
-    """Return which points the source calls ground."""
-    if points.classification is None:
-        return np.zeros(len(points), dtype=np.bool_)
-    return np.equal(points.classification, GROUND_CLASS)

@@ -25,9 +25,9 @@ import pandas as pd
 import shapely
 from pyproj import CRS
 
+from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
-    CANDIDATE_METHODS,
     CANDIDATE_REGION,
     EXTRACTOR_SHARES,
     FLAT_REGION,
@@ -79,7 +79,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
     links = _links(parts, regions, PART_FLAT_REGION)
     part_candidates = _links(parts, candidates, PART_CANDIDATE)
     made_by = part_candidates["candidate_id"].map(candidates.set_index("candidate_id")["method"])
-    heard = {"flatregions": links} | {name: part_candidates[made_by == name] for name in CANDIDATE_METHODS}
+    heard = {"flatregions": links} | {name: part_candidates[made_by == name] for name in POINT_DETECTORS}
     frames: dict[str, pd.DataFrame] = {
         "scale": _frame(SCALE, [(1, 200, 200.0), (2, 50, 50.0), (3, 20, 20.0)]),
         "part": parts,
@@ -177,7 +177,7 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
     parts = pd.concat(rows, ignore_index=True)[[*PART.names, "geometry"]]
     witnesses = (FLAT_REGION, PART_FLAT_REGION, CANDIDATE_REGION, PART_CANDIDATE, FLAT_REGION_CANDIDATE)
     none = {table.name: base.frames[table.name][:0] for table in witnesses}
-    heard = dict.fromkeys(CANDIDATE_METHODS, none["part_candidate"]) | {"flatregions": none["part_flat_region"]}
+    heard = dict.fromkeys(POINT_DETECTORS, none["part_candidate"]) | {"flatregions": none["part_flat_region"]}
     frames = {**base.frames, **none, "part": parts, "building": _buildings(parts, heard)}
     lattice = max(-(-count // cols), 5), max(cols, 20)
     north, east = (20.0 * cells for cells in lattice)

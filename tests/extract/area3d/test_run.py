@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated.files import write_points
 from pyproj import CRS
 from simulated.scenes import city, flat_field, podium_tower, under_trees
 
+import msbdb
 from msbdb.errors import InputError, NodataError
 from msbdb.extract.area3d import extract_area3d
 from msbdb.grid import lattice
@@ -106,6 +108,40 @@ def test_a_gabled_roof_is_one_region_at_any_density(density):
     found = extract(points)
     assert len(found.regions) == 1
     assert quality(found.labels > 0, points[:, 2] > 2) > 0.97
+
+
+LADDER = {"heights_m": (3.0,), "rectangularity_2": 0.75, "foot_m": 2.9, "areas_m2": (10.0, 450.0)}
+TERRACE = (box((15, 15), (30, 30), 3.2), box((20, 20), (20, 20), 2.5))
+"""A roof with a lower terrace of 400 m2 in its middle, which is above ground but below the height scale of 3 m."""
+
+
+def test_the_ladder_of_areas_closes_what_one_area_leaves_open():
+    """A ring fills too little of its rectangle; the next area scale closes the terrace within it (C7)."""
+    points = scan(*TERRACE)
+    assert len(extract(points, with_area3d(**{**LADDER, "areas_m2": ()})).regions) == 0
+    found = extract(points, with_area3d(**LADDER))
+    assert found.regions["area_m2"].tolist() == pytest.approx([900], rel=0.06)
+
+
+def test_one_area_scale_is_the_smallest_building():
+    """A ladder of one area, T_a, is the extraction without a ladder."""
+    points = scan(box((15, 20), (24, 14), 9.0, slope=0.6), box((45, 5), (8, 8), 4.0))
+    one, none = extract(points, with_area3d(areas_m2=(10.0,))), extract(points)
+    assert one.regions.equals(none.regions)
+    assert one.rejections.equals(none.rejections)
+
+
+def test_a_build_takes_the_ladder_of_areas(tmp_path):
+    """From the point file to the database: the region is there with the ladder, and not without."""
+    file = write_points(tmp_path / "terrace.laz", cloud_of(scan(*TERRACE)))
+    found = []
+    for name, areas in (("one", ()), ("ladder", LADDER["areas_m2"])):
+        params = with_area3d(**{**LADDER, "areas_m2": areas})
+        msbdb.build([file], db=tmp_path / f"{name}.sqlite", params=params, extract=["area3d"])
+        with msbdb.open(tmp_path / f"{name}.sqlite") as opened:
+            found.append(opened.candidates()["area_m2"].tolist())
+    assert found[0] == []
+    assert found[1] == pytest.approx([900], rel=0.06)
 
 
 def test_an_l_shape_passes_by_rule_2_of_the_paper():

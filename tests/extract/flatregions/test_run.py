@@ -141,6 +141,16 @@ def test_recognition_rejects_a_wall(changes, stage):
     assert found.counts[stage]["dropped"] == 1
 
 
+def test_the_compactness_as_printed_rejects_nothing():
+    """4πA/P² is 1 at most, so that a wall stays that P²/(4πA) rejects (A9, M20)."""
+    heights = np.zeros((60, 160), dtype=np.float32)
+    heights[5:17, 10:130] = 4.0
+    heights[25:55, 20:60] = 7.0
+    found = extract(grid(heights), with_flat(max_compactness=2.0, s_max_m=0.0, compactness="literal"))
+    assert sorted(found.regions["h_max"]) == [4.0, 7.0]
+    assert found.regions["compactness"].max() > 2
+
+
 def test_ids_come_from_the_place_and_are_not_those_of_parts():
     """The same houses in a larger tile have the same ids; other surveys, and parts there, have others."""
     small = extract(grid(houses())).regions

@@ -251,6 +251,20 @@ def test_a_flat_roof_is_found_and_a_rough_one_is_not():
     assert not found.flat[~found.risen].any()
 
 
+def test_lambda_of_cells_is_as_many_cell_areas():
+    """With λ in cells of 0.5 m the regions are those of a quarter of λ in m2 (A13)."""
+    rng = np.random.default_rng(3)
+    g = grid(np.kron(rng.integers(0, 6, (8, 8)), np.ones((5, 5))), cell_m=0.5)
+    of_cells, of_m2 = (
+        binarise(g, g, replace(PAPER, lambda_min_m2=low, lambda_step_m2=step, lambda_max_m2=high, lambda_unit=unit))
+        for unit, low, step, high in (("px", 40.0, 80.0, 4000.0), ("m2", 10.0, 20.0, 1000.0))
+    )
+    assert of_cells.flat.any()
+    assert not of_cells.flat.all()
+    np.testing.assert_array_equal(of_cells.zones, of_m2.zones)
+    np.testing.assert_array_equal(of_cells.thresholds, of_m2.thresholds)
+
+
 def test_r_falls_with_the_window_of_the_gradients():
     """R holds up to cells of 0.35 m, falls with the root of the window beyond, and is one in the paper's profile."""
     own = FlatRegionParams()

@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 from affine import Affine
 from hypothesis import given, settings
@@ -116,6 +117,17 @@ def test_heights_come_from_the_surface_and_not_from_the_zone():
     image[2:12, 2:11] = 9
     root = extract(image, 5, 95).parts
     assert root[["hzone", "hindex", "area_px"]].to_numpy().tolist() == [[1, 9, 100]]
+
+
+def test_storeys_come_from_the_zone_as_written():
+    """In the paper's profile the podium keeps the storeys of its flat zone, and loses those of the tower (V30)."""
+    image = np.zeros((14, 14), dtype=int)
+    image[2:12, 2:12] = 1
+    image[2:12, 2:11] = 9
+    base = profile("vu2009")
+    params = replace(base, scale=replace(base.scale, scales_m2=(5.0, 95.0)))
+    root = extract_parts(heights_of(image), None, survey="test", params=params).parts
+    assert root[["hzone", "hindex", "h_p90"]].to_numpy().tolist() == [[1, 1, 27.5]]
 
 
 def test_tables_are_as_declared():
@@ -278,7 +290,10 @@ def test_every_cell_above_ground_is_a_part_or_in_the_ledger(scene):
 @settings(max_examples=30, deadline=None)
 @given(scenes(), st.integers(-5, 50), st.integers(-5, 50))
 def test_a_shift_moves_places_and_nothing_else(scene, row, col):
-    """By whole cells XO and YO move, ids follow the place, all else stays."""
+    """By whole cells XO and YO move and every part gets another id; attributes, fathers and their order stay.
+
+    Ids come from the place: where a part moves onto the old place of an equal one, it gets the id that this one had.
+    """
     image, index = scene
     here = extract(image, 4, 12, 40, index=index).parts
     there = extract(image, 4, 12, 40, index=index, row=row, col=col).parts
@@ -286,8 +301,19 @@ def test_a_shift_moves_places_and_nothing_else(scene, row, col):
     assert there["yo"].tolist() == pytest.approx((here["yo"] - row).tolist())
     same = ["supscale", "scale", "hindex", "hzone", "speindex", "area_px", "h_max", "h_mean", "building_share"]
     assert there[same].equals(here[same])
+    fathers = [pd.Index(parts["part_id"]).get_indexer(parts["supid"]).tolist() for parts in (here, there)]
+    assert fathers[0] == fathers[1]
     if (row, col) != (0, 0):
-        assert not set(here["part_id"]) & set(there["part_id"])
+        assert (there["part_id"].to_numpy() != here["part_id"].to_numpy()).all()
+
+
+def test_an_equal_part_at_the_old_place_of_another_has_its_id():
+    """Two equal houses, shifted by their distance: the second one stands where the first one was."""
+    image = np.zeros((14, 30), dtype=int)
+    image[2:12, 2:12], image[2:12, 16:26] = 2, 2
+    here, there = extract(image, 4).parts, extract(image, 4, col=-14).parts
+    assert there["part_id"].iloc[1] == here["part_id"].iloc[0]
+    assert there["part_id"].iloc[0] not in set(here["part_id"])
 
 
 @settings(max_examples=30, deadline=None)

@@ -1,0 +1,150 @@
+"""Parameters from parts to inventory: scale-space, granulometry, fusion, outlines, change, and evaluation."""
+
+from dataclasses import dataclass, fields
+
+from msbdb.params.declare import checked_value, param
+
+# A table, in which a parameter takes a line or two: the formatter would give every argument a line of its own.
+# fmt: off
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleParams:
+    """The area open-close scale-space and the tree of parts."""
+
+    scales_m2: tuple[float, ...] = param((10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0), "m2",
+        "Area thresholds s of the scale-space, ascending; empty finds them by granulometry (V8).",
+        paper="V53: 50, 100, 200, 500, 1000", ours="10 and 20 for denser surveys, 2000 and 5000 for halls",
+        low=0, high=1e7)
+    connectivity: int = param(8, "-", "Neighbourhood of openings, closings and flat zones alike: 4 or 8.",
+        ours="V10 states none; 8 keeps islands independent (V12)", low=4, high=8)
+    duplicate_share: float = param(0.85, "1",
+        "A finer cluster of at least this share of its coarser one's area is its duplicate.", paper="V28: 0.9 or 0.85",
+        low=0.5, high=1)
+    keep_courtyards: bool = param(True, "-",
+        "Cut every cluster of every scale to the cells that are above ground on the finest scale.",
+        ours="closing at coarse scales covers courtyards that the finest scale shows as ground")
+    merge_slivers: bool = param(True, "-",
+        "Give flat zones smaller than the finest scale to their larger neighbours before clusters are formed.",
+        ours="an opening leaves the narrow zones between ground and roof; V7 wants objects of at least s")
+    fake_father_ratio: float = param(0.4, "1", "A father whose StdDis over sqrt(area/pi) exceeds this is fake.",
+        ours="V46 gives no threshold; by A7: a row of 3 to 5 squares gives 0.44 to 0.59, a disc 0.24", low=0, high=10)
+    fake_father_m: float = param(0.0, "m",
+        "Absolute StdDis above which a father is fake; 0 turns the absolute test off.", ours="V46 gives no threshold",
+        low=0, high=1e5)
+    fake_father_min_children: int = param(3, "count", "Fathers with fewer children are never fake.",
+        paper="V46: more than two children", low=1, high=1000)
+    fake_father_coverage: float = param(0.5, "1",
+        "A father is not fake where its children cover a smaller share of its area.",
+        ours="StdDis alone would destroy a large roof with small parts far apart on it (A7)", low=0, high=1)
+
+
+@dataclass(frozen=True, slots=True)
+class GranulometryParams:
+    """Finding the scales in the image itself, when none are given (V8)."""
+
+    smallest_m2: float = param(20.0, "m2", "Smaller sizes are trees and noise, and give no scale.",
+        ours="a garage; only the fixed default scales begin lower, at 10 m2", low=0.01, high=1e6)
+    largest_m2: float = param(10_000.0, "m2", "Larger sizes give no scale.",
+        ours="larger than most halls; beyond are blocks joined by trees", low=0.02, high=1e7)
+    most: int = param(6, "count",
+        "Largest number of scales: the finest, the coarsest and the highest peaks of the spectrum between.",
+        ours="one more than the paper's five (V53)", low=2, high=50)
+    extreme_share: float = param(0.05, "1",
+        "Share of the built cells of sizes below the finest scale, and of sizes above the coarsest.",
+        ours="the paper takes the smallest and the biggest building, which one stray cell could set", low=0, high=0.49)
+    peak_share: float = param(0.02, "1",
+        "Share of the built cells that a bin of the smoothed spectrum must hold to be a peak.",
+        ours="lower peaks are single buildings", low=0, high=1)
+
+
+@dataclass(frozen=True, slots=True)
+class FuseParams:
+    """The decision on a piece that only parts or only flat regions support."""
+
+    edge_m: float = param(0.5, "m",
+        "Disputed strips up to twice as wide are edges, which the parts decide; at least a cell.",
+        ours="narrower loses a true roof on Delft 2, wider the light wells of Delft 1", low=0, high=20)
+    smooth_m: float = param(0.06, "m",
+        "Median roughness up to which a piece is a roof by itself; grows with cells above 1 m.",
+        ours="1.5 times a scanner's range noise; 0.05 to 0.08 m do alike, 0.04 m loses a true roof on Delft 2",
+        low=0.001, high=5)
+    roof_share: float = param(0.55, "1",
+        "Mean probability of roof from which a piece is a roof by its echoes and texture.",
+        ours="a little more than the even odds of the cover; 0.55 to 0.6 do alike", low=0, high=1)
+    seen_share: float = param(2 / 3, "1",
+        "A piece without flat region is in doubt where flat regions cover this share of its building.",
+        ours="most of the roof; below it flat regions cover too little to decide", low=0, high=1)
+
+
+@dataclass(frozen=True, slots=True)
+class VectorParams:
+    """From raster parts to polygons."""
+
+    simplify_px: float = param(1.0, "cells",
+        "Tolerance of the outlines' simplification, in cells; shared edges stay shared.", ours="V47 gives no tolerance",
+        low=0, high=100)
+    outline: str = param("alpha", "-",
+        "Outline of regions of points: alpha shape or concave hull.",
+        paper="S7, S1: alpha shape and Douglas-Peucker", choices=("alpha", "hull"))
+    alpha_factor: float = param(2.0, "spacings", "1/alpha: triangles of a smaller circumradius belong to a region.",
+        ours="S7 gives none; 1.5 leaves holes in thinned roofs, 3 fills corners and gaps between houses",
+        low=0.5, high=1000)
+    alpha_least_m: float = param(0.5, "m", "The same, at least.",
+        ours="skylights and wet tiles leave larger gaps than the spacing of dense surveys", low=0, high=100)
+    outline_simplify: float = param(0.5, "spacings", "Tolerance of Douglas-Peucker for outlines of points.",
+        ours="S7 gives no tolerance", low=0, high=100)
+    outline_grow: float = param(0.6, "spacings", "Distance by which alpha shapes and hulls grow.",
+        ours="the last points of a roof lie inside of its edge; 0.5 to 0.75 do best on true points of roofs",
+        low=0, high=10)
+    residual_m2: float = param(4.0, "m2", "Smaller pieces and holes of an outline of points are removed.",
+        paper="S7 removes small residuals by adjustable parameters, without values", low=0, high=1e6)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeParams:
+    """What counts as change between two surveys; no paper gives a value."""
+
+    thickness_m: float = param(1.0, "m",
+        "Differences of two footprints count where a disc of this radius fits into them.",
+        ours="outlines of two surveys of one roof differ by less than a metre to each side", low=0, high=20)
+    least_m2: float = param(25.0, "m2", "Smaller differences of a footprint, or of its heights, are no change.",
+        ours="half of the smallest change that must be found", low=0, high=1e6)
+    rise_m: float = param(1.5, "m",
+        "Change of the height above ground that makes a cell built, gone, raised or lowered.",
+        ours="half a storey, far above the noise of two surveys", low=0.1, high=50)
+    gone_share: float = param(0.7, "1", "A building is demolished when its heights are gone from this share of it.",
+        ours="the rest is rubble, or a wall", low=0.1, high=1)
+    surveyed_share: float = param(0.5, "1", "A building with a smaller share in the surveyed area is not surveyed.",
+        ours="most of a building suffices to judge it", low=0, high=1)
+    link_share: float = param(0.3, "1", "Two footprints are of one building when they share this much of the smaller.",
+        ours="slivers between neighbours of a row are less", low=0, high=1)
+    offset_pairs: int = param(5, "count", "Fewer pairs of equal buildings give no offset between surveys.",
+        ours="a median of fewer is uncertain", low=1, high=10_000)
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluateParams:
+    """What counts as agreement with a reference; no section of a build."""
+
+    cell_m: float = param(0.5, "m", "Cell of the grid on which areas are compared.",
+        ours="fine against a wall's accuracy, and the grid of the published comparisons", low=0.01, high=100)
+    overlap: float = param(0.5, "1", "An object is found when the other side covers this share of its area.",
+        ours="V55 names no criterion; half is customary", low=0.01, high=1)
+    large_m2: float = param(50.0, "m2", "Objects of at least this area are also scored apart.", paper="X1",
+        low=0, high=1e6)
+    step_m: float = param(0.5, "m", "Largest distance between two samples on an outline.", ours="as the cell",
+        low=0.01, high=100)
+    cap_m: float = param(3.0, "m",
+        "Samples farther than this from the other outline are counted, but do not enter its RMS.",
+        ours="as the ISPRS benchmark on urban object detection", low=0, high=1e3)
+    max_gap_m: float = param(1.0, "m",
+        "For objects, a cell without first echo takes the class of the nearest cell with one, this near.",
+        ours="the spacing of a sparse survey; areas are compared only in cells with a first echo", low=0, high=100)
+    min_object_m2: float = param(2.0, "m2", "Smaller components of reference points count by area, but are no objects.",
+        ours="less is noise of the classification", low=0, high=1e6)
+
+    def __post_init__(self) -> None:
+        """Refuse values out of bounds."""
+        for item in fields(self):
+            checked_value("evaluate", item, getattr(self, item.name))
