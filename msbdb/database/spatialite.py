@@ -19,7 +19,6 @@ from sqlalchemy.exc import DBAPIError, IntegrityError
 
 from msbdb.database import bulk
 from msbdb.database.canonical import to_json
-from msbdb.database.figures import update_figures
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, SchemaVersionError
 
 logger = logging.getLogger(__name__)
@@ -226,8 +225,8 @@ def settle(connection: Connection) -> None:
 
 
 def after_load(connection: Connection) -> None:
-    """Bring the registered figures and the planner's statistics up to date."""
-    update_figures(connection)
+    """Bring the statistics of the layers and of the query planner up to date."""
+    bulk.update_statistics(connection)
     connection.execute(text("ANALYZE"))
 
 
