@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -107,9 +108,8 @@ def test_a_file_that_is_no_sqlite_is_left_alone(tmp_path: Path, content: bytes) 
 def test_somebody_elses_sqlite_is_left_alone(tmp_path: Path) -> None:
     """Nothing of msbdb is written into another program's file."""
     path = tmp_path / "other.sqlite"
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
-    connection.close()
     before = path.read_bytes()
     with pytest.raises(SchemaVersionError, match="no msbdb database"):
         open_database(path, create=True, srid=EPSG)
