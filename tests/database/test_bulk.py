@@ -10,9 +10,7 @@ from builds import BASE, EPSG, SOUTH, WEST, ledger_build, small_build
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import DatabaseError as RefusedError
 
-from msbdb.database import bulk, canonical_dump, open_database, read_rejections, write_build
-from msbdb.database import dialect as dialects
-from msbdb.database.dialect import dialect_of
+from msbdb.database import bulk, canonical_dump, open_database, read_rejections, spatialite, write_build
 from msbdb.database.models import SPATIAL
 from msbdb.database.views import VIEWS
 from msbdb.errors import DatabaseError, LoadError
@@ -154,13 +152,12 @@ def test_a_failure_after_the_rows_leaves_everything_as_it_was(file: Engine, monk
 
 def test_geometries_of_another_crs_are_refused_as_the_trigger_would(file: Engine, monkeypatch) -> None:
     """The check of all rows at once is as strict as that of each."""
-    spatialite = dialect_of(file.url)
     insert_rows = spatialite.insert_rows
 
     def wrong(connection, table, columns, rows, srid):
         insert_rows(connection, table, columns, rows, 4326 if table == "rejection" else srid)
 
-    monkeypatch.setattr(dialects.spatialite, "insert_rows", wrong)
+    monkeypatch.setattr(spatialite, "insert_rows", wrong)
     before = list(canonical_dump(file))
     with pytest.raises(LoadError, match="rejection refused 200 geometries of another type or SRID"):
         write_build(file, ledger_build(200))
