@@ -1,59 +1,119 @@
-"""Bulk changes of SpatiaLite's tables: what its triggers do row by row is done once for all rows."""
+"""Bulk loads of SpatiaLite's tables: rows go in without its triggers, then it makes indexes and statistics at once."""
 
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-import numpy as np
 from sqlalchemy import Connection, text
 
 from msbdb.database.models import SPATIAL
-from msbdb.database.rtree import ROOT, pack
-from msbdb.errors import LoadError
+from msbdb.database.views import VIEWS
+from msbdb.errors import DatabaseError, LoadError
 
 logger = logging.getLogger(__name__)
 
-WORTH = 8
-"""A spatial index with up to so many times the rows that come is made anew; a larger one takes them one by one.
+WORTH = 4
+"""A spatial index that holds up to so many times the incoming rows is made anew; a larger one takes them one by one.
 
-Ours: a row takes the triggers some 20 µs, the making anew some 2 µs.
+Ours: triggers cost about 50 µs for each incoming row, a new index about 12 µs for each row of the table.
 """
 
-_TRIGGERS = ("ggi", "gii", "gid", "tmi", "tmd")
-"""Beginnings of the names of SpatiaLite's triggers for rows that come and go: geometry, index and time."""
+_TRIGGERS = ("ggi", "tmi", "tmd")
+"""How the names of SpatiaLite's triggers on inserted and deleted rows begin: geometry type, and times of changes.
+
+Those that keep the index (gii, giu, gid) come and go with it.
+"""
+
+_CHANGED = (
+    """
+    UPDATE geometry_columns_time SET last_insert = now, last_delete = now
+    FROM (SELECT strftime('%Y-%m-%dT%H:%M:%fZ', 'now') AS now)
+    WHERE f_table_name = :table AND f_geometry_column = 'geometry'
+    """,
+    """
+    INSERT OR REPLACE INTO geometry_columns_statistics (f_table_name, f_geometry_column, last_verified)
+    VALUES (:table, 'geometry', '0000-01-01T00:00:00.000Z')
+    """,
+)
+"""What marks a table's statistics as outdated for SpatiaLite: the times of the last changes, and of the last count.
+
+The second holds also where the clock was set back since the last count.
+"""
+
+_COPY = """
+INSERT OR REPLACE INTO views_geometry_columns_statistics
+  (view_name, view_geometry, last_verified, row_count, extent_min_x, extent_min_y, extent_max_x, extent_max_y)
+SELECT :view, 'geometry', last_verified, row_count, extent_min_x, extent_min_y, extent_max_x, extent_max_y
+FROM geometry_columns_statistics WHERE f_table_name = :base AND f_geometry_column = 'geometry'
+"""
 
 
 @contextmanager
 def in_bulk(connection: Connection, coming: Mapping[str, int]) -> Iterator[None]:
-    """Leave out SpatiaLite's triggers while many rows come and go, and make up for them at the end.
+    """Take spatial indexes and triggers off while many rows come and go, and let SpatiaLite make them again at the end.
 
     Parameters
     ----------
     connection : Connection
-        In a writer's transaction. A failure or a kill undoes this with all else, the triggers' absence included.
+        In a writer's transaction. A failure or a kill undoes everything, the missing triggers included.
     coming : Mapping
-        Number of rows that will be inserted into each table. Tables that it would not pay for keep their triggers.
+        Number of rows that will be inserted into each table. Tables for which it would not pay keep their triggers.
 
     Raises
     ------
     LoadError
         When a row's geometry is not of the column's type and SRID.
+    DatabaseError
+        When SpatiaLite cannot make an index.
     """
-    triggers = {table: _triggers(connection, table) for table in _worthwhile(connection, coming)}
-    for own in triggers.values():
-        for name in own:
-            connection.exec_driver_sql(f'DROP TRIGGER "{name}"')
+    tables = _worthwhile(connection, coming)
+    for table in tables:
+        _call(connection, "DisableSpatialIndex", table)
+        connection.exec_driver_sql(f"DROP TABLE idx_{table}_geometry")
+        for kind in _TRIGGERS:
+            connection.exec_driver_sql(f"DROP TRIGGER IF EXISTS {kind}_{table}_geometry")
     yield
-    for table, own in triggers.items():
+    for table in tables:
         _require_type(connection, table)
-        _make_index(connection, table)
-        _note_time(connection, table)
-        for statement in own.values():
-            connection.exec_driver_sql(statement)
+        # This makes all of the column's triggers anew, too.
+        _call(connection, "CreateSpatialIndex", table)
+        for statement in _CHANGED:
+            connection.execute(text(statement), {"table": table})
+
+
+def update_statistics(connection: Connection) -> None:
+    """Write the row counts, extents and columns' ranges of all layers, which GIS clients read.
+
+    A view with one row for each row of its base table takes the base's count and extent: SpatiaLite would need
+    several times longer to count the view.
+    """
+    for table in SPATIAL:
+        _call(connection, "UpdateLayerStatistics", table)
+    for view in VIEWS:
+        if view.complete:
+            connection.execute(text(_COPY), {"view": view.name, "base": view.base})
+        else:
+            _call(connection, "UpdateLayerStatistics", view.name)
+
+
+def _call(connection: Connection, function: str, layer: str) -> None:
+    """Call one of SpatiaLite's functions on a layer; they return 0 instead of raising.
+
+    Raises
+    ------
+    DatabaseError
+        When the function fails.
+    """
+    if connection.scalar(text(f"SELECT {function}(:layer, 'geometry')"), {"layer": layer}) != 1:
+        msg = (
+            f"SpatiaLite's {function} failed on the layer {layer}. Nothing was written; "
+            "look for free space on the disk, check the file with 'msbdb db check', and try again."
+        )
+        raise DatabaseError(msg)
 
 
 def _worthwhile(connection: Connection, coming: Mapping[str, int]) -> list[str]:
-    """Return the tables whose index it pays to make anew; not those that somebody took the index off."""
+    """Return the tables whose index is cheaper to make anew; tables without an index are left out."""
     indexed = connection.exec_driver_sql(
         "SELECT f_table_name FROM geometry_columns WHERE f_geometry_column = 'geometry' AND spatial_index_enabled = 1"
     ).scalars()
@@ -63,19 +123,12 @@ def _worthwhile(connection: Connection, coming: Mapping[str, int]) -> list[str]:
 
 def _held(connection: Connection, table: str) -> int:
     """Return the number of rows in a table's index."""
-    query = f'SELECT count(*) FROM "idx_{table}_geometry_rowid"'  # noqa: S608  (names are the models')
+    query = f"SELECT count(*) FROM idx_{table}_geometry_rowid"  # noqa: S608  (names are the models')
     return int(connection.exec_driver_sql(query).scalar_one())
 
 
-def _triggers(connection: Connection, table: str) -> dict[str, str]:
-    """Return the names and statements of a table's triggers that can be made up for."""
-    names = [f"{kind}_{table}_geometry" for kind in _TRIGGERS]
-    query = text("SELECT name, sql FROM sqlite_master WHERE type = 'trigger' AND tbl_name = :table")
-    return {name: sql for name, sql in connection.execute(query, {"table": table}) if name in names}
-
-
 def _require_type(connection: Connection, table: str) -> None:
-    """Hold all rows to the type and SRID of their column, as the trigger would have."""
+    """Check the type and SRID of all rows in one statement, as the trigger does for each row."""
     wrong = connection.execute(
         text(
             f"SELECT count(*) FROM {table} JOIN geometry_columns ON f_table_name = :table "  # noqa: S608  (the models')
@@ -86,32 +139,3 @@ def _require_type(connection: Connection, table: str) -> None:
     if wrong:
         msg = f"The table {table} refused {wrong} geometries of another type or SRID than its own. Nothing was written."
         raise LoadError(msg)
-
-
-def _make_index(connection: Connection, table: str) -> None:
-    """Write the spatial index of all rows of a table, in place of the one that is there."""
-    index = f"idx_{table}_geometry"
-    edges = ", ".join(f"Mbr{edge}(geometry)" for edge in ("MinX", "MaxX", "MinY", "MaxY"))
-    cursor = connection.connection.cursor()
-    cursor.execute(f"SELECT rowid, {edges} FROM {table}")  # noqa: S608  (names are the models')
-    rows = np.fromiter(iter(cursor.fetchone, None), dtype="i8, f8, f8, f8, f8").view(
-        [("number", "i8"), ("box", "f8", 4)]
-    )
-    cursor.close()
-    root = f'SELECT length(data) FROM "{index}_node" WHERE nodeno = {ROOT}'  # noqa: S608
-    packed = pack(rows["number"], rows["box"], connection.exec_driver_sql(root).scalar_one())
-    for part, content in (("node", packed.nodes), ("rowid", packed.leaves), ("parent", packed.fathers)):
-        connection.exec_driver_sql(f'DELETE FROM "{index}_{part}"')  # noqa: S608
-        if content:
-            connection.exec_driver_sql(f'INSERT INTO "{index}_{part}" VALUES (?, ?)', content)  # noqa: S608
-    logger.debug("Spatial index of %s: %d rows in %d nodes", table, len(rows), len(packed.nodes))
-
-
-def _note_time(connection: Connection, table: str) -> None:
-    """Tell SpatiaLite's register that rows came and went, by which it knows outdated statistics."""
-    statement = text(
-        "UPDATE geometry_columns_time SET last_insert = now, last_delete = now "
-        "FROM (SELECT strftime('%Y-%m-%dT%H:%M:%fZ', 'now') AS now) "
-        "WHERE f_table_name = :table AND f_geometry_column = 'geometry'"
-    )
-    connection.execute(statement, {"table": table})

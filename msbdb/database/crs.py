@@ -2,13 +2,14 @@
 
 import hashlib
 import warnings
+from typing import TYPE_CHECKING
 
-from pyproj import CRS
-from pyproj.exceptions import CRSError as ProjError
 from sqlalchemy import Connection, text
 
 from msbdb.errors import CRSError
-from msbdb.grid import require_metric
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 FIRST_OWN_SRID = 910_000
 OWN_SRIDS = 88_999
@@ -37,7 +38,7 @@ def srid_of(epsg: int, crs_wkt: str) -> int:
     return FIRST_OWN_SRID + int.from_bytes(digest, "little") % OWN_SRIDS
 
 
-def crs_from(epsg: int, crs_wkt: str) -> CRS:
+def crs_from(epsg: int, crs_wkt: str) -> "CRS":
     """Return the CRS of a code, or of a WKT when there is no code.
 
     Raises
@@ -45,6 +46,10 @@ def crs_from(epsg: int, crs_wkt: str) -> CRS:
     CRSError
         When PROJ knows neither.
     """
+    # PROJ is loaded where it is needed: a database whose CRS has a code is opened and read without it.
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError as ProjError
+
     try:
         return CRS.from_epsg(epsg) if 0 < epsg < FIRST_OWN_SRID else CRS.from_wkt(crs_wkt)
     except ProjError as error:
@@ -52,12 +57,12 @@ def crs_from(epsg: int, crs_wkt: str) -> CRS:
         raise CRSError(msg) from error
 
 
-def horizontal(crs: CRS) -> CRS:
+def horizontal(crs: "CRS") -> "CRS":
     """Return the horizontal part of a compound CRS, and any other CRS as it is."""
     return crs.sub_crs_list[0] if crs.is_compound else crs
 
 
-def register(connection: Connection, srid: int, crs: CRS) -> None:
+def register(connection: Connection, srid: int, crs: "CRS") -> None:
     """Write a CRS into ``spatial_ref_sys`` unless its SRID is there; both dialects get the same text.
 
     Raises
@@ -65,6 +70,8 @@ def register(connection: Connection, srid: int, crs: CRS) -> None:
     CRSError
         When the CRS is not projected in metres.
     """
+    from msbdb.grid import require_metric
+
     crs = horizontal(crs)
     require_metric(crs)
     if connection.scalar(text("SELECT count(*) FROM spatial_ref_sys WHERE srid = :srid"), {"srid": srid}):

@@ -7,7 +7,6 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine
 
-from msbdb.database import postgis, spatialite
 from msbdb.errors import DatabaseError, MsbdbError
 
 
@@ -67,6 +66,9 @@ class Dialect(Protocol):
     def after_load(self, connection: Connection) -> None:
         """Bring statistics and extents up to date."""
 
+    def driver_errors(self) -> tuple[type[Exception], ...]:
+        """Return the errors of the driver itself, where it is used without SQLAlchemy."""
+
     def explain(self, error: BaseException, where: str) -> MsbdbError:
         """Return our error for one of the library's."""
 
@@ -80,9 +82,14 @@ def dialect_of(url: URL) -> Dialect:
         For a kind of database that msbdb does not know.
     """
     backend = url.get_backend_name()
+    # Only the asked dialect is loaded: PostgreSQL's driver is of no use to a file.
     if backend == "sqlite":
+        from msbdb.database import spatialite
+
         return spatialite
     if backend == "postgresql":
+        from msbdb.database import postgis
+
         return postgis
     msg = (
         f"A database must be a SpatiaLite file or a PostGIS URL; got '{backend}'. "

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from os import PathLike, fspath
 from pathlib import Path
 
-import psycopg
 from sqlalchemy import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
@@ -171,10 +170,11 @@ _HARMLESS = {"host", "port", "dbname", "user", "connect_timeout", "sslmode", "ap
 @contextmanager
 def guarded(url: URL) -> Iterator[None]:
     """Turn the library's errors into ours."""
+    dialect = dialect_of(url)
     try:
         yield
-    except (SQLAlchemyError, psycopg.Error) as error:
-        raise dialect_of(url).explain(error, shown(url)) from error
+    except (SQLAlchemyError, *dialect.driver_errors()) as error:
+        raise dialect.explain(error, shown(url)) from error
 
 
 def require_srid(connection: Connection, dialect: Dialect, srid: int, where: str) -> None:

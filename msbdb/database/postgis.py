@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
+import psycopg
 import shapely
 from geoalchemy2 import Geometry
 from numpy.typing import NDArray
@@ -260,6 +261,11 @@ _EXPLAINED = {
     "42710": _TAKEN,
 }
 """What a SQLSTATE means here, and the next step."""
+
+
+def driver_errors() -> tuple[type[Exception], ...]:
+    """Return the driver's errors, which COPY raises."""
+    return (psycopg.Error,)
 
 
 def explain(error: BaseException, where: str) -> MsbdbError:

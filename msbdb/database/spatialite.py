@@ -6,7 +6,9 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
+from ctypes import CDLL
+from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,7 +21,6 @@ from sqlalchemy.exc import DBAPIError, IntegrityError
 
 from msbdb.database import bulk
 from msbdb.database.canonical import to_json
-from msbdb.database.figures import update_figures
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, SchemaVersionError
 
 logger = logging.getLogger(__name__)
@@ -226,9 +227,14 @@ def settle(connection: Connection) -> None:
 
 
 def after_load(connection: Connection) -> None:
-    """Bring the registered figures and the planner's statistics up to date."""
-    update_figures(connection)
+    """Bring the statistics of the layers and of the query planner up to date."""
+    bulk.update_statistics(connection)
     connection.execute(text("ANALYZE"))
+
+
+def driver_errors() -> tuple[type[Exception], ...]:
+    """Return none: SQLite is asked through SQLAlchemy, and where it is not, its errors are explained on the spot."""
+    return ()
 
 
 def explain(error: BaseException, where: str) -> MsbdbError:
@@ -279,10 +285,7 @@ def _driver() -> ModuleType:
 
 def _prepare(connection: Any, _record: object, *, timeout_s: float) -> None:  # noqa: ANN401  (either driver's)
     """Set a new connection up: transactions are ours to begin, geometry functions, foreign keys, the wait for locks."""
-    # Loading mod_spatialite first and GDAL's Python libraries afterwards ends the process; this order does not.
-    import pyogrio  # noqa: F401
-    import rasterio  # noqa: F401
-
+    _bind_others()
     connection.isolation_level = None
     connection.enable_load_extension(True)
     try:
@@ -299,6 +302,21 @@ def _prepare(connection: Any, _record: object, *, timeout_s: float) -> None:  # 
     # SpatiaLite sets a wait of its own when it is loaded, so that ours comes after it.
     connection.execute(f"PRAGMA busy_timeout = {round(timeout_s * 1000)}")
     connection.execute("PRAGMA foreign_keys = ON")
+
+
+@cache
+def _bind_others() -> None:
+    """Load the compiled modules of rasterio, pyogrio and pyproj, which bring a GDAL and a PROJ of their own.
+
+    SQLite loads mod_spatialite with its symbols open to the whole process, those of the system's PROJ and GEOS among
+    them. Modules that are loaded later would take these for their own library's, and crash. Once a module is loaded,
+    its symbols are bound. To load the files takes a tenth of the time of importing the packages.
+    """
+    for package in ("rasterio", "pyogrio", "pyproj"):
+        found = find_spec(package)
+        for folder in (found.submodule_search_locations or ()) if found else ():
+            for module in sorted(Path(folder).glob("*.so")):
+                CDLL(str(module))
 
 
 def _begin(connection: Connection) -> None:

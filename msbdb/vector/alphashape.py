@@ -122,7 +122,8 @@ def _border_edges(points: Floats, labels: Labels, batch: NDArray[np.intp], radiu
     # A triangle's k-th neighbour lies beyond the edge that is opposite to its k-th vertex; -1 is none.
     triangle, k = np.nonzero(taken[:, None] & ~np.append(taken, values=False)[neighbours])
     ends = np.column_stack((simplices[triangle, (k + 1) % 3], simplices[triangle, (k + 2) % 3]))
-    return batch[ends]
+    edges: NDArray[np.intp] = batch[ends]
+    return edges
 
 
 def enclosed(start: Floats, end: Floats, labels: NDArray[np.integer], count: int) -> Geometries:

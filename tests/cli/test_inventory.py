@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import geopandas as gpd
@@ -95,7 +96,7 @@ def test_changes_are_written_in_every_format(town: Path, tmp_path: Path) -> None
     run("changes", town, "--each", "--out", tmp_path / "changes.gpkg")
     layer = gpd.read_file(tmp_path / "changes.gpkg")
     assert len(layer) == 17
-    with sqlite3.connect(tmp_path / "changes.gpkg") as file:
+    with closing(sqlite3.connect(tmp_path / "changes.gpkg")) as file:
         found = {uid for (uid,) in file.execute("SELECT uid_after FROM change WHERE uid_after IS NOT NULL")}
     assert found == uids
     assert layer.crs == UTM

@@ -10,11 +10,10 @@ from simulated.builds import BASE, EPSG, SOUTH, WEST, ledger_build, small_build
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import DatabaseError as RefusedError
 
-from msbdb.database import canonical_dump, open_database, read_rejections, write_build
-from msbdb.database import dialect as dialects
-from msbdb.database.dialect import dialect_of
+from msbdb.database import bulk, canonical_dump, open_database, read_rejections, spatialite, write_build
 from msbdb.database.models import SPATIAL
-from msbdb.errors import LoadError
+from msbdb.database.views import VIEWS
+from msbdb.errors import DatabaseError, LoadError
 from msbdb.tables import Build
 
 COUNT = 4000
@@ -135,16 +134,17 @@ def test_rows_that_are_refused_in_the_middle_leave_everything_as_it_was(engine: 
 
 
 def test_a_failure_after_the_rows_leaves_everything_as_it_was(file: Engine, monkeypatch) -> None:
-    """Also where the spatial index is half written."""
+    """Where one of SpatiaLite's functions fails after half of the indexes, the old rows and indexes are there."""
     write_build(file, ledger_build(COUNT))
     before, schema = list(canonical_dump(file)), objects(file)
+    call, made = bulk._call, []
 
-    def fail(*_args: object) -> None:
-        msg = "stop"
-        raise LoadError(msg)
+    def fail_on_the_second(connection, function: str, layer: str) -> None:
+        made.append(layer)
+        call(connection, function, "missing" if function == "CreateSpatialIndex" and made.count(layer) > 1 else layer)
 
-    monkeypatch.setattr("msbdb.database.bulk._note_time", fail)
-    with pytest.raises(LoadError, match="stop"):
+    monkeypatch.setattr(bulk, "_call", fail_on_the_second)
+    with pytest.raises(DatabaseError, match="CreateSpatialIndex failed on the layer missing"):
         write_build(file, ledger_build(COUNT, north_m=5.0))
     assert (list(canonical_dump(file)), objects(file)) == (before, schema)
     assert_sound(file)
@@ -152,13 +152,12 @@ def test_a_failure_after_the_rows_leaves_everything_as_it_was(file: Engine, monk
 
 def test_geometries_of_another_crs_are_refused_as_the_trigger_would(file: Engine, monkeypatch) -> None:
     """The check of all rows at once is as strict as that of each."""
-    spatialite = dialect_of(file.url)
     insert_rows = spatialite.insert_rows
 
     def wrong(connection, table, columns, rows, srid):
         insert_rows(connection, table, columns, rows, 4326 if table == "rejection" else srid)
 
-    monkeypatch.setattr(dialects.spatialite, "insert_rows", wrong)
+    monkeypatch.setattr(spatialite, "insert_rows", wrong)
     before = list(canonical_dump(file))
     with pytest.raises(LoadError, match="rejection refused 200 geometries of another type or SRID"):
         write_build(file, ledger_build(200))
@@ -191,8 +190,15 @@ def test_a_table_without_spatial_index_stays_without(file: Engine) -> None:
     assert len(read_rejections(file)) == 100
 
 
-FIGURES = "SELECT * FROM geometry_columns_statistics ORDER BY f_table_name"
-COLUMNS = "SELECT * FROM geometry_columns_field_infos ORDER BY f_table_name, ordinal"
+EXTENT = "row_count, extent_min_x, extent_min_y, extent_max_x, extent_max_y"
+REGISTERED = (
+    f"SELECT f_table_name, {EXTENT} FROM geometry_columns_statistics "
+    f"UNION ALL SELECT view_name, {EXTENT} FROM views_geometry_columns_statistics"
+)
+COUNTED = (
+    "SELECT count(*), min(MbrMinX(geometry)), min(MbrMinY(geometry)), max(MbrMaxX(geometry)), max(MbrMaxY(geometry)) "
+    "FROM {name}"
+)
 
 
 def empty_build() -> Build:
@@ -203,54 +209,41 @@ def empty_build() -> Build:
 
 
 @pytest.mark.parametrize("build", [empty_build(), small_build(), ledger_build(500)], ids=["empty", "small", "ledger"])
-def test_the_register_has_the_figures_that_spatialite_would_write(file: Engine, build) -> None:
-    """Counts, extents and the columns' ranges are those of UpdateLayerStatistics, which cuts ids to 32 bits."""
-    write_build(file, build)
-    read = []
-    with file.begin() as connection:
-        for _ in range(2):
-            layers = pd.read_sql(text(FIGURES), connection).drop(columns="last_verified")
-            columns = pd.read_sql(text(COLUMNS), connection).drop(columns=["integer_min", "integer_max"])
-            read.append((layers, columns))
-            connection.execute(text("UPDATE geometry_columns_time SET last_insert = '2999-01-01T00:00:00.000Z'"))
-            for table in SPATIAL:
-                assert connection.scalar(text(f"SELECT UpdateLayerStatistics('{table}', 'geometry')")) == 1
-    for ours, theirs in zip(*read, strict=True):
-        pd.testing.assert_frame_equal(ours, theirs, check_dtype=False)
-    assert len(read[0][0]) == len(SPATIAL)
-
-
-def test_the_register_keeps_whole_ids_and_the_time_of_the_load(file: Engine) -> None:
-    """Ids of 59 bits come whole, and the statistics are not older than the rows."""
-    build = ledger_build(500)
+def test_the_register_has_the_count_and_extent_of_each_layer(file: Engine, build) -> None:
+    """Tables and views: counted by the rows, which replace others."""
+    write_build(file, ledger_build(30, north_m=1000.0))
     write_build(file, build)
     with file.connect() as connection:
-        ids = connection.execute(
-            text(
-                "SELECT integer_min, integer_max FROM geometry_columns_field_infos "
-                "WHERE f_table_name = 'rejection' AND column_name = 'region_id'"
-            )
-        ).one()
+        found = {name: tuple(row) for name, *row in connection.execute(text(REGISTERED))}
+        assert set(found) == set(SPATIAL) | {view.name for view in VIEWS}
+        for name, row in found.items():
+            assert row == tuple(connection.execute(text(COUNTED.format(name=name))).one()), name
+
+
+def test_statistics_are_made_anew_whatever_the_clock_said_before(file: Engine) -> None:
+    """A file whose statistics seem to be of the future has those of the new rows after a load."""
+    write_build(file, ledger_build(30))
+    with file.begin() as connection:
+        connection.execute(text("UPDATE geometry_columns_statistics SET last_verified = '2999-01-01T00:00:00.000Z'"))
+    write_build(file, ledger_build(500))
+    with file.connect() as connection:
+        query = "SELECT row_count FROM geometry_columns_statistics WHERE f_table_name = 'rejection'"
+        assert connection.scalar(text(query)) == 500
+
+
+def test_the_statistics_are_not_older_than_the_rows(file: Engine) -> None:
+    """The times of the load are in the register, and later ones in the statistics."""
+    write_build(file, ledger_build(500))
+    with file.connect() as connection:
         late = connection.scalar(
             text(
                 "SELECT count(*) FROM geometry_columns_time NATURAL JOIN geometry_columns_statistics "
-                "WHERE last_verified < last_insert OR last_insert < '2000'"
+                "WHERE f_table_name IN ('part', 'rejection') AND (last_verified < last_insert OR last_insert < '2000')"
             )
         )
-    regions = build.frames["rejection"]["region_id"]
-    assert tuple(ids) == (regions.min(), regions.max())
+        known = connection.scalar(text("SELECT count(*) FROM geometry_columns_field_infos"))
     assert late == 0
-
-
-def test_values_of_another_type_are_left_to_spatialite(file: Engine) -> None:
-    """Where somebody wrote words into a column of numbers, the figures tell of them."""
-    write_build(file, small_build())
-    with file.begin() as connection:
-        connection.execute(text("UPDATE building SET h_max = 'high'"))
-    write_build(file, small_build("leiden", shift=1000))
-    query = "SELECT double_values, text_values FROM geometry_columns_field_infos WHERE column_name = 'h_max'"
-    with file.connect() as connection:
-        assert (4, 4) in [tuple(row) for row in connection.execute(text(query))]
+    assert known > 0
 
 
 @pytest.mark.postgis

@@ -2,6 +2,7 @@
 
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ def test_a_copy_of_rows_that_break_a_key_leaves_nothing(new_postgis: Callable[[]
     """The keys that are made at the end find what SQLite was told not to look at."""
     source, url = tmp_path / "town.sqlite", new_postgis()
     write_build(open_database(source, create=True, srid=EPSG), small_build())
-    with sqlite3.connect(source) as connection:
+    with closing(sqlite3.connect(source)) as connection, connection:
         connection.execute("UPDATE part_flat_region SET region_id = 77 WHERE rowid = 1")
     with pytest.raises(LoadError, match=r"refused the rows.*fk_part_flat_region_flat_region"):
         copy_database(source, url)

@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -107,9 +108,8 @@ def test_a_file_that_is_no_sqlite_is_left_alone(tmp_path: Path, content: bytes) 
 def test_somebody_elses_sqlite_is_left_alone(tmp_path: Path) -> None:
     """Nothing of msbdb is written into another program's file."""
     path = tmp_path / "other.sqlite"
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
-    connection.close()
     before = path.read_bytes()
     with pytest.raises(SchemaVersionError, match="no msbdb database"):
         open_database(path, create=True, srid=EPSG)
@@ -352,3 +352,35 @@ def test_many_may_create_at_once(tmp_path: Path) -> None:
     assert [process.wait() for process in processes] == [0, 0]
     assert [p.name for p in tmp_path.iterdir()] == ["city.sqlite"]
     assert open_database(path, srid=EPSG) is not None
+
+
+AFTERWARDS = """
+import sys
+from msbdb.database import spatialite
+from sqlalchemy import make_url, text
+
+engine = spatialite.make_engine(make_url("sqlite://"), 1.0)
+with engine.connect() as connection:
+    assert connection.scalar(text("SELECT InitSpatialMetaData(0)")) == 1
+assert "rasterio" not in sys.modules
+import rasterio.warp
+import pyogrio
+import geopandas
+from pyproj import Transformer
+
+assert Transformer.from_crs(28992, 4326).transform(85000, 446000)[0] > 51
+assert rasterio.warp.transform("EPSG:28992", "EPSG:4326", [85000], [446000])[1][0] > 51
+frame = geopandas.GeoDataFrame(geometry=geopandas.points_from_xy([85000], [446000]), crs=28992)
+frame.to_crs(4326).to_file(sys.argv[1])
+assert len(pyogrio.read_dataframe(sys.argv[1])) == 1
+with engine.connect() as connection:
+    assert connection.scalar(text("SELECT ST_Area(BuildMbr(0, 0, 2, 3))")) == 6
+print("whole")
+"""
+
+
+def test_other_libraries_can_be_imported_after_spatialite(tmp_path: Path) -> None:
+    """Rasterio, pyogrio, geopandas and PROJ work in a process that has opened a SpatiaLite database before."""
+    call = [sys.executable, "-c", AFTERWARDS, str(tmp_path / "point.gpkg")]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "whole\n"), done.stderr
