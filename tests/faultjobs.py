@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from faultfiles import write_points
-from olddatabases import REVISIONS
 from scenes import SCENES, scan
 
 from msbdb import pipeline
-from msbdb.database import copy_database, open_database, upgrade_schema
+from msbdb.database import copy_database, open_database
 from msbdb.database.inventory_read import footprint_at
 from msbdb.database.inventory_words import write_state
 from msbdb.params import Params, with_values
@@ -70,12 +69,6 @@ def _advance(survey: str) -> Step:
     return step
 
 
-def _upgrade(target: str, progress: Progress) -> None:
-    progress("upgrade", 0, 1)
-    upgrade_schema(target)
-    progress("upgrade", 1, 1)
-
-
 def _copy(source: str) -> Step:
     def step(target: str, progress: Progress) -> None:
         progress("copy", 0, 1)
@@ -111,10 +104,8 @@ def jobs_of(town: Town, source: str) -> tuple[Job, ...]:
         Job("build on nothing", None, build, (build,)),
         Job("update", "applied", update, steps),
         Job("copy", None, copy, (copy,), once=True),
-        *(Job(f"upgrade of {name}", name, _upgrade, (_upgrade,)) for name in REVISIONS[-1:]),
         Job("build beside another survey", "older", build, (build,)),
         Job("update again", "updated", update, steps),
         Job("copy into empty", "empty", copy, (copy,), once=True),
         Job("build in place of another", "same", build, (build,)),
-        *(Job(f"upgrade of {name}", name, _upgrade, (_upgrade,)) for name in REVISIONS[:-1]),
     )

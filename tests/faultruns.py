@@ -19,18 +19,16 @@ from pathlib import Path
 from faultjobs import Job, Step, Town, jobs_of, starts_of
 from faultplaces import PATIENCE_S, Files, Server, filled, limit_files
 from killing import end, fork, wait
-from olddatabases import REVISIONS, place_old_database
-from sqlalchemy import Engine, inspect, text
+from sqlalchemy import Engine, text
 
 from msbdb.database import canonical_dump, check_database, copy_database, open_database
-from msbdb.database.admin import open_any, version_of
-from msbdb.database.upgrade import head_version
+from msbdb.database.admin import open_any
 from msbdb.errors import MsbdbError
 
 Places = Files | Server
 REFUSED = 3
 """Exit code of a job that ended with one of msbdb's own errors."""
-WRITING = ("write", "inventory", "copy", "upgrade")
+WRITING = ("write", "inventory", "copy")
 """Stages that write."""
 
 ROOM = {("limit", "spatialite"): 600_000, ("full", "spatialite"): 1_000_000, ("full", "postgis"): 2_000_000}
@@ -59,7 +57,6 @@ class Course:
         self.jobs = jobs_of(town, str(files.kept / "updated.sqlite"))
         self.states: dict[str, list[list[str]]] = {}
         self.times: dict[tuple[str, str], Times] = {}
-        self.old: dict[tuple[str, str], list[str]] = {}
         self._prepare("updated")
 
     def _prepare(self, name: str) -> None:
@@ -77,7 +74,7 @@ class Course:
         """Return the contents that an undisturbed job goes through, the start's first."""
         if job.name not in self.states:
             target = self.new(job.start, self.files)
-            found = [[] if job.start in (None, *REVISIONS) else content(target)]
+            found = [[] if job.start is None else content(target)]
             for step in job.steps:
                 times = forked(step, target)
                 found.append(content(target))
@@ -104,9 +101,7 @@ class Course:
 
     def _fill(self, target: str, start: str) -> None:
         """Make a database to start from that no job makes, or as a copy of the files' one."""
-        if start in REVISIONS:
-            place_old_database(target, start)
-        elif start == "empty":
+        if start == "empty":
             open_database(target, create=True, srid=crs_of(self.files.kept / "older.sqlite")).dispose()
         else:
             copy_database(self.files.kept / f"{start}.sqlite", target)
@@ -121,15 +116,6 @@ class Course:
             require(content(target) == states[-1], f"'{job.name}' is another one on {places.kind}")
             places.drop(target)
         return self.times[key]
-
-    def old_rows(self, job: Job, places: Places) -> list[str]:
-        """Return the rows of a database of an older schema."""
-        key = (job.name, places.kind)
-        if key not in self.old:
-            target = self.new(job.start, places)
-            self.old[key] = rows_of(open_any(target))
-            places.drop(target)
-        return self.old[key]
 
 
 class Running:
@@ -251,29 +237,14 @@ def require_sound(engine: Engine) -> None:
         require(sound == "ok", f"SQLite finds {sound}")
 
 
-def rows_of(engine: Engine) -> list[str]:
-    """Return all rows of all tables of a database of any schema."""
-    lines = []
-    with engine.connect() as connection:
-        for table in sorted(inspect(connection).get_table_names()):
-            lines += sorted(repr(tuple(row)) for row in connection.execute(text(f'SELECT * FROM "{table}"')))
-    return lines
-
-
 def state_of(course: Course, job: Job, places: Places, target: str) -> tuple[int, str]:
     """Return the number and name of the state that a disturbed job left."""
     states = course.states_of(job)
     try:
-        engine = open_any(target)
+        open_any(target)
     except MsbdbError as error:
         require(job.start is None and "There is no msbdb database" in str(error), f"the database is gone: {error}")
         return 0, "absent"
-    if version_of(engine) != head_version():
-        require(version_of(engine) == job.start, f"the schema is {version_of(engine)}")
-        require(rows_of(engine) == course.old_rows(job, places), "the old schema's rows are not what they were")
-        if engine.dialect.name == "sqlite":
-            require_sound(engine)
-        return 0, "old"
     found = content(target)
     require(found in states, f"it holds none of the {len(states)} states, but {len(found)} lines")
     number = states.index(found)
@@ -341,7 +312,7 @@ def _run(case: Case, outcome: Outcome) -> None:
     require(number >= told, f"it told of {told} commits, and {number} are there")
     run = Running(job.whole, target)
     times = run.timed()
-    if outcome.left in ("absent", "old"):
+    if outcome.left == "absent":
         # The repeat was the whole job: what comes next is timed as the machine is now.
         course.times[job.name, places.kind] = times
     expected = REFUSED if job.once and outcome.left == "new" else 0

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 import numpy as np
 from sqlalchemy import Connection, text
 
-from msbdb.database.models import SPATIAL
 from msbdb.database.rtree import ROOT, pack
+from msbdb.database.sqltables import SPATIAL
 from msbdb.errors import LoadError
 
 logger = logging.getLogger(__name__)

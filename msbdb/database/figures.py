@@ -4,7 +4,7 @@ from typing import Any
 
 from sqlalchemy import Connection, text
 
-from msbdb.database.models import SPATIAL
+from msbdb.database.sqltables import SPATIAL
 from msbdb.database.views import VIEWS
 
 _KINDS = {"INTEGER": "integer", "BIGINT": "integer", "DOUBLE": "real", "TEXT": "text", "JSON": "text"}

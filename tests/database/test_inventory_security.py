@@ -7,8 +7,8 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 import pytest
+from builds import HOSTILE
 from click.testing import CliRunner
-from olddatabases import HOSTILE
 from sqlalchemy import inspect, text
 from towns import EPSG, ROW, UTM, House, footprints, town_build, town_heights
 

@@ -87,7 +87,7 @@ def extract_area3d(
     needed = replace(cloud, classification=None, intensity=None, colours=None, colour_names=())
     scene, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
     placed = scene.cloud.placed(spec, survey)
-    books = PointBooks(placed)
+    books = PointBooks(METHOD, placed)
     accepted = fuse_over_heights(scene, scales, books)
     regions = describe(
         scene.cloud,

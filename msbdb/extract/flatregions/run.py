@@ -109,9 +109,9 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
         found = binarise(level_ground(denoised.grid, mask_m), level_ground(g, mask_m), own)
     else:
         found = binarise(denoised.grid, g, own)
-    rough = books.reject("flat ratio", ROUGH, found.risen & ~found.flat)
+    rough = books.reject("ratio", ROUGH, found.risen & ~found.flat)
     _, candidates = label_zones(found.flat.astype(np.int32))
-    books.count("flat ratio", candidates + rough, candidates, rough)
+    books.count("ratio", candidates + rough, candidates, rough)
     labels = recognise(found, candidates, heights, params, books)
     regions = describe(labels, found, heights, survey)
     logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
@@ -144,8 +144,8 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
     labels, count = label_zones(cleaned.astype(np.int32))
     before, _ = label_zones(found.flat.astype(np.int32))
     vanished = ~np.isin(before, np.unique(before[cleaned])) & found.flat
-    thin = books.reject("flat opening", THIN, vanished)
-    books.count("flat opening", candidates, count, thin, pieces=count + thin - candidates)
+    thin = books.reject("opening", THIN, vanished)
+    books.count("opening", candidates, count, thin, pieces=count + thin - candidates)
     if own.on == "ndsm":
         steps = int(own.grow_m / cell_m + 0.5)
         labels = grow(labels, heights, steps=steps, step_m=own.grow_step_m, least_m=params.surface.mask_m)
@@ -156,14 +156,14 @@ def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float,
     """Keep the regions of Ψ' < ψ (Eq. 16; A9) and number them anew, by their first cells."""
     compact = measure_shapes(labels, cell_m)["compactness"].to_numpy() < own.max_compactness
     keep = np.concatenate([[False], compact])
-    long = books.reject("flat compactness", LONG, np.where(keep[labels], 0, labels))
+    long = books.reject("compactness", LONG, np.where(keep[labels], 0, labels))
     kept, left = label_zones(np.where(keep[labels], labels, 0))
-    books.count("flat compactness", count, left, long)
+    books.count("compactness", count, left, long)
     return kept
 
 
 def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
     """Write peaks and valleys into the ledger."""
-    dropped = books.reject("flat denoising", PEAK, denoised.peaks)
-    dropped += books.reject("flat denoising", VALLEY, denoised.valleys)
-    books.count("flat denoising", dropped, 0, dropped)
+    dropped = books.reject("denoising", PEAK, denoised.peaks)
+    dropped += books.reject("denoising", VALLEY, denoised.valleys)
+    books.count("denoising", dropped, 0, dropped)
