@@ -2,12 +2,12 @@
 
 from alembic import context
 
-from msbdb.database.models import Base
+from msbdb.database.sqltables import METADATA
 
 attributes = context.config.attributes
 context.configure(
     connection=attributes["connection"],
-    target_metadata=Base.metadata,
+    target_metadata=METADATA,
     version_table="msbdb_schema_version",
     transactional_ddl=True,
     srid=attributes["srid"],

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
+from msbdb.tables import CLASS_LABELS
 
-LABELS = ("building", "vegetation", "shadow", "water", "other")
+LABELS = CLASS_LABELS
 """The information classes (V36)."""
 
 

@@ -1,5 +1,5 @@
--- The schema 0005 of msbdb for spatialite.
--- Written by scripts/generate_schema; change the models and the migrations instead.
+-- The schema 0001 of msbdb for spatialite.
+-- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
 SELECT InitSpatialMetaData(0, 'NONE');
@@ -122,7 +122,6 @@ CREATE UNIQUE INDEX ix_inventory_event_survey_id ON inventory_event (survey_id);
 CREATE TABLE run (
   run_id INTEGER NOT NULL,
   survey_id BIGINT NOT NULL,
-  method TEXT NOT NULL,
   profile TEXT NOT NULL,
   version TEXT NOT NULL,
   parameters JSON NOT NULL,
@@ -131,7 +130,6 @@ CREATE TABLE run (
   notices JSON NOT NULL,
   content_sha256 TEXT NOT NULL,
   CONSTRAINT pk_run PRIMARY KEY (run_id),
-  CONSTRAINT uq_run UNIQUE (survey_id, method),
   CONSTRAINT fk_run_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id) ON DELETE CASCADE
 );
 
@@ -271,6 +269,7 @@ CREATE TABLE rejection (
   rejection_id INTEGER NOT NULL,
   run_id BIGINT NOT NULL,
   region_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
   stage TEXT NOT NULL,
   reason TEXT NOT NULL,
   scale BIGINT NOT NULL,
@@ -278,12 +277,21 @@ CREATE TABLE rejection (
   xcen DOUBLE NOT NULL,
   ycen DOUBLE NOT NULL,
   CONSTRAINT pk_rejection PRIMARY KEY (rejection_id),
+  CONSTRAINT ck_rejection_method CHECK (method IN ('multiscale', 'flatregions', 'area3d', 'adaptive')),
   CONSTRAINT ck_rejection_reason CHECK (stage <> '' AND reason <> ''),
   CONSTRAINT ck_rejection_area CHECK (scale >= 0 AND area_m2 >= 0),
   CONSTRAINT fk_rejection_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
-CREATE INDEX ix_rejection_run_id_stage_reason ON rejection (run_id, stage, reason);
+CREATE INDEX ix_rejection_run_id_method_stage_reason ON rejection (run_id, method, stage, reason);
+
+CREATE TABLE run_method (
+  run_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
+  CONSTRAINT pk_run_method PRIMARY KEY (run_id, method),
+  CONSTRAINT ck_run_method_method CHECK (method IN ('multiscale', 'flatregions', 'area3d', 'adaptive')),
+  CONSTRAINT fk_run_method_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
 
 CREATE TABLE run_state (
   run_id BIGINT NOT NULL,
@@ -526,7 +534,7 @@ ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
 ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 
 CREATE VIEW footprint AS
-SELECT p.part_id, s.name AS survey, r.method, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
+SELECT p.part_id, s.name AS survey, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
 FROM part AS p
 JOIN run AS r ON r.run_id = p.run_id
@@ -543,7 +551,7 @@ WITH RECURSIVE tree (part_id, depth, path) AS (
   SELECT child.part_id, tree.depth + 1, tree.path || '/' || CAST(child.part_id AS TEXT)
   FROM tree JOIN part AS child ON child.father_id = tree.part_id
 )
-SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
+SELECT p.part_id, s.name AS survey, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
        p.hindex, p.speindex, p.area_m2, p.stddis, p.h_max, p.h_p90, p.geometry
 FROM tree
 JOIN part AS p ON p.part_id = tree.part_id
@@ -553,7 +561,7 @@ JOIN survey AS s ON s.survey_id = r.survey_id;
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_tree', 'geometry', 'part_id', 'part', 'geometry', 1);
 
 CREATE VIEW building_summary AS
-SELECT b.building_id, s.name AS survey, s.date AS survey_date, r.method, b.root_id, b.state, b.storeys,
+SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.root_id, b.state, b.storeys,
        b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
@@ -569,32 +577,35 @@ LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_summary', 'geometry', 'building_id', 'building', 'geometry', 1);
 
 CREATE VIEW part_evidence AS
-SELECT p.part_id, s.name AS survey, r.method, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE((
+SELECT p.part_id, s.name AS survey, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+       CASE WHEN flat.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.part_share) FROM part_flat_region AS l WHERE l.part_id = p.part_id), 0.0) END AS flat_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN (
+       CASE WHEN flat.method IS NOT NULL THEN (
          SELECT COUNT(*) FROM part_flat_region AS l WHERE l.part_id = p.part_id) END AS flat_regions,
-       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN COALESCE((
+       CASE WHEN area3d.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.part_share) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
          WHERE l.part_id = p.part_id AND k.method = 'area3d'), 0.0) END AS area3d_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,area3d,%' THEN (
+       CASE WHEN area3d.method IS NOT NULL THEN (
          SELECT COUNT(*) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
          WHERE l.part_id = p.part_id AND k.method = 'area3d') END AS area3d_regions,
-       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN COALESCE((
+       CASE WHEN adaptive.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.part_share) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
          WHERE l.part_id = p.part_id AND k.method = 'adaptive'), 0.0) END AS adaptive_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,adaptive,%' THEN (
+       CASE WHEN adaptive.method IS NOT NULL THEN (
          SELECT COUNT(*) FROM part_candidate AS l JOIN candidate_region AS k ON k.candidate_id = l.candidate_id
          WHERE l.part_id = p.part_id AND k.method = 'adaptive') END AS adaptive_regions,
        p.geometry
 FROM part AS p
 JOIN run AS r ON r.run_id = p.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id;
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN run_method AS flat ON flat.run_id = p.run_id AND flat.method = 'flatregions'
+LEFT JOIN run_method AS area3d ON area3d.run_id = p.run_id AND area3d.method = 'area3d'
+LEFT JOIN run_method AS adaptive ON adaptive.run_id = p.run_id AND adaptive.method = 'adaptive';
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_evidence', 'geometry', 'part_id', 'part', 'geometry', 1);
 
 CREATE VIEW unexplained_flat_region AS
-SELECT f.region_id, s.name AS survey, r.method, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
+SELECT f.region_id, s.name AS survey, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
        f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
        COALESCE((
          SELECT SUM(l.region_share) FROM part_flat_region AS l JOIN part AS root ON root.part_id = l.part_id
@@ -611,17 +622,18 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 CREATE VIEW candidate_evidence AS
 SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
        k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
-       CASE WHEN ',' || r.method || ',' LIKE '%,multiscale,%' THEN COALESCE((
+       CASE WHEN multiscale.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.candidate_share) FROM part_candidate AS l JOIN part AS root ON root.part_id = l.part_id
-         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) END
-         AS explained_share,
-       CASE WHEN ',' || r.method || ',' LIKE '%,flatregions,%' THEN COALESCE((
+         WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) END AS explained_share,
+       CASE WHEN flat.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.candidate_share) FROM flat_region_candidate AS l WHERE l.candidate_id = k.candidate_id), 0.0) END
          AS flat_share,
        k.geometry
 FROM candidate_region AS k
 JOIN run AS r ON r.run_id = k.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id;
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN run_method AS multiscale ON multiscale.run_id = k.run_id AND multiscale.method = 'multiscale'
+LEFT JOIN run_method AS flat ON flat.run_id = k.run_id AND flat.method = 'flatregions';
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('candidate_evidence', 'geometry', 'candidate_id', 'candidate_region', 'geometry', 1);
 
@@ -641,7 +653,7 @@ WHERE COALESCE((
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('unexplained_candidate', 'geometry', 'candidate_id', 'candidate_region', 'geometry', 1);
 
 CREATE VIEW building_evidence AS
-SELECT b.building_id, s.name AS survey, r.method, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
+SELECT b.building_id, s.name AS survey, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
        b.flat_share, b.area3d_share, b.adaptive_share,
        CASE WHEN root.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,
        CASE WHEN b.flat_share IS NULL THEN 0 ELSE 1 END + CASE WHEN b.area3d_share IS NULL THEN 0 ELSE 1 END
@@ -697,5 +709,5 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0001');
 

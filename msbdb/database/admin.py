@@ -23,9 +23,9 @@ from msbdb.database.engine import (
     shown,
     upgrade_database,
 )
-from msbdb.database.models import Base
 from msbdb.database.rights import kept_rights
 from msbdb.database.rowdigest import COLUMN
+from msbdb.database.sqltables import METADATA
 from msbdb.errors import CRSError, DatabaseError, SchemaVersionError
 
 logger = logging.getLogger(__name__)
@@ -202,7 +202,7 @@ def _migrate_down(connection: Connection, to: str) -> None:
 def _counts(connection: Connection) -> dict[str, dict[str, int]]:
     """Return by table the number of rows (under '') and of values of each column."""
     inspector = inspect(connection)
-    names = sorted(set(inspector.get_table_names()) & set(Base.metadata.tables))
+    names = sorted(set(inspector.get_table_names()) & set(METADATA.tables))
     counted: dict[str, dict[str, int]] = {}
     for name in names:
         columns = [str(found["name"]) for found in inspector.get_columns(name)]

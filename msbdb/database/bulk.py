@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 from sqlalchemy import Connection, text
 
-from msbdb.database.models import SPATIAL
+from msbdb.database.sqltables import SPATIAL
 from msbdb.database.views import VIEWS
 from msbdb.errors import DatabaseError, LoadError
 

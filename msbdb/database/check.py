@@ -1,6 +1,6 @@
 """Checks of a build before it is loaded, so that what is wrong is named by its row, not by a constraint."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
 import numpy as np
 import pandas as pd
@@ -8,12 +8,23 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, TableError
-from msbdb.params import POINT_DETECTORS
-from msbdb.tables import TABLES, Build, Table, validate, validate_parts
+from msbdb.params import DETECTORS, POINT_DETECTORS
+from msbdb.tables import (
+    BUILDING,
+    CANDIDATE_REGION,
+    REJECTION,
+    TABLES,
+    Build,
+    Reference,
+    Table,
+    Unique,
+    validate,
+    validate_parts,
+)
+from msbdb.tables.declare import RUN_ID
 from msbdb.threads import cores, in_threads
 
 _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
-_TABLES = {table.name: table for table in TABLES}
 _POINT = (shapely.GeometryType.POINT,)
 
 
@@ -23,7 +34,7 @@ def check_build(build: Build) -> None:
     Raises
     ------
     InputError
-        For a survey without a name, or extractors that are missing, unsorted or named twice.
+        For a survey without a name, or extractors that are missing, unknown, not in order or named twice.
     TableError
         Naming the table, the column and the first rows that are wrong.
     """
@@ -39,20 +50,20 @@ def check_build(build: Build) -> None:
         if table.geometry:
             _check_geometries(frame, table)
     _check_keys(build.frames)
-    _check_references(build.frames, build.run.method.split(","))
+    _check_references(build.frames, build.run.methods)
     validate_parts(build.frames["part"])
 
 
 def _check_names(build: Build) -> None:
-    """Refuse a survey without a name, and extractors that are not a sorted list."""
+    """Refuse a survey without a name, and extractors that are not in order or not known."""
     if not build.survey.name.strip():
         msg = f"A build needs a survey's name; got '{build.survey.name}'. Give one."
         raise InputError(msg)
-    names = build.run.method.split(",")
-    if not all(name.strip() for name in names) or names != sorted(set(names)):
+    methods = build.run.methods
+    if not methods or list(methods) != sorted(set(methods) & set(DETECTORS)):
         msg = (
-            f"A run's method must name its extractors, sorted and joined by commas; got '{build.run.method}'. "
-            "Give for instance 'flatregions,multiscale'."
+            f"A run's methods must be extractors in alphabetical order, of {', '.join(sorted(DETECTORS))}; got "
+            f"{', '.join(repr(name) for name in methods) or 'none'}. Give for instance 'flatregions', 'multiscale'."
         )
         raise InputError(msg)
 
@@ -85,45 +96,55 @@ def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
 
 def _check_keys(frames: dict[str, pd.DataFrame]) -> None:
     """Refuse two rows of one key."""
-    keys = (
-        ("scale", ["scale"]),
-        ("spectral_class", ["speindex"]),
-        ("building", ["building_id"]),
-        ("building", ["root_id"]),
-        ("flat_region", ["region_id"]),
-        ("part_flat_region", ["part_id", "region_id"]),
-        ("candidate_region", ["candidate_id"]),
-        ("part_candidate", ["part_id", "candidate_id"]),
-        ("flat_region_candidate", ["region_id", "candidate_id"]),
-    )
-    for name, key in keys:
-        frame = frames[name]
-        _require(~frame.duplicated(key), frame, _TABLES[name], f"{' with '.join(key)} is given twice")
+    for table in TABLES:
+        # Columns that only the database has belong to no key of a frame: the run's is the same in all rows.
+        unique = [
+            rule.columns for rule in table.rules if isinstance(rule, Unique) and set(rule.columns) <= set(table.names)
+        ]
+        for key in filter(None, (table.key, *unique)):
+            frame = frames[table.name]
+            _require(~frame.duplicated(list(key)), frame, table, f"{' with '.join(key)} is given twice")
 
 
-def _check_references(frames: dict[str, pd.DataFrame], methods: list[str]) -> None:
-    """Refuse rows that speak of a scale, class, root, part, region or extractor that is not there."""
-    part, regions = frames["part"], frames["flat_region"]["region_id"]
-    candidates = frames["candidate_region"]["candidate_id"]
-    roots = part.loc[part["supid"] == 0, "part_id"]
-    classes = frames["spectral_class"]["speindex"]
-    or_none = [*classes, 0]
-    for name, column, known in (
-        ("part", "scale", frames["scale"]["scale"]),
-        ("part", "speindex", or_none),
-        ("building", "root_id", roots),
-        ("building", "speindex", or_none),
-        ("spectral_class_band", "speindex", classes),
-        ("part_flat_region", "part_id", part["part_id"]),
-        ("part_flat_region", "region_id", regions),
-        ("candidate_region", "method", [name for name in POINT_DETECTORS if name in methods]),
-        ("part_candidate", "part_id", part["part_id"]),
-        ("part_candidate", "candidate_id", candidates),
-        ("flat_region_candidate", "region_id", regions),
-        ("flat_region_candidate", "candidate_id", candidates),
-    ):
-        frame = frames[name]
-        _require(frame[column].isin(list(known)), frame, _TABLES[name], f"{column} names nothing that exists")
+def _check_references(frames: dict[str, pd.DataFrame], methods: tuple[str, ...]) -> None:
+    """Refuse rows that refer to a scale, class, part, region or extractor that is not there."""
+    for table in TABLES:
+        frame = frames[table.name]
+        for column, other, key, allows_none in references(table):
+            known = frames[other][key]
+            holds = frame[column].isin(known) | (allows_none & (frame[column] == 0))
+            _require(holds, frame, table, f"{column} names nothing that exists")
+    parts, buildings, candidates = frames["part"], frames["building"], frames["candidate_region"]
+    roots = parts.loc[parts["supid"] == 0, "part_id"]
+    _require(buildings["root_id"].isin(roots), buildings, BUILDING, "root_id names nothing that exists")
+    asked = [name for name in POINT_DETECTORS if name in methods]
+    _require(candidates["method"].isin(asked), candidates, CANDIDATE_REGION, "method names nothing that exists")
+    rejected = frames["rejection"]
+    _require(rejected["method"].isin(DETECTORS), rejected, REJECTION, "method names nothing that exists")
+
+
+def references(table: Table) -> Iterator[tuple[str, str, str, bool]]:
+    """Yield a table's declared references by one column: column, table and column that it names, and if 0 means none.
+
+    The run's key is left out, as all rows of a build have the same, and so is the father's, which `validate_parts`
+    checks.
+
+    Examples
+    --------
+    >>> from msbdb.tables import PART
+    >>> list(references(PART))
+    [('scale', 'scale', 'scale', False), ('speindex', 'spectral_class', 'speindex', True)]
+    """
+    for column in table.columns:
+        if column.refers:
+            other, key = column.refers.split(".")
+            yield column.name, other, key, False
+    for rule in table.rules:
+        if isinstance(rule, Reference):
+            pairs = [(own, to) for own, to in zip(rule.columns, rule.to, strict=True) if own != RUN_ID.name]
+            if len(pairs) == 1:
+                [(own, key)] = pairs
+                yield table[own].zero_of or own, rule.table, key, bool(table[own].zero_of)
 
 
 def _require(holds: Collection[bool], frame: pd.DataFrame, table: Table, what: str) -> None:

@@ -14,8 +14,8 @@ from msbdb.database.canonical import to_json
 from msbdb.database.crs import FIRST_OWN_SRID
 from msbdb.database.dialect import Dialect, dialect_of
 from msbdb.database.engine import TIMEOUT_S, database_url, guarded, open_database, require_srid, shown
-from msbdb.database.models import Base
 from msbdb.database.snapshot import snapshot
+from msbdb.database.sqltables import METADATA
 from msbdb.errors import DatabaseError, ParameterError
 
 logger = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ def copy_database(
     dialect = dialect_of(place)
     with snapshot(origin) as reading:
         srid = dialect_of(origin.url).database_srid(reading)
-        coming = {table.name: _rows_of(reading, table) for table in Base.metadata.sorted_tables}
+        coming = {table.name: _rows_of(reading, table) for table in METADATA.sorted_tables}
         if not _created(place, dialect, reading, coming, srid=srid, timeout_s=timeout_s, progress=progress):
             into = open_database(place, timeout_s=timeout_s)
             with guarded(place), dialect.writing(into) as writing:
@@ -114,7 +114,7 @@ def _copy_tables(
 ) -> None:
     """Copy all tables, those that others refer to first."""
     with dialect.in_bulk(writing, coming):
-        for number, table in enumerate(Base.metadata.sorted_tables, start=1):
+        for number, table in enumerate(METADATA.sorted_tables, start=1):
             _copy_table(reading, writing, dialect, table, srid)
             if progress is not None:
                 progress("copy", number, len(coming))
@@ -129,7 +129,7 @@ def _definition(connection: Connection, srid: int) -> str:
 
 
 def _require_empty(connection: Connection, where: str) -> None:
-    held = [table.name for table in Base.metadata.sorted_tables if _rows_of(connection, table)]
+    held = [table.name for table in METADATA.sorted_tables if _rows_of(connection, table)]
     if held:
         msg = (
             f"The database {where} is not empty: there are rows in {', '.join(held)}. A copy needs a new or an empty "

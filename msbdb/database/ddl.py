@@ -1,4 +1,4 @@
-"""What ``schema/`` holds, generated from the models: the DDL a dialect and the data dictionary."""
+"""What ``schema/`` holds, generated from the declarations: the DDL a dialect and the data dictionary."""
 
 from sqlalchemy import URL, CheckConstraint, Column, Dialect, ForeignKeyConstraint, Table, UniqueConstraint
 from sqlalchemy.schema import CreateIndex, CreateTable
@@ -6,12 +6,12 @@ from sqlalchemy.schema import CreateIndex, CreateTable
 from msbdb.database import postgis, spatialite
 from msbdb.database.dialect import Dialect as Hooks
 from msbdb.database.examples import example_queries
-from msbdb.database.models import SPATIAL, Base
 from msbdb.database.rowdigest import COLUMN, TABLES
+from msbdb.database.sqltables import METADATA, SPATIAL
 from msbdb.database.upgrade import VERSION_TABLE, comment_ddl, head_version
 from msbdb.database.views import TABLE_VIEWS, VIEWS
 
-_NOTE = "Written by scripts/generate_schema; change the models and the migrations instead."
+_NOTE = "Written by scripts/generate_schema; change msbdb.tables and the migrations instead."
 _HOOKS: dict[str, tuple[Hooks, Dialect, str]] = {
     "spatialite": (spatialite, URL.create("sqlite").get_dialect()(), "SELECT InitSpatialMetaData(0, 'NONE')"),
     "postgis": (postgis, URL.create("postgresql+psycopg").get_dialect()(), "CREATE EXTENSION IF NOT EXISTS postgis"),
@@ -37,7 +37,7 @@ def statements(dialect: str, srid: int | str) -> list[str]:
     """Return the schema's statements in order, without semicolons."""
     hooks, compiler, first = _HOOKS[dialect]
     made = [first]
-    for table in Base.metadata.sorted_tables:
+    for table in METADATA.sorted_tables:
         made.append(_table_ddl(table, compiler))
         indexes = sorted(table.indexes, key=lambda index: str(index.name))
         made += [str(CreateIndex(index).compile(dialect=compiler)) for index in indexes]
@@ -65,7 +65,7 @@ def dictionary() -> str:
         "",
         "Coordinates are in the database's one CRS, lengths in metres. *Key* names what a column refers to.",
     ]
-    for table in sorted(Base.metadata.tables.values(), key=lambda t: t.name):
+    for table in sorted(METADATA.tables.values(), key=lambda t: t.name):
         lines += _table_entry(table)
     lines += ["", "# Views", ""]
     lines += [f"- `{view.name}`, with the geometry of `{view.base}`: {view.doc}" for view in VIEWS]

@@ -10,8 +10,8 @@ import shapely
 from sqlalchemy import Connection, Engine, LargeBinary, Table, select, text
 
 from msbdb.database.canonical import to_json
-from msbdb.database.models import Base
 from msbdb.database.snapshot import snapshot
+from msbdb.database.sqltables import METADATA
 
 DECIMALS = 6
 """Decimals of numbers: a micrometre."""
@@ -48,7 +48,7 @@ def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]
     """
     with snapshot(engine) as connection:
         left_out = _LEFT_OUT if provenance else _LEFT_OUT | _ON_FILES
-        for table in sorted(Base.metadata.tables.values(), key=lambda t: t.name):
+        for table in sorted(METADATA.tables.values(), key=lambda t: t.name):
             if provenance or table.name not in _OF_FILES:
                 yield from _table_lines(connection, table, left_out)
 

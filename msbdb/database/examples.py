@@ -3,14 +3,13 @@
 import json
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from sqlalchemy import Engine, text
 
 from msbdb.database.engine import guarded
-from msbdb.database.upgrade import packaged
+from msbdb.database.sqlfiles import read_sql, sql_names
 from msbdb.errors import ParameterError
 
 _PARAMETER = re.compile(r"^-- :(?P<name>\w+) = (?P<value>\S+)  (?P<doc>.+)$", re.MULTILINE)
@@ -33,8 +32,7 @@ def example_queries() -> dict[str, ExampleQuery]:
     A file begins with a comment: a sentence of what one learns, then a line ``-- :name = default  meaning`` a
     parameter, whose default is a JSON value.
     """
-    files = sorted((packaged("schema") / "queries").glob("*.sql"))
-    return {path.stem: _parsed(path) for path in files}
+    return {name: _example(name) for name in sql_names("queries")}
 
 
 def run_example(engine: Engine, name: str, **values: Any) -> pd.DataFrame:  # noqa: ANN401
@@ -59,16 +57,13 @@ def run_example(engine: Engine, name: str, **values: Any) -> pd.DataFrame:  # no
         return pd.DataFrame([tuple(row) for row in result], columns=list(result.keys()))
 
 
-def _parsed(path: Path) -> ExampleQuery:
-    words = path.read_text(encoding="utf-8")
-    comment = [line.removeprefix("--").strip() for line in words.splitlines() if line.startswith("--")]
-    title = " ".join(line for line in comment if line and not line.startswith(":"))
-    found = list(_PARAMETER.finditer(words))
-    sql = "\n".join(line for line in words.splitlines() if not line.startswith("--")).strip().rstrip(";")
+def _example(name: str) -> ExampleQuery:
+    file = read_sql("queries", name)
+    found = list(_PARAMETER.finditer(file.comment))
     return ExampleQuery(
-        name=path.stem,
-        title=title,
-        sql=sql,
+        name=name,
+        title=file.title,
+        sql=file.sql,
         defaults={match["name"]: json.loads(match["value"]) for match in found},
         meanings={match["name"]: match["doc"] for match in found},
     )

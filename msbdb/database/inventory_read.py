@@ -15,6 +15,7 @@ from sqlalchemy import (
     Connection,
     Engine,
     Select,
+    Table,
     TextClause,
     and_,
     func,
@@ -28,19 +29,19 @@ from sqlalchemy import (
 from msbdb.database.crs import FIRST_OWN_SRID
 from msbdb.database.dialect import dialect_of
 from msbdb.database.engine import guarded
-from msbdb.database.inventory import (
-    BuildingChange,
-    BuildingVersion,
-    InventoryBuilding,
-    InventoryEvent,
-    OperatorState,
-    RoofSample,
-    SurveyOffset,
-)
-from msbdb.database.inventory_views import FOOTPRINT_AT
-from msbdb.database.models import Base, Survey
 from msbdb.database.rowdigest import COLUMN
 from msbdb.database.snapshot import snapshot
+from msbdb.database.sqltables import SQL
+from msbdb.database.views import footprint_at_query
+
+BUILDING_CHANGE = SQL["building_change"]
+BUILDING_VERSION = SQL["building_version"]
+INVENTORY_BUILDING = SQL["inventory_building"]
+INVENTORY_EVENT = SQL["inventory_event"]
+OPERATOR_STATE = SQL["operator_state"]
+ROOF_SAMPLE = SQL["roof_sample"]
+SURVEY = SQL["survey"]
+SURVEY_OFFSET = SQL["survey_offset"]
 
 Bounds = tuple[float, float, float, float]
 
@@ -70,7 +71,7 @@ def footprint_at(engine: Engine, date: str) -> gpd.GeoDataFrame:
         The columns of the view ``footprint_current``, in order of ``uid``.
     """
     with guarded(engine.url), engine.connect() as connection:
-        query = text(f"SELECT f.*, ST_AsBinary(f.geometry) AS wkb FROM ({FOOTPRINT_AT}) AS f ORDER BY uid")  # noqa: S608  (our own text)
+        query = text(f"SELECT f.*, ST_AsBinary(f.geometry) AS wkb FROM ({footprint_at_query()}) AS f ORDER BY uid")  # noqa: S608  (our own text)
         return _frame(connection, query, {"date": first_day(date)})
 
 
@@ -87,24 +88,24 @@ def first_day(date: str) -> str:
 
 def read_history(engine: Engine, uid: int | None = None) -> gpd.GeoDataFrame:
     """Return the versions of a building of the inventory, or of all: columns of ``building_version``, and geometry."""
-    query = select(*_version_columns()).order_by(BuildingVersion.uid, BuildingVersion.valid_from, "version_id")
+    query = select(*_version_columns()).order_by(BUILDING_VERSION.c.uid, BUILDING_VERSION.c.valid_from, "version_id")
     if uid is not None:
-        query = query.where(BuildingVersion.uid == uid)
+        query = query.where(BUILDING_VERSION.c.uid == uid)
     with guarded(engine.url), engine.connect() as connection:
         return _frame(connection, query)
 
 
 def read_events(connection: Connection) -> gpd.GeoDataFrame:
     """Return what was applied to the inventory, in that order: columns of ``inventory_event``, and geometry."""
-    query = select(*_told(InventoryEvent), func.ST_AsBinary(InventoryEvent.geometry).label("wkb")).order_by(
-        InventoryEvent.number
+    query = select(*_told(INVENTORY_EVENT), func.ST_AsBinary(INVENTORY_EVENT.c.geometry).label("wkb")).order_by(
+        INVENTORY_EVENT.c.number
     )
     return _frame(connection, query)
 
 
 def read_offsets(connection: Connection) -> pd.DataFrame:
     """Return how each survey lies to the inventory: columns of ``survey_offset``."""
-    return _plain(connection, select(*_told(SurveyOffset)))
+    return _plain(connection, select(*_told(SURVEY_OFFSET)))
 
 
 def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.GeoDataFrame:
@@ -124,19 +125,19 @@ def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.G
     GeoDataFrame
         Columns of ``building_version``, in order of ``uid``; heights are NaN where unknown.
     """
-    others = or_(BuildingVersion.survey_id.is_(None), BuildingVersion.survey_id != survey_id)
-    stood = or_(and_(BuildingVersion.valid_to.is_(None), others), BuildingVersion.closed_by == survey_id)
-    query = select(*_version_columns()).where(stood, window(connection, bounds)).order_by(BuildingVersion.uid)
+    others = or_(BUILDING_VERSION.c.survey_id.is_(None), BUILDING_VERSION.c.survey_id != survey_id)
+    stood = or_(and_(BUILDING_VERSION.c.valid_to.is_(None), others), BUILDING_VERSION.c.closed_by == survey_id)
+    query = select(*_version_columns()).where(stood, window(connection, bounds)).order_by(BUILDING_VERSION.c.uid)
     return _frame(connection, query)
 
 
 def read_born(connection: Connection, survey_id: int) -> gpd.GeoDataFrame:
     """Return the versions with which buildings began in a survey: columns of ``building_version``."""
-    earlier = BuildingVersion.__table__.alias("earlier")
+    earlier = BUILDING_VERSION.alias("earlier")
     before = or_(earlier.c.survey_id.is_(None), earlier.c.survey_id != survey_id)
-    has_earlier = select(null()).where(earlier.c.uid == BuildingVersion.uid, before).exists()
-    query = select(*_version_columns()).where(BuildingVersion.survey_id == survey_id, ~has_earlier)
-    return _frame(connection, query.order_by(BuildingVersion.uid))
+    has_earlier = select(null()).where(earlier.c.uid == BUILDING_VERSION.c.uid, before).exists()
+    query = select(*_version_columns()).where(BUILDING_VERSION.c.survey_id == survey_id, ~has_earlier)
+    return _frame(connection, query.order_by(BUILDING_VERSION.c.uid))
 
 
 def window(connection: Connection, bounds: Bounds) -> ColumnElement[bool]:
@@ -194,35 +195,35 @@ def read_period(engine: Engine, since: str | None = None, until: str | None = No
     """
     ids = [
         select(version)
-        .join(InventoryEvent, InventoryEvent.survey_id == BuildingChange.survey_id)
+        .join(INVENTORY_EVENT, INVENTORY_EVENT.c.survey_id == BUILDING_CHANGE.c.survey_id)
         .where(version.is_not(None), *_between(since, until))
-        for version in (BuildingChange.version_before, BuildingChange.version_after)
+        for version in (BUILDING_CHANGE.c.version_before, BUILDING_CHANGE.c.version_after)
     ]
-    named = BuildingVersion.version_id.in_(union(*ids))
-    query = select(*_version_columns()).where(named).order_by(BuildingVersion.version_id)
+    named = BUILDING_VERSION.c.version_id.in_(union(*ids))
+    query = select(*_version_columns()).where(named).order_by(BUILDING_VERSION.c.version_id)
     with snapshot(engine) as connection:
         return Period(_changes(connection, since, until), _frame(connection, query), read_offsets(connection))
 
 
 def _changes(connection: Connection, since: str | None, until: str | None) -> gpd.GeoDataFrame:
     """Return the changes of a period."""
-    one, two = (BuildingVersion.__table__.alias(name) for name in ("version_1", "version_2"))
+    one, two = (BUILDING_VERSION.alias(name) for name in ("version_1", "version_2"))
     states = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
-    columns = [c for c in _told(BuildingChange) if c.name != "survey_id"]
+    columns = [c for c in _told(BUILDING_CHANGE) if c.name != "survey_id"]
     query = (
         select(
-            Survey.name.label("survey"),
-            InventoryEvent.date,
+            SURVEY.c.name.label("survey"),
+            INVENTORY_EVENT.c.date,
             *columns,
             *(v.c[name].label(f"{name}_{which}") for name in states for v, which in ((one, "before"), (two, "after"))),
             func.ST_AsBinary(func.coalesce(two.c.geometry, one.c.geometry)).label("wkb"),
         )
-        .select_from(BuildingChange)
-        .join(Survey, Survey.survey_id == BuildingChange.survey_id)
-        .join(InventoryEvent, InventoryEvent.survey_id == BuildingChange.survey_id)
-        .outerjoin(one, one.c.version_id == BuildingChange.version_before)
-        .outerjoin(two, two.c.version_id == BuildingChange.version_after)
-        .order_by(InventoryEvent.date, InventoryEvent.number, BuildingChange.change_id)
+        .select_from(BUILDING_CHANGE)
+        .join(SURVEY, SURVEY.c.survey_id == BUILDING_CHANGE.c.survey_id)
+        .join(INVENTORY_EVENT, INVENTORY_EVENT.c.survey_id == BUILDING_CHANGE.c.survey_id)
+        .outerjoin(one, one.c.version_id == BUILDING_CHANGE.c.version_before)
+        .outerjoin(two, two.c.version_id == BUILDING_CHANGE.c.version_after)
+        .order_by(INVENTORY_EVENT.c.date, INVENTORY_EVENT.c.number, BUILDING_CHANGE.c.change_id)
     )
     return _frame(connection, query.where(*_between(since, until)))
 
@@ -230,13 +231,13 @@ def _changes(connection: Connection, since: str | None, until: str | None) -> gp
 def read_states(engine: Engine) -> pd.DataFrame:
     """Return the operators' words on buildings: columns of ``operator_state``, in order of ``uid``."""
     with guarded(engine.url), engine.connect() as connection:
-        return _plain(connection, select(*_told(OperatorState)).order_by(OperatorState.uid))
+        return _plain(connection, select(*_told(OPERATOR_STATE)).order_by(OPERATOR_STATE.c.uid))
 
 
 def read_roof_samples(engine: Engine) -> gpd.GeoDataFrame:
     """Return the roof samples: columns of ``roof_sample``, and geometry."""
-    query = select(*_told(RoofSample), func.ST_AsBinary(RoofSample.geometry).label("wkb")).order_by(
-        RoofSample.sample_id
+    query = select(*_told(ROOF_SAMPLE), func.ST_AsBinary(ROOF_SAMPLE.c.geometry).label("wkb")).order_by(
+        ROOF_SAMPLE.c.sample_id
     )
     with guarded(engine.url), engine.connect() as connection:
         return _frame(connection, query)
@@ -253,7 +254,7 @@ def read_material_classes(engine: Engine) -> pd.DataFrame:
 
 def has_building(connection: Connection, uid: int) -> bool:
     """Tell whether the inventory has a building."""
-    return bool(connection.scalar(select(func.count()).where(InventoryBuilding.uid == uid)))
+    return bool(connection.scalar(select(func.count()).where(INVENTORY_BUILDING.c.uid == uid)))
 
 
 def database_crs_of(engine: Engine) -> CRS:
@@ -275,15 +276,15 @@ def _between(since: str | None, until: str | None) -> list[ColumnElement[bool]]:
     """Return the conditions that a survey lies between two days, the first one excluded."""
     conditions = []
     if since is not None:
-        conditions.append(InventoryEvent.date > first_day(since))
+        conditions.append(INVENTORY_EVENT.c.date > first_day(since))
     if until is not None:
-        conditions.append(InventoryEvent.date <= first_day(until))
+        conditions.append(INVENTORY_EVENT.c.date <= first_day(until))
     return conditions
 
 
-def _told(model: type[Base]) -> list[Column[Any]]:
-    """Return a model's columns but the outline, which is read as WKB, and the row's digest."""
-    return [column for column in model.__table__.columns if column.name not in ("geometry", COLUMN)]  # type: ignore[misc]
+def _told(table: Table) -> list[Column[Any]]:
+    """Return a table's columns but the outline, which is read as WKB, and the row's digest."""
+    return [column for column in table.columns if column.name not in ("geometry", COLUMN)]
 
 
 def _plain(connection: Connection, query: Select[Any]) -> pd.DataFrame:
@@ -294,7 +295,7 @@ def _plain(connection: Connection, query: Select[Any]) -> pd.DataFrame:
 
 def _version_columns() -> list[ColumnElement[Any]]:
     """Return the columns of building_version, with the geometry as WKB."""
-    return [*_told(BuildingVersion), func.ST_AsBinary(BuildingVersion.geometry).label("wkb")]
+    return [*_told(BUILDING_VERSION), func.ST_AsBinary(BUILDING_VERSION.c.geometry).label("wkb")]
 
 
 _INTEGERS = {

@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, func, or_, select
 
 from msbdb.database.canonical import text_id
-from msbdb.database.inventory import BuildingChange, BuildingVersion, InventoryEvent
 from msbdb.database.inventory_read import read_before, read_born, read_events, read_offsets
-from msbdb.database.models import Run, Survey
 from msbdb.database.snapshot import snapshot
+from msbdb.database.sqltables import SQL
 from msbdb.errors import InputError
+
+BUILDING_CHANGE = SQL["building_change"]
+BUILDING_VERSION = SQL["building_version"]
+INVENTORY_EVENT = SQL["inventory_event"]
+RUN = SQL["run"]
+SURVEY = SQL["survey"]
 
 SEAM_SHARE = 0.02
 """Surveys that share no more than this of the smaller lie side by side: they may be applied in any order."""
@@ -114,7 +119,7 @@ def _digest(basis: Basis, date: str, area: shapely.MultiPolygon) -> str:
 
 def basis_of(connection: Connection, survey_id: int, area: shapely.Geometry) -> Basis:
     """Return what an update of an area is computed from, as it is now."""
-    run = connection.scalar(select(Run.content_sha256).where(Run.survey_id == survey_id))
+    run = connection.scalar(select(RUN.c.content_sha256).where(RUN.c.survey_id == survey_id))
     events = read_events(connection)
     near = events[events.intersects(area)]
     return Basis(str(run), tuple(zip(near["number"].astype(int), near["content_sha256"], strict=True)))
@@ -122,13 +127,15 @@ def basis_of(connection: Connection, survey_id: int, area: shapely.Geometry) -> 
 
 def _applied(connection: Connection, survey_id: int, digest: str) -> dict[str, int] | None:
     """Return the counts of just this update, where it was applied and all of its rows are still there."""
-    query = select(InventoryEvent.content_sha256, InventoryEvent.counts).where(InventoryEvent.survey_id == survey_id)
+    query = select(INVENTORY_EVENT.c.content_sha256, INVENTORY_EVENT.c.counts).where(
+        INVENTORY_EVENT.c.survey_id == survey_id
+    )
     found = connection.execute(query).one_or_none()
     if found is None or found.content_sha256 != digest:
         return None
-    kinds = select(BuildingChange.kind, func.count()).where(BuildingChange.survey_id == survey_id)
-    there = {str(kind): int(n) for kind, n in connection.execute(kinds.group_by(BuildingChange.kind))}
-    versions = select(func.count()).where(BuildingVersion.survey_id == survey_id)
+    kinds = select(BUILDING_CHANGE.c.kind, func.count()).where(BUILDING_CHANGE.c.survey_id == survey_id)
+    there = {str(kind): int(n) for kind, n in connection.execute(kinds.group_by(BUILDING_CHANGE.c.kind))}
+    versions = select(func.count()).where(BUILDING_VERSION.c.survey_id == survey_id)
     there["versions"] = int(connection.scalar(versions) or 0)
     return there if there == dict(found.counts) else None
 
@@ -181,12 +188,12 @@ def require_begun(before: gpd.GeoDataFrame, ended: NDArray[np.intp], survey: str
 
 def _require_unused(connection: Connection, survey: str, survey_id: int) -> None:
     """Refuse to take back what a later survey, though it lies beside this one, has built on."""
-    own = select(BuildingVersion.version_id).where(BuildingVersion.survey_id == survey_id)
-    uses = or_(BuildingChange.version_before.in_(own), BuildingChange.version_after.in_(own))
+    own = select(BUILDING_VERSION.c.version_id).where(BUILDING_VERSION.c.survey_id == survey_id)
+    uses = or_(BUILDING_CHANGE.c.version_before.in_(own), BUILDING_CHANGE.c.version_after.in_(own))
     query = (
-        select(Survey.name)
-        .join(BuildingChange, BuildingChange.survey_id == Survey.survey_id)
-        .where(uses, BuildingChange.survey_id != survey_id)
+        select(SURVEY.c.name)
+        .join(BUILDING_CHANGE, BUILDING_CHANGE.c.survey_id == SURVEY.c.survey_id)
+        .where(uses, BUILDING_CHANGE.c.survey_id != survey_id)
         .limit(1)
     )
     later = connection.scalar(query)

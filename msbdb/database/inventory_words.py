@@ -5,16 +5,19 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
-from sqlalchemy import Connection, Engine, delete, select
+from sqlalchemy import Column, Connection, Engine, delete, select
 
 from msbdb.database.canonical import text_id, to_json
 from msbdb.database.dialect import dialect_of
 from msbdb.database.engine import guarded
-from msbdb.database.inventory import OperatorState, RoofSample
 from msbdb.database.inventory_read import has_building, read_events
 from msbdb.database.inventory_write import batches, write_event, write_versions
 from msbdb.database.rowdigest import insert_digested
+from msbdb.database.sqltables import SQL
 from msbdb.errors import InputError
+
+OPERATOR_STATE = SQL["operator_state"]
+ROOF_SAMPLE = SQL["roof_sample"]
 
 
 def write_import(engine: Engine, name: str, date: str, frame: gpd.GeoDataFrame, *, digest: str) -> tuple[str, int]:
@@ -93,7 +96,7 @@ def write_samples(engine: Engine, frame: gpd.GeoDataFrame) -> int:
     chosen = frame.iloc[list(by_id.values())]
     with guarded(engine.url), dialect.writing(engine) as connection:
         srid = dialect.database_srid(connection)
-        _delete_by(connection, RoofSample.sample_id, list(by_id))
+        _delete_by(connection, ROOF_SAMPLE.c.sample_id, list(by_id))
         attributes = [to_json(value) if isinstance(value, dict) else None for value in chosen["attributes"]]
         rows = list(zip(by_id, chosen["material"], chosen["note"], attributes, strict=True))
         columns = ["sample_id", "material", "note", "attributes"]
@@ -124,10 +127,10 @@ def write_state(
         if not has_building(connection, uid):
             msg = f"The inventory has no building {uid}. The view footprint_current lists them by uid."
             raise InputError(msg)
-        own = OperatorState.uid == uid
-        words = (OperatorState.state, OperatorState.operator, OperatorState.note, OperatorState.decided_at)
+        own = OPERATOR_STATE.c.uid == uid
+        words = (OPERATOR_STATE.c.state, OPERATOR_STATE.c.operator, OPERATOR_STATE.c.note, OPERATOR_STATE.c.decided_at)
         before = connection.execute(select(*words).where(own)).mappings().one_or_none()
-        connection.execute(delete(OperatorState).where(own))
+        connection.execute(delete(OPERATOR_STATE).where(own))
         if state is not None:
             columns = ["uid", "state", "operator", "note", "decided_at"]
             row = (uid, state, operator, note, decided_at)
@@ -137,7 +140,7 @@ def write_state(
     return None if before is None else dict(before)
 
 
-def _delete_by(connection: Connection, column: Any, keys: list[int]) -> None:  # noqa: ANN401  (a model's column)
+def _delete_by(connection: Connection, column: Column[int], keys: list[int]) -> None:
     """Delete the rows of some keys."""
     for some in batches(keys):
-        connection.execute(delete(column.class_).where(column.in_(some)))
+        connection.execute(delete(column.table).where(column.in_(some)))

@@ -18,17 +18,16 @@ from sqlalchemy import Connection, Engine, delete, exists, func, select, update
 from msbdb.database.canonical import plain, text_id, to_json
 from msbdb.database.dialect import Dialect, dialect_of
 from msbdb.database.engine import guarded
-from msbdb.database.inventory import (
-    BuildingChange,
-    BuildingVersion,
-    InventoryBuilding,
-    InventoryEvent,
-    SurveyOffset,
-)
 from msbdb.database.inventory_standing import Basis, basis_of, require_begun
-from msbdb.database.models import Base
 from msbdb.database.outdated import OutdatedError
 from msbdb.database.rowdigest import digest_again, insert_digested
+from msbdb.database.sqltables import SQL
+
+BUILDING_CHANGE = SQL["building_change"]
+BUILDING_VERSION = SQL["building_version"]
+INVENTORY_BUILDING = SQL["inventory_building"]
+INVENTORY_EVENT = SQL["inventory_event"]
+SURVEY_OFFSET = SQL["survey_offset"]
 
 logger = logging.getLogger(__name__)
 
@@ -128,20 +127,22 @@ def write_advance(engine: Engine, advance: Advance) -> str:
 
 def _take_back(connection: Connection, survey_id: int) -> int:
     """Undo an application of a survey; return its event's number, 0 where there was none."""
-    number = connection.scalar(select(InventoryEvent.number).where(InventoryEvent.survey_id == survey_id))
+    number = connection.scalar(select(INVENTORY_EVENT.c.number).where(INVENTORY_EVENT.c.survey_id == survey_id))
     if number is None:
         return 0
-    connection.execute(delete(BuildingChange).where(BuildingChange.survey_id == survey_id))
-    own = select(BuildingVersion.uid).where(BuildingVersion.survey_id == survey_id)
+    connection.execute(delete(BUILDING_CHANGE).where(BUILDING_CHANGE.c.survey_id == survey_id))
+    own = select(BUILDING_VERSION.c.uid).where(BUILDING_VERSION.c.survey_id == survey_id)
     touched = list(connection.scalars(own))
-    connection.execute(delete(BuildingVersion).where(BuildingVersion.survey_id == survey_id))
-    closed = list(connection.scalars(select(BuildingVersion.version_id).where(BuildingVersion.closed_by == survey_id)))
+    connection.execute(delete(BUILDING_VERSION).where(BUILDING_VERSION.c.survey_id == survey_id))
+    closed = list(
+        connection.scalars(select(BUILDING_VERSION.c.version_id).where(BUILDING_VERSION.c.closed_by == survey_id))
+    )
     _set_end(connection, closed, None, None)
-    has_version = exists().where(BuildingVersion.uid == InventoryBuilding.uid)
+    has_version = exists().where(BUILDING_VERSION.c.uid == INVENTORY_BUILDING.c.uid)
     for some in batches(touched):
-        connection.execute(delete(InventoryBuilding).where(InventoryBuilding.uid.in_(some), ~has_version))
-    connection.execute(delete(SurveyOffset).where(SurveyOffset.survey_id == survey_id))
-    connection.execute(delete(InventoryEvent).where(InventoryEvent.survey_id == survey_id))
+        connection.execute(delete(INVENTORY_BUILDING).where(INVENTORY_BUILDING.c.uid.in_(some), ~has_version))
+    connection.execute(delete(SURVEY_OFFSET).where(SURVEY_OFFSET.c.survey_id == survey_id))
+    connection.execute(delete(INVENTORY_EVENT).where(INVENTORY_EVENT.c.survey_id == survey_id))
     return int(number)
 
 
@@ -199,9 +200,9 @@ def _close(connection: Connection, advance: Advance) -> None:
 def _set_end(connection: Connection, versions: list[int], date: str | None, survey_id: int | None) -> None:
     """End versions on a day by a survey, or reopen them."""
     for some in batches(versions):
-        own = BuildingVersion.version_id.in_(some)
-        connection.execute(update(BuildingVersion).where(own).values(valid_to=date, closed_by=survey_id))
-        digest_again(connection, Base.metadata.tables["building_version"], own)
+        own = BUILDING_VERSION.c.version_id.in_(some)
+        connection.execute(update(BUILDING_VERSION).where(own).values(valid_to=date, closed_by=survey_id))
+        digest_again(connection, SQL["building_version"], own)
 
 
 def _version_rows(advance: Advance, after: list[tuple[int, int]]) -> gpd.GeoDataFrame:
@@ -247,7 +248,7 @@ def _write_changes(
 
 def write_event(connection: Connection, dialect: Dialect, event: dict[str, Any], area: shapely.MultiPolygon) -> None:
     """Write down what was applied; an application in place of an earlier one keeps its number."""
-    last = connection.scalar(select(func.max(InventoryEvent.number))) or 0
+    last = connection.scalar(select(func.max(INVENTORY_EVENT.c.number))) or 0
     srid = dialect.database_srid(connection)
     row = {"number": event.pop("number", 0) or last + 1, **event, "counts": to_json(event["counts"])}
     shapes = np.array([area], dtype=object)

@@ -19,45 +19,25 @@ from msbdb.database.check import check_build, geometries
 from msbdb.database.crs import srid_of
 from msbdb.database.dialect import Dialect, dialect_of
 from msbdb.database.engine import TIMEOUT_S, database_url, guarded, open_database, require_srid, shown
-from msbdb.database.models import Run, RunState, Source, Survey
 from msbdb.database.outdated import BuildBasis
+from msbdb.database.sqltables import METADATA, SQL
 from msbdb.tables import TABLES, Build, Table
 from msbdb.threads import in_threads
 
-logger = logging.getLogger(__name__)
+RUN = SQL["run"]
+RUN_METHOD = SQL["run_method"]
+RUN_STATE = SQL["run_state"]
+SOURCE = SQL["source"]
+SURVEY = SQL["survey"]
 
-ORDER: dict[str, list[str]] = {
-    "scale": ["scale"],
-    "part": ["part_id"],
-    "spectral_class": ["speindex"],
-    "spectral_class_band": ["speindex", "band"],
-    "rejection": ["region_id", "stage", "reason", "scale", "area_m2", "xcen", "ycen"],
-    "building": ["building_id"],
-    "flat_region": ["region_id"],
-    "part_flat_region": ["part_id", "region_id"],
-    "candidate_region": ["candidate_id"],
-    "part_candidate": ["part_id", "candidate_id"],
-    "flat_region_candidate": ["region_id", "candidate_id"],
-}
-"""The columns by which each table's rows are ordered, so that their order in the frames does not matter."""
+logger = logging.getLogger(__name__)
 
 PACKING = 4
 """Level of the rasters' compression: the last before it takes four times as long for files smaller by a twentieth."""
 
-_LOADED = (
-    "scale",
-    "spectral_class",
-    "spectral_class_band",
-    "part",
-    "building",
-    "flat_region",
-    "part_flat_region",
-    "candidate_region",
-    "part_candidate",
-    "flat_region_candidate",
-    "rejection",
-)
-"""The tables in an order in which every row finds what it refers to."""
+_FRAMES = {table.name for table in TABLES}
+_LOADED = [table.name for table in METADATA.sorted_tables if table.name in _FRAMES]
+"""The tables of a build's frames in an order in which every row finds what it refers to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +48,7 @@ class WriteReport:
     """
 
     survey: str
-    method: str
+    methods: tuple[str, ...]
     survey_id: int
     run_id: int
     status: str
@@ -182,14 +162,16 @@ class _Rows:
     def of(cls, build: Build) -> Self:
         """Return the rows of a build, whatever the order of its own."""
         frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
-        counts = {name: len(frame) for name, frame in frames.items()} | {"run_state": len(build.state)}
+        counts = {name: len(frame) for name, frame in frames.items()}
+        counts |= {"run_method": len(build.run.methods), "run_state": len(build.state)}
+        counts["run_method"] = len(build.run.methods)
         return cls(frames, counts, content_digest(build, frames))
 
 
 def _report(build: Build, rows: _Rows, status: str) -> WriteReport:
     """Sum up a load."""
-    logger.info("Survey %s, method %s: %s, %s", build.survey.name, build.run.method, status, rows.counts)
-    return WriteReport(build.survey.name, build.run.method, *_keys(build), status, rows.counts)
+    logger.info("Survey %s, methods %s: %s, %s", build.survey.name, ", ".join(build.run.methods), status, rows.counts)
+    return WriteReport(build.survey.name, build.run.methods, *_keys(build), status, rows.counts)
 
 
 def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
@@ -215,16 +197,17 @@ def _fill(
     """Write all of a build's rows in the caller's transaction; return how many runs they replace."""
     survey_id, run_id = _keys(build)
     with dialect.in_bulk(connection, rows.counts):
-        # By the survey, as runs of the first schema have other keys.
-        removed = connection.execute(delete(Run).where(Run.survey_id == survey_id)).rowcount
+        removed = connection.execute(delete(RUN).where(RUN.c.survey_id == survey_id)).rowcount
         dialect.settle(connection)
         _write_survey(connection, survey_id, build)
         run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": rows.digest}
-        connection.execute(insert(Run), [plain(run)])
+        methods = [{"run_id": run_id, "method": method} for method in run.pop("methods")]
+        connection.execute(insert(RUN), [plain(run)])
+        connection.execute(insert(RUN_METHOD), methods)
         for name in _LOADED:
             _write_frame(connection, dialect, build, name, rows.frames[name], run_id=run_id, srid=srid)
     for raster in rasters:
-        connection.execute(insert(RunState), [{"run_id": run_id, **raster}])
+        connection.execute(insert(RUN_STATE), [{"run_id": run_id, **raster}])
     dialect.after_load(connection)
     return removed
 
@@ -253,7 +236,7 @@ def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
 
 def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, int]) -> bool:
     """Tell whether the run holds this content, and all of its rows are still there."""
-    if connection.scalar(select(Run.content_sha256).where(Run.run_id == run_id)) != digest:
+    if connection.scalar(select(RUN.c.content_sha256).where(RUN.c.run_id == run_id)) != digest:
         return False
     counted = "SELECT count(*) FROM {} WHERE run_id = :run"
     return all(connection.scalar(text(counted.format(name)), {"run": run_id}) == n for name, n in rows.items())
@@ -262,15 +245,15 @@ def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, 
 def _write_survey(connection: Connection, survey_id: int, build: Build) -> None:
     """Write the survey and its sources, or bring them up to date."""
     row = _survey_row(build)
-    known = connection.scalar(select(func.count()).select_from(Survey).where(Survey.survey_id == survey_id))
+    known = connection.scalar(select(func.count()).select_from(SURVEY).where(SURVEY.c.survey_id == survey_id))
     if known:
-        connection.execute(update(Survey).where(Survey.survey_id == survey_id).values(**row))
+        connection.execute(update(SURVEY).where(SURVEY.c.survey_id == survey_id).values(**row))
     else:
-        connection.execute(insert(Survey), [{"survey_id": survey_id, **row}])
-    connection.execute(delete(Source).where(Source.survey_id == survey_id))
+        connection.execute(insert(SURVEY), [{"survey_id": survey_id, **row}])
+    connection.execute(delete(SOURCE).where(SOURCE.c.survey_id == survey_id))
     sources = [{"survey_id": survey_id, "number": n, **row} for n, row in enumerate(_source_rows(build), start=1)]
     if sources:
-        connection.execute(insert(Source), sources)
+        connection.execute(insert(SOURCE), sources)
 
 
 def _write_frame(
@@ -305,11 +288,12 @@ def _rejection_ids(build: Build, frame: pd.DataFrame) -> NDArray[np.int64]:
     A region's id is a digest already. Laid over with one of the other words it is unique among the rows that share
     these, and among all as good as a digest of its own.
     """
-    why = frame.groupby(["stage", "reason"], sort=False).ngroup().rename("why")
+    why = frame.groupby(["method", "stage", "reason"], sort=False).ngroup().rename("why")
     again = frame.groupby([why, "region_id"], sort=False).cumcount().to_numpy()
     both = why.to_numpy() * (again.max(initial=0) + 1) + again
     _, first, group = np.unique(both, return_index=True, return_inverse=True)
-    words = zip(frame["stage"].iloc[first], frame["reason"].iloc[first], again[first], strict=True)
+    kinds = frame[["method", "stage", "reason"]].iloc[first]
+    words = zip(*(kinds[name] for name in kinds), again[first], strict=True)
     digests = np.array([text_id("rejection", build.survey.name, *row) for row in words], dtype=np.int64)
     ids: NDArray[np.int64] = np.maximum(frame["region_id"].to_numpy(np.int64) ^ digests[group], 1)
     return ids
@@ -317,7 +301,7 @@ def _rejection_ids(build: Build, frame: pd.DataFrame) -> NDArray[np.int64]:
 
 def _ordered(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     """Return the rows in the table's order, with polygons as multipolygons."""
-    order = ORDER[table.name]
+    order = table.order
     if frame[order[0]].is_unique:
         order = order[:1]
     rows = pd.DataFrame(frame).sort_values(order, kind="stable", ignore_index=True)

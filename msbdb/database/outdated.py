@@ -8,7 +8,9 @@ from sqlalchemy import Connection, Engine, select
 from msbdb.database.canonical import text_id
 from msbdb.database.engine import guarded
 from msbdb.database.labels import labelled_classes
-from msbdb.database.models import Run
+from msbdb.database.sqltables import SQL
+
+RUN = SQL["run"]
 
 
 class OutdatedError(Exception):
@@ -45,5 +47,5 @@ def read_digest(engine: Engine, survey: str) -> str | None:
 
 def _digest_of(connection: Connection, survey: str) -> str | None:
     """Return what `read_digest` does, as an open transaction sees it."""
-    query = select(Run.content_sha256).where(Run.survey_id == text_id("survey", survey))
+    query = select(RUN.c.content_sha256).where(RUN.c.survey_id == text_id("survey", survey))
     return connection.scalar(query)

@@ -30,8 +30,8 @@ from sqlalchemy.types import TypeEngine
 
 from msbdb.database import fresh
 from msbdb.database.canonical import to_json
-from msbdb.database.inventory_views import FOOTPRINT_AT_FUNCTION
-from msbdb.database.models import Base
+from msbdb.database.sqlfiles import read_sql
+from msbdb.database.sqltables import SQL
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
 
 logger = logging.getLogger(__name__)
@@ -155,7 +155,7 @@ def view_ddl(view: str, key: str, base: str) -> list[str]:  # noqa: ARG001  (Spa
 
 def function_ddl() -> list[str]:
     """Return the statement that creates ``footprint_at``."""
-    return [FOOTPRINT_AT_FUNCTION]
+    return [read_sql("functions", "footprint_at").sql]
 
 
 def drop_geometry_ddl(table: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
@@ -209,7 +209,7 @@ def insert_rows(
     srid: int,  # noqa: ARG001  (SpatiaLite takes it here)
 ) -> None:
     """Insert rows by COPY, in binary: the server reads numbers and geometries as they are."""
-    own = Base.metadata.tables[table].columns
+    own = SQL[table].columns
     statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN (FORMAT BINARY)"
     with connection.connection.cursor() as cursor, cursor.copy(statement) as copy:  # type: ignore[attr-defined]  # psycopg's own
         copy.set_types([_wire_type(own[name].type) for name in columns])

@@ -12,9 +12,8 @@ from sqlalchemy import Connection, Engine, select, text
 
 from msbdb.database.crs import crs_from, horizontal
 from msbdb.database.engine import guarded, shown
-from msbdb.database.load import ORDER
-from msbdb.database.models import Run, RunState, Source, Survey
 from msbdb.database.snapshot import snapshot
+from msbdb.database.sqltables import SQL
 from msbdb.errors import InputError
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
@@ -31,32 +30,40 @@ from msbdb.tables import (
     SPECTRAL_CLASS_BAND,
     TABLES,
     Build,
+    Run,
+    Source,
+    Survey,
     Table,
 )
-from msbdb.tables import Run as RunRecord
-from msbdb.tables import Source as SourceRecord
-from msbdb.tables import Survey as SurveyRecord
+
+RUN = SQL["run"]
+RUN_METHOD = SQL["run_method"]
+RUN_STATE = SQL["run_state"]
+SOURCE = SQL["source"]
+SURVEY = SQL["survey"]
 
 
 def list_runs(engine: Engine) -> pd.DataFrame:
-    """Return one row a run: survey, method, profile, version, date, EPSG code, density and cell size."""
+    """Return one row a run: survey, methods, profile, version, date, EPSG code, density and cell size."""
     with guarded(engine.url), engine.connect() as connection:
         query = (
             select(
-                Survey.name.label("survey"),
-                Run.method,
-                Run.profile,
-                Run.version,
-                Survey.date,
-                Survey.epsg,
-                Survey.density,
-                Survey.cell_m,
+                RUN.c.run_id,
+                SURVEY.c.name.label("survey"),
+                RUN.c.profile,
+                RUN.c.version,
+                SURVEY.c.date,
+                SURVEY.c.epsg,
+                SURVEY.c.density,
+                SURVEY.c.cell_m,
             )
-            .join_from(Run, Survey)
-            .order_by(Run.run_id)
+            .join_from(RUN, SURVEY)
+            .order_by(RUN.c.run_id)
         )
         result = connection.execute(query)
         rows = pd.DataFrame([tuple(row) for row in result], columns=list(result.keys()))
+        methods = [", ".join(_methods_of(connection, int(run_id))) for run_id in rows.pop("run_id")]
+    rows.insert(1, "methods", methods)
     return rows.sort_values("survey", ignore_index=True)
 
 
@@ -85,23 +92,23 @@ def build_of(connection: Connection, survey: str | None) -> Build:
     record = _survey_record(connection, run.survey_id)
     return Build(
         survey=record,
-        run=_run_record(run),
+        run=_run_record(connection, run),
         frames={table.name: _read_table(connection, table, run.run_id, record) for table in TABLES},
         state=_read_state(connection, run.run_id),
     )
 
 
-def read_survey(engine: Engine, survey: str | None = None) -> SurveyRecord:
+def read_survey(engine: Engine, survey: str | None = None) -> Survey:
     """Return the survey of a run, with its sources."""
     with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
         return _survey_record(connection, run.survey_id)
 
 
-def read_run(engine: Engine, survey: str | None = None) -> RunRecord:
+def read_run(engine: Engine, survey: str | None = None) -> Run:
     """Return a run: parameters, counts, timings and notices."""
     with guarded(engine.url), engine.connect() as connection:
-        return _run_record(_find_run(connection, survey, shown(engine.url)))
+        return _run_record(connection, _find_run(connection, survey, shown(engine.url)))
 
 
 def read_parts(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
@@ -200,8 +207,8 @@ def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN
 
 def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  # noqa: ANN401
     """Return the row of the survey's run; without a name, of the only survey's."""
-    query = select(Survey.name.label("survey"), Run.__table__).join_from(Run, Survey)
-    runs = connection.execute(query.order_by(Run.run_id)).all()
+    query = select(SURVEY.c.name.label("survey"), RUN).join_from(RUN, SURVEY)
+    runs = connection.execute(query.order_by(RUN.c.run_id)).all()
     found = [r for r in runs if survey in (None, r.survey)]
     if len(found) == 1:
         return found[0]
@@ -211,10 +218,10 @@ def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  #
     raise InputError(msg)
 
 
-def _survey_record(connection: Connection, survey_id: int) -> SurveyRecord:
-    row = connection.execute(select(Survey.__table__).where(Survey.survey_id == survey_id)).one()
-    sources = connection.execute(select(Source.__table__).where(Source.survey_id == survey_id).order_by(Source.number))
-    return SurveyRecord(
+def _survey_record(connection: Connection, survey_id: int) -> Survey:
+    row = connection.execute(select(SURVEY).where(SURVEY.c.survey_id == survey_id)).one()
+    sources = connection.execute(select(SOURCE).where(SOURCE.c.survey_id == survey_id).order_by(SOURCE.c.number))
+    return Survey(
         name=row.name,
         date=row.date,
         crs_wkt=row.crs_wkt,
@@ -223,13 +230,19 @@ def _survey_record(connection: Connection, survey_id: int) -> SurveyRecord:
         density=row.density,
         cell_m=row.cell_m,
         bounds=(row.west, row.south, row.east, row.north),
-        sources=tuple(SourceRecord(s.name, s.role, s.sha256, s.bytes) for s in sources),
+        sources=tuple(Source(s.name, s.role, s.sha256, s.bytes) for s in sources),
     )
 
 
-def _run_record(row: Any) -> RunRecord:  # noqa: ANN401  (a row of run)
-    return RunRecord(
-        method=row.method,
+def _methods_of(connection: Connection, run_id: int) -> tuple[str, ...]:
+    """Return a run's extractors in alphabetical order."""
+    # Ordered here, as every server has its own order for texts.
+    return tuple(sorted(connection.scalars(select(RUN_METHOD.c.method).where(RUN_METHOD.c.run_id == run_id))))
+
+
+def _run_record(connection: Connection, row: Any) -> Run:  # noqa: ANN401  (a row of run)
+    return Run(
+        methods=_methods_of(connection, row.run_id),
         profile=row.profile,
         version=row.version,
         parameters=row.parameters,
@@ -239,7 +252,7 @@ def _run_record(row: Any) -> RunRecord:  # noqa: ANN401  (a row of run)
     )
 
 
-def _read_table(connection: Connection, table: Table, run_id: int, survey: SurveyRecord) -> Any:  # noqa: ANN401
+def _read_table(connection: Connection, table: Table, run_id: int, survey: Survey) -> Any:  # noqa: ANN401
     """Return a table's rows of a run with the declared dtypes."""
     names = table.names
     chosen = ", ".join(names) + (", ST_AsBinary(geometry)" if table.geometry else "")
@@ -253,11 +266,11 @@ def _read_table(connection: Connection, table: Table, run_id: int, survey: Surve
         crs = horizontal(crs_from(survey.epsg, survey.crs_wkt))
         shapes = shapely.from_wkb(np.array([bytes(blob) for blob in columns[-1]], dtype=object))
         frame = gpd.GeoDataFrame(frame, geometry=shapes, crs=crs)
-    return frame.sort_values(ORDER[table.name], kind="stable", ignore_index=True)
+    return frame.sort_values(table.order, kind="stable", ignore_index=True)
 
 
 def _read_state(connection: Connection, run_id: int) -> dict[str, NDArray[np.generic]]:
-    rows = connection.execute(select(RunState.__table__).where(RunState.run_id == run_id).order_by(RunState.name))
+    rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name))
     return {
         row.name: np.frombuffer(zlib.decompress(row.data), dtype=np.dtype(row.dtype)).reshape(row.shape) for row in rows
     }

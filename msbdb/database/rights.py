@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from psycopg import sql
 from sqlalchemy import Connection, text
 
-from msbdb.database.models import Base
+from msbdb.database.sqltables import METADATA, SQL
 from msbdb.database.views import TABLE_VIEWS, VIEWS
 
 VERSION_TABLE = "msbdb_schema_version"
@@ -47,7 +47,7 @@ def kept_rights(connection: Connection, *, but: str = "") -> Iterator[None]:
 
 def written_by_operators(table: str) -> bool:
     """Tell whether operators change rows of a table: those of builds, and their own."""
-    return table in ("survey", "source", *OPERATORS_OWN) or "run_id" in Base.metadata.tables[table].columns
+    return table in ("survey", "source", *OPERATORS_OWN) or "run_id" in SQL[table].columns
 
 
 def give(connection: Connection, role: str, user: str) -> None:
@@ -61,7 +61,7 @@ def give(connection: Connection, role: str, user: str) -> None:
     _execute(connection, sql.SQL("GRANT USAGE ON SCHEMA {} TO {}").format(here, to))
     for name in _relations(connection):
         _execute(connection, sql.SQL("GRANT SELECT ON {}.{} TO {}").format(here, sql.Identifier(name), to))
-        if role == "operator" and name in Base.metadata.tables and written_by_operators(name):
+        if role == "operator" and name in METADATA.tables and written_by_operators(name):
             statement = sql.SQL("GRANT INSERT, UPDATE, DELETE ON {}.{} TO {}")
             _execute(connection, statement.format(here, sql.Identifier(name), to))
     for name in _functions(connection):
@@ -96,7 +96,7 @@ def _hand_over(connection: Connection, here: sql.Identifier, to: sql.Identifier)
 
 def _relations(connection: Connection) -> list[str]:
     """Return the tables and views that are msbdb's own and there; ALTER TABLE and GRANT take both."""
-    own = [*Base.metadata.tables, *(view.name for view in (*VIEWS, *TABLE_VIEWS)), VERSION_TABLE]
+    own = [*METADATA.tables, *(view.name for view in (*VIEWS, *TABLE_VIEWS)), VERSION_TABLE]
     query = text("SELECT relname FROM pg_class WHERE relnamespace = current_schema()::regnamespace")
     there = set(connection.scalars(query))
     return sorted(name for name in own if name in there)

@@ -15,13 +15,11 @@ from sqlalchemy.types import TypeEngine
 
 from msbdb.database.canonical import text_id, to_json
 from msbdb.database.dialect import Dialect
-from msbdb.database.models import Base
+from msbdb.database.sqltables import SQL
+from msbdb.tables import DATABASE_TABLES, ROW_DIGEST
 
-COLUMN = "row_digest"
-TABLES = (
-    "inventory_building", "building_version", "building_change", "survey_offset", "inventory_event", "operator_state",
-    "roof_sample",
-)  # fmt: skip
+COLUMN = ROW_DIGEST.name
+TABLES = tuple(table.name for table in DATABASE_TABLES if table.digested)
 """The tables whose rows have digests."""
 
 BATCH = 5000
@@ -87,7 +85,7 @@ def insert_digested(
     """Insert rows in bulk, each with its digest; documents are JSON already, ``shapes`` are the rows' geometries."""
     if not rows:
         return
-    types = {column.name: column.type for column in Base.metadata.tables[table].columns}
+    types = {column.name: column.type for column in SQL[table].columns}
     names = list(columns)
     plain, stored = [list(rows)] * 2
     if shapes is not None:

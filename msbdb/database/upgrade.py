@@ -1,7 +1,5 @@
 """Creating and upgrading the schema through Alembic."""
 
-from pathlib import Path
-
 from alembic import command
 from alembic.config import Config
 from alembic.migration import MigrationContext
@@ -10,27 +8,12 @@ from sqlalchemy import Connection, text
 
 from msbdb.database.crs import crs_from, register
 from msbdb.database.dialect import Dialect
-from msbdb.database.models import Base
+from msbdb.database.sqlfiles import packaged
+from msbdb.database.sqltables import METADATA
 from msbdb.database.views import TABLE_VIEWS, VIEWS
-from msbdb.errors import DatabaseError, SchemaVersionError
+from msbdb.errors import SchemaVersionError
 
 VERSION_TABLE = "msbdb_schema_version"
-
-
-def packaged(folder: str) -> Path:
-    """Return ``migrations`` or ``schema``: beside this module in an installed msbdb, at the top of a source checkout.
-
-    Raises
-    ------
-    DatabaseError
-        When the installation lacks it.
-    """
-    here = Path(__file__).resolve().parent
-    for place in (here / folder, here.parent.parent / folder):
-        if place.is_dir():
-            return place
-    msg = f"This msbdb lacks its folder '{folder}' beside {here}. Install msbdb again."
-    raise DatabaseError(msg)
 
 
 def head_version() -> str:
@@ -53,7 +36,8 @@ def initialise(connection: Connection, dialect: Dialect, srid: int, crs_wkt: str
 def migrate(connection: Connection, dialect: Dialect, srid: int) -> None:
     """Bring the schema to the newest version, inside the caller's transaction.
 
-    Comments are documentation, not schema: they are written afresh from the models, so that no migration copies them.
+    Comments are documentation, not schema: they are written afresh from the declarations, so that no migration
+    copies them.
     """
     command.upgrade(configured(connection, dialect, srid), "head")
     if connection.dialect.supports_comments:
@@ -101,7 +85,7 @@ def older_versions(version: str) -> list[str]:
 def comment_ddl() -> list[str]:
     """Return the statements that comment tables, columns and views, for dialects that keep comments."""
     statements = []
-    for table in Base.metadata.sorted_tables:
+    for table in METADATA.sorted_tables:
         statements.append(f"COMMENT ON TABLE {table.name} IS {_quoted(table.comment or '')}")
         statements += [
             f"COMMENT ON COLUMN {table.name}.{column.name} IS {_quoted(column.comment or '')}"

@@ -8,6 +8,11 @@ from msbdb.errors import TableError
 class Books:
     """Counts by stage, checked to balance, and the regions that were lost, a row each.
 
+    Parameters
+    ----------
+    method : str
+        Name of the extractor.
+
     Attributes
     ----------
     counts : dict
@@ -15,7 +20,8 @@ class Books:
         ``dropped``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, method: str) -> None:
+        self.method = method
         self.counts: dict[str, dict[str, int]] = {}
         self._lost: list[pd.DataFrame] = []
         self._rows: dict[str, int] = {}
@@ -23,7 +29,7 @@ class Books:
     def write(self, stage: str, regions: pd.DataFrame) -> int:
         """Write lost regions, rows with a ``reason``, under the stage that dropped them; return how many."""
         if len(regions):
-            self._lost.append(regions.assign(stage=stage))
+            self._lost.append(regions.assign(method=self.method, stage=stage))
         self._rows[stage] = self._rows.get(stage, 0) + len(regions)
         return len(regions)
 
@@ -67,4 +73,4 @@ class Books:
 
     def lost(self, empty: pd.DataFrame) -> pd.DataFrame:
         """Return all lost regions in the order of writing; the empty table gives the columns when there are none."""
-        return pd.concat(self._lost or [empty.iloc[:0].assign(reason="", stage="")], ignore_index=True)
+        return pd.concat(self._lost or [empty.iloc[:0].assign(reason="", method="", stage="")], ignore_index=True)

@@ -22,7 +22,7 @@ class Candidates:
     rejections : DataFrame
         ``tables.REJECTION`` without geometry: a row for each region that a stage dropped.
     counts : dict
-        By stage, each beginning with the method's name: regions ``in`` (with the ``pieces`` that the stage cut
+        By stage: regions ``in`` (with the ``pieces`` that the stage cut
         itself, less those it joined), ``kept`` and ``dropped``.
     """
 

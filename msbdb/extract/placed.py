@@ -88,8 +88,8 @@ class PlacedPoints:
 class PointBooks(Books):
     """The books of an extractor on points: labelled regions of points become ``tables.REJECTION``."""
 
-    def __init__(self, points: PlacedPoints) -> None:
-        super().__init__()
+    def __init__(self, method: str, points: PlacedPoints) -> None:
+        super().__init__(method)
         self.points = points
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, number: int, *, scale: int = 0) -> int:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from msbdb.bands import Bands
 from msbdb.database import PATIENCE_S, BuildBasis, OutdatedError, check_target, read_labelled_classes, store_build
 from msbdb.errors import DatabaseError, ParameterError
+from msbdb.extract.multiscale.forest import Forest
 from msbdb.extract.multiscale.run import choose_scales, extract_parts
 from msbdb.grid import Grid
 from msbdb.params import DETECTORS, POINT_DETECTORS, Params, as_dict
@@ -137,7 +138,7 @@ def build(
         "chosen": found.chosen,
     }
     values: dict[str, object] = dict(as_dict(params))
-    entry = Run(",".join(methods), profile, __version__, values, counts, stages.timings, tuple(notices))
+    entry = Run(tuple(sorted(methods)), profile, __version__, values, counts, stages.timings, tuple(notices))
     with stages.stage("write"):
         state = pack_state(found.ndsm, found.cover, found.flat, found.candidates, found.together)
         whole = Build(found.survey, entry, found.frames, state)
@@ -213,7 +214,7 @@ class Found:
     flat: Flat
     candidates: tuple[CandidateLayer, ...]
     together: Together | None
-    regions: dict[str, dict[str, int]]
+    regions: dict[str, dict[str, dict[str, int]]]
     frames: dict[str, Any]
     chosen: dict[str, object]
 
@@ -258,9 +259,7 @@ def run(job: Job, stages: Stages, notices: list[str]) -> Found:
     with stages.stage("outlines"):
         parts = outline_parts(forest, ndsm, params.vector)
         frames = make_frames(forest, parts, cover, flat, candidates, ndsm=ndsm)
-    regions = forest.counts | flat.counts
-    for layer in candidates:
-        regions |= layer.counts
+    regions = region_counts(forest, flat, candidates)
     return Found(
         record, ndsm, cover, flat, candidates, together, regions, frames, chosen_of(ground_filter, params, cover)
     )
@@ -318,6 +317,15 @@ def _store(build: Build, db: str | Path, labelled: pd.DataFrame) -> bool:
         raise DatabaseError(msg) from error
 
 
+def region_counts(
+    forest: Forest, flat: Flat, candidates: Sequence[CandidateLayer]
+) -> dict[str, dict[str, dict[str, int]]]:
+    """Return the counts by stage of each extractor that has any."""
+    counts = {"multiscale": forest.counts, "flatregions": flat.counts}
+    counts |= {layer.method: layer.counts for layer in candidates}
+    return {method: stages for method, stages in counts.items() if stages}
+
+
 def count_cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
     """Count the cells: all, valid, and a class label each."""
     labels = cover.classes.labels
@@ -331,7 +339,7 @@ def count_cells(ndsm: Grid, cover: Cover) -> dict[str, int]:
 def candidates_by_method(build: Build) -> dict[str, int]:
     """Count the candidate regions of each extractor on points that was run."""
     found = build.frames["candidate_region"]["method"]
-    return {name: int((found == name).sum()) for name in POINT_DETECTORS if name in build.run.method.split(",")}
+    return {name: int((found == name).sum()) for name in POINT_DETECTORS if name in build.run.methods}
 
 
 def report_of(build: Build, stages: Stages, *, changed: bool) -> BuildReport:

@@ -26,7 +26,7 @@ class CandidateLayer:
     Parameters
     ----------
     method : str
-        ``area3d`` or ``adaptive``; the stages of the extractor begin with it, in the ledger and the counts.
+        ``area3d`` or ``adaptive``, as in the ledger and the counts.
     labels : (H, W) ndarray of int32
         0 for none, otherwise row number + 1 in ``regions``.
     regions : GeoDataFrame

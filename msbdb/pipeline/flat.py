@@ -20,9 +20,6 @@ from msbdb.vector.polygons import polygonise
 from msbdb.vector.simplify import simplify_coverage
 from msbdb.view.flat import draw_denoising
 
-STAGES = "flat "
-"""What the names of its stages begin with, in the ledger and the counts."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flat:

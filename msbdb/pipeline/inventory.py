@@ -54,7 +54,7 @@ class Inventory:
         self.engine.dispose()
 
     def runs(self) -> pd.DataFrame:
-        """Return a row a run: survey, method, profile, version, date, CRS, density and cell."""
+        """Return a row a run: survey, methods, profile, version, date, CRS, density and cell."""
         return list_runs(self.engine)
 
     def buildings(self, survey: str | None = None) -> gpd.GeoDataFrame:

@@ -41,7 +41,7 @@ from msbdb.io.las import read_points
 from msbdb.io.vector import read_polygons
 from msbdb.params import POINT_DETECTORS, Params, with_values
 from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.build import BuildReport, candidates_by_method, count_cells, report_of
+from msbdb.pipeline.build import BuildReport, candidates_by_method, count_cells, region_counts, report_of
 from msbdb.pipeline.footprints import has_together, read_together
 from msbdb.pipeline.stage import Progress, Stages
 from msbdb.pipeline.state import (
@@ -149,7 +149,7 @@ def _relabelled(old: Build, labels: Mapping[int, str], stages: Stages) -> Build:
     # The run's own scales, as other labels would find others where the parameters give none.
     params = with_values(params, {"scale": {"scales_m2": old.frames["scale"]["threshold_m2"].tolist()[::-1]}})
     flat, candidates = unpack_flat(old, spec), unpack_candidates(old)
-    searched = heights if "multiscale" in old.run.method else Grid(heights.values, np.zeros_like(heights.valid), spec)
+    searched = heights if "multiscale" in old.run.methods else Grid(heights.values, np.zeros_like(heights.valid), spec)
     with stages.stage("parts"):
         forest = extract_parts(searched, cover.classes, survey=old.survey.name, params=params)
     with stages.stage("together"):
@@ -157,9 +157,7 @@ def _relabelled(old: Build, labels: Mapping[int, str], stages: Stages) -> Build:
     with stages.stage("outlines"):
         parts = outline_parts(forest, heights, params.vector)
         frames = make_frames(forest, parts, cover, flat, candidates, ndsm=heights)
-    regions = forest.counts | flat.counts
-    for layer in candidates:
-        regions |= layer.counts
+    regions = region_counts(forest, flat, candidates)
     counts = {**old.run.counts, "regions": regions, "cells": count_cells(heights, cover)}
     run = replace(old.run, counts=counts, timings={**old.run.timings, **stages.timings})
     return Build(old.survey, run, frames, pack_state(heights, cover, flat, candidates, together))

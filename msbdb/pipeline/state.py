@@ -14,7 +14,7 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.params import POINT_DETECTORS
 from msbdb.pipeline.candidates import CandidateLayer
 from msbdb.pipeline.cover import Cover
-from msbdb.pipeline.flat import STAGES, Flat, no_flat_regions
+from msbdb.pipeline.flat import Flat, no_flat_regions
 from msbdb.pipeline.together import Evidence, Together
 from msbdb.surface.heights import PER_METRE
 from msbdb.tables import REJECTION, Build, Survey
@@ -48,7 +48,7 @@ def unpack_flat(build: Build, spec: GridSpec) -> Flat:
     """Return the flat regions of a kept run, with what they wrote into ledger and counts."""
     if "flat" not in build.state:
         return no_flat_regions(spec)
-    rejections, counts = _written_by(build, STAGES)
+    rejections, counts = _written_by(build, "flatregions")
     frame = build.frames["flat_region"].sort_values("region_id", ignore_index=True)
     labels = build.state["flat"].astype(np.int32)
     firm = build.state["flat_firm"].astype(np.bool_) if "flat_firm" in build.state else None
@@ -59,19 +59,19 @@ def unpack_candidates(build: Build) -> tuple[CandidateLayer, ...]:
     """Return the candidate regions of a kept run, a layer an extractor, with what they wrote into ledger and counts."""
     frame = build.frames["candidate_region"].sort_values("candidate_id", ignore_index=True)
     layers = []
-    for method in (name for name in build.run.method.split(",") if name in POINT_DETECTORS):
+    for method in (name for name in build.run.methods if name in POINT_DETECTORS):
         regions = gpd.GeoDataFrame(frame[frame["method"] == method].reset_index(drop=True))
         labels = build.state[method].astype(np.int32)
         layers.append(CandidateLayer(method, labels, regions, *_written_by(build, method)))
     return tuple(layers)
 
 
-def _written_by(build: Build, stages: str) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
-    """Return the ledger rows and counts of the stages whose names begin so."""
+def _written_by(build: Build, method: str) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
+    """Return the ledger rows and the counts by stage of an extractor."""
     ledger = build.frames["rejection"]
-    own = ledger.loc[ledger["stage"].str.startswith(stages), REJECTION.names]
-    regions: dict[str, dict[str, int]] = build.run.counts["regions"]  # type: ignore[assignment]  # plain nested values
-    return own, {stage: values for stage, values in regions.items() if stage.startswith(stages)}
+    own = ledger.loc[ledger["method"] == method, REJECTION.names]
+    regions: dict[str, dict[str, dict[str, int]]] = build.run.counts["regions"]  # type: ignore[assignment]  # plain nested values
+    return own, regions.get(method, {})
 
 
 def unpack_evidence(state: State) -> Evidence | None:

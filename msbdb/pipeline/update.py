@@ -166,8 +166,8 @@ def is_built(
         return False
     finally:
         engine.dispose()
-    wanted = to_json([as_dict(params or named_profile(profile)), profile, __version__, ",".join(methods), date])
-    found = to_json([run.parameters, run.profile, run.version, run.method, record.date])
+    wanted = to_json([as_dict(params or named_profile(profile)), profile, __version__, sorted(methods), date])
+    found = to_json([run.parameters, run.profile, run.version, run.methods, record.date])
     stated = run.counts.get("stated") == inputs.stated()
     return denoising_figure is None and stated and wanted == found and set(record.sources) == set(inputs.sources())
 

@@ -9,5 +9,5 @@ JOIN run AS r ON r.run_id = c.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
 LEFT JOIN part AS p ON p.run_id = c.run_id AND p.scale = c.scale
 WHERE (CAST(:survey AS TEXT) IS NULL OR s.name = :survey)
-GROUP BY s.name, r.method, c.scale, c.threshold_m2
-ORDER BY survey, r.method, c.scale;
+GROUP BY s.name, c.scale, c.threshold_m2
+ORDER BY survey, c.scale;

@@ -1,11 +1,11 @@
--- What was dropped on the way, by which stage, for what reason, and how much area?
+-- What was dropped on the way, by which extractor and stage, for what reason, and how much area?
 --
 -- :survey = null  name of a survey; null takes all
-SELECT s.name AS survey, r.method, j.stage, j.reason,
+SELECT s.name AS survey, j.method, j.stage, j.reason,
        COUNT(*) AS regions, SUM(j.area_m2) AS area_m2, MAX(j.area_m2) AS largest_m2
 FROM rejection AS j
 JOIN run AS r ON r.run_id = j.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
 WHERE (CAST(:survey AS TEXT) IS NULL OR s.name = :survey)
-GROUP BY s.name, r.method, j.stage, j.reason
-ORDER BY regions DESC, survey, j.stage, j.reason;
+GROUP BY s.name, j.method, j.stage, j.reason
+ORDER BY regions DESC, survey, j.method, j.stage, j.reason;

@@ -1,7 +1,11 @@
--- What does this database hold: which surveys, by which extractors and version, and how much was found?
+-- What does this database hold: which surveys, by which extractors (1 or 0) and version, and how much was found?
 --
 -- :survey = null  name of a survey; null takes all
-SELECT s.name AS survey, s.date, s.epsg, s.density, s.cell_m, r.method, r.profile, r.version,
+SELECT s.name AS survey, s.date, s.epsg, s.density, s.cell_m, r.profile, r.version,
+       (SELECT COUNT(*) FROM run_method AS m WHERE m.run_id = r.run_id AND m.method = 'multiscale') AS multiscale,
+       (SELECT COUNT(*) FROM run_method AS m WHERE m.run_id = r.run_id AND m.method = 'flatregions') AS flatregions,
+       (SELECT COUNT(*) FROM run_method AS m WHERE m.run_id = r.run_id AND m.method = 'area3d') AS area3d,
+       (SELECT COUNT(*) FROM run_method AS m WHERE m.run_id = r.run_id AND m.method = 'adaptive') AS adaptive,
        (SELECT COUNT(*) FROM building AS b WHERE b.run_id = r.run_id) AS buildings,
        (SELECT COUNT(*) FROM part AS p WHERE p.run_id = r.run_id) AS parts,
        (SELECT COUNT(*) FROM rejection AS j WHERE j.run_id = r.run_id) AS rejections,
@@ -9,4 +13,4 @@ SELECT s.name AS survey, s.date, s.epsg, s.density, s.cell_m, r.method, r.profil
        (SELECT COUNT(*) FROM candidate_region AS k WHERE k.run_id = r.run_id) AS candidates
 FROM run AS r JOIN survey AS s ON s.survey_id = r.survey_id
 WHERE (CAST(:survey AS TEXT) IS NULL OR s.name = :survey)
-ORDER BY survey, r.method;
+ORDER BY survey;

@@ -54,7 +54,7 @@ def test_the_rows_of_some_extractors_are_a_sound_build(script, tile):
     """What the others gave is left out, their shares and links included."""
     few = script.thinned(tile, ["multiscale", "flatregions"])
     check_build(few)
-    assert few.run.method == "flatregions,multiscale"
+    assert few.run.methods == ("flatregions", "multiscale")
     assert few.frames["building"]["area3d_share"].isna().all()
     assert few.frames["building"]["flat_share"].notna().all()
     assert len(few.frames["part_candidate"]) == len(few.frames["candidate_region"]) == 0

@@ -3,17 +3,18 @@
 import json
 import re
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from olddatabases import HOSTILE, place_old_database
-from simulated.builds import EPSG, small_build
+from simulated.builds import EPSG, HOSTILE, small_build
+from support.latermigration import LATER, migrations_of_tomorrow
 
 from msbdb.cli.db import db as commands
 from msbdb.cli.main import cli
-from msbdb.database import CHECKS, ROLES, canonical_dump, check_database, open_database, write_build
+from msbdb.database import CHECKS, ROLES, canonical_dump, check_database, open_database, upgrade, write_build
 
 
 def run(*args: str) -> Any:
@@ -47,24 +48,34 @@ def test_create_tells_whether_it_did(tmp_path: Path) -> None:
     assert run("create", place).exit_code == 2
 
 
-def test_upgrade_and_downgrade_tell_the_versions(tmp_path: Path) -> None:
+@pytest.fixture
+def tomorrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Return what makes the schema of tomorrow the newest."""
+    folder = migrations_of_tomorrow(tmp_path / "migrations")
+    return lambda: monkeypatch.setattr(upgrade, "packaged", lambda _name: folder)
+
+
+def test_upgrade_and_downgrade_tell_the_versions(tmp_path: Path, tomorrow: Callable[[], None]) -> None:
     """Before and after, and what was lost."""
     place = str(tmp_path / "old.sqlite")
-    place_old_database(place, "0001")
+    told("create", place, "--crs", "28992")
+    tomorrow()
     assert run("check", place).exit_code == 1
     assert "msbdb db upgrade" in run("check", place).stderr
     told_up = told("upgrade", place)
     assert (told_up["before"], told_up["lost"]) == ("0001", [])
-    assert told("downgrade", place, "--to", "0002")["after"] == "0002"
-    assert "0002" in run("upgrade", place).stdout
+    assert told("downgrade", place, "--to", "0001")["after"] == "0001"
+    assert LATER in run("upgrade", place).stdout
 
 
-def test_a_downgrade_with_losses_ends_with_1(town: str) -> None:
+def test_a_downgrade_with_losses_ends_with_1(town: str, tomorrow: Callable[[], None]) -> None:
     """It names what would be lost; forced, it lists what was."""
-    refused = run("downgrade", town, "--to", "0002")
+    tomorrow()
+    told("upgrade", town)
+    refused = run("downgrade", town, "--to", "0001")
     assert refused.exit_code == 1
-    assert "16 rows of candidate_region" in refused.stderr
-    assert "16 rows of candidate_region" in told("downgrade", town, "--to", "0002", "--force")["lost"]
+    assert "6 values of building.colour" in refused.stderr
+    assert "6 values of building.colour" in told("downgrade", town, "--to", "0001", "--force")["lost"]
 
 
 def test_a_sound_database_ends_with_0(town: str) -> None:

@@ -156,7 +156,7 @@ CORRUPTIONS = [
     ),
     Corruption(
         "a ledger row less",
-        *("ledger", "rejection", f"run_id={RUN}", "1 rows of stage 'spectral'"),
+        *("ledger", "rejection", f"run_id={RUN}", "1 rows of stage 'spectral' of multiscale"),
         sql=(f"DELETE FROM rejection WHERE region_id = {CROWN}",),
     ),
     Corruption(
@@ -169,8 +169,8 @@ CORRUPTIONS = [
     ),
     Corruption(
         "books that do not balance",
-        *("ledger", "run", f"run_id={RUN}", "stage 'a': 3 in, 1 kept, 1 dropped"),
-        sql=("""UPDATE run SET counts = '{"regions": {"a": {"in": 3, "kept": 1, "dropped": 1}}}'""",),
+        *("ledger", "run", f"run_id={RUN}", "stage 'a' of multiscale: 3 in, 1 kept, 1 dropped"),
+        sql=("""UPDATE run SET counts = '{"regions": {"multiscale": {"a": {"in": 3, "kept": 1, "dropped": 1}}}}'""",),
     ),
     Corruption(
         "a building with a wrong count of parts",
@@ -397,7 +397,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a file with an inventory and two surveys, in which all is right."""
     place = tmp_path_factory.mktemp("sound") / "city.sqlite"
     engine = open_database(place, create=True, srid=EPSG)
-    counts = {"regions": REGIONS}
+    counts = {"regions": {"multiscale": REGIONS}}
     for build, height in (small_build(counts=counts), 900), (small_build("spring", shift=1000, counts=counts), 0):
         cells = {"ndsm_cm": np.full((100, 400), height, dtype=np.int32), "valid": np.ones((100, 400), dtype=np.uint8)}
         write_build(engine, replace(build, state={**build.state, **cells}))

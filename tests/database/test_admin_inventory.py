@@ -14,17 +14,15 @@ from msbdb.database import (
     canonical_dump,
     check_database,
     copy_database,
-    downgrade_schema,
     grant_role,
     open_database,
-    upgrade_schema,
     write_build,
     write_import,
     write_samples,
     write_state,
 )
-from msbdb.database.models import Base
-from msbdb.errors import DatabaseError, SchemaVersionError
+from msbdb.database.sqltables import METADATA
+from msbdb.errors import DatabaseError
 from msbdb.pipeline.update import advance
 
 LATER = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
@@ -52,15 +50,14 @@ def fill(engine: Engine) -> None:
 def history(engine: Engine) -> list[int]:
     """Return the buildings of the inventory."""
     with engine.connect() as connection:
-        return list(connection.scalars(select(Base.metadata.tables["inventory_building"].c.uid).order_by("uid")))
+        return list(connection.scalars(select(METADATA.tables["inventory_building"].c.uid).order_by("uid")))
 
 
 def counts(engine: Engine) -> dict[str, int]:
     """Return the rows by table."""
     with engine.connect() as connection:
         return {
-            name: connection.scalar(select(func.count()).select_from(table))
-            for name, table in Base.metadata.tables.items()
+            name: connection.scalar(select(func.count()).select_from(table)) for name, table in METADATA.tables.items()
         }
 
 
@@ -97,21 +94,6 @@ def test_the_copy_goes_on_as_the_original_would(kept: Engine) -> None:
     before = list(canonical_dump(kept))
     assert advance(kept.url, "s2").status == "unchanged"
     assert list(canonical_dump(kept)) == before
-
-
-def test_a_downgrade_counts_the_history_that_it_would_lose(kept: Engine) -> None:
-    """Nothing of it is lost without --force; with it, builds stay and are sound."""
-    rows, place = counts(kept), kept.url
-    with pytest.raises(SchemaVersionError) as refused:
-        downgrade_schema(place, "0003")
-    for table in ("building_version", "building_change", "operator_state", "roof_sample"):
-        assert f"{rows[table]} rows of {table}" in str(refused.value)
-    assert counts(kept) == rows
-    assert check_database(kept) == []
-    downgrade_schema(place, "0003", force=True)
-    upgrade_schema(place)
-    assert check_database(kept) == []
-    assert counts(kept)["part"] == rows["part"]
 
 
 @pytest.mark.parametrize(

@@ -2,27 +2,30 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import psycopg
 import pytest
-from olddatabases import place_old_database
 from psycopg import sql
 from simulated.builds import EPSG, small_build
 from sqlalchemy import URL, make_url
+from support.latermigration import migrations_of_tomorrow
 
 from msbdb.database import (
     canonical_dump,
     check_database,
+    create_database,
     downgrade_schema,
     grant_role,
     open_database,
+    upgrade,
     upgrade_schema,
     write_build,
 )
 from msbdb.database.admin import open_any
-from msbdb.database.models import Base
 from msbdb.database.rights import VERSION_TABLE, written_by_operators
+from msbdb.database.sqltables import METADATA
 from msbdb.database.views import TABLE_VIEWS, VIEWS
 from msbdb.errors import DatabaseError, ParameterError
 
@@ -32,7 +35,7 @@ DENIED = "42501"
 UNSEEN = (DENIED, "3F000", "42P01")
 """To a user without rights on the schema there is no schema, and no table."""
 TRIGGER = "suppress_redundant_updates_trigger"
-TABLES = sorted(Base.metadata.tables)
+TABLES = sorted(METADATA.tables)
 USERS = {
     "reader": f"x'; DROP TABLE part; -- {os.getpid()}",
     "operator": f'"quoted" {os.getpid()}',
@@ -92,7 +95,7 @@ def outcome(url: URL, user: str, statement: str) -> str:
 
 def changes(table: str) -> dict[str, str]:
     """Return a statement of each kind that changes rows of a table."""
-    column = Base.metadata.tables[table].primary_key.columns[0].name if table in Base.metadata.tables else "version_num"
+    column = METADATA.tables[table].primary_key.columns[0].name if table in METADATA.tables else "version_num"
     return {
         "INSERT": f"INSERT INTO {table} SELECT * FROM {table} WHERE false"
         if not has_computed(table)
@@ -104,7 +107,7 @@ def changes(table: str) -> dict[str, str]:
 
 def has_computed(table: str) -> bool:
     """Tell whether a table has computed columns, which no INSERT names."""
-    return table in Base.metadata.tables and any(c.computed is not None for c in Base.metadata.tables[table].columns)
+    return table in METADATA.tables and any(c.computed is not None for c in METADATA.tables[table].columns)
 
 
 def owners(table: str) -> dict[str, str]:
@@ -213,7 +216,7 @@ def test_msbdb_works_for_each_role(granted: URL) -> None:
     assert list(canonical_dump(reader)) == before
 
 
-def test_the_owner_does_all_and_hands_on(granted: URL) -> None:
+def test_the_owner_does_all_and_hands_on(granted: URL, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An owner changes the schema and grants; the others keep their rights; ownership moves on, and back."""
     first, owner = str(granted.username), USERS["owner"]
     grant_role(open_database(granted), "owner", owner)
@@ -225,8 +228,12 @@ def test_the_owner_does_all_and_hands_on(granted: URL) -> None:
         assert outcome(mine, owner, MAKING[kind]) == ""
     grant_role(open_database(mine), "reader", USERS["stranger"])
     assert outcome(granted, USERS["stranger"], "SELECT * FROM part") == ""
-    downgrade_schema(mine)
-    upgrade_schema(mine)
+    tomorrow = migrations_of_tomorrow(tmp_path / "migrations")
+    with monkeypatch.context() as patch:
+        patch.setattr(upgrade, "packaged", lambda _name: tomorrow)
+        upgrade_schema(mine)
+        downgrade_schema(mine, force=True)
+    assert write_build(open_database(mine), small_build()).status == "replaced"
     for role in ("reader", "operator", "stranger"):
         assert outcome(granted, USERS[role], "SELECT * FROM building_version") == ""
     assert outcome(granted, USERS["operator"], "DELETE FROM building WHERE false") == ""
@@ -261,14 +268,19 @@ def test_unknown_users_and_roles_are_refused(granted: URL) -> None:
         grant_role(engine, "king", USERS["reader"])
 
 
-def test_rights_outlive_the_upgrade_of_an_old_database(new_postgis: Any, place: URL) -> None:
-    """Tables that the migrations make anew are readable by whoever could read the old ones."""
+def test_rights_outlive_the_upgrade_of_an_old_database(
+    new_postgis: Any, place: URL, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Views that the migrations make anew are readable by whoever could read the old ones."""
     target = new_postgis()
-    place_old_database(target, "0002")
+    create_database(target, f"EPSG:{EPSG}")
     engine = open_any(target)
     for role in ("reader", "operator"):
         grant_role(engine, role, USERS[role])
-    upgrade_schema(target)
+    tomorrow = migrations_of_tomorrow(tmp_path / "migrations")
+    with monkeypatch.context() as patch:
+        patch.setattr(upgrade, "packaged", lambda _name: tomorrow)
+        upgrade_schema(target)
     url = make_url(target)
     for table in TABLES:
         assert outcome(url, USERS["reader"], f"SELECT * FROM {table} LIMIT 1") == ""

@@ -11,7 +11,7 @@ from sqlalchemy import Engine, text
 from sqlalchemy.exc import DatabaseError as RefusedError
 
 from msbdb.database import bulk, canonical_dump, open_database, read_rejections, spatialite, write_build
-from msbdb.database.models import SPATIAL
+from msbdb.database.sqltables import SPATIAL
 from msbdb.database.views import VIEWS
 from msbdb.errors import DatabaseError, LoadError
 from msbdb.tables import Build
@@ -105,7 +105,7 @@ def test_a_region_that_was_dropped_twice_has_two_rows(engine: Engine) -> None:
     """The same stage and reason again, and another stage: keys differ, and do not depend on the order of rows."""
     build = ledger_build(50)
     ledger = build.frames["rejection"]
-    other = ledger[:10].assign(stage="flat compactness", reason="too long and thin")
+    other = ledger[:10].assign(stage="compactness", reason="too long and thin")
     ledger = pd.concat([ledger, ledger[:10], other], ignore_index=True)
     assert write_build(engine, replace(build, frames={**build.frames, "rejection": ledger})).rows["rejection"] == 70
     before = list(canonical_dump(engine))

@@ -37,8 +37,8 @@ from msbdb.database import (
     write_state,
 )
 from msbdb.database.dialect import dialect_of
-from msbdb.database.models import Base
 from msbdb.database.snapshot import snapshot
+from msbdb.database.sqltables import METADATA
 from msbdb.errors import DatabaseError
 from msbdb.params import Params, with_values
 from msbdb.pipeline import reports
@@ -326,7 +326,7 @@ def row_versions(engine: Engine) -> dict[tuple[str, str], str]:
     """Return place and transactions of each row, by table and key: whoever writes or locks a row changes them."""
     found = {}
     with engine.connect() as connection:
-        for table in Base.metadata.sorted_tables:
+        for table in METADATA.sorted_tables:
             key = ", ".join(column.name for column in table.primary_key.columns)
             rows = connection.execute(
                 text(f"SELECT ({key})::text, ctid || '/' || xmin || '/' || xmax FROM {table.name}")

@@ -10,7 +10,6 @@ from simulated.builds import (
     BLOCK,
     CRANE,
     DECK,
-    EVERY,
     HOUSE,
     LIFT,
     PITCH,
@@ -62,8 +61,11 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
     (
         "rejections_by_stage",
         {},
-        ["stage", "reason", "regions", "area_m2", "largest_m2"],
-        [("spectral", "vegetation", 2, 96.0, 60.0), ("duplicates", "same storeys", 1, 1150.0, 1150.0)],
+        ["method", "stage", "reason", "regions", "area_m2", "largest_m2"],
+        [
+            ("multiscale", "spectral", "vegetation", 2, 96.0, 60.0),
+            ("multiscale", "duplicates", "same storeys", 1, 1150.0, 1150.0),
+        ],
     ),
     ("storeys_histogram", {}, ["storeys", "buildings"], [(1, 1), (2, 1), (4, 1), (7, 1)]),
     (
@@ -81,8 +83,8 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
     (
         "surveys",
         {},
-        ["survey", "method", "buildings", "parts", "rejections", "flat_regions", "candidates"],
-        [("delft", EVERY, 4, 6, 3, 4, 8)],
+        ["survey", "multiscale", "adaptive", "buildings", "parts", "rejections", "flat_regions", "candidates"],
+        [("delft", 1, 1, 4, 6, 3, 4, 8)],
     ),
     ("parts_with_flat_region", {}, ["part_id", "flat_share", "flat_regions"], [(SLAB, 1.0, 1), (LIFT, 1.0, 1)]),
     ("parts_with_flat_region", {"share": 0.375}, ["part_id"], [(SLAB,), (LIFT,), (BLOCK,)]),

@@ -8,7 +8,7 @@ import geopandas as gpd
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from olddatabases import HOSTILE
+from simulated.builds import HOSTILE
 from sqlalchemy import inspect, text
 from support.towns import EPSG, ROW, UTM, House, footprints, town_build, town_heights
 

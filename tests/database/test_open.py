@@ -1,7 +1,6 @@
 """Opening, creating and upgrading databases, and every way in which that can fail."""
 
 import os
-import shutil
 import sqlite3
 import subprocess
 import sys
@@ -13,6 +12,7 @@ import pytest
 from pyproj import CRS
 from simulated.builds import EPSG, big_build, small_build
 from sqlalchemy import Engine, event, text
+from support.latermigration import LATER, migrations_of_tomorrow
 
 from msbdb.database import canonical_dump, open_database, read_build, spatialite, srid_of, upgrade, write_build
 from msbdb.database.dialect import dialect_of
@@ -143,26 +143,6 @@ def test_a_newer_schema_is_refused(target: str) -> None:
             open_database(target, create=create, srid=EPSG)
 
 
-NEXT_MIGRATION = '''
-"""A migration of tomorrow."""
-import sqlalchemy as sa
-from alembic import op
-revision = "9000"
-down_revision = "{head}"
-def upgrade() -> None:
-    op.create_table("visit", sa.Column("visit_id", sa.Integer, primary_key=True))
-    op.execute("INSERT INTO visit VALUES (1)")
-    {broken}
-'''
-
-
-def migrations_of_tomorrow(folder: Path, *, broken: str = "") -> Path:
-    """Write a copy of the migrations with one more."""
-    shutil.copytree(ROOT / "migrations", folder, ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / "versions" / "9000_next.py").write_text(NEXT_MIGRATION.format(head=upgrade.head_version(), broken=broken))
-    return folder
-
-
 def test_an_older_schema_is_upgraded_when_building(
     target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,7 +159,7 @@ def test_an_older_schema_is_upgraded_when_building(
         with upgraded.connect() as connection:
             assert connection.scalar(text("SELECT count(*) FROM visit")) == 1
         assert list(canonical_dump(open_database(target))) == before
-    with pytest.raises(SchemaVersionError, match="9000"):
+    with pytest.raises(SchemaVersionError, match=LATER):
         open_database(target)
 
 

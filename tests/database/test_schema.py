@@ -1,4 +1,4 @@
-"""The models, the migrations, the generated schema and the database agree."""
+"""The declared tables, the migrations, the generated schema and the database agree."""
 
 import subprocess
 import sys
@@ -12,15 +12,15 @@ from simulated.builds import EPSG
 from sqlalchemy import Engine, text
 from support.schemaobjects import objects
 
-from msbdb.database import open_database, upgrade
+from msbdb.database import open_database, sqlfiles, upgrade
 from msbdb.database.crs import crs_from, register
 from msbdb.database.ddl import ddl, dictionary, statements
 from msbdb.database.dialect import dialect_of
 from msbdb.database.engine import database_url
-from msbdb.database.models import SPATIAL, Base
-from msbdb.database.views import VIEWS
+from msbdb.database.sqltables import METADATA, SPATIAL
+from msbdb.database.views import TABLE_VIEWS, VIEWS, footprint_at_query
 from msbdb.errors import DatabaseError
-from msbdb.tables import TABLES
+from msbdb.tables import CONFIRMING_CLASS_SHARE, CONFIRMING_COVER, DATABASE_TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -51,24 +51,24 @@ def same_type(_context: Any, _inspected: Any, _column: Any, found: Any, declared
     return None
 
 
-def test_alembic_sees_no_difference_between_models_and_database(engine: Engine) -> None:
+def test_alembic_sees_no_difference_between_tables_and_database(engine: Engine) -> None:
     """``compare_metadata`` is empty: tables, columns, types, nulls, comments, unique constraints, indexes, keys."""
     options = {
         "compare_type": same_type,
-        "include_name": lambda name, kind, _parents: kind != "table" or name in Base.metadata.tables,
+        "include_name": lambda name, kind, _parents: kind != "table" or name in METADATA.tables,
         "include_object": lambda _item, name, kind, *_: not (kind == "index" and name.startswith("idx_")),
         "version_table": upgrade.VERSION_TABLE,
     }
     with engine.connect() as connection:
         context = MigrationContext.configure(connection, opts=options)
-        assert compare_metadata(context, Base.metadata) == []
+        assert compare_metadata(context, METADATA) == []
 
 
-def test_every_declared_column_is_in_the_models() -> None:
-    """The models take names, meanings and nullability from the declared tables."""
-    for table in TABLES:
-        columns = Base.metadata.tables[table.name].columns
-        for declared in table.columns:
+def test_every_declared_column_is_in_the_database_tables() -> None:
+    """Names, meanings and nullability come from the declared tables."""
+    for table in DATABASE_TABLES:
+        columns = METADATA.tables[table.name].columns
+        for declared in table.stored:
             column = columns[declared.name]
             assert str(column.comment).startswith(declared.doc)
             assert column.nullable == declared.nullable
@@ -110,21 +110,43 @@ def test_spatial_indexes_are_real(engine: Engine) -> None:
 def test_the_dictionary_names_everything() -> None:
     """Each table, column, view and example query is in the data dictionary."""
     words = dictionary()
-    for table in Base.metadata.tables.values():
+    for table in METADATA.tables.values():
         assert f"## {table.name}\n" in words
         assert all(f"| {column.name} | " in words for column in table.columns)
     assert all(f"`{view.name}`" in words for view in VIEWS)
 
 
+def test_views_and_tables_agree_on_what_confirms() -> None:
+    """The numbers in the view's text are those that the package decides by."""
+    text_of = {view.name: view.sql for view in VIEWS}["building_evidence"]
+    assert f"root.building_share >= {CONFIRMING_CLASS_SHARE} " in text_of
+    for column in ("flat_share", "area3d_share", "adaptive_share"):
+        assert f"b.{column} >= {CONFIRMING_COVER} " in text_of
+
+
+def test_the_inventory_at_a_day_has_the_columns_of_today() -> None:
+    """The function shows what the view shows, of another day."""
+    both = [footprint_at_query(), {view.name: view.sql for view in VIEWS}["footprint_current"]]
+    assert both[0].partition("WHERE")[0] == both[1].partition("WHERE")[0]
+    assert both[0].count(":date") == 2
+
+
+def test_every_view_has_a_text_and_every_text_a_view() -> None:
+    """No file is left over, and each says what its view shows."""
+    views = (*VIEWS, *TABLE_VIEWS)
+    assert sorted(view.name for view in views) == sqlfiles.sql_names("views")
+    assert all(view.doc.endswith(".") for view in views)
+
+
 def test_an_installed_msbdb_finds_its_folders_beside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The wheel puts migrations and schema into the package; a checkout has them at its top."""
-    monkeypatch.setattr(upgrade, "__file__", str(tmp_path / "msbdb" / "database" / "upgrade.py"))
+    monkeypatch.setattr(sqlfiles, "__file__", str(tmp_path / "msbdb" / "database" / "sqlfiles.py"))
     with pytest.raises(DatabaseError, match="Install msbdb again"):
-        upgrade.packaged("migrations")
+        sqlfiles.packaged("migrations")
     (tmp_path / "migrations").mkdir()
-    assert upgrade.packaged("migrations") == tmp_path / "migrations"
+    assert sqlfiles.packaged("migrations") == tmp_path / "migrations"
     (tmp_path / "msbdb" / "database" / "migrations").mkdir(parents=True)
-    assert upgrade.packaged("migrations") == tmp_path / "msbdb" / "database" / "migrations"
+    assert sqlfiles.packaged("migrations") == tmp_path / "msbdb" / "database" / "migrations"
 
 
 @pytest.mark.postgis

@@ -63,10 +63,10 @@ def layer(method, *regions, spec=SPEC, first=1000):
     height_scale = 3.0 if method == "area3d" else np.nan
     words = {"method": method, "rule": "rule 1", "height_scale_m": height_scale}
     found = rows(CANDIDATE_REGION, labels, first, spec, **words)
-    dropped = (first + 500, f"{method} rules", "no rule", 0, 12.0, 389_001.0, 5_820_999.0)
+    dropped = (first + 500, method, "rules", "no rule", 0, 12.0, 389_001.0, 5_820_999.0)
     ledger = pd.DataFrame([dropped], columns=REJECTION.names).astype({c.name: c.dtype for c in REJECTION.columns})
     n = len(found)
-    return CandidateLayer(method, labels, found, ledger, {f"{method} rules": {"in": n + 1, "kept": n, "dropped": 1}})
+    return CandidateLayer(method, labels, found, ledger, {"rules": {"in": n + 1, "kept": n, "dropped": 1}})
 
 
 def flat(*regions):
@@ -108,7 +108,7 @@ def test_every_pair_of_witnesses_is_linked():
     assert links["overlap_m2"].to_dict() == {2000: 100, 1000: 100, 1001: 50}
     assert links["candidate_share"].to_dict() == {2000: 1, 1000: 1, 1001: 0.5}
     assert found["flat_region_candidate"].to_numpy().tolist() == [[100, 1000, 100, 1, 1]]
-    assert sorted(found["rejection"]["stage"]) == ["adaptive rules", "area3d rules"]
+    assert sorted(found["rejection"]["method"]) == ["adaptive", "area3d"]
 
 
 def test_who_was_not_run_is_not_heard():
@@ -130,10 +130,10 @@ def test_a_kept_run_gives_its_layers_back(tmp_path, methods):
     found, cover, ndsm = frames(no_flat_regions(SPEC), layers)
     bounds = (389_000.0, 5_820_970.0, 389_060.0, 5_821_000.0)
     survey = Survey("town", "", SPEC.crs.to_wkt(), 32633, "", 0.0, 1.0, bounds, ())
-    counts = {"regions": {"opening": {"in": 3, "kept": 3, "dropped": 0}}}
+    counts = {"regions": {"multiscale": {"opening": {"in": 3, "kept": 3, "dropped": 0}}}}
     for one in layers:
-        counts["regions"] |= one.counts
-    run = Run(",".join(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
+        counts["regions"][one.method] = one.counts
+    run = Run(tuple(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
     engine = open_database(tmp_path / "town.sqlite", create=True, srid=32633)
     write_build(engine, Build(survey, run, found, pack_state(ndsm, cover, no_flat_regions(SPEC), layers)))
     back = unpack_candidates(read_build(engine))
@@ -158,11 +158,11 @@ def test_labels_by_the_operator_keep_the_candidates(tmp_path):
         build, classes = read_build(opened.engine), opened.classes()
     spec = lattice_of(build.survey, build.state)
     added = layer("area3d", (slice(None), slice(None)), spec=spec)
-    build.run.counts["regions"] |= added.counts
+    build.run.counts["regions"]["area3d"] = added.counts
     ledger = build.frames["rejection"]
     extra = gpd.GeoDataFrame(added.rejections, geometry=[ledger.geometry.iloc[0]], crs=ledger.crs)
     kept = {"candidate_region": added.regions, "rejection": pd.concat([ledger, extra], ignore_index=True)}
-    run = replace(build.run, method="area3d,flatregions,multiscale")
+    run = replace(build.run, methods=("area3d", "flatregions", "multiscale"))
     state = {**build.state, "area3d": added.labels}
     roofs = classes.loc[classes["label"] == "building", "speindex"].tolist()
     with msbdb.open(db) as opened:
@@ -175,7 +175,7 @@ def test_labels_by_the_operator_keep_the_candidates(tmp_path):
     msbdb.relabel(db, dict.fromkeys(roofs, "vegetation"))
     with msbdb.open(db) as opened:
         assert len(opened.buildings()) == len(read_part_candidates(opened.engine)) == 0
-        assert (opened.rejections()["stage"] == "area3d rules").sum() == 1
+        assert (opened.rejections()["method"] == "area3d").sum() == 1
     msbdb.relabel(db, dict.fromkeys(roofs, "building"))
     with msbdb.open(db) as opened:
         assert opened.dump() == before

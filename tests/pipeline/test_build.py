@@ -215,11 +215,12 @@ def test_the_forest_and_the_ledger_balance(town):
         counts = read_build(engine).run.counts["regions"]
         engine.dispose()
     validate_parts(parts)
-    assert all(stage["in"] == stage["kept"] + stage["dropped"] for stage in counts.values())
-    dropped = {name: stage["dropped"] for name, stage in counts.items() if name not in COUNTED_ONLY}
-    rows = rejections.groupby("stage").size().to_dict()
+    stages = {(method, name): stage for method, own in counts.items() for name, stage in own.items()}
+    assert all(stage["in"] == stage["kept"] + stage["dropped"] for stage in stages.values())
+    dropped = {key: stage["dropped"] for key, stage in stages.items() if key[1] not in COUNTED_ONLY}
+    rows = rejections.groupby(["method", "stage"]).size().to_dict()
     assert rows == {name: number for name, number in dropped.items() if number}
-    assert counts["fake fathers"]["kept"] == len(parts)
+    assert counts["multiscale"]["fake fathers"]["kept"] == len(parts)
 
 
 def test_geometries_are_valid_and_agree_with_their_tables(tower, tmp_path):

@@ -61,8 +61,8 @@ def test_extractors_do_not_change_each_other(points, town, tmp_path):
         assert alone.buildings()[shares].isna().all(axis=None)
         assert alone.buildings().drop(columns=shares).equals(both.buildings().drop(columns=shares))
         assert len(alone.flat_regions()) == 0
-        assert alone.runs()["method"].tolist() == ["multiscale"]
-        assert both.runs()["method"].tolist() == ["adaptive,area3d,flatregions,multiscale"]
+        assert alone.runs()["methods"].tolist() == ["multiscale"]
+        assert both.runs()["methods"].tolist() == ["adaptive, area3d, flatregions, multiscale"]
 
 
 def test_flat_regions_alone_make_no_building(points, tmp_path):

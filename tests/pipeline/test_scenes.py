@@ -78,7 +78,7 @@ def built(tmp_path_factory):
         report = msbdb.build([points], db=db, survey=name, profile=profile_name, params=params)
         with msbdb.open(db) as opened:
             lost = opened.rejections()
-            own = lost[~lost["stage"].str.startswith(("flat ", "adaptive ", "area3d "))]
+            own = lost[lost["method"] == "multiscale"]
             return Outcome(scene, report, opened.buildings(), opened.parts(), own)
 
     return build

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Column, Table
 
-from msbdb.database.models import Base
+from msbdb.database.sqltables import METADATA, SQL
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -24,8 +24,8 @@ class Finding:
 
 
 def tables() -> list[Table]:
-    """Return the tables of the models, by name."""
-    return sorted(Base.metadata.tables.values(), key=lambda table: table.name)
+    """Return all tables, by name."""
+    return sorted(METADATA.tables.values(), key=lambda table: table.name)
 
 
 def key_columns(table: Table) -> list[Column[object]]:
@@ -38,7 +38,7 @@ def key_of(columns: Iterable[Column[object]], values: Iterable[object]) -> str:
 
     Examples
     --------
-    >>> key_of([Base.metadata.tables["part"].c.part_id], [5])
+    >>> key_of([SQL["part"].c.part_id], [5])
     'part_id=5'
     """
     return ", ".join(f"{column.name}={value}" for column, value in zip(columns, values, strict=True))
@@ -51,4 +51,4 @@ def keyed(table: Table, values: Iterable[object]) -> str:
 
 def by_id(table: str, column: str, value: object) -> str:
     """Return how a row of a key of one column is named."""
-    return key_of([Base.metadata.tables[table].columns[column]], [value])
+    return key_of([SQL[table].columns[column]], [value])

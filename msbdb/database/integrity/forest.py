@@ -5,10 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, Table, select
 
 from msbdb.database.integrity.finding import Finding, by_id
-from msbdb.database.models import Building, Part
+from msbdb.database.sqltables import SQL
+
+BUILDING = SQL["building"]
+PART = SQL["part"]
 
 CHECK = "forest"
 BATCH = 10_000
@@ -21,7 +24,7 @@ def check_forest(connection: Connection) -> Iterator[Finding]:
     A father exists, of the same run and tree, on the coarser scale that SUPSCALE says, and is larger; a root is its own
     tree's root; and who goes from father to father comes to that root, in no circle.
     """
-    parts = _frame(connection, ("part_id", "run_id", "supid", "supscale", "root_id", "scale", "area_px"), Part)
+    parts = _frame(connection, ("part_id", "run_id", "supid", "supscale", "root_id", "scale", "area_px"), PART)
     # Ids that are given twice are told among the values.
     parts = parts.drop_duplicates("part_id", ignore_index=True)
     place = pd.Index(parts["part_id"]).get_indexer(parts["supid"])
@@ -57,8 +60,8 @@ def check_forest(connection: Connection) -> Iterator[Finding]:
 
 def check_buildings(connection: Connection) -> Iterator[Finding]:
     """Yield roots without a building, buildings without a root, and buildings whose numbers are not their tree's."""
-    parts = _frame(connection, ("part_id", "run_id", "supid", "root_id", "scale"), Part)
-    buildings = _frame(connection, ("building_id", "run_id", "root_id", "parts", "scales"), Building)
+    parts = _frame(connection, ("part_id", "run_id", "supid", "root_id", "scale"), PART)
+    buildings = _frame(connection, ("building_id", "run_id", "root_id", "parts", "scales"), BUILDING)
     roots = parts[parts["supid"] == 0]
     for row in roots[~roots["part_id"].isin(buildings["root_id"])].itertuples():
         yield Finding("buildings", "part", by_id("part", "part_id", row.part_id), "no building has this root", "one")
@@ -76,9 +79,8 @@ def check_buildings(connection: Connection) -> Iterator[Finding]:
             yield Finding("buildings", "building", key, f"{column} is {record[column]}", expected)
 
 
-def _frame(connection: Connection, names: tuple[str, ...], model: type[Part] | type[Building]) -> pd.DataFrame:
+def _frame(connection: Connection, names: tuple[str, ...], table: Table) -> pd.DataFrame:
     """Return columns of whole numbers, in order of the first."""
-    table = model.__table__
     columns = [table.columns[name] for name in names]
     result = connection.execute(select(*columns).order_by(columns[0]), execution_options={"yield_per": BATCH})
     # Column by column, as an array of rows takes ten times as long to make.

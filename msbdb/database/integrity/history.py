@@ -5,22 +5,21 @@ from collections.abc import Iterator, Mapping
 from sqlalchemy import Connection, exists, func, select
 
 from msbdb.database.integrity.finding import Finding, by_id, keyed
-from msbdb.database.models import (
-    Base,
-    BuildingChange,
-    BuildingVersion,
-    InventoryBuilding,
-    InventoryEvent,
-    Run,
-    Survey,
-    SurveyOffset,
-)
 from msbdb.database.rowdigest import TABLES, digested
+from msbdb.database.sqltables import SQL
+
+BUILDING_CHANGE = SQL["building_change"]
+BUILDING_VERSION = SQL["building_version"]
+INVENTORY_BUILDING = SQL["inventory_building"]
+INVENTORY_EVENT = SQL["inventory_event"]
+RUN = SQL["run"]
+SURVEY = SQL["survey"]
+SURVEY_OFFSET = SQL["survey_offset"]
 
 
 def check_intervals(connection: Connection) -> Iterator[Finding]:
     """Yield versions of a building that overlap, end before they begin, or are current beside another."""
-    columns = (BuildingVersion.uid, BuildingVersion.version_id, BuildingVersion.valid_from, BuildingVersion.valid_to)
+    columns = [BUILDING_VERSION.c[name] for name in ("uid", "version_id", "valid_from", "valid_to")]
     # A version without an end comes last among those of one beginning.
     rows = sorted(connection.execute(select(*columns)), key=lambda row: (row[0], row[2], row[3] or "~", row[1]))
     before_uid: int | None = None
@@ -44,19 +43,19 @@ def check_events(connection: Connection) -> Iterator[Finding]:
     """Yield imports and updates whose rows are not as many as they counted, and gaps in their order."""
     changes: dict[int | None, dict[str, int]] = {}
     for survey, kind, rows in connection.execute(
-        select(BuildingChange.survey_id, BuildingChange.kind, func.count()).group_by(
-            BuildingChange.survey_id, BuildingChange.kind
+        select(BUILDING_CHANGE.c.survey_id, BUILDING_CHANGE.c.kind, func.count()).group_by(
+            BUILDING_CHANGE.c.survey_id, BUILDING_CHANGE.c.kind
         )
     ):
         changes.setdefault(survey, {})[kind] = rows
-    made = select(BuildingVersion.survey_id, func.count()).group_by(BuildingVersion.survey_id)
+    made = select(BUILDING_VERSION.c.survey_id, func.count()).group_by(BUILDING_VERSION.c.survey_id)
     versions: dict[int | None, int] = {}
     for maker, rows in connection.execute(made):
         versions[maker] = rows
     imported = 0
-    columns = (InventoryEvent.number, InventoryEvent.kind, InventoryEvent.survey_id, InventoryEvent.counts)
+    columns = (INVENTORY_EVENT.c.number, INVENTORY_EVENT.c.kind, INVENTORY_EVENT.c.survey_id, INVENTORY_EVENT.c.counts)
     for place, (number, kind, survey, counts) in enumerate(
-        connection.execute(select(*columns).order_by(InventoryEvent.number)), start=1
+        connection.execute(select(*columns).order_by(INVENTORY_EVENT.c.number)), start=1
     ):
         key = by_id("inventory_event", "number", number)
         if number != place:
@@ -71,8 +70,8 @@ def check_events(connection: Connection) -> Iterator[Finding]:
     if versions.get(None, 0) != imported:
         what = f"{versions.get(None, 0)} versions are of imports"
         yield Finding("events", "building_version", "", what, f"{imported}, as the imports counted")
-    told = exists().where(SurveyOffset.survey_id == InventoryEvent.survey_id)
-    for number in connection.scalars(select(InventoryEvent.number).where(InventoryEvent.kind == "update", ~told)):
+    told = exists().where(SURVEY_OFFSET.c.survey_id == INVENTORY_EVENT.c.survey_id)
+    for number in connection.scalars(select(INVENTORY_EVENT.c.number).where(INVENTORY_EVENT.c.kind == "update", ~told)):
         key = by_id("inventory_event", "number", number)
         yield Finding("events", "inventory_event", key, "its survey has no offset", "a row of survey_offset")
     for unknown in changes:
@@ -87,7 +86,7 @@ def _told(counts: Mapping[str, int]) -> str:
 def check_digests(connection: Connection) -> Iterator[Finding]:
     """Yield rows of the history whose values are not those that were written, by the digest of each."""
     for name in TABLES:
-        table = Base.metadata.tables[name]
+        table = SQL[name]
         for rows in digested(connection, table):
             for number, stored, found in rows:
                 if stored == found:
@@ -101,17 +100,18 @@ def check_digests(connection: Connection) -> Iterator[Finding]:
 
 def check_orphans(connection: Connection) -> Iterator[Finding]:
     """Yield surveys without a run, buildings of the inventory without a version, and changes of other buildings."""
-    surveys = select(Survey.survey_id).where(~exists().where(Run.survey_id == Survey.survey_id))
+    surveys = select(SURVEY.c.survey_id).where(~exists().where(RUN.c.survey_id == SURVEY.c.survey_id))
     for survey_id in connection.scalars(surveys):
         yield Finding(
             "orphans", "survey", by_id("survey", "survey_id", survey_id), "it has no run", "the run that built it"
         )
-    buildings = select(InventoryBuilding.uid).where(~exists().where(BuildingVersion.uid == InventoryBuilding.uid))
+    has_version = exists().where(BUILDING_VERSION.c.uid == INVENTORY_BUILDING.c.uid)
+    buildings = select(INVENTORY_BUILDING.c.uid).where(~has_version)
     for uid in connection.scalars(buildings):
         key = by_id("inventory_building", "uid", uid)
         yield Finding("orphans", "inventory_building", key, "it has no version", "one version or more")
     for side in ("before", "after"):
-        change, version = Base.metadata.tables["building_change"].c, Base.metadata.tables["building_version"].c
+        change, version = BUILDING_CHANGE.c, BUILDING_VERSION.c
         named = change[f"uid_{side}"]
         query = (
             select(change.change_id, named, version.uid)

@@ -1,4 +1,4 @@
-"""What the models' constraints say holds of every row, also where the database did not enforce it."""
+"""What the declared constraints say holds of every row, also where the database did not enforce it."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -34,7 +34,7 @@ _STORED: tuple[tuple[type, tuple[str, ...]], ...] = (
 
 
 def check_values(connection: Connection) -> Iterator[Finding]:
-    """Yield rows with a missing or wrongly typed value, that break a rule of the models, or whose key is not unique."""
+    """Yield rows with a missing or wrongly typed value, that break a declared rule, or whose key is not unique."""
     for table in tables():
         yield from _nulls(connection, table)
         if connection.dialect.name == "sqlite":

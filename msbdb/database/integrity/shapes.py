@@ -12,9 +12,12 @@ from sqlalchemy import text as sql
 
 from msbdb.database.crs import srid_of
 from msbdb.database.integrity.finding import Finding, key_columns, keyed, tables
-from msbdb.database.models import SPATIAL, Run, Survey
+from msbdb.database.sqltables import SPATIAL, SQL
 from msbdb.database.views import VIEWS
 from msbdb.errors import CRSError
+
+RUN = SQL["run"]
+SURVEY = SQL["survey"]
 
 SLACK_CELLS = 2.0
 """How far an outline may reach beyond its survey's edge, as smoothed and buffered outlines leave their cells."""
@@ -49,7 +52,7 @@ def check_registers(connection: Connection) -> Iterator[Finding]:
             found = registered.get(name, "none")
             yield Finding("registers", name, "geometry", f"the registered SRID is {found}", f"{srid}, the database's")
     yield from _unlisted_views(connection)
-    for survey_id, epsg, wkt in connection.execute(select(Survey.survey_id, Survey.epsg, Survey.crs_wkt)):
+    for survey_id, epsg, wkt in connection.execute(select(SURVEY.c.survey_id, SURVEY.c.epsg, SURVEY.c.crs_wkt)):
         try:
             own = srid_of(epsg, wkt)
         except CRSError:
@@ -106,8 +109,8 @@ def _unlisted_views(connection: Connection) -> Iterator[Finding]:
 
 def _bounds(connection: Connection) -> dict[int, tuple[float, float, float, float]]:
     """Return west, south, east and north of each run's survey, with the slack that outlines may take."""
-    columns = (Run.run_id, Survey.west, Survey.south, Survey.east, Survey.north, Survey.cell_m)
-    rows = connection.execute(select(*columns).join_from(Run, Survey))
+    columns = (RUN.c.run_id, SURVEY.c.west, SURVEY.c.south, SURVEY.c.east, SURVEY.c.north, SURVEY.c.cell_m)
+    rows = connection.execute(select(*columns).join_from(RUN, SURVEY))
     return {
         run: (
             west - SLACK_CELLS * cell,

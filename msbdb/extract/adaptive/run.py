@@ -20,7 +20,7 @@ from msbdb.threads import cores
 
 logger = logging.getLogger(__name__)
 
-VEGETATION = "adaptive vegetation"
+VEGETATION = "vegetation"
 KINDS = {GREEN: "NDVI of vegetation", SCATTERED: "scattered surface or split echoes, as of crowns"}
 
 NEAREST = 4
@@ -79,7 +79,7 @@ def extract_adaptive(
     own = params.adaptive
     points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
     placed = points.placed(spec, survey)
-    books = PointBooks(placed)
+    books = PointBooks(METHOD, placed)
     found = structure(points, own)
     steps = ladder(own, points.spacing_m)
     labels, count = _without_vegetation(points, found, own, steps[0], books)
@@ -130,7 +130,7 @@ def _tightened(
 ) -> tuple[Labels, int]:
     """Cut the clusters, which are labels and their number, at the step's distance, and drop those that fail."""
     (labels, count), (number, values) = clusters, step
-    stage = f"adaptive step {number}"
+    stage = f"step {number}"
     pieces = labels, count
     if number > 1:
         pieces = cluster(points, labels > 0, values.distance_m)

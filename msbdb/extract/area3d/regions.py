@@ -17,7 +17,7 @@ METHOD = "area3d"
 KIND = "\0area3d"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
-STAGES = ("area3d fusion", "area3d opening", "area3d curvature", "area3d crowns", "area3d rules")
+STAGES = ("fusion", "opening", "curvature", "crowns", "rules")
 """The stages that reject regions, in order."""
 
 

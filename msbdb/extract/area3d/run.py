@@ -89,7 +89,7 @@ def extract_area3d(
     scenes, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
-    books = PointBooks(placed)
+    books = PointBooks(METHOD, placed)
     accepted = fuse_over_scales(scenes, scales, books)
     regions = describe(
         scene.cloud,

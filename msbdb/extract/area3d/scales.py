@@ -171,7 +171,7 @@ class _Level:
         labels = self.grown(labels)
         shapes = scene.shapes(labels, count)
         rule = judge(shapes, scene.params)
-        labels, _ = self.drop("area3d rules", labels, reasons_against(shapes, rule, scene.params))
+        labels, _ = self.drop("rules", labels, reasons_against(shapes, rule, scene.params))
         return labels, rule[rule > 0]
 
     def grown(self, labels: Labels) -> Labels:
@@ -188,7 +188,7 @@ class _Level:
 
     def without_absorbed(self) -> int:
         """Book what lies within accepted regions; return how many components of the on-set are left (C19)."""
-        stage, graph, on = "area3d fusion", self.scene.graph, self.scene.cloud.heights >= self.height_m
+        stage, graph, on = "fusion", self.scene.graph, self.scene.cloud.heights >= self.height_m
         _, left = components(on & ~self.taken, graph)
         if not self.taken.any():
             self.books.count(stage, left, left, 0)
@@ -201,7 +201,7 @@ class _Level:
 
     def without_small(self, on: Mask, entered: int) -> int:
         """Book what the opening took from the on-set; return how many components AOC left (C4 to C6)."""
-        stage, graph = "area3d opening", self.scene.graph
+        stage, graph = "opening", self.scene.graph
         labels, count = components((self.scene.cloud.heights >= self.height_m) & ~self.taken, graph)
         _, opened = components(on, graph)
         lost = sums(labels, on, count) == 0
@@ -215,7 +215,7 @@ class _Level:
 
     def without_leaves(self, on: Mask, entered: int) -> tuple[Labels, int]:
         """Take the crowns' points away, and what is smaller than T_a without them (C16); return the regions left."""
-        stage, scene, smooth = "area3d curvature", self.scene, self.scene.smooth
+        stage, scene, smooth = "curvature", self.scene, self.scene.smooth
         labels, count = components(on & smooth, scene.graph)
         large = scene.areas(labels, count) >= scene.params.smallest_m2
         dropped = self.book(stage, labels, ~large, REST)
@@ -237,7 +237,7 @@ class _Level:
         reasons = np.where(crown, CROWN, "").astype(object)
         if cloud.ndvi is not None:
             reasons[~crown & (region_means(cloud.ndvi, labels, count) > own.max_ndvi)] = GREEN
-        return self.drop("area3d crowns", labels, reasons)
+        return self.drop("crowns", labels, reasons)
 
     def drop(self, stage: str, labels: Labels, reasons: NDArray[np.object_]) -> tuple[Labels, int]:
         """Write the regions that have a reason into the ledger, and number the others anew."""

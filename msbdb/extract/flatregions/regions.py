@@ -15,15 +15,17 @@ from msbdb.tables import FLAT_REGION, REJECTION
 KIND = "\0flat region"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
-STAGES = ("flat denoising", "flat ratio", "flat opening", "flat compactness")
-"""The stages that reject regions, in order; their names differ from those of the multi-scale extraction."""
+METHOD = "flatregions"
+
+STAGES = ("denoising", "ratio", "opening", "compactness")
+"""The stages that reject regions, in order."""
 
 
 class FlatBooks(Books):
     """The books of the flat regions: lost regions of cells become ``tables.REJECTION``."""
 
     def __init__(self, spec: GridSpec, survey: str) -> None:
-        super().__init__()
+        super().__init__(METHOD)
         self.spec, self.survey = spec, survey
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:

@@ -109,9 +109,9 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
         found = binarise(level_ground(denoised.grid, mask_m), level_ground(g, mask_m), own)
     else:
         found = binarise(denoised.grid, g, own)
-    rough = books.reject("flat ratio", ROUGH, found.risen & ~found.flat)
+    rough = books.reject("ratio", ROUGH, found.risen & ~found.flat)
     _, candidates = label_zones(found.flat)
-    books.count("flat ratio", candidates + rough, candidates, rough)
+    books.count("ratio", candidates + rough, candidates, rough)
     labels = recognise(found, candidates, heights, params, books)
     regions = describe(labels, found, heights, survey)
     logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
@@ -141,8 +141,8 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
     labels, count = label_zones(cleaned)
     before, number = label_zones(found.flat)
     vanished = chosen_cells(before, sizes(before[cleaned], number) == 0)
-    thin = books.reject("flat opening", THIN, vanished)
-    books.count("flat opening", candidates, count, thin, pieces=count + thin - candidates)
+    thin = books.reject("opening", THIN, vanished)
+    books.count("opening", candidates, count, thin, pieces=count + thin - candidates)
     if own.on == "ndsm":
         steps = int(own.grow_m / cell_m + 0.5)
         labels = grow(labels, heights, steps=steps, step_m=own.grow_step_m, least_m=params.surface.mask_m)
@@ -157,14 +157,14 @@ def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float,
     psi = measure_shapes(labels, cell_m)["compactness"].to_numpy()
     compact = (1 / psi if own.compactness == "literal" else psi) < own.max_compactness
     inside = chosen_cells(labels, compact)
-    long = books.reject("flat compactness", LONG, np.where(inside, 0, labels))
+    long = books.reject("compactness", LONG, np.where(inside, 0, labels))
     kept, left = label_zones(np.where(inside, labels, 0))
-    books.count("flat compactness", count, left, long)
+    books.count("compactness", count, left, long)
     return kept
 
 
 def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
     """Write peaks and valleys into the ledger."""
-    dropped = books.reject("flat denoising", PEAK, denoised.peaks)
-    dropped += books.reject("flat denoising", VALLEY, denoised.valleys)
-    books.count("flat denoising", dropped, 0, dropped)
+    dropped = books.reject("denoising", PEAK, denoised.peaks)
+    dropped += books.reject("denoising", VALLEY, denoised.valleys)
+    books.count("denoising", dropped, 0, dropped)

@@ -197,6 +197,7 @@ def _rejections(lost: pd.DataFrame, ids: NDArray[np.int64], context: Context) ->
     frame = pd.DataFrame(
         {
             "region_id": ids,
+            "method": lost["method"],
             "stage": lost["stage"],
             "reason": lost["reason"],
             "scale": _scale_of(lost, context),

@@ -67,7 +67,7 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
             f"{ndsm.spec.shape} at {ndsm.spec.bounds}. Classify on the nDSM's lattice."
         )
         raise GridMismatchError(msg)
-    ledger = Ledger()
+    ledger = Ledger("multiscale")
     params = choose_scales(ndsm, classes, params)
     sliced = slice_heights(ndsm, params.surface)
     if classes is not None and params.spectral.decides == "structure":

@@ -311,7 +311,7 @@ def _run(case: Case, outcome: Outcome) -> None:
     require(number >= told, f"it told of {told} commits, and {number} are there")
     run = Running(job.whole, target)
     times = run.timed()
-    if outcome.left in ("absent", "old"):
+    if outcome.left == "absent":
         # The repeat was the whole job: what comes next is timed as the machine is now.
         course.times[job.name, places.kind] = times
     expected = REFUSED if job.once and outcome.left == "new" else 0

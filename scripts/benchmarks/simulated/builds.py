@@ -63,6 +63,9 @@ SLAB_CLUSTER, AWNING, HOUSE_CLUSTER, SHED_CLUSTER, PITCH_CLUSTER = (BASE + n for
 EVERY = "adaptive,area3d,flatregions,multiscale"
 """All extractors."""
 
+HOSTILE = "x'; DROP TABLE part; --"
+"""A name of a survey that is harmless only where it is quoted."""
+
 
 def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, **run: Any) -> Build:
     """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database.
@@ -97,9 +100,9 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
         "rejection": _geo(
             REJECTION,
             [
-                (CROWN + shift, "spectral", "vegetation", 3, 36.0, WEST + 150, SOUTH + 20),
-                (CROWN + 1 + shift, "spectral", "vegetation", 2, 60.0, WEST + 160, SOUTH + 20),
-                (PODIUM + 50 + shift, "duplicates", "same storeys", 2, 1150.0, WEST + 20, SOUTH + 15),
+                (CROWN + shift, "multiscale", "spectral", "vegetation", 3, 36.0, WEST + 150, SOUTH + 20),
+                (CROWN + 1 + shift, "multiscale", "spectral", "vegetation", 2, 60.0, WEST + 160, SOUTH + 20),
+                (PODIUM + 50 + shift, "multiscale", "duplicates", "same storeys", 2, 1150.0, WEST + 20, SOUTH + 15),
             ],
             [shapely.Point(WEST + x, SOUTH + y) for x, y in ((150, 20), (160, 20), (20, 15))],
         ),
@@ -111,7 +114,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
         "flat_region_candidate": _links(regions, candidates, FLAT_REGION_CANDIDATE),
     }
     values: Mapping[str, Any] = {
-        "method": method,
+        "methods": tuple(methods),
         "profile": "default",
         "version": "0.1.0",
         "parameters": {"scale": {"scales_m2": (20.0, 50.0, 200.0)}},
@@ -186,10 +189,10 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
 
 
 LOST = (
-    ("flat denoising", "sharp peak"),
-    ("flat denoising", "steep valley"),
-    ("flat ratio", "too rough for its size in every zone"),
-    ("flat opening", "thinner than the opening"),
+    ("denoising", "sharp peak"),
+    ("denoising", "steep valley"),
+    ("ratio", "too rough for its size in every zone"),
+    ("opening", "thinner than the opening"),
 )
 """Stages and reasons of the ledger's rows in ``ledger_build``."""
 
@@ -205,6 +208,7 @@ def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: 
     rows = pd.DataFrame(
         {
             "region_id": BASE + 1000 + shift + rng.permutation(count),
+            "method": "flatregions",
             "stage": np.array([stage for stage, _ in LOST], dtype=object)[kind],
             "reason": np.array([reason for _, reason in LOST], dtype=object)[kind],
             "scale": 0,

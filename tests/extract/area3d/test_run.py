@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated.files import write_points
 from pyproj import CRS
+from simulated.files import write_points
 from simulated.scenes import city, flat_field, podium_tower, under_trees
 
 import msbdb
@@ -167,7 +167,7 @@ def test_crowns_are_no_regions_and_are_in_the_ledger(params):
     found = extract(np.concatenate([scan(), *crowns]), params)
     assert len(found.regions) == 0
     assert (found.labels == 0).all()
-    assert (found.rejections["stage"] == "area3d curvature").sum() >= 9
+    assert (found.rejections["stage"] == "curvature").sum() >= 9
 
 
 def test_a_crown_beside_a_roof_leaves_the_roof_alone():
@@ -203,7 +203,7 @@ def test_a_tower_on_a_podium_is_absorbed():
     points = scan(box((10, 10), (40, 40), 6.0), box((20, 20), (14, 14), 20.0))
     found = extract(points, with_area3d(heights_m=[3.0, 10.0], link_spacings=4.0))
     assert (found.regions["height_scale_m"] == 3.0).all()
-    absorbed = found.rejections[found.rejections["stage"] == "area3d fusion"]
+    absorbed = found.rejections[found.rejections["stage"] == "fusion"]
     assert len(absorbed)
     assert (absorbed["scale"] == 2).all()
 
@@ -236,9 +236,9 @@ def test_sheds_below_t_a_are_booked_with_their_area():
 def test_what_the_opening_takes_away_is_booked_at_one_height_only():
     """A mast of 6 m2 and 12 m reaches three height scales; the ledger has it once, at the lowest."""
     found = extract(scan(box((20, 20), (2.4, 2.4), 12.0)), with_area3d(heights_m=[2.5, 5.0, 9.0]))
-    small = found.rejections[found.rejections["stage"] == "area3d opening"]
+    small = found.rejections[found.rejections["stage"] == "opening"]
     assert small["scale"].tolist() == [1]
-    assert found.counts["area3d opening"]["pieces"] == -2
+    assert found.counts["opening"]["pieces"] == -2
 
 
 def test_loose_points_near_each_other_share_a_row():
@@ -275,13 +275,13 @@ def test_the_ledger_balances(scene):
     cloud = scene(density=2.0).points
     found = extract(cloud, heights=heights_above(cloud, build_surface(cloud, Params()).dtm))
     stages = list(found.counts)
-    assert stages == [f"area3d {name}" for name in ("fusion", "opening", "curvature", "crowns", "rules")]
+    assert stages == ["fusion", "opening", "curvature", "crowns", "rules"]
     for name, count in found.counts.items():
         assert count["in"] == count["kept"] + count["dropped"]
         assert count["dropped"] == (found.rejections["stage"] == name).sum()
     for before, after in pairwise(stages):
         assert found.counts[before]["kept"] == found.counts[after]["in"] - found.counts[after]["pieces"]
-    assert found.counts["area3d rules"]["kept"] == len(found.regions)
+    assert found.counts["rules"]["kept"] == len(found.regions)
     ids = np.concatenate([found.regions["candidate_id"], found.rejections["region_id"]])
     assert (ids > 0).all()
     assert not found.regions["candidate_id"].duplicated().any()

@@ -115,7 +115,7 @@ def test_nothing_vanishes_in_silence():
     dropped = {stage: numbers["dropped"] for stage, numbers in found.counts.items() if numbers["dropped"]}
     assert found.rejections["stage"].value_counts().to_dict() == dropped
     assert (found.rejections["area_m2"] < 1).any(), "single cells have rows of their own"
-    assert {"flat denoising", "flat ratio"} <= set(dropped)
+    assert {"denoising", "ratio"} <= set(dropped)
     ids = [*found.regions["region_id"], *found.rejections["region_id"]]
     assert len(set(ids)) == len(ids)
     assert min(ids) > 0
@@ -124,8 +124,8 @@ def test_nothing_vanishes_in_silence():
 @pytest.mark.parametrize(
     ("changes", "stage"),
     [
-        ({"opening_m": 8.0, "s_max_m": 0.0}, "flat opening"),
-        ({"max_compactness": 2.0, "s_max_m": 0.0}, "flat compactness"),
+        ({"opening_m": 8.0, "s_max_m": 0.0}, "opening"),
+        ({"max_compactness": 2.0, "s_max_m": 0.0}, "compactness"),
     ],
 )
 def test_recognition_rejects_a_wall(changes, stage):
@@ -195,7 +195,7 @@ def test_trees_are_rejected():
     assert completeness > 0.97
     assert correctness > 0.85
     assert len(found.regions) == 1
-    assert (found.rejections["stage"] == "flat ratio").sum() >= 3
+    assert (found.rejections["stage"] == "ratio").sum() >= 3
 
 
 def test_prior_ground_cures_the_plateau():

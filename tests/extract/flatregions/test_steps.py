@@ -405,9 +405,9 @@ def test_the_zone_of_a_region_is_that_of_most_of_its_cells():
 def test_books_must_balance():
     """A stage whose numbers do not add up, or that dropped a region without a row, is an error of ours."""
     books = FlatBooks(spec_of((3, 3)), "test")
-    assert books.reject("flat ratio", "rough", np.eye(3, dtype=bool)) == 1
-    books.count("flat ratio", 3, 2, 1)
+    assert books.reject("ratio", "rough", np.eye(3, dtype=bool)) == 1
+    books.count("ratio", 3, 2, 1)
     with pytest.raises(TableError, match="does not balance"):
-        books.count("flat ratio", 3, 2, 2)
+        books.count("ratio", 3, 2, 2)
     with pytest.raises(TableError, match="dropped 3 regions, but wrote 1 rows"):
-        books.count("flat ratio", 4, 2, 2)
+        books.count("ratio", 4, 2, 2)

@@ -499,4 +499,4 @@ def test_scales_that_fall_together_become_one():
 def test_books_that_do_not_balance_are_refused():
     """What goes in is kept or dropped, at each stage."""
     with pytest.raises(TableError, match="does not balance"):
-        Ledger().count("stage", 5, 3, 1)
+        Ledger("multiscale").count("stage", 5, 3, 1)

@@ -1,0 +1,106 @@
+"""The SQLAlchemy tables, generated from the declarations of ``msbdb.tables``."""
+
+from typing import Any
+
+import sqlalchemy as sa
+from geoalchemy2 import Geometry
+from sqlalchemy.types import TypeEngine
+
+from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Check, Column, Index, Reference, Table, Unique
+
+METADATA = sa.MetaData(
+    naming_convention={
+        "pk": "pk_%(table_name)s",
+        "fk": "fk_%(table_name)s_%(referred_table_name)s",
+        "uq": "uq_%(table_name)s",
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "ck": "ck_%(table_name)s_%(constraint_name)s",
+    }
+)
+"""All tables; every constraint has a name, so that migrations can refer to it."""
+
+SPATIAL: dict[str, str] = {table.name: table.geometry for table in DATABASE_TABLES if table.geometry is not None}
+"""Geometry type of each table that has one; the column is always ``geometry``."""
+
+_ROW_ID = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
+"""64 bits everywhere. SQLite takes only an ``INTEGER PRIMARY KEY`` as the row's own number, which spatial indexes need;
+every other integer is BIGINT, as GDAL reads INTEGER in a view as 32 bits and cuts ids off."""
+
+_TYPES: dict[str, TypeEngine[Any]] = {
+    "int64": sa.BigInteger(),
+    "int32": sa.Integer(),
+    "float64": sa.Double(),
+    "str": sa.Text(),
+    "bool": sa.Boolean(),
+    "json": sa.JSON(),
+    "bytes": sa.LargeBinary(),
+}
+
+
+def _type(table: Table, column: Column) -> TypeEngine[Any]:
+    """Return the type of a declared column."""
+    keys = [own for own in table.stored if own.primary]
+    if keys == [column] and column.dtype == "int64" and not column.refers:
+        return _ROW_ID
+    if column.dtype == "json" and column.nullable:
+        return sa.JSON(none_as_null=True)
+    return _TYPES[column.dtype]
+
+
+def _column(table: Table, column: Column) -> sa.Column[Any]:
+    """Return a declared column."""
+    more: list[Any] = []
+    if column.refers:
+        on_delete = "CASCADE" if column.cascade else None
+        more.append(sa.ForeignKey(column.refers, name=column.key_name or None, ondelete=on_delete))
+    if column.zero_of:
+        more.append(sa.Computed(f"nullif({column.zero_of}, 0)", persisted=True))
+    return sa.Column(
+        column.name,
+        _type(table, column),
+        *more,
+        primary_key=column.primary,
+        autoincrement=False,
+        nullable=column.nullable,
+        comment=column.comment,
+    )
+
+
+def _rule(rule: Check | Unique | Reference) -> sa.Constraint:
+    """Return a declared rule as a constraint."""
+    if isinstance(rule, Check):
+        return sa.CheckConstraint(rule.rule, name=rule.name)
+    if isinstance(rule, Unique):
+        return sa.UniqueConstraint(*rule.columns)
+    return sa.ForeignKeyConstraint(
+        rule.columns,
+        [f"{rule.table}.{name}" for name in rule.to],
+        ondelete="CASCADE" if rule.cascade else None,
+        deferrable=rule.deferred or None,
+        initially="DEFERRED" if rule.deferred else None,
+    )
+
+
+def _index(index: Index) -> sa.Index:
+    """Return a declared index."""
+    where = sa.text(index.where) if index.where else None
+    return sa.Index(index.name or None, *index.columns, unique=index.unique, sqlite_where=where, postgresql_where=where)
+
+
+def _table(table: Table) -> sa.Table:
+    """Return a declared table."""
+    # Made before the columns' own keys: constraints appear in the schema in the order in which they are made.
+    rules = [_rule(rule) for rule in table.rules]
+    columns = [_column(table, column) for column in table.stored]
+    if table.geometry:
+        # The SRID is the database's, chosen when the database is created.
+        kind = Geometry(table.geometry, srid=-1, spatial_index=False)
+        columns.append(sa.Column("geometry", kind, nullable=False, comment="in the database's CRS [m]"))
+    if table.digested:
+        columns.append(_column(table, ROW_DIGEST))
+    indexes = [_index(index) for index in table.indexes]
+    return sa.Table(table.name, METADATA, *columns, *rules, *indexes, comment=table.doc)
+
+
+SQL: dict[str, sa.Table] = {table.name: _table(table) for table in DATABASE_TABLES}
+"""The tables by name."""

@@ -1,0 +1,254 @@
+"""The tables of the living inventory: buildings that live through surveys, their versions, and all that changed them.
+
+Rows of a run (``building``, ``part`` and the rest) are replaced when their survey is built again. Versions copy what
+they need and so outlive rebuilds; hence ``building_version.building_id`` is no foreign key, and neither is
+``operator_state.uid``, as a decision must survive whatever is taken back and applied again.
+"""
+
+from dataclasses import replace
+
+from msbdb.tables.declare import Check, Column, Index, Table, one_of, only_stored, shares
+from msbdb.tables.run_tables import BUILDING, BUILDING_STATES, EXTRACTOR_SHARES
+
+CHANGE_KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
+"""What a survey does to a building; one that was not surveyed has no row."""
+
+VERSION_SOURCES = ("survey", "import")
+MANUAL_STATES = ("confirmed", "refuted")
+EVENT_KINDS = ("import", "update")
+
+ROW_DIGEST = Column(
+    "row_digest",
+    "int64",
+    "-",
+    "digest of the row's values, by which an edit that msbdb did not make is noticed",
+    nullable=True,
+    in_frame=False,
+)
+"""The last column of each table whose rows have digests."""
+
+
+def _measured(*names: str) -> tuple[Column, ...]:
+    """Return columns that repeat a building's, and are null where no survey has measured them."""
+    return tuple(replace(BUILDING[name], nullable=True) for name in names)
+
+
+INVENTORY_BUILDING = Table(
+    "inventory_building",
+    "A building of the inventory, which keeps its identity through surveys",
+    only_stored(
+        Column("uid", "int64", "-", "from the survey or import in which it was born, and its place", primary=True),
+        Column("source", "str", "-", "name of the survey or import in which it was born"),
+    ),
+    rules=(Check("uid", "uid > 0"),),
+    digested=True,
+)
+
+# The interval is [valid_from, valid_to); the current version has no valid_to. Of a version that began and ended on one
+# day nothing is seen at any date.
+BUILDING_VERSION = Table(
+    "building_version",
+    "A state of a building of the inventory, with the interval in which it holds",
+    only_stored(
+        Column("version_id", "int64", "-", "from the building and the survey or import that made it", primary=True),
+        Column("uid", "int64", "-", "the building", refers="inventory_building.uid"),
+        Column("valid_from", "str", "-", "first day on which it holds, ISO 8601"),
+        Column(
+            "valid_to",
+            "str",
+            "-",
+            "first day on which it holds no more, ISO 8601; null for the current version",
+            nullable=True,
+        ),
+        Column("source", "str", "-", "what made it: survey or import"),
+        Column(
+            "survey_id",
+            "int64",
+            "-",
+            "the survey that made it; null for an import",
+            nullable=True,
+            refers="survey.survey_id",
+        ),
+        Column(
+            "closed_by",
+            "int64",
+            "-",
+            "the survey that ended it; null for the current version",
+            nullable=True,
+            refers="survey.survey_id",
+            key_name="fk_building_version_closed_by",
+        ),
+        Column(
+            "building_id",
+            "int64",
+            "-",
+            "the building of the survey's run that it was taken from, which a rebuild may replace",
+            nullable=True,
+        ),
+        BUILDING["state"],
+        *_measured("storeys", "h_max", "h_mean", "h_p50", "h_p90"),
+        Column("area_m2", "float64", "m2", "area of the footprint"),
+        *_measured("volume_m3", "parts", "flat_share", "area3d_share", "adaptive_share"),
+        Column(
+            "attributes",
+            "json",
+            "-",
+            "what an imported inventory tells of it, by the names of its columns",
+            nullable=True,
+        ),
+    ),
+    rules=(
+        Check("version_id", "version_id > 0"),
+        Check("valid_from", "length(valid_from) = 10"),
+        Check("valid_to", "valid_to IS NULL OR (length(valid_to) = 10 AND valid_to >= valid_from)"),
+        one_of("source", VERSION_SOURCES),
+        Check("survey", "(source = 'survey') = (survey_id IS NOT NULL)"),
+        Check("closed_by", "closed_by IS NULL OR valid_to IS NOT NULL"),
+        one_of("state", BUILDING_STATES),
+        Check("area", "area_m2 > 0"),
+        Check("parts", "storeys >= 0 AND parts >= 1"),
+        *shares(*EXTRACTOR_SHARES.values()),
+    ),
+    indexes=(
+        Index(("uid", "valid_from")),
+        Index(("uid",), unique=True, name="ix_building_version_current", where="valid_to IS NULL"),
+        Index(("survey_id",)),
+        Index(("closed_by",)),
+    ),
+    geometry="MULTIPOLYGON",
+    digested=True,
+)
+
+
+def _side(name: str, doc: str, refers: str) -> Column:
+    """Return the column of one side of a change, which is null where the side has no building."""
+    key_name = f"fk_building_change_{name}"
+    return Column(name, "int64", "-", doc, nullable=True, refers=refers, key_name=key_name)
+
+
+BUILDING_CHANGE = Table(
+    "building_change",
+    "What a survey did to a building of the inventory; for merged and split, to each pair of buildings",
+    only_stored(
+        Column("change_id", "int64", "-", "from the survey, the kind and the two buildings", primary=True),
+        Column("survey_id", "int64", "-", "the survey", refers="survey.survey_id"),
+        Column("kind", "str", "-", "unchanged, modified, new, demolished, merged or split"),
+        _side("uid_before", "the building before; null for new", "inventory_building.uid"),
+        _side("uid_after", "the building after; null when gone", "inventory_building.uid"),
+        _side("version_before", "its version before", "building_version.version_id"),
+        _side(
+            "version_after", "its version after; that of before where it is unchanged", "building_version.version_id"
+        ),
+        Column("outline", "bool", "-", "its outline changed"),
+        Column("height", "bool", "-", "its height changed"),
+        Column("parts", "bool", "-", "only a part of it changed its height"),
+        Column("overlap_m2", "float64", "m2", "area that both footprints share, the inventory shifted by the offset"),
+        Column("iou", "float64", "1", "that area over the area that either covers"),
+        Column("dh_m", "float64", "m", "median change of height where both are known", nullable=True),
+        Column("darea_m2", "float64", "m2", "change of the footprint's area; all of it for new and demolished"),
+        Column("note", "str", "-", "what else there is to say; often empty"),
+    ),
+    rules=(
+        Check("change_id", "change_id > 0"),
+        one_of("kind", CHANGE_KINDS),
+        Check("uid", "uid_before IS NOT NULL OR uid_after IS NOT NULL"),
+        Check(
+            "version",
+            "(uid_before IS NULL) = (version_before IS NULL) AND (uid_after IS NULL) = (version_after IS NULL)",
+        ),
+        Check("overlap", "overlap_m2 >= 0 AND iou >= 0 AND iou <= 1"),
+    ),
+    indexes=(
+        Index(("survey_id", "kind")),
+        Index(("uid_before",)),
+        Index(("uid_after",)),
+        Index(("version_before",)),
+        Index(("version_after",)),
+    ),
+    digested=True,
+)
+
+# The offset is taken into account when buildings are compared; no stored geometry is shifted by it.
+SURVEY_OFFSET = Table(
+    "survey_offset",
+    "How a survey lies to the inventory: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) there",
+    only_stored(
+        Column("survey_id", "int64", "-", "the survey", primary=True, refers="survey.survey_id"),
+        Column("dx_m", "float64", "m", "to the east; 0 where too few buildings tell it"),
+        Column("dy_m", "float64", "m", "to the north"),
+        Column("dz_m", "float64", "m", "of the heights above ground"),
+        Column("pairs", "int64", "-", "pairs of like buildings that tell it"),
+        Column(
+            "spread_m",
+            "float64",
+            "m",
+            "robust standard deviation of a pair's shift; null without pairs",
+            nullable=True,
+        ),
+    ),
+    rules=(Check("pairs", "pairs >= 0"),),
+    digested=True,
+)
+
+INVENTORY_EVENT = Table(
+    "inventory_event",
+    "An import into the inventory or an update of it: what was applied, in which order, and where",
+    only_stored(
+        Column("number", "int64", "-", "1 to n, in the order in which they were applied", primary=True),
+        Column("kind", "str", "-", "import or update"),
+        Column("name", "str", "-", "name of the survey or import"),
+        Column("date", "str", "-", "the day from which its versions hold, ISO 8601"),
+        Column("survey_id", "int64", "-", "the survey; null for an import", nullable=True, refers="survey.survey_id"),
+        Column("counts", "json", "-", "rows that it wrote: changes by kind, and versions"),
+        Column("content_sha256", "str", "-", "digest of all that decides of its outcome"),
+    ),
+    rules=(
+        Check("number", "number > 0"),
+        one_of("kind", EVENT_KINDS),
+        Check("name", "name <> ''"),
+        Check("date", "length(date) = 10"),
+        Check("survey", "(kind = 'update') = (survey_id IS NOT NULL)"),
+    ),
+    indexes=(Index(("survey_id",), unique=True),),
+    geometry="MULTIPOLYGON",
+    digested=True,
+)
+
+OPERATOR_STATE = Table(
+    "operator_state",
+    "An operator's word on a building, which wins over what the extractors say, whatever is built or updated",
+    only_stored(
+        Column("uid", "int64", "-", "the building of the inventory", primary=True),
+        Column("state", "str", "-", "confirmed or refuted"),
+        Column("operator", "str", "-", "who said so"),
+        Column("note", "str", "-", "why; may be empty"),
+        Column("decided_at", "str", "-", "when, UTC, ISO 8601; no part of the content"),
+    ),
+    rules=(one_of("state", MANUAL_STATES), Check("operator", "operator <> ''")),
+    digested=True,
+)
+
+ROOF_SAMPLE = Table(
+    "roof_sample",
+    "A place where the material of a roof is known (V53)",
+    only_stored(
+        Column("sample_id", "int64", "-", "from the place", primary=True),
+        Column("material", "str", "-", "the material"),
+        Column("note", "str", "-", "what else there is to say; may be empty"),
+        Column("attributes", "json", "-", "the other columns of the file it came from", nullable=True),
+    ),
+    rules=(Check("sample_id", "sample_id > 0"), Check("material", "material <> ''")),
+    geometry="POINT",
+    digested=True,
+)
+
+INVENTORY_TABLES = (
+    INVENTORY_BUILDING,
+    BUILDING_VERSION,
+    BUILDING_CHANGE,
+    SURVEY_OFFSET,
+    INVENTORY_EVENT,
+    OPERATOR_STATE,
+    ROOF_SAMPLE,
+)
+"""All tables of the inventory."""
