@@ -171,9 +171,10 @@ _HARMLESS = {"host", "port", "dbname", "user", "connect_timeout", "sslmode", "ap
 def guarded(url: URL) -> Iterator[None]:
     """Turn the library's errors into ours."""
     dialect = dialect_of(url)
+    errors: tuple[type[Exception], ...] = (SQLAlchemyError, *dialect.driver_errors())
     try:
         yield
-    except (SQLAlchemyError, *dialect.driver_errors()) as error:
+    except errors as error:
         raise dialect.explain(error, shown(url)) from error
 
 
