@@ -171,10 +171,10 @@ _HARMLESS = {"host", "port", "dbname", "user", "connect_timeout", "sslmode", "ap
 def guarded(url: URL) -> Iterator[None]:
     """Turn the library's errors into ours."""
     dialect = dialect_of(url)
-    known: tuple[type[Exception], ...] = (SQLAlchemyError, *dialect.driver_errors())
+    errors: tuple[type[Exception], ...] = (SQLAlchemyError, *dialect.driver_errors())
     try:
         yield
-    except known as error:
+    except errors as error:
         raise dialect.explain(error, shown(url)) from error
 
 
