@@ -2,7 +2,7 @@
 
 from alembic import context
 
-from msbdb.database.sqltables import METADATA
+from msbdb.database.schema.sqltables import METADATA
 
 attributes = context.config.attributes
 context.configure(

@@ -18,8 +18,13 @@ from msbdb.errors import MsbdbError
 from msbdb.version import __version__
 
 if TYPE_CHECKING:
+    from msbdb.api.build import BuildReport, build
+    from msbdb.api.changes import changes
+    from msbdb.api.classify import classify
+    from msbdb.api.inventory import Inventory, open
+    from msbdb.api.reports import info, relabel
+    from msbdb.api.update import update
     from msbdb.params import Params, profile
-    from msbdb.pipeline import BuildReport, Inventory, build, changes, classify, info, open, relabel, update
 
 _HOMES = {
     "BuildReport": "msbdb.pipeline",

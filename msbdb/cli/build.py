@@ -12,7 +12,7 @@ from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 from msbdb.params import DETECTORS, PROFILES, Params
 
 if TYPE_CHECKING:
-    from msbdb.pipeline import BuildReport
+    from msbdb.api.build import BuildReport
 
 Z_UNITS = ("auto", "m", "ft", "us-ft")
 

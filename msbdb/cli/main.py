@@ -3,18 +3,12 @@
 import click
 
 from msbdb.cli.build import build
-from msbdb.cli.changes import changes
-from msbdb.cli.classes import classes
 from msbdb.cli.classify import classify
 from msbdb.cli.db import db
 from msbdb.cli.evaluate import evaluate
-from msbdb.cli.export import export
-from msbdb.cli.import_ import import_
-from msbdb.cli.info import info
+from msbdb.cli.inventory import changes, import_, state, update
+from msbdb.cli.outputs import classes, export, info, view
 from msbdb.cli.params import params
-from msbdb.cli.state import state
-from msbdb.cli.update import update
-from msbdb.cli.view import view
 from msbdb.version import __version__
 
 

@@ -91,7 +91,7 @@ def assignment(text: str) -> tuple[str, str]:
 
 def class_label(text: str) -> tuple[int, str]:
     """Return an operator's label of a class, written NUMBER=LABEL (V36)."""
-    from msbdb.classmap import LABELS
+    from msbdb.landcover import LABELS
 
     number, _, label = text.partition("=")
     if not number.isdecimal() or label not in LABELS:

@@ -2,14 +2,15 @@
 
 from sqlalchemy import Engine
 
-from msbdb.database.admin import Loss, create_database, downgrade_schema, upgrade_schema
-from msbdb.database.copy import copy_database
-from msbdb.database.crs import srid_of
-from msbdb.database.dump import canonical_dump
-from msbdb.database.engine import PATIENCE_S, check_target, open_database, shown, upgrade_database
-from msbdb.database.examples import ExampleQuery, example_queries, run_example
-from msbdb.database.integrity import CHECKS, Finding, check_database
-from msbdb.database.inventory_read import (
+from msbdb.database.admin.copying import canonical_dump, copy_database
+from msbdb.database.admin.examples import ExampleQuery, example_queries, run_example
+from msbdb.database.admin.findings import Finding
+from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_schema, upgrade_schema
+from msbdb.database.admin.roles import ROLES, grant_role
+from msbdb.database.admin.soundness import CHECKS, check_database
+from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, shown, upgrade_database
+from msbdb.database.history.imports import write_import, write_samples, write_state
+from msbdb.database.history.periods import (
     database_crs_of,
     first_day,
     footprint_at,
@@ -19,13 +20,10 @@ from msbdb.database.inventory_read import (
     read_roof_samples,
     read_states,
 )
-from msbdb.database.inventory_standing import Standing, read_standing, survey_key
-from msbdb.database.inventory_words import write_import, write_samples, write_state
-from msbdb.database.inventory_write import Advance, write_advance
-from msbdb.database.labels import read_labelled_classes
-from msbdb.database.load import WriteReport, store_build, write_build
-from msbdb.database.outdated import BuildBasis, OutdatedError, read_digest
-from msbdb.database.query import (
+from msbdb.database.history.standing import Standing, read_standing, survey_key
+from msbdb.database.history.versions import Advance, write_advance
+from msbdb.database.runs.basis import BuildBasis, OutdatedError, read_digest, read_labelled_classes
+from msbdb.database.runs.reading import (
     list_runs,
     read_build,
     read_buildings,
@@ -43,7 +41,8 @@ from msbdb.database.query import (
     read_state,
     read_survey,
 )
-from msbdb.database.roles import ROLES, grant_role
+from msbdb.database.runs.writing import WriteReport, store_build, write_build
+from msbdb.database.schema.srid import srid_of
 
 __all__ = [
     "CHECKS",

@@ -1,8 +1,8 @@
 """How well extracted buildings agree with a reference: the one metric module (X1)."""
 
-from msbdb.evaluate.points import PointEvaluation, PointScores, match_points, score_points
+from msbdb.evaluate.bypoint import PointEvaluation, PointScores, match_points, score_points
+from msbdb.evaluate.evaluation import Evaluation, evaluate
 from msbdb.evaluate.reference import PointReference, PolygonReference, Reference
-from msbdb.evaluate.report import Evaluation, evaluate
 from msbdb.params import EvaluateParams
 
 __all__ = [

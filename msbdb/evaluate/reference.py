@@ -12,8 +12,8 @@ from scipy import ndimage
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.grid import Bounds, GridSpec, lattice
 from msbdb.labels import label_zones, renumber, sizes
+from msbdb.outline.polygons import Geometries, polygonise, rasterise
 from msbdb.params import EvaluateParams
-from msbdb.vector.polygons import Geometries, polygonise, rasterise
 
 Mask = NDArray[np.bool_]
 

@@ -1,5 +1,5 @@
 """Parts and buildings for other programs: one module a format."""
 
-from msbdb.export.dispatch import FORMATS, export
+from msbdb.export.formats import FORMATS, export
 
 __all__ = ["FORMATS", "export"]

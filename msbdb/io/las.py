@@ -29,7 +29,7 @@ from msbdb.io.lasheader import (
     read_las_header,
     vertical_unit,
 )
-from msbdb.pointcloud import NOISE_CLASSES, PointCloud
+from msbdb.points.cloud import NOISE_CLASSES, PointCloud
 
 logger = logging.getLogger(__name__)
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.

@@ -6,8 +6,6 @@ The same filters on the points themselves are in `msbdb.morphology.points`.
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening
 from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, sums
-from msbdb.morphology.gradients import external_gradient, internal_gradient, second_order_gradient
-from msbdb.morphology.granulometry import find_scales, opening_areas
 from msbdb.morphology.profiles import (
     AttributeProfile,
     Theta,
@@ -16,8 +14,8 @@ from msbdb.morphology.profiles import (
     build_profile,
     zone_thresholds,
 )
-from msbdb.morphology.scalespace import ScaleSpace, build_scale_space
-from msbdb.morphology.windowprofile import window_profile
+from msbdb.morphology.scalespace import ScaleSpace, build_scale_space, find_scales, opening_areas
+from msbdb.morphology.windows import external_gradient, internal_gradient, second_order_gradient, window_profile
 
 __all__ = [
     "AttributeProfile",

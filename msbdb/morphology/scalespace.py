@@ -1,5 +1,10 @@
-"""The area open-close scale-space (Vu et al. 2009, Eq. 6; V6, V7, V10, V11)."""
+"""The area open-close scale-space (Vu et al. 2009, Eq. 6; V6, V7, V10, V11).
 
+Scales found in the image itself, by horizontal and vertical granulometry (V8; Vincent 1994).
+"""
+
+import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,6 +16,9 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError, ParameterError
 from msbdb.labels.numbering import require_image
 from msbdb.morphology.area import area_open_close, require_threshold
+from msbdb.morphology.runs import widen
+from msbdb.params import GranulometryParams
+from msbdb.threads import kernel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,3 +90,168 @@ def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, conn
     for index, threshold in enumerate(thresholds):
         current = levels[index] = area_open_close(current, threshold, connectivity=connectivity)
     return ScaleSpace(levels, tuple(int(threshold) for threshold in thresholds))
+
+
+logger = logging.getLogger(__name__)
+
+BINS_PER_OCTAVE = 2
+"""Bins of the spectrum for each doubling of the area: two peaks differ by a factor of about two at least."""
+
+DEFAULTS = GranulometryParams()
+
+
+def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the area, in cells, of the horizontal and vertical openings that each cell survives.
+
+    A cell survives the opening by a horizontal segment of n cells when the run of cells of its row, no lower than
+    itself and around it, has at least n of them. Its area is the largest such n times the largest one in its column:
+    that of the building part that it lies on, where this is a rectangle along the lattice.
+
+    Parameters
+    ----------
+    level : (H, W) ndarray
+        A mask, storeys or heights, without NaN, integers up to the largest int64. Not modified.
+
+    Returns
+    -------
+    (H, W) ndarray of int64
+        Cells; from 1.
+
+    Raises
+    ------
+    InputError
+        When the array is no image.
+
+    Notes
+    -----
+    Border: a run cut by the edge counts by what is seen of it. Complexity: linear in the cells.
+
+    Examples
+    --------
+    >>> opening_areas(np.array([[1, 2, 2, 1], [1, 1, 1, 1]]))
+    array([[8, 2, 2, 8],
+           [8, 8, 8, 8]])
+    """
+    require_image(level)
+    horizontal = _row_openings(widen(level))
+    vertical = _row_openings(widen(level.T))
+    return horizontal.astype(np.int64) * vertical.T
+
+
+def find_scales(
+    mask_or_level: NDArray[Any], cell_area_m2: float, params: GranulometryParams = DEFAULTS
+) -> tuple[float, ...]:
+    """Find the area thresholds of the scale-space from the sizes that the image contains (V8).
+
+    Parameters
+    ----------
+    mask_or_level : (H, W) ndarray
+        Buildings or off-ground cells: a mask, or storeys or heights with 0 for the background. Not modified.
+    cell_area_m2 : float
+        Area of a cell, square metres.
+    params : GranulometryParams
+        The bounds of the scales, their largest number, and the shares of the rule.
+
+    Returns
+    -------
+    tuple of float
+        Square metres, ascending, each within the bounds and, unless the image is empty, a whole number of cells; at
+        least one.
+
+    Raises
+    ------
+    InputError
+        When the array is no image.
+    ParameterError
+        When the cell area is not positive, or the bounds do not ascend.
+
+    Notes
+    -----
+    The paper names the method [1]_ and no rule; the rule is ours:
+
+    1. Each cell above 0 has a size: the area of the linear openings that it survives (`opening_areas`). Sizes
+       outside of the bounds are left out of all that follows.
+    2. The finest scale, the smallest building, is the size that ``extreme_share`` of these cells do not exceed. The
+       coarsest, the biggest building, is the size that all but ``extreme_share`` of them do not exceed.
+    3. Between the two lie the peaks of the pattern spectrum: the number of cells by size, in half-octave bins,
+       smoothed by (1, 2, 1) / 4. A peak is higher than the bin before, no lower than the one after, and holds at
+       least ``peak_share`` of the cells; its scale is the median size in its bin. It is left out within half an octave
+       of the finest or the coarsest scale.
+    4. When these are more than ``most``, the highest peaks stay; of equal ones that of the smaller size.
+
+    Without any cell in the bounds the one scale is ``smallest_m2``: an empty field is empty on every scale.
+
+    Border and complexity are those of `opening_areas`.
+
+    References
+    ----------
+    .. [1] Vincent, L., 1994. Fast grayscale granulometry algorithms. Mathematical Morphology and its Applications to
+       Image Processing (ISMM'94), Fontainebleau, 265-272.
+    """
+    _require_bounds(cell_area_m2, params)
+    sizes = opening_areas(mask_or_level)[mask_or_level > 0] * float(cell_area_m2)
+    sizes = sizes[(sizes >= params.smallest_m2) & (sizes <= params.largest_m2)]
+    if sizes.size == 0:
+        logger.info("No cell has a size of %g to %g m2; one scale", params.smallest_m2, params.largest_m2)
+        return (params.smallest_m2,)
+    extremes = np.quantile(sizes, [params.extreme_share, 1 - params.extreme_share], method="inverted_cdf")
+    finest, coarsest = (float(size) for size in extremes)
+    near = 2 ** (1 / BINS_PER_OCTAVE)
+    between = [size for size in _peaks(sizes, params) if finest * near < size < coarsest / near]
+    scales = tuple(sorted({finest, coarsest, *between[: params.most - 2]}))
+    logger.info("Scales from the sizes of %d cells: %s m2", sizes.size, ", ".join(f"{scale:g}" for scale in scales))
+    return scales
+
+
+def _require_bounds(cell_area_m2: float, params: GranulometryParams) -> None:
+    """Refuse a cell area or bounds that leave no scale."""
+    if not 0 < cell_area_m2 < math.inf:
+        msg = f"The area of a cell must be positive and finite; got {cell_area_m2} m2."
+        raise ParameterError(msg)
+    if not 0 < params.smallest_m2 < params.largest_m2 < math.inf:
+        msg = (
+            "The bounds of the scales must be positive and ascend; "
+            f"got granulometry.smallest_m2 = {params.smallest_m2} and granulometry.largest_m2 = {params.largest_m2}."
+        )
+        raise ParameterError(msg)
+
+
+def _peaks(sizes: NDArray[np.floating], params: GranulometryParams) -> list[float]:
+    """Return the median sizes in the peaks of the pattern spectrum, the highest peak first."""
+    index = np.floor(np.log2(sizes / params.smallest_m2) * BINS_PER_OCTAVE).astype(np.intp)
+    smooth = np.convolve(np.bincount(index), [0.25, 0.5, 0.25])
+    # The convolution is longer by a bin on either side; beyond it there is nothing.
+    here, before, after = smooth[1:-1], smooth[:-2], smooth[2:]
+    # A peak's own bin holds cells: over an empty bin the smoothed spectrum rises towards the higher neighbour.
+    peaks = np.flatnonzero((here > before) & (here >= after) & (here >= params.peak_share * sizes.size))
+    highest_first = peaks[np.argsort(-here[peaks], kind="stable")]
+    return [float(np.quantile(sizes[index == peak], 0.5, method="inverted_cdf")) for peak in highest_first]
+
+
+@kernel
+def _row_openings(level: NDArray[Any]) -> NDArray[np.int32]:
+    """Return for each cell the length of the run of its row, around it, that is no lower than the cell.
+
+    A stack holds the cells whose runs are still open, never falling from its bottom to its top: a lower cell, or the
+    row's end, closes the runs of all higher ones. Cells of equal value share their run.
+    """
+    rows, cols = level.shape
+    lengths = np.empty((rows, cols), dtype=np.int32)
+    stack = np.empty(cols, dtype=np.int32)
+    begin = np.empty(cols, dtype=np.int32)
+    for row in range(rows):
+        depth = 0
+        for col in range(cols):
+            begin[col] = col
+            while depth > 0 and level[row, stack[depth - 1]] >= level[row, col]:
+                top = stack[depth - 1]
+                begin[col] = begin[top]
+                if level[row, top] == level[row, col]:
+                    break
+                lengths[row, top] = col - begin[top]
+                depth -= 1
+            stack[depth] = col
+            depth += 1
+        for top in stack[:depth]:
+            lengths[row, top] = cols - begin[top]
+    return lengths

@@ -1,8 +1,16 @@
 """Erosion, dilation and opening by square windows, of the valid cells of a surface.
 
 Each window counts by those of its cells that are within the array and valid; nothing is assumed about the others.
+
+Morphological gradients of a surface: how much it changes next to each cell (Mongus et al. 2013; M13).
+
+All are the difference of two of the surface, its highest and its lowest within the window, so none is negative. That
+is why the sum of one over a component never falls as the component grows (M4).
+
+Differential morphological profiles: at which window a surface changes most (Mongus et al. 2013, §2, §3.2).
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.morphology.profiles import MAX_ZONES, Theta
 from msbdb.morphology.runs import require_valid
 
 Mask = NDArray[np.bool_] | None
@@ -69,4 +78,152 @@ def _require_window(window_px: int) -> None:
     whole = isinstance(window_px, int | np.integer) and not isinstance(window_px, bool)
     if not whole or window_px < 1 or window_px % 2 == 0:
         msg = f"A window must be an odd number of cells from 1; got {window_px!r}."
+        raise ParameterError(msg)
+
+
+WINDOW_PX = 3
+"""Side of the window, cells. The paper does not state one; this is the smallest."""
+
+
+def external_gradient(values: NDArray[Any], valid: Mask = None, *, window_px: int = WINDOW_PX) -> NDArray[np.floating]:
+    """Return by how much the highest cell around exceeds each cell: the lower sides of edges.
+
+    Parameters
+    ----------
+    values : (H, W) ndarray
+        Integers or floats; finite in valid cells. Not modified.
+    valid : (H, W) ndarray of bool, optional
+        The cells that count; all by default.
+    window_px : int
+        Side of the square window, cells; odd.
+
+    Returns
+    -------
+    (H, W) ndarray
+        In the unit of the values, 0 or more; 0 in invalid cells. Of float32 for floats and integers that it holds
+        without rounding, else of float64.
+
+    Raises
+    ------
+    InputError
+        When the array is no image, the mask is not of its shape, or a valid cell is infinite or NaN.
+    ParameterError
+        When the window is not odd.
+
+    Notes
+    -----
+    ϱ_ex(g) = δ(g) - g. Border and nodata: the window counts by its cells that are within the array and valid; so
+    neither an edge nor a gap is a step. Halo: half of the window. Complexity: linear in the cells for any window.
+
+    Examples
+    --------
+    >>> external_gradient(np.array([[0, 0, 4, 4]]))
+    array([[0., 4., 0., 0.]])
+    """
+    surface, valid = require_surface(values, valid)
+    return _difference(dilation(surface, window_px, valid), surface, valid)
+
+
+def internal_gradient(values: NDArray[Any], valid: Mask = None, *, window_px: int = WINDOW_PX) -> NDArray[np.floating]:
+    """Return by how much each cell exceeds the lowest cell around: the upper sides of edges.
+
+    Parameters, result, errors and rules are those of `external_gradient`: ϱ_in(g) = g - ε(g).
+
+    Examples
+    --------
+    >>> internal_gradient(np.array([[0, 0, 4, 4]]))
+    array([[0., 0., 4., 0.]])
+    """
+    surface, valid = require_surface(values, valid)
+    return _difference(surface, erosion(surface, window_px, valid), valid)
+
+
+def second_order_gradient(
+    values: NDArray[Any], valid: Mask = None, *, window_px: int = WINDOW_PX
+) -> NDArray[np.floating]:
+    """Return the internal gradient of the external gradient: how much the slope changes, on the lower sides of edges.
+
+    Parameters, result, errors and rules are those of `external_gradient`: ϱ_in(ϱ_ex(g)) (Eq. 11; M13), the field of
+    which Λ is the sum. An even slope has none, as its external gradient is the same all over, but at its ends.
+
+    Examples
+    --------
+    >>> second_order_gradient(np.array([[0, 0, 4, 4]]))
+    array([[0., 4., 0., 0.]])
+    """
+    return internal_gradient(external_gradient(values, valid, window_px=window_px), valid, window_px=window_px)
+
+
+def _difference(upper: NDArray[np.floating], lower: NDArray[np.floating], valid: Mask) -> NDArray[np.floating]:
+    """Return the difference in valid cells, 0 in others."""
+    difference = np.zeros_like(upper)
+    np.subtract(upper, lower, out=difference, where=True if valid is None else valid)
+    return difference
+
+
+def window_profile(
+    values: NDArray[Any], windows_px: Sequence[int], valid: Mask = None, *, valleys: bool = False
+) -> Theta:
+    """Return θ(g), or θ(-g), of the differential morphological profile by square windows (Eq. 1, 4, 5; M2, M5, M9).
+
+    Parameters
+    ----------
+    values : (H, W) ndarray
+        Integers or floats; finite in valid cells. Not modified.
+    windows_px : sequence of int
+        Sides of the windows w_{S_1} to w_{S_I}, cells; odd and increasing. w_{S_0} is a single cell, the surface
+        itself, and is not listed.
+    valid : (H, W) ndarray of bool, optional
+        The cells that count; all by default.
+    valleys : bool
+        Profile -g instead of g: how deep each cell lies within closings.
+
+    Raises
+    ------
+    InputError
+        When the array is no image, the mask is not of its shape, or a valid cell is infinite or NaN.
+    ParameterError
+        When the windows are not odd, start below 3 or do not increase.
+
+    Notes
+    -----
+    Border and nodata: windows count by their cells that are within the array and valid. Squares are made of smaller
+    squares, so no response is negative. Halo: the largest window less one cell. Complexity: linear in the cells for
+    each window, whatever its size.
+
+    Examples
+    --------
+    >>> response, zone = window_profile(np.array([[0, 9, 0, 4, 4, 0, 0]]), [3, 5])
+    >>> response, zone
+    (array([[0., 9., 0., 4., 4., 0., 0.]]), array([[0, 1, 0, 1, 1, 0, 0]], dtype=int16))
+    """
+    _require_windows(windows_px)
+    surface, valid = require_surface(values, valid)
+    if valleys:
+        surface = -surface
+    response = np.zeros(surface.shape)
+    zone = np.zeros(surface.shape, dtype=np.int16)
+    before = surface
+    for i, window in enumerate(windows_px, start=1):
+        opened = opening(surface, window, valid)
+        difference = _opening_difference(before, opened, valid)
+        better = (difference >= response) & (difference > 0)
+        response[better] = difference[better]
+        zone[better] = i
+        before = opened
+    return Theta(response, zone)
+
+
+def _opening_difference(upper: NDArray[Any], lower: NDArray[Any], valid: Mask) -> NDArray[np.float64]:
+    """Return the difference in 64 bits in valid cells, 0 in others."""
+    difference = np.zeros(upper.shape, dtype=np.float64)
+    np.subtract(upper, lower, out=difference, where=True if valid is None else valid, dtype=np.float64)
+    return difference
+
+
+def _require_windows(windows_px: Sequence[int]) -> None:
+    """Refuse windows that are no granulometry."""
+    sizes = list(windows_px)
+    if not sizes or len(sizes) > MAX_ZONES or sizes[0] < 3 or any(np.diff(sizes) <= 0):
+        msg = f"The windows of a profile must increase from 3 cells; got {windows_px!r}."
         raise ParameterError(msg)

@@ -8,10 +8,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.classmap import LABELS, ClassMap
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Grid
 from msbdb.labels import sizes
+from msbdb.landcover import LABELS, ClassMap
 from msbdb.params import Params
 from msbdb.spectral.kmeans import draw_sample, predict
 from msbdb.spectral.model import ClassModel, filter_to_classify, fit_model

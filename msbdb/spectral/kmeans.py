@@ -8,8 +8,34 @@ from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
 from msbdb.bands import Bands
-from msbdb.spectral.bands import Scaling, fit_scaling
-from msbdb.spectral.kernels import nearest_centres
+from msbdb.spectral.colours import Scaling, fit_scaling
+from msbdb.spectral.kernels import Floats
+from msbdb.threads import kernel
+
+
+@kernel
+def nearest_centres(values: Floats, low: Floats, span: Floats, centres: Floats) -> NDArray[np.uint8]:
+    """Class, from 1, of the centre nearest to each row (N, B), after scaling by ``low`` and ``span`` and clipping.
+
+    Distances are summed a band at a time, so that they are the same on every machine; ties go to the lower class.
+    """
+    count, bands = values.shape
+    nearest = np.zeros(count, dtype=np.uint8)
+    scaled = np.empty(bands)
+    for i in range(count):
+        for band in range(bands):
+            scaled[band] = min(max((values[i, band] - low[band]) / span[band], 0.0), 1.0)
+        best = np.inf
+        for number in range(len(centres)):
+            distance = 0.0
+            for band in range(bands):
+                away = scaled[band] - centres[number, band]
+                distance += away * away
+            if distance < best:
+                best = distance
+                nearest[i] = number + 1
+    return nearest
+
 
 STARTS = 4
 """Fits from different first centres, of which the tightest is kept."""

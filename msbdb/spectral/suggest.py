@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skimage.filters import threshold_otsu
 
 from msbdb.params import SpectralParams
-from msbdb.spectral.bands import Scaling
+from msbdb.spectral.colours import Scaling
 from msbdb.spectral.kmeans import Sample
 
 INDEX_BANDS = {"ndvi": ("nir", "red"), "green-red": ("green", "red"), "pseudo-ndvi": ("intensity", "red")}
@@ -96,7 +96,7 @@ def index_bounds(index: str, params: SpectralParams) -> tuple[float, float]:
 
 
 def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, params: SpectralParams) -> list[str]:
-    """Suggest the information class of each class (V36): one of ``msbdb.classmap.LABELS``.
+    """Suggest the information class of each class (V36): one of ``msbdb.landcover.LABELS``.
 
     Parameters
     ----------

@@ -1,10 +1,8 @@
-"""From points to surfaces: gridding, ground, heights above ground, and the texture of the surface."""
+"""Surfaces on the lattice: gridding, gaps, heights above ground, texture, and land cover by structure."""
 
-from msbdb.surface.build import Surface, build_surface, cover_from_surface, grid_surface, surface_from_rasters
-from msbdb.surface.cover import Structure, drop_green_regions, structural_cover
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
-from msbdb.surface.ground import terrain
-from msbdb.surface.heights import heights_above, normalise
+from msbdb.surface.heights import Surface, grid_surface, heights_above, normalise, surface_from_rasters
+from msbdb.surface.structure import Structure, cover_from_surface, drop_green_regions, structural_cover
 from msbdb.surface.texture import Echoes, echoes, roughness
 
 __all__ = [
@@ -12,7 +10,6 @@ __all__ = [
     "Samples",
     "Structure",
     "Surface",
-    "build_surface",
     "cell_size",
     "cover_from_surface",
     "density",
@@ -25,5 +22,4 @@ __all__ = [
     "sample_nearest",
     "structural_cover",
     "surface_from_rasters",
-    "terrain",
 ]

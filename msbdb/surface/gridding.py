@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
-from msbdb.morphology.points import index_cells
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cellindex import index_cells
+from msbdb.points.cloud import PointCloud
 from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]

@@ -1,12 +1,17 @@
 """Height above ground."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from msbdb.errors import GridMismatchError
-from msbdb.grid import Grid
-from msbdb.pointcloud import PointCloud
+from msbdb.grid import Grid, GridSpec
+from msbdb.params import Params
+from msbdb.points.cloud import PointCloud
+from msbdb.surface.gridding import Samples, fill_gaps, sample_nearest
+from msbdb.surface.texture import grid_samples
 
 PER_METRE = 100
 """Heights above ground are whole centimetres, finer than any scanner: so they can be kept without loss."""
@@ -62,3 +67,61 @@ def heights_above(points: PointCloud, dtm: Grid) -> NDArray[np.float64]:
     col = (points.x - west) / cell_m - 0.5
     terrain = map_coordinates(dtm.values, (row, col), output=np.float64, order=1, mode="nearest", prefilter=False)
     return np.asarray(points.z - terrain)
+
+
+LEAST_GAP_CELLS = 2.0
+"""Gaps this wide are filled at any cell size: a jittered scan leaves them within its own spacing."""
+
+GIVEN_GROUND = "given"
+"""Stands for a ground filter where the terrain was given as a raster."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The surfaces of one survey, all on one lattice.
+
+    Parameters
+    ----------
+    dsm, dtm, ndsm : Grid of float32, metres
+        Surface, terrain and height above ground.
+    samples : Samples
+        The heights as they were measured, for the texture.
+    ground_filter : str
+        Name of the filter that told the ground; ``given`` for a terrain raster.
+    density : float
+        First echoes, or cells of the source raster, a square metre.
+    """
+
+    dsm: Grid
+    dtm: Grid
+    ndsm: Grid
+    samples: Samples
+    ground_filter: str
+    density: float
+
+
+def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Grid, Samples]:
+    """Grid the first echoes on a lattice (V14, V15), and fill the gaps between them.
+
+    Returns
+    -------
+    dsm : Grid of float32, metres
+        Valid where a first echo is near enough.
+    samples : Samples
+        The heights as they were measured.
+    """
+    samples = sample_nearest(points, spec)
+    gap_cells = max(LEAST_GAP_CELLS, params.surface.max_gap_m / spec.cell_m)
+    heights, valid = fill_gaps(samples, gap_cells)
+    return Grid(heights.astype(np.float32), valid, spec), samples
+
+
+def surface_from_rasters(dsm: Grid, dtm: Grid) -> Surface:
+    """Take a surface and a terrain as they are given.
+
+    Raises
+    ------
+    GridMismatchError
+        When the lattices differ.
+    """
+    return Surface(dsm, dtm, normalise(dsm, dtm), grid_samples(dsm), GIVEN_GROUND, 1 / dsm.spec.cell_area_m2)

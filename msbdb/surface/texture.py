@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from msbdb.grid import Grid
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Frame, Samples, cell_of, frame
 from msbdb.threads import kernel
 

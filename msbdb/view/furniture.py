@@ -1,11 +1,47 @@
-"""What a map needs besides its data: a scale bar and a north arrow."""
+"""The bar that explains a map's colours.
+
+What a map needs besides its data: a scale bar and a north arrow.
+
+Polygons as drawing paths.
+"""
 
 import math
+from itertools import pairwise
 
+import numpy as np
+import shapely
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
+from matplotlib.path import Path as Outline
 from matplotlib.patheffects import Normal, Stroke, withStroke
 from matplotlib.transforms import IdentityTransform
+from numpy.typing import NDArray
+
+
+def colour_bar(figure: Figure, axes: Axes, mapper: ScalarMappable, title: str) -> None:
+    """Explain the colours beside the map, in its upper right corner.
+
+    Parameters
+    ----------
+    figure : Figure
+        With a margin to the right of the map, as `msbdb.view.buildingmap.sheet` leaves.
+    axes : Axes
+        The map.
+    mapper : ScalarMappable
+        From values to colours.
+    title : str
+        What the values are.
+    """
+    box = axes.get_position()
+    width, height = figure.get_figwidth(), figure.get_figheight()
+    length = min(2.4 / height, box.y1)
+    bar = figure.add_axes((box.x1 + 0.2 / width, box.y1 - length - 0.4 / height, 0.16 / width, length))
+    figure.colorbar(mapper, cax=bar)
+    bar.tick_params(labelsize=8)
+    bar.set_title(title, fontsize=9, loc="left", pad=8)
+
 
 HALO = [withStroke(linewidth=3, foreground="white", alpha=0.9)]
 """A white edge that keeps letters legible on any ground."""
@@ -107,3 +143,30 @@ def north_arrow(axes: Axes) -> None:
         zorder=11,
         path_effects=HALO,
     )
+
+
+def outlines(geometries: NDArray[np.object_]) -> list[Outline]:
+    """Return polygons as drawing paths, with holes left open.
+
+    Parameters
+    ----------
+    geometries : (N,) ndarray of shapely Polygon or MultiPolygon
+        Empty ones give empty paths.
+
+    Returns
+    -------
+    list of matplotlib.path.Path
+        One a geometry. Shells and holes turn in opposite senses, as the non-zero fill rule asks.
+    """
+    if not len(geometries):
+        return []
+    oriented = shapely.orient_polygons(geometries)
+    whole = np.array(
+        [shapely.MultiPolygon(shapely.get_parts(geometry).tolist()) for geometry in oriented], dtype=object
+    )
+    _, xy, (rings, polygons, wholes) = shapely.to_ragged_array(whole, include_z=False)
+    codes = np.full(len(xy), Outline.LINETO, dtype=Outline.code_type)
+    codes[rings[:-1]] = Outline.MOVETO
+    codes[rings[1:] - 1] = Outline.CLOSEPOLY
+    stops = rings[polygons[wholes]]
+    return [Outline(xy[a:b], codes[a:b]) for a, b in pairwise(stops)]

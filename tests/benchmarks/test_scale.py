@@ -12,7 +12,7 @@ from simulated.builds import EVERY, small_build
 from support.processes import BENCHMARKS, load_script, run_script
 
 from msbdb.database import open_database, write_build
-from msbdb.database.check import check_build
+from msbdb.database.runs.checks import check_build
 from msbdb.tables import Build
 
 SCRIPT = BENCHMARKS / "scale"

@@ -14,7 +14,8 @@ from support.latermigration import LATER, migrations_of_tomorrow
 
 from msbdb.cli.db import db as commands
 from msbdb.cli.main import cli
-from msbdb.database import CHECKS, ROLES, canonical_dump, check_database, open_database, upgrade, write_build
+from msbdb.database import CHECKS, ROLES, canonical_dump, check_database, open_database, write_build
+from msbdb.database.schema import migration as upgrade
 
 
 def run(*args: str) -> Any:

@@ -23,12 +23,12 @@ from msbdb.database import (
     open_database,
     read_build,
     srid_of,
-    upgrade,
     upgrade_schema,
     write_build,
 )
-from msbdb.database.admin import open_any, version_of
-from msbdb.database.sqltables import METADATA
+from msbdb.database.admin.lifecycle import open_any, version_of
+from msbdb.database.schema import migration as upgrade
+from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,6 +14,7 @@ from simulated.builds import CROWN, EPSG, HOUSE, LIFT, PODIUM, SLAB, SLAB_ROOF, 
 from sqlalchemy import URL, Engine, make_url
 from support.sizes import sample
 
+from msbdb.api.update import advance
 from msbdb.database import (
     CHECKS,
     Finding,
@@ -25,9 +26,8 @@ from msbdb.database import (
     write_samples,
     write_state,
 )
-from msbdb.database.canonical import text_id
-from msbdb.database.inventory_write import MEASURES
-from msbdb.pipeline.update import advance
+from msbdb.database.history.versions import MEASURES
+from msbdb.database.schema.canonical import text_id
 
 REGIONS = {
     "spectral": {"in": 8, "pieces": 0, "kept": 6, "dropped": 2},

@@ -10,6 +10,7 @@ from psycopg import sql
 from sqlalchemy import Engine, func, make_url, select
 from support.towns import EPSG, ROW, footprints, town_build
 
+from msbdb.api.update import advance
 from msbdb.database import (
     canonical_dump,
     check_database,
@@ -21,9 +22,8 @@ from msbdb.database import (
     write_samples,
     write_state,
 )
-from msbdb.database.sqltables import METADATA
+from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import DatabaseError
-from msbdb.pipeline.update import advance
 
 LATER = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
 

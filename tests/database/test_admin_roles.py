@@ -19,14 +19,14 @@ from msbdb.database import (
     downgrade_schema,
     grant_role,
     open_database,
-    upgrade,
     upgrade_schema,
     write_build,
 )
-from msbdb.database.admin import open_any
-from msbdb.database.rights import VERSION_TABLE, written_by_operators
-from msbdb.database.sqltables import METADATA
-from msbdb.database.views import TABLE_VIEWS, VIEWS
+from msbdb.database.admin.lifecycle import open_any
+from msbdb.database.dialects.rights import VERSION_TABLE, written_by_operators
+from msbdb.database.schema import migration as upgrade
+from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
+from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import DatabaseError, ParameterError
 
 pytestmark = pytest.mark.postgis

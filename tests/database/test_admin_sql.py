@@ -9,9 +9,9 @@ from simulated.builds import EPSG, HOSTILE, small_build
 from sqlalchemy import Engine, text
 
 from msbdb.database import list_runs, open_database, read_build, write_build
-from msbdb.database.ddl import statements
-from msbdb.database.sqltables import METADATA
-from msbdb.database.views import TABLE_VIEWS, VIEWS
+from msbdb.database.schema.ddl import statements
+from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
+from msbdb.database.schema.sqltables import METADATA
 
 ROOT = Path(__file__).resolve().parents[2]
 SQL = re.compile(

@@ -10,9 +10,10 @@ from simulated.builds import BASE, EPSG, SOUTH, WEST, ledger_build, small_build
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import DatabaseError as RefusedError
 
-from msbdb.database import bulk, canonical_dump, open_database, read_rejections, spatialite, write_build
-from msbdb.database.sqltables import SPATIAL
-from msbdb.database.views import VIEWS
+from msbdb.database import canonical_dump, open_database, read_rejections, write_build
+from msbdb.database.dialects import bulk, spatialite
+from msbdb.database.schema.sqlfiles import VIEWS
+from msbdb.database.schema.sqltables import SPATIAL
 from msbdb.errors import DatabaseError, LoadError
 from msbdb.tables import Build
 

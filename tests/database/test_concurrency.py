@@ -20,6 +20,8 @@ from support.faultfiles import write_points
 from support.towns import ROW, town_build
 
 from msbdb import pipeline
+from msbdb.api import reports
+from msbdb.api.update import advance
 from msbdb.database import (
     BuildBasis,
     OutdatedError,
@@ -36,17 +38,15 @@ from msbdb.database import (
     write_build,
     write_state,
 )
-from msbdb.database.dialect import dialect_of
-from msbdb.database.snapshot import snapshot
-from msbdb.database.sqltables import METADATA
+from msbdb.database.dialects.connection import snapshot
+from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import DatabaseError
 from msbdb.params import Params, with_values
-from msbdb.pipeline import reports
-from msbdb.pipeline.update import advance
 from msbdb.tables import Build
 
-build_module = importlib.import_module("msbdb.pipeline.build")
-update_module = importlib.import_module("msbdb.pipeline.update")
+build_module = importlib.import_module("msbdb.api.build")
+update_module = importlib.import_module("msbdb.api.update")
 SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -409,7 +409,7 @@ def test_a_connection_that_is_cut_is_told(new_postgis: Callable[[], str]) -> Non
 
 def cut_while_writing(engine: Engine, other: Engine) -> None:
     """Close a writer's connection from the server's side, between its rows."""
-    from msbdb.database import postgis
+    from msbdb.database.dialects import postgis
 
     original = postgis.after_load
 

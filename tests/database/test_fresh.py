@@ -11,17 +11,10 @@ import shapely
 from simulated.builds import EPSG, small_build
 from sqlalchemy import Connection, make_url, text
 
-from msbdb.database import (
-    canonical_dump,
-    check_database,
-    copy_database,
-    fresh,
-    open_database,
-    postgis,
-    store_build,
-    write_build,
-)
-from msbdb.database.postgis import exists
+from msbdb.database import canonical_dump, check_database, copy_database, open_database, store_build, write_build
+from msbdb.database.dialects import freshtables as fresh
+from msbdb.database.dialects import postgis
+from msbdb.database.dialects.postgis import exists
 from msbdb.errors import LoadError
 
 pytestmark = pytest.mark.postgis

@@ -32,7 +32,7 @@ from simulated.builds import (
 from sqlalchemy import Engine, make_url
 
 from msbdb.database import open_database, write_build
-from msbdb.database.sqltables import SPATIAL
+from msbdb.database.schema.sqltables import SPATIAL
 
 pytestmark = pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="GDAL's tools (gdal-bin) are not installed")
 

@@ -13,6 +13,7 @@ import pytest
 from sqlalchemy import Engine, text
 from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
+from msbdb.api.update import MEASURED_FIRST, advance
 from msbdb.database import (
     canonical_dump,
     check_database,
@@ -29,7 +30,6 @@ from msbdb.database import (
     write_state,
 )
 from msbdb.errors import InputError, LoadError
-from msbdb.pipeline.update import MEASURED_FIRST, advance
 from msbdb.tables import Build
 
 LATER: list[House] = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
@@ -453,7 +453,7 @@ def test_both_dialects_hold_the_same_inventory(tmp_path: Path, new_postgis: Call
 
 def test_refused_rows_leave_the_inventory_as_it_was(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     """An update is whole or not at all."""
-    from msbdb.database import inventory_write
+    from msbdb.database.history import versions as inventory_write
 
     apply(engine, *FIRST)
     write_build(engine, built(*SECOND))

@@ -57,9 +57,9 @@ from msbdb.database import (
     read_survey,
     write_build,
 )
-from msbdb.database.dialect import dialect_of
-from msbdb.database.sqltables import METADATA
-from msbdb.database.views import VIEWS
+from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.schema.sqlfiles import VIEWS
+from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import InputError, LoadError, TableError
 from msbdb.tables import TABLES, Build
 

@@ -14,16 +14,12 @@ from simulated.builds import EPSG, big_build, small_build
 from sqlalchemy import Engine, event, text
 from support.latermigration import LATER, migrations_of_tomorrow
 
-from msbdb.database import canonical_dump, open_database, read_build, spatialite, srid_of, upgrade, write_build
-from msbdb.database.dialect import dialect_of
-from msbdb.database.engine import database_url, shown
-from msbdb.errors import (
-    CRSError,
-    DatabaseError,
-    MissingDependencyError,
-    ParameterError,
-    SchemaVersionError,
-)
+from msbdb.database import canonical_dump, open_database, read_build, srid_of, write_build
+from msbdb.database.dialects import spatialite
+from msbdb.database.dialects.connection import database_url, shown
+from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.schema import migration as upgrade
+from msbdb.errors import CRSError, DatabaseError, MissingDependencyError, ParameterError, SchemaVersionError
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -12,13 +12,15 @@ from simulated.builds import EPSG
 from sqlalchemy import Engine, text
 from support.schemaobjects import objects
 
-from msbdb.database import open_database, sqlfiles, upgrade
-from msbdb.database.crs import crs_from, register
-from msbdb.database.ddl import ddl, dictionary, statements
-from msbdb.database.dialect import dialect_of
-from msbdb.database.engine import database_url
-from msbdb.database.sqltables import METADATA, SPATIAL
-from msbdb.database.views import TABLE_VIEWS, VIEWS, footprint_at_query
+from msbdb.database import open_database
+from msbdb.database.dialects.connection import database_url
+from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.schema import migration as upgrade
+from msbdb.database.schema import sqlfiles
+from msbdb.database.schema.ddl import ddl, dictionary, statements
+from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, footprint_at_query
+from msbdb.database.schema.sqltables import METADATA, SPATIAL
+from msbdb.database.schema.srid import crs_from, register
 from msbdb.errors import DatabaseError
 from msbdb.tables import CONFIRMING_CLASS_SHARE, CONFIRMING_COVER, DATABASE_TABLES
 

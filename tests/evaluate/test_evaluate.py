@@ -12,8 +12,9 @@ from pyproj import CRS
 from shapely import affinity, box
 
 from msbdb.errors import CRSError, InputError, NodataError, ParameterError
-from msbdb.evaluate import EvaluateParams, PointReference, PolygonReference, evaluate
+from msbdb.evaluate import PointReference, PolygonReference, evaluate
 from msbdb.grid import Grid, GridSpec
+from msbdb.params.parts import EvaluateParams
 
 RD = CRS.from_epsg(28992)
 E0, N0 = 85_000.0, 447_000.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msbdb.evaluate.metrics import averages, quality, rates
+from msbdb.evaluate.agreement import averages, quality, rates
 
 
 @pytest.mark.parametrize(

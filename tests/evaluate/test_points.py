@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.evaluate import PointEvaluation, PointScores, match_points, score_points
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 
 LAMBERT = CRS.from_epsg(2154)
 MASKS = arrays(np.bool_, st.integers(0, 40))

@@ -22,7 +22,7 @@ from support.sizes import sample
 import msbdb
 from msbdb.cli.main import cli
 from msbdb.database import check_target, open_database
-from msbdb.database.spatialite import _driver
+from msbdb.database.dialects.spatialite import _driver
 
 
 def run(*args):
@@ -194,7 +194,7 @@ def test_a_locked_database_is_told(tiles, town, monkeypatch, lock):
     before = dump(town)
     for function in (open_database, check_target):
         monkeypatch.setitem(function.__kwdefaults__, "timeout_s", 0.2)
-    monkeypatch.setattr(importlib.import_module("msbdb.pipeline.build"), "PATIENCE_S", 0.2)
+    monkeypatch.setattr(importlib.import_module("msbdb.api.build"), "PATIENCE_S", 0.2)
     build = ("build", "--points", tiles["podium_tower"], "--db", town)
     with connect(town) as other:
         other.execute(f"BEGIN {lock}")

@@ -19,7 +19,7 @@ from support.sizes import sample
 import msbdb
 from msbdb.cli import build as build_module
 from msbdb.cli.main import cli
-from msbdb.pipeline.stage import STAGES
+from msbdb.run.stages import STAGES
 
 TOLD = "Interrupted. A database keeps its last complete build; run the command again."
 
@@ -33,7 +33,7 @@ STAGE_EDGES = [
 ]
 """Stage, its begin (0) or end (1), and what was there; before the writing, it is of no matter to the database."""
 
-SPATIALITE = "msbdb.database.spatialite"
+SPATIALITE = "msbdb.database.dialects.spatialite"
 MOMENTS = {
     "before the file": ("create", 1, False, NEW),
     "with an empty file": ("geometry_ddl", 1, False, NEW),

@@ -9,12 +9,12 @@ from affine import Affine
 from pyproj import CRS
 from shapely import MultiPolygon, box
 
-from msbdb.classmap import ClassMap
 from msbdb.errors import TableError
-from msbdb.extract.multiscale import extract_parts
+from msbdb.fuse.buildings import buildings_from_parts
 from msbdb.grid import Grid, GridSpec
-from msbdb.inventory.buildings import buildings_from_parts
+from msbdb.landcover import ClassMap
 from msbdb.params import Params
+from msbdb.parts.tree import extract_parts
 from msbdb.tables import BUILDING, validate
 
 UTM = CRS.from_epsg(32633)

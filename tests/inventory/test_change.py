@@ -7,13 +7,12 @@ from pyproj import CRS
 from shapely import box
 from shapely.affinity import translate
 
+from msbdb.change.comparison import Comparison, compare
+from msbdb.change.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
+from msbdb.change.differences import estimate_offset, without_crumbs
 from msbdb.grid import Grid, lattice
-from msbdb.inventory.change import Comparison, compare
-from msbdb.inventory.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
-from msbdb.inventory.offset import estimate_offset
-from msbdb.inventory.pieces import without_crumbs
+from msbdb.outline.polygons import rasterise
 from msbdb.params import ChangeParams
-from msbdb.vector.polygons import rasterise
 
 UTM = CRS.from_epsg(32631)
 WEST, SOUTH = 500_000.0, 4_000_000.0

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from msbdb.errors import GridMismatchError, TableError
-from msbdb.inventory.evidence import covered_shares, link_labels, witnessed
+from msbdb.fuse.buildings import covered_shares, link_labels, witnessed
 from msbdb.tables import FLAT_REGION_CANDIDATE, PART_CANDIDATE, PART_FLAT_REGION
 
 PARTS = np.array([501, 502, 503])

@@ -12,8 +12,8 @@ from pyproj import CRS
 from scipy.ndimage import label
 
 from msbdb.errors import GridMismatchError, ParameterError
+from msbdb.fuse.footprints import RoofEvidence, fuse_footprints
 from msbdb.grid import Grid, GridSpec
-from msbdb.inventory.fuse import RoofEvidence, fuse_footprints
 from msbdb.params import Params, with_values
 
 SHAPE = (60, 60)

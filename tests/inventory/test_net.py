@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import box
 
-from msbdb.inventory.net import COLUMNS, Net, net_changes
+from msbdb.change.netchange import COLUMNS, Net, net_changes
 
 CRS = "EPSG:32631"
 Rectangle = tuple[float, float, float, float]

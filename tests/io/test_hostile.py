@@ -12,7 +12,7 @@ import pytest
 from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.io.las import read_points
 from msbdb.io.lasheader import read_las_header
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 
 COUNT = 3000
 SECONDS = 10.0

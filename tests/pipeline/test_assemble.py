@@ -12,16 +12,17 @@ from simulated.files import write_points
 from simulated.scenes import SCENES
 
 import msbdb
-from msbdb.classmap import ClassMap
 from msbdb.database import open_database, read_build, read_part_candidates, write_build
-from msbdb.extract.multiscale import extract_parts
+from msbdb.detect.candidatelayer import CandidateLayer
+from msbdb.detect.flatregions.flatlayer import Flat, no_flat_regions
 from msbdb.grid import Grid, GridSpec
+from msbdb.landcover import ClassMap
+from msbdb.outline.polygons import polygonise
 from msbdb.params import Params
-from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.candidates import CandidateLayer
-from msbdb.pipeline.cover import Cover
-from msbdb.pipeline.flat import Flat, no_flat_regions
-from msbdb.pipeline.state import lattice_of, pack_state, unpack_candidates
+from msbdb.parts.tree import extract_parts
+from msbdb.run.describe import make_frames, outline_parts
+from msbdb.run.kept import lattice_of, pack_state, unpack_candidates
+from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import (
     CANDIDATE_REGION,
     FLAT_REGION,
@@ -32,7 +33,6 @@ from msbdb.tables import (
     Run,
     Survey,
 )
-from msbdb.vector.polygons import polygonise
 
 SPEC = GridSpec((30, 60), Affine(1.0, 0, 389_000, 0, -1.0, 5_821_000), CRS.from_epsg(32633))
 WEST, MIDDLE, EAST = (slice(5, 15), slice(5, 15)), (slice(5, 15), slice(25, 35)), (slice(5, 15), slice(45, 55))

@@ -22,10 +22,10 @@ from msbdb.database import canonical_dump, open_database, read_build
 from msbdb.errors import DatabaseError, InputError
 from msbdb.grid import Grid, lattice
 from msbdb.io.raster import write_grid
+from msbdb.outline.polygons import rasterise
 from msbdb.params import profile, with_values
-from msbdb.pipeline.stage import STAGES
+from msbdb.run.stages import STAGES
 from msbdb.tables import validate_parts
-from msbdb.vector.polygons import rasterise
 
 FOOT = 0.3048
 OREGON_METRES, OREGON_FEET = CRS.from_epsg(2993), CRS.from_epsg(2994)

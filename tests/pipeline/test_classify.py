@@ -3,6 +3,7 @@
 import sys
 
 import laspy
+import msbdb.pipeline
 import numpy as np
 import pytest
 from affine import Affine
@@ -10,15 +11,14 @@ from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import SCENES
 
-import msbdb.pipeline
 from msbdb.bands import Bands
-from msbdb.extract.candidates import Candidates
+from msbdb.detect.pointregions import Candidates
 from msbdb.grid import GridSpec
 from msbdb.io.las import read_points
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 from msbdb.tables import CANDIDATE_REGION, REJECTION
 
-module = sys.modules["msbdb.pipeline.classify"]  # the package has a function of this name
+module = sys.modules["msbdb.api.classify"]  # the package has a function of this name
 
 UTM33 = CRS.from_epsg(32633)
 SPEC = GridSpec((2, 3), Affine(2.0, 0.0, 100.0, 0.0, -2.0, 204.0), UTM33)
@@ -65,7 +65,7 @@ def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch,
         return Candidates(name, labels, CANDIDATE_REGION.empty(), REJECTION.empty(), {})
 
     monkeypatch.setattr(module, "point_candidates", point_candidates)
-    report = msbdb.pipeline.classify(source, tmp_path / "out.laz", extract=(method,))
+    report = msbdb.api.classify(source, tmp_path / "out.laz", extract=(method,))
     cloud, _ = read_points(source)
     np.testing.assert_array_equal(laspy.read(tmp_path / "out.laz").classification == 6, np.arange(len(cloud)) % 3 > 0)
     assert (seen["name"], seen["survey"], seen["ndvi"].shape) == (method, "town", (len(cloud),))

@@ -10,11 +10,11 @@ from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.database import read_part_flat_regions
+from msbdb.detect.flatregions.flatlayer import find_flat_regions
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
-from msbdb.pipeline.flat import find_flat_regions
-from msbdb.pointcloud import PointCloud
-from msbdb.surface import build_surface
+from msbdb.points.cloud import PointCloud
+from msbdb.run.prepare import build_surface
 from msbdb.tables import EXTRACTOR_SHARES
 
 MULTISCALE = ("multiscale",)

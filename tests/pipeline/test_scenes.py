@@ -17,8 +17,8 @@ from simulated import scenes
 from simulated.files import write_points
 
 import msbdb
+from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, profile, with_values
-from msbdb.vector.polygons import rasterise
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,15 @@ from simulated.files import write_points
 from simulated.scenes import SCENES, VEGETATION
 
 import msbdb
+from msbdb.api.bypoint import evaluate_points
 from msbdb.database import read_state, read_survey
 from msbdb.errors import InputError
+from msbdb.fuse.footprints import fuse, keep_evidence
+from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, with_values
-from msbdb.pipeline import evaluate_points
-from msbdb.pipeline.state import lattice_of, unpack_evidence
-from msbdb.pipeline.together import fuse, keep_evidence
-from msbdb.surface import build_surface, cover_from_surface
-from msbdb.vector.polygons import rasterise
+from msbdb.run.kept import lattice_of, unpack_evidence
+from msbdb.run.prepare import build_surface
+from msbdb.surface import cover_from_surface
 
 BOTH = ("multiscale", "flatregions")
 RASTERS = {"together": "int32", "roughness_mm": "uint16", "roof_probability": "uint8"}

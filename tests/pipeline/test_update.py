@@ -16,7 +16,7 @@ from msbdb.database import canonical_dump, footprint_at, open_database, write_bu
 from msbdb.errors import InputError
 from msbdb.params import profile, with_values
 
-MODULE = sys.modules["msbdb.pipeline.update"]
+MODULE = sys.modules["msbdb.api.update"]
 """The module; the package has the function of this name."""
 
 ONLY = {"extract": ("multiscale",)}

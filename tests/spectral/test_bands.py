@@ -10,8 +10,8 @@ from simulated import scenes
 from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import lattice
-from msbdb.pointcloud import PointCloud
-from msbdb.spectral.bands import fit_scaling, grid_colours, grid_intensity, spectral_bands, stack
+from msbdb.points.cloud import PointCloud
+from msbdb.spectral.colours import fit_scaling, grid_colours, grid_intensity, spectral_bands, stack
 
 UTM = CRS.from_epsg(32633)
 

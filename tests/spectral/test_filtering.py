@@ -9,7 +9,7 @@ from pyproj import CRS
 from msbdb.bands import Bands
 from msbdb.grid import lattice
 from msbdb.morphology.area import area_open_close
-from msbdb.spectral.filtering import filter_bands
+from msbdb.spectral.model import filter_bands
 
 UTM = CRS.from_epsg(32633)
 

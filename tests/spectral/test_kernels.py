@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from msbdb.spectral.kernels import bilinear, cells_of, counts, fill_gaps, means, nearest_centres
+from msbdb.spectral.colours import bilinear, cells_of, counts, fill_gaps, means
+from msbdb.spectral.kmeans import nearest_centres
 
 FRAME = (100.0, 250.0, 0.4)
 SHAPE = (9, 7)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from msbdb.params import SpectralParams
-from msbdb.spectral.bands import fit_scaling
+from msbdb.spectral.colours import fit_scaling
 from msbdb.spectral.kmeans import Sample
 from msbdb.spectral.suggest import (
     ClassFacts,

@@ -9,7 +9,7 @@ from affine import Affine
 from pyproj import CRS
 
 from msbdb.grid import GridSpec
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 
 COLOURS = ("red", "green", "blue", "nir")
 

@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from msbdb.database import upgrade
+from msbdb.database.schema import migration as upgrade
 
 ROOT = Path(__file__).resolve().parents[2]
 LATER = "9000"

@@ -5,16 +5,16 @@ import numpy as np
 from pyproj import CRS
 from shapely import box
 
-from msbdb.classmap import ClassMap
-from msbdb.extract.multiscale.run import extract_parts
+from msbdb.detect.flatregions.flatlayer import no_flat_regions
 from msbdb.grid import Grid, lattice
+from msbdb.landcover import ClassMap
+from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, as_dict
-from msbdb.pipeline.assemble import make_frames, outline_parts
-from msbdb.pipeline.cover import Cover
-from msbdb.pipeline.flat import no_flat_regions
-from msbdb.pipeline.state import pack_state
+from msbdb.parts.tree import extract_parts
+from msbdb.run.describe import make_frames, outline_parts
+from msbdb.run.kept import pack_state
+from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Build, Run, Source, Survey
-from msbdb.vector.polygons import rasterise
 
 EPSG = 32631
 UTM = CRS.from_epsg(EPSG)

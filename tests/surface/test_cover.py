@@ -10,9 +10,10 @@ from simulated import scenes
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid, lattice
 from msbdb.params import Params, with_values
-from msbdb.pointcloud import PointCloud
-from msbdb.surface import build_surface, cover_from_surface, normalise, surface_from_rasters
-from msbdb.surface.cover import ROOF, VEGETATION, smooth_share
+from msbdb.points.cloud import PointCloud
+from msbdb.run.prepare import build_surface
+from msbdb.surface import cover_from_surface, normalise, surface_from_rasters
+from msbdb.surface.structure import ROOF, VEGETATION, smooth_share
 
 Scene = scenes.Scene
 PARAMS = with_values(Params(), {"surface": {"cell_m": 0.5}})

@@ -9,16 +9,8 @@ from pyproj import CRS
 
 from msbdb.errors import NodataError
 from msbdb.grid import GridSpec, lattice
-from msbdb.pointcloud import PointCloud
-from msbdb.surface.gridding import (
-    CELL_LADDER_M,
-    Samples,
-    cell_size,
-    density,
-    fill_gaps,
-    lowest,
-    sample_nearest,
-)
+from msbdb.points.cloud import PointCloud
+from msbdb.surface.gridding import CELL_LADDER_M, Samples, cell_size, density, fill_gaps, lowest, sample_nearest
 
 CRS_M = CRS.from_epsg(32633)
 SPEC = lattice((0.0, 0.0, 3.9, 3.9), 1.0, CRS_M)

@@ -13,15 +13,14 @@ from pyproj import CRS
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
+from msbdb.ground.choice import FILTERS, POINT_FILTERS, lowest_surface, terrain
+from msbdb.ground.interpolation import interpolate_ground, refine
+from msbdb.ground.progressive import window_radii
+from msbdb.ground.wavelet import smooth_b3, two_means
 from msbdb.io.las import read_points
 from msbdb.params import GroundParams, Params
-from msbdb.pointcloud import PointCloud
-from msbdb.surface import build_surface
-from msbdb.surface.ground import terrain
-from msbdb.surface.ground.choose import FILTERS, POINT_FILTERS, lowest_surface
-from msbdb.surface.ground.interpolate import interpolate_ground, refine
-from msbdb.surface.ground.progressive import window_radii
-from msbdb.surface.ground.wavelet import smooth_b3, two_means
+from msbdb.points.cloud import PointCloud
+from msbdb.run.prepare import build_surface
 
 CRS_M = CRS.from_epsg(32633)
 PARAMS = GroundParams()

@@ -17,16 +17,15 @@ from simulated import scenes
 
 from msbdb.errors import InputError, NodataError
 from msbdb.grid import lattice
+from msbdb.ground.adaptivewindows import adaptive_ground
+from msbdb.ground.choice import POINT_FILTERS, terrain
+from msbdb.ground.indicator import Profile, feature_sizes
+from msbdb.ground.lowpoints import LowPoints, PointFrame, frame, low_points, shorten
+from msbdb.ground.pointwindows import dilation, erosion, opening
+from msbdb.ground.quadratic import automatic_sliding_windows, ground_heights
 from msbdb.io.las import read_points
 from msbdb.params import GroundParams
-from msbdb.pointcloud import PointCloud
-from msbdb.surface.ground import adaptive_ground, ground_heights, terrain
-from msbdb.surface.ground.choose import POINT_FILTERS
-from msbdb.surface.ground.frames import Frame, frame, shorten
-from msbdb.surface.ground.indicator import Profile, feature_sizes
-from msbdb.surface.ground.lowpoints import LowPoints, low_points
-from msbdb.surface.ground.pointwindows import dilation, erosion, opening
-from msbdb.surface.ground.quadratic import automatic_windows
+from msbdb.points.cloud import PointCloud
 
 CRS_M = CRS.from_epsg(32633)
 PARAMS = GroundParams()
@@ -83,7 +82,7 @@ def naive_small(xyz: Array, members: NDArray[np.bool_], link: float, area: int) 
 
 def naive_ground_heights(points: PointCloud, params: GroundParams) -> Array:
     """C13 as it is printed, one window after the other."""
-    windows = automatic_windows(points, params)
+    windows = automatic_sliding_windows(points, params)
     xyz = np.column_stack([points.x, points.y, points.z])
     gz = points.z.copy()
     for window in naive_windows(points, windows.step_m, windows.steps):
@@ -145,7 +144,7 @@ def lows(seed: int, count: int, side: float, cell_m: float) -> LowPoints:
     rng = np.random.default_rng(seed)
     u, v = rng.uniform(0, side, (2, count))
     cells = int(side / cell_m) + 1
-    placed = Frame(u, v, rng.normal(0, 3, count), cell_m, (cells, cells))
+    placed = PointFrame(u, v, rng.normal(0, 3, count), cell_m, (cells, cells))
     return low_points(placed, np.inf)[0]
 
 

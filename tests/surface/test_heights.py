@@ -6,7 +6,7 @@ from pyproj import CRS
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid, lattice
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 from msbdb.surface import heights_above, normalise
 
 UTM = CRS.from_epsg(32631)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from msbdb.grid import Grid, GridSpec, lattice
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples, sample_nearest
 from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, grid_samples, roughness, window_cells
 

@@ -11,11 +11,11 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial import Delaunay
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.outline import alphashape
+from msbdb.outline.alphashape import alpha_shapes, enclosed
+from msbdb.outline.pointoutlines import outline_points, outline_regions, without_residuals
+from msbdb.outline.thinning import thinned
 from msbdb.params import VectorParams
-from msbdb.vector import alphashape
-from msbdb.vector.alphashape import alpha_shapes, enclosed
-from msbdb.vector.outlines import outline_points, outline_regions, without_residuals
-from msbdb.vector.thinning import thinned
 
 METHODS = ("alpha", "hull")
 

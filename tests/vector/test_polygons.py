@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
-from msbdb.vector.polygons import polygonise, rasterise
+from msbdb.outline.polygons import polygonise, rasterise
 
 RD = CRS.from_epsg(28992)
 

@@ -12,8 +12,8 @@ from shapely import affinity
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.grid import GridSpec
-from msbdb.vector.polygons import polygonise, rasterise
-from msbdb.vector.simplify import simplify_coverage
+from msbdb.outline.polygons import polygonise, rasterise
+from msbdb.outline.simplification import simplify_coverage
 
 RD = CRS.from_epsg(28992)
 

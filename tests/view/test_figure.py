@@ -16,9 +16,8 @@ from pyproj import CRS
 
 from msbdb.errors import FileError, InputError
 from msbdb.grid import Grid, GridSpec
-from msbdb.view.figure import draw_map, shading
-from msbdb.view.furniture import round_length, scale_bar
-from msbdb.view.outlines import outlines
+from msbdb.view.buildingmap import draw_map, shading
+from msbdb.view.furniture import outlines, round_length, scale_bar
 
 LAMBERT = CRS.from_epsg(2154)
 WEST, NORTH = 800_000.0, 6_300_100.0
@@ -194,7 +193,7 @@ def test_the_scale_bar_has_a_round_length():
 
 def test_no_global_state_of_matplotlib_is_touched():
     """Drawing never imports pyplot, so that it is safe in threads, servers and notebooks."""
-    code = "import sys, msbdb.view.figure; print('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, msbdb.view.buildingmap; print('matplotlib.pyplot' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -9,8 +9,8 @@ from simulated.scenes import SCENES, scan
 
 from msbdb import pipeline
 from msbdb.database import copy_database, open_database
-from msbdb.database.inventory_read import footprint_at
-from msbdb.database.inventory_words import write_state
+from msbdb.database.history.imports import write_state
+from msbdb.database.history.periods import footprint_at
 from msbdb.params import Params, with_values
 
 Progress = Callable[[str, int, int], None]

@@ -16,7 +16,7 @@ from shapely import box
 from shapely.affinity import rotate, translate
 
 from msbdb.grid import Grid, GridSpec
-from msbdb.vector.polygons import rasterise
+from msbdb.outline.polygons import rasterise
 
 Array = NDArray[np.float64]
 

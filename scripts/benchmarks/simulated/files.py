@@ -8,7 +8,7 @@ import rasterio
 from numpy.typing import NDArray
 
 from msbdb.grid import GridSpec
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 
 FORMATS = {(): 6, ("red", "green", "blue"): 7, ("red", "green", "blue", "nir"): 8}
 """Point formats of LAS 1.4 by the colours that they hold."""

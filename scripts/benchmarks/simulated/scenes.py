@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from msbdb.grid import GridSpec, lattice
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 
 UTM33 = CRS.from_epsg(32633)
 ORIGIN = (389_000.0, 5_821_000.0)

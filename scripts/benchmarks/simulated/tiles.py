@@ -13,9 +13,10 @@ import shapely
 from msbdb.database import open_database, read_buildings, read_state, read_survey
 from msbdb.io.las import read_points
 from msbdb.params import profile
-from msbdb.pipeline.state import lattice_of, unpack_heights
-from msbdb.pointcloud import PointCloud
-from msbdb.surface import build_surface, heights_above
+from msbdb.points.cloud import PointCloud
+from msbdb.run.kept import lattice_of, unpack_heights
+from msbdb.run.prepare import build_surface
+from msbdb.surface import heights_above
 from simulated.epochs import EDITS, Edit, second_epoch
 
 LEAST_M2 = 50.0

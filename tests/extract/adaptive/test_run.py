@@ -14,19 +14,18 @@ from hypothesis import strategies as st
 from pyproj import CRS
 from simulated.scenes import BUILDING, courtyard, under_trees
 
+from msbdb.detect.adaptive.bathurst import extract_adaptive, ladder
 from msbdb.errors import InputError
 from msbdb.evaluate import PointReference, evaluate
-from msbdb.extract.adaptive import extract_adaptive
-from msbdb.extract.adaptive.clusters import ladder
 from msbdb.grid import lattice
+from msbdb.ground.choice import terrain
 from msbdb.io.las import read_points
+from msbdb.outline.pointoutlines import outline_regions
 from msbdb.params import Params, profile, with_values
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import cell_size, density
-from msbdb.surface.ground import terrain
 from msbdb.surface.heights import heights_above
 from msbdb.tables import CANDIDATE_REGION, REJECTION
-from msbdb.vector.outlines import outline_regions
 
 UTM = CRS.from_epsg(32633)
 SPACING = 0.5

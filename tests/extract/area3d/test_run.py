@@ -13,13 +13,14 @@ from simulated.files import write_points
 from simulated.scenes import city, flat_field, podium_tower, under_trees
 
 import msbdb
+from msbdb.detect.area3d.caowu import extract_area3d
 from msbdb.errors import InputError, NodataError
-from msbdb.extract.area3d import extract_area3d
 from msbdb.grid import lattice
 from msbdb.io.las import read_points
 from msbdb.params import Params, profile, with_values
-from msbdb.pointcloud import PointCloud
-from msbdb.surface import build_surface, heights_above
+from msbdb.points.cloud import PointCloud
+from msbdb.run.prepare import build_surface
+from msbdb.surface import heights_above
 from msbdb.tables import CANDIDATE_REGION, REJECTION, validate
 
 UTM = CRS.from_epsg(32633)

@@ -7,15 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msbdb.extract.area3d.coc import measure_structure, smallest_share
-from msbdb.extract.area3d.edges import find_edges
-from msbdb.extract.area3d.heights import height_scales, histogram_minima
-from msbdb.extract.area3d.regrow import Reach, grow_regions
-from msbdb.extract.area3d.rules import judge, perpendicular, reasons_against
-from msbdb.extract.area3d.scales import Scene
-from msbdb.extract.area3d.shape import bounding_rectangles, main_directions, measure_lines, measure_shapes
-from msbdb.extract.density import measure_density
+from msbdb.detect.area3d.curvature import Reach, grow_regions, measure_structure, smallest_share
+from msbdb.detect.area3d.heightscales import OnSets, height_scales, histogram_minima
+from msbdb.detect.area3d.regionshape import (
+    bounding_rectangles,
+    find_edges,
+    judge,
+    main_directions,
+    measure_lines,
+    measure_shapes,
+    perpendicular,
+    reasons_against,
+)
 from msbdb.params import Area3dParams, profile
+from msbdb.points.density import measure_density
 
 OURS = Area3dParams()
 PAPER = profile("cao-wu").area3d
@@ -386,13 +391,13 @@ def test_below_the_mask_only_feet_of_walls_return():
 def test_the_threshold_on_crowns_follows_the_spacing(spacing_m, thin_m, times):
     """Where points are twice as far apart as cubes are wide, it is twice as high; as given without cubes."""
     own = replace(OURS, thin_m=thin_m, max_crown=0.003)
-    scene = Scene(None, None, None, spacing_m, 1.0, None, own, 2.0)
+    scene = OnSets(None, None, None, spacing_m, 1.0, None, own, 2.0)
     assert scene.max_crown == pytest.approx(0.003 * times)
 
 
 def test_regions_grow_by_metres_and_at_least_by_spacings():
     """The reach is that of `grow_m` where points are dense, of `grow_spacings` where they are not, none as written."""
-    dense = Scene(None, None, None, 0.2, 1.0, None, replace(OURS, grow_m=0.6, grow_spacings=1.0), 2.0)
+    dense = OnSets(None, None, None, 0.2, 1.0, None, replace(OURS, grow_m=0.6, grow_spacings=1.0), 2.0)
     assert dense.grow_m == 0.6
     assert replace(dense, spacing_m=1.0).grow_m == 1.0
     assert replace(dense, params=PAPER).grow_m == 0.0

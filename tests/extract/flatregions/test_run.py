@@ -12,17 +12,18 @@ from affine import Affine
 from pyproj import CRS
 from simulated.scenes import attached_to_slope, courtyard, plateau, podium_tower, under_trees, wall
 
+from msbdb.detect.flatregions.initialisation import initialise
+from msbdb.detect.flatregions.mongus2013 import extract_flat_regions
 from msbdb.errors import GridMismatchError, NodataError, ParameterError
 from msbdb.evaluate import PointReference, evaluate
-from msbdb.extract.flatregions import extract_flat_regions, initialise
-from msbdb.extract.multiscale import extract_parts
 from msbdb.grid import Grid, GridSpec
 from msbdb.io.las import read_points
+from msbdb.outline.polygons import polygonise
 from msbdb.params import Params, profile, with_values
-from msbdb.surface import build_surface
+from msbdb.parts.tree import extract_parts
+from msbdb.run.prepare import build_surface
 from msbdb.surface.heights import normalise
 from msbdb.tables import FLAT_REGION, REJECTION
-from msbdb.vector.polygons import polygonise
 
 UTM = CRS.from_epsg(32633)
 RAW = with_values(profile("mongus2013"), {"flatregions": {"lambda_max_m2": 600.0}})

@@ -12,17 +12,14 @@ from pyproj import CRS
 from scipy import ndimage
 from skimage.measure import perimeter_crofton
 
+from msbdb.detect.flatregions.binarisation import binarise, gradient_of, ratio_at
+from msbdb.detect.flatregions.initialisation import denoise, fill_by_idw, find_outliers, initialise, window_px
+from msbdb.detect.flatregions.mongus2013 import firm_cells
+from msbdb.detect.flatregions.recognition import FlatBooks, clean, grow, measure_shapes, most_frequent_zone
 from msbdb.errors import NodataError, ParameterError, TableError
-from msbdb.extract.flatregions.binarise import binarise, gradient_of, ratio_at
-from msbdb.extract.flatregions.denoise import denoise, find_outliers
-from msbdb.extract.flatregions.initialise import fill_by_idw, initialise
-from msbdb.extract.flatregions.recognise import clean, grow, measure_shapes
-from msbdb.extract.flatregions.regions import FlatBooks, most_frequent_zone
-from msbdb.extract.flatregions.run import firm_cells
-from msbdb.extract.flatregions.windowsize import window_px
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import FlatRegionParams, profile
-from msbdb.pointcloud import PointCloud
+from msbdb.points.cloud import PointCloud
 
 UTM = CRS.from_epsg(32633)
 EIGHT = np.ones((3, 3))

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyproj import CRS
 
-from msbdb.classmap import ClassMap
 from msbdb.errors import GridMismatchError
-from msbdb.extract.multiscale import Forest, extract_parts
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import label_zones
+from msbdb.landcover import ClassMap
 from msbdb.params import Params, profile
+from msbdb.parts.forest import Forest
+from msbdb.parts.tree import extract_parts
 from msbdb.tables import PART, REJECTION, SCALE, validate_parts
 
 UTM = CRS.from_epsg(32633)

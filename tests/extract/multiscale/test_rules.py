@@ -8,22 +8,18 @@ import pytest
 from affine import Affine
 from pyproj import CRS
 
-from msbdb.classmap import ClassMap
 from msbdb.errors import TableError
-from msbdb.extract.multiscale.clusters import Clusters, label_clusters, merge_slivers
-from msbdb.extract.multiscale.duplicates import SAME_AREA, SAME_STOREYS, drop_duplicates
-from msbdb.extract.multiscale.fathers import FAKE, GAP, drop_fake_fathers, spread_of_children
-from msbdb.extract.multiscale.kernels import grow
-from msbdb.extract.multiscale.ledger import Ledger
-from msbdb.extract.multiscale.links import find_roots, link
-from msbdb.extract.multiscale.pieces import FRAGMENT, cut
-from msbdb.extract.multiscale.run import number_scales
-from msbdb.extract.multiscale.slicing import slice_heights, storeys
-from msbdb.extract.multiscale.spectrum import drop_unlike, measure_spectrum, split_by_classes
-from msbdb.extract.multiscale.vegetation import cut_vegetation
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import central_cells, height_statistics, measure, order_heights
+from msbdb.landcover import ClassMap
 from msbdb.params import ScaleParams, SurfaceParams
+from msbdb.parts.adjacency import grow
+from msbdb.parts.clusters import Clusters, Ledger, label_clusters, merge_slivers, slice_heights, storeys
+from msbdb.parts.fakefathers import FAKE, GAP, drop_fake_fathers, spread_of_children
+from msbdb.parts.links import SAME_AREA, SAME_STOREYS, drop_duplicates, find_roots, link
+from msbdb.parts.reshaping import FRAGMENT, cut, cut_vegetation
+from msbdb.parts.spectrum import drop_unlike, measure_spectrum, split_by_classes
+from msbdb.parts.tree import number_scales
 
 UTM = CRS.from_epsg(32633)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.points import CellIndex, cell_place, index_cells, strip
+from msbdb.points.cellindex import CellIndex, cell_place, index_cells, strip
 from msbdb.threads import kernel
 
 SIZES = st.sampled_from([0.3, 1.0, 2.5, 100.0])

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.points import components, connect, linked
+from msbdb.points.graph import connect, linked
+from msbdb.points.pointarea import components
 
 
 @settings(max_examples=100, deadline=None)

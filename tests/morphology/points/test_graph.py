@@ -10,7 +10,8 @@ from support import oracles
 from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.points import PointGraph, connect, graph
+from msbdb.points import graph
+from msbdb.points.graph import PointGraph, connect
 
 DISTANCES = st.sampled_from([0.2, 0.5, 1.0, math.sqrt(2), 2.5, 50.0])
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.points import nearest
+from msbdb.points.nearest import nearest
 
 CLOUDS = {
     "even": lambda random, count: random.uniform(0, 10, (count, 3)),

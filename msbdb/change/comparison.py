@@ -1,0 +1,156 @@
+"""What stands in an outline: its area, heights and volume, where no building of a survey has just this outline.
+
+What a survey did to each building of the inventory.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.change.decisions import Decisions
+from msbdb.change.differences import Epochs, Mask, Offset, earlier_heights, estimate_offset, find_pieces, moved
+from msbdb.change.matching import Links
+from msbdb.grid import Grid, GridSpec
+from msbdb.labels import Labels
+from msbdb.outline.polygons import rasterise
+from msbdb.params import ChangeParams
+
+
+def measure(shape: shapely.MultiPolygon, heights: Grid) -> dict[str, float]:
+    """Measure an outline on heights above ground.
+
+    Parameters
+    ----------
+    shape : Polygon or MultiPolygon
+        In the lattice's CRS.
+    heights : Grid
+        Heights above ground, metres.
+
+    Returns
+    -------
+    dict of str to float
+        ``area_m2`` of the outline itself; ``h_max``, ``h_mean``, ``h_p50`` and ``h_p90`` in metres, and ``volume_m3``,
+        of the valid cells whose centre lies inside, heights below 0 counting as 0 in the volume; empty where the
+        outline has no such cell.
+    """
+    spec, (rows, cols) = heights.spec, _box(shape, heights.spec)
+    if rows.stop <= rows.start or cols.stop <= cols.start:
+        return {}
+    inside = (rasterise([shape], spec.crop(rows, cols)) > 0) & heights.valid[rows, cols]
+    found = np.asarray(heights.values)[rows, cols][inside].astype(np.float64)
+    if not found.size:
+        return {}
+    middle, high = np.percentile(found, [50, 90])
+    return {
+        "area_m2": float(shape.area),
+        "h_max": float(found.max()),
+        "h_mean": float(found.mean()),
+        "h_p50": float(middle),
+        "h_p90": float(high),
+        "volume_m3": float(np.maximum(found, 0).sum() * spec.cell_area_m2),
+    }
+
+
+def _box(shape: shapely.MultiPolygon, spec: GridSpec) -> tuple[slice, slice]:
+    """Return the rows and columns that an outline may cover."""
+    west, south, east, north = shape.bounds
+    row, col = spec.rowcol(np.array([west, east]), np.array([north, south]))
+    limits = zip((row, col), spec.shape, strict=True)
+    top, left = (slice(max(int(first), 0), min(int(last) + 1, size)) for (first, last), size in limits)
+    return top, left
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What a survey did to the inventory.
+
+    Parameters
+    ----------
+    offset : Offset
+        How the survey lies to the inventory.
+    changes : DataFrame
+        A row a building, or a pair of buildings for ``merged`` and ``split``: ``kind``; ``before`` and ``after``, row
+        numbers of the two frames or -1; ``version``, row number of the building's new state in ``versions`` or -1; what
+        was modified (``outline``, ``height``, ``parts``); ``overlap_m2`` and
+        ``iou`` of the pair; ``dh_m``, median change of height where both stand; ``darea_m2``; ``note``.
+    versions : GeoDataFrame
+        The new state of every building that changed: ``before`` (row whose identity it continues, or -1 for a new
+        one), ``after`` (row whose attributes it has), ``adopted`` (its outline is that row's own, not one put together
+        here), and its geometry, in the survey's place.
+    """
+
+    offset: Offset
+    changes: pd.DataFrame
+    versions: gpd.GeoDataFrame
+
+
+def compare(
+    before: gpd.GeoDataFrame,
+    after: gpd.GeoDataFrame,
+    *,
+    heights: Grid,
+    earlier: Sequence[Grid] = (),
+    surveyed: Mask | None = None,
+    params: ChangeParams | None = None,
+) -> Comparison:
+    """Compare the buildings of a survey with those of the inventory.
+
+    Parameters
+    ----------
+    before : GeoDataFrame
+        Current buildings of the inventory that may lie in the survey, with ``h_p90`` (NaN where unknown).
+    after : GeoDataFrame
+        Buildings of the survey, with ``h_p90``.
+    heights : Grid
+        Heights above ground of the survey, metres.
+    earlier : sequence of Grid
+        Heights above ground that the inventory has of the place, the latest first; none where it began from
+        footprints alone.
+    surveyed : (H, W) ndarray of bool, optional
+        The area of interest on the survey's lattice; all of it by default.
+    params : ChangeParams, optional
+        What counts as change.
+
+    Returns
+    -------
+    Comparison
+        The order of its rows is that of the frames.
+
+    Notes
+    -----
+    Buildings are compared by the pieces of ground that were built or are gone (`find_pieces`), not by how either
+    extraction cut a block into buildings: a row of houses that one survey sees as one building is unchanged while
+    nothing was built or pulled down. A piece belongs to the buildings that it touches within the thickness that
+    counts.
+    """
+    params = params or ChangeParams()
+    offset = estimate_offset(before, after, least_pairs=params.offset_pairs)
+    spec = heights.spec
+    known = earlier_heights(earlier, spec, offset)
+    rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values) - np.float32(offset.dz_m)
+    inside = heights.valid if surveyed is None else heights.valid & surveyed
+    shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
+    epochs = Epochs(
+        _painted(shifted, spec),
+        _painted(after.geometry.to_numpy(), spec),
+        inside,
+        Grid(rise, known.valid & heights.valid, spec),
+        heights,
+        known,
+    )
+    links = Links(before, after, shifted, epochs, find_pieces(epochs, params), params)
+    decisions = Decisions(links, offset)
+    decisions.decide()
+    return Comparison(offset, decisions.changes(), decisions.new_versions())
+
+
+def _painted(shapes: NDArray[np.object_], spec: GridSpec) -> Labels:
+    """Return the cells of footprints by row number + 1; of two that overlap the smaller lies on top."""
+    order = np.argsort(-shapely.area(shapes), kind="stable")
+    number = np.concatenate([[0], order + 1]).astype(np.int32)
+    return np.asarray(number[rasterise(shapes[order], spec)])

@@ -1,0 +1,313 @@
+"""The decisions of a comparison: what became of each building, and which new states that makes."""
+
+from dataclasses import dataclass, field
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from msbdb.change.differences import Epochs, Offset, Pieces, thick, without_crumbs
+from msbdb.change.matching import Links
+from msbdb.grid import GridSpec
+from msbdb.labels import Box, Labels, boxes, sizes
+from msbdb.outline.polygons import polygonise
+from msbdb.params import ChangeParams
+
+KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
+"""What can become of a building that was surveyed; one that was not has no row."""
+
+NO_FOOTPRINT = "not told from its surroundings this time, but its heights stand"
+
+STOOD_BEFORE = "stood there before, and is told from its surroundings for the first time"
+
+FIRST_SURVEY = "the first survey of this place"
+
+BEYOND_BORDER = "it reaches beyond the border of the earlier surveys, and is known as a whole for the first time"
+
+CHANGE_COLUMNS = {
+    "kind": "str",
+    "before": "int64",
+    "after": "int64",
+    "version": "int64",
+    "outline": "bool",
+    "height": "bool",
+    "parts": "bool",
+    "overlap_m2": "float64",
+    "iou": "float64",
+    "dh_m": "float64",
+    "darea_m2": "float64",
+    "note": "str",
+}
+
+
+@dataclass(eq=False)
+class Decisions:
+    """The decisions, building by building; 0 stands for no building, otherwise row number + 1."""
+
+    links: Links
+    offset: Offset
+    rows: list[dict[str, object]] = field(default_factory=list)
+    versions: list[tuple[int, int, bool, shapely.Geometry]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Find where each building and piece lies."""
+        self.used: set[int] = set()
+        self.rise = np.asarray(self.epochs.rise.values)
+        self.box_before, self.box_after, self.box_gain = map(
+            boxes, (self.epochs.before, self.epochs.after, self.pieces.gain)
+        )
+
+    @property
+    def before(self) -> gpd.GeoDataFrame:
+        """The inventory's buildings."""
+        return self.links.before
+
+    @property
+    def after(self) -> gpd.GeoDataFrame:
+        """The survey's buildings."""
+        return self.links.after
+
+    @property
+    def epochs(self) -> Epochs:
+        """Both sides on the survey's lattice."""
+        return self.links.epochs
+
+    @property
+    def pieces(self) -> Pieces:
+        """The pieces of change."""
+        return self.links.pieces
+
+    @property
+    def params(self) -> ChangeParams:
+        """What counts as change."""
+        return self.links.params
+
+    @property
+    def spec(self) -> GridSpec:
+        """The survey's lattice."""
+        return self.links.spec
+
+    def decide(self) -> None:
+        """Decide on every building that was surveyed, then on what is new."""
+        merged = self.links.merging()
+        done: set[int] = set()
+        for i in range(1, len(self.before) + 1):
+            if i in done or not self.links.is_surveyed(i):
+                continue
+            group = merged.get(i, (i,))
+            if len(group) > 1:
+                self._merge(group)
+                done.update(group)
+            else:
+                self._alone(i)
+        self._newcomers()
+
+    def _merge(self, group: tuple[int, ...]) -> None:
+        """Join buildings into one, which keeps the identity of the largest."""
+        keeper = max(group, key=lambda i: (self.links.cells[i - 1], -i))
+        a = self.links.own[keeper][0]
+        self.used.update(a for i in group for a in self.links.own.get(i, ()))
+        shape, adopted = self._outline(group, a)
+        version = self._enter(keeper, a, shape, adopted=adopted)
+        for i in group:
+            self._note("merged", i, a, version=version, outline=True, height=self._lifted(i) > 0)
+
+    def _alone(self, i: int) -> None:
+        """Decide on one building that was joined with no other."""
+        own = self.links.own.get(i, [])
+        box = self.box_before[i]
+        stood = self.epochs.before[box] == i
+        # A slender building leaves no thick piece; where no footprint is left of it, its cells tell.
+        gone = np.count_nonzero((self.pieces.loss[box] if own else self.pieces.fallen[box])[stood])
+        lost = self._own(self.pieces.loss, i)
+        if gone >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1):
+            self._note("demolished", i, 0)
+            return
+        self.used.update(own)
+        parted = [a for a in own if any(a in self.links.loss_by[piece] for piece in lost)]
+        if len(parted) > 1:
+            self._split(i, parted)
+            return
+        lifted = self._lifted(i)
+        gains = self.links.gains.get(i, [])
+        outline = bool(lost) or not all(self._is_beyond(i, piece) for piece in gains)
+        height = lifted > 0 or (bool(own) and self._rose_by_attributes(i, own[0]))
+        if not own:
+            self._note("unchanged", i, 0, note=NO_FOOTPRINT)
+        elif outline or height:
+            common = int(np.count_nonzero(stood & (np.asarray(self.epochs.heights.values)[box] >= self.params.rise_m)))
+            shape, adopted = self._outline((i,), own[0])
+            in_part = 0 < lifted < self.params.gone_share * common
+            version = self._enter(i, own[0], shape, adopted=adopted)
+            self._note("modified", i, own[0], version=version, outline=outline, height=height, parts=bool(in_part))
+        elif gains:
+            shape, adopted = self._outline((i,), own[0])
+            version = self._enter(i, own[0], shape, adopted=adopted)
+            self._note("unchanged", i, own[0], version=version, note=BEYOND_BORDER)
+        else:
+            self._note("unchanged", i, own[0])
+
+    def _lifted(self, i: int) -> int:
+        """Count the cells of a building that rose or sank: in thick pieces, or of a slender building as a whole.
+
+        What grew over its roof is no part of it: of a piece that counts the later footprints hold a share.
+        """
+        box, least = self.box_before[i], self.params.link_share
+        stood, under = self.epochs.before[box] == i, self.epochs.after[box] > 0
+        held = sizes(self.pieces.lift[box][stood & under], int(self.pieces.lift.max(initial=0)))
+        lifted = sum(n for piece, n in self._own(self.pieces.lift, i).items() if held[piece - 1] >= least * n)
+        if lifted:
+            return lifted
+        whole = max((stood & side[box] for side in (self.pieces.rose, self.pieces.sank)), key=np.count_nonzero)
+        count = int(np.count_nonzero(whole))
+        is_whole = count >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1)
+        is_large = count * self.spec.cell_area_m2 >= self.params.least_m2
+        return count if is_whole and is_large and np.count_nonzero(whole & under) >= least * count else 0
+
+    def _is_beyond(self, i: int, piece: int) -> bool:
+        """Tell whether a piece of gain lies where no earlier survey was, though one has measured the building."""
+        known, least = self.epochs.earlier.valid, self.params.surveyed_share
+        place, box = self.box_before[i], self.box_gain[piece]
+        measured = known[place][self.epochs.before[place] == i].mean()
+        return bool(measured >= least and known[box][self.pieces.gain[box] == piece].mean() < least)
+
+    def _own(self, pieces: Labels, i: int) -> dict[int, int]:
+        """Count the cells of each piece inside a building, where they are thick and many in it alone.
+
+        What happens to its neighbour reaches a strip along the wall that both share.
+        """
+        box = self.box_before[i]
+        inside = np.where(self.epochs.before[box] == i, pieces[box], 0)
+        if not inside.any():
+            return {}
+        numbers, cells = np.unique(inside[thick(inside > 0, self.spec, self.params) > 0], return_counts=True)
+        return {int(n): int(count) for n, count in zip(numbers, cells, strict=True)}
+
+    def _split(self, i: int, parted: list[int]) -> None:
+        """Part a building into several, of which the one that shares most keeps its identity."""
+        height = self._lifted(i) > 0
+        for n, a in enumerate(parted):
+            # Of several parts each has the survey's own outline, as the old one would take them all in.
+            version = self._enter(i if n == 0 else 0, a, self.after.geometry.iloc[a - 1], adopted=True)
+            self._note("split", i, a, version=version, outline=True, height=height)
+
+    def _rose_by_attributes(self, i: int, a: int) -> bool:
+        """Tell by the buildings' own heights where the earlier lattice has none."""
+        box = self.box_before[i]
+        both = (self.epochs.before[box] == i) & (self.epochs.after[box] == a)
+        if not both.any() or self.epochs.rise.valid[box][both].mean() >= self.params.surveyed_share:
+            return False
+        rise = self.after["h_p90"].iloc[a - 1] - self.before["h_p90"].iloc[i - 1] - self.offset.dz_m
+        return bool(abs(rise) >= self.params.rise_m)
+
+    def _newcomers(self) -> None:
+        """Decide on footprints that no building of the inventory shares, and on pieces built beside all others."""
+        known = {a for own in self.links.own.values() for a in own}
+        for a in range(1, len(self.after) + 1):
+            if a in self.used or a in known:
+                continue
+            if a in self.box_after:
+                self._arrive(a)
+        taken = {piece for pieces in self.links.gains.values() for piece in pieces}
+        for piece, own in self.links.gain_after.items():
+            if piece not in taken and own <= known:
+                self._detached(piece, min(own))
+
+    def _arrive(self, a: int) -> None:
+        """Enter a footprint that the inventory does not know."""
+        box = self.box_after[a]
+        place = (self.epochs.after[box] == a) & self.epochs.surveyed[box]
+        if not place.any():
+            return
+        known = self.epochs.earlier.valid[box][place].mean() >= self.params.surveyed_share
+        built = np.mean(self.pieces.gain[box][place] > 0) >= self.params.surveyed_share
+        if known and not built:
+            kind, note = "unchanged", STOOD_BEFORE
+        else:
+            kind, note = "new", "" if known else FIRST_SURVEY
+        version = self._enter(0, a, self.after.geometry.iloc[a - 1], adopted=True)
+        self._note(kind, 0, a, version=version, note=note)
+
+    def _detached(self, piece: int, a: int) -> None:
+        """Enter a building that stands apart from those that its footprint was joined with."""
+        box = self.box_gain[piece]
+        shape = polygonise((self.pieces.gain[box] == piece).astype(np.int32), self.spec.crop(*box), 1)[0]
+        self._note("new", 0, a, version=self._enter(0, a, shape, adopted=False))
+
+    def _outline(self, group: tuple[int, ...], a: int) -> tuple[shapely.Geometry, bool]:
+        """Return buildings' new outline: the survey's own where it is theirs alone, else theirs with the change."""
+        sharing = {i for i, own in self.links.own.items() if a in own}
+        if sharing == set(group) and all(len(self.links.own[i]) == 1 for i in group):
+            return self.after.geometry.iloc[a - 1], True
+        gains = [piece for i in group for piece in self.links.gains.get(i, ())]
+        box = _around([self.box_before[i] for i in group] + [self.box_gain[piece] for piece in gains])
+        kept = np.isin(self.epochs.before[box], group) & (self.pieces.loss[box] == 0)
+        cells = without_crumbs(kept | np.isin(self.pieces.gain[box], gains or [-1]), self.spec, self.params)
+        return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
+
+    def _enter(self, i: int, a: int, shape: shapely.Geometry, *, adopted: bool) -> int:
+        """Write a new state and return its row number; 0 stands for a building that begins with it."""
+        self.versions.append((i - 1, a - 1, adopted, shape))
+        return len(self.versions) - 1
+
+    def _note(
+        self,
+        kind: str,
+        i: int,
+        a: int,
+        *,
+        version: int = -1,
+        outline: bool = False,
+        height: bool = False,
+        parts: bool = False,
+        note: str = "",
+    ) -> None:
+        """Write a row of the changes; 0 stands for no building on that side."""
+        overlap = self.links.shared.get((i, a), 0.0)
+        area_b = float(self.before.geometry.iloc[i - 1].area) if i else 0.0
+        area_a = float(self.after.geometry.iloc[a - 1].area) if a else 0.0
+        box = self.box_before[i] if i else self.box_after[a]
+        stands = self.epochs.before[box] == i if i else self.epochs.after[box] == a
+        told = self.rise[box][stands & self.epochs.rise.valid[box] & self.epochs.surveyed[box]]
+        self.rows.append(
+            {
+                "kind": kind,
+                "before": i - 1,
+                "after": a - 1,
+                "version": version,
+                "outline": outline,
+                "height": height,
+                "parts": parts,
+                "overlap_m2": overlap,
+                "iou": overlap / (area_b + area_a - overlap) if i and a else 0.0,
+                "dh_m": float(np.median(told)) if told.size else float("nan"),
+                # A footprint may be of several buildings, of which the version has this one's part.
+                "darea_m2": (float(shapely.area(self.versions[version][3])) if version >= 0 else area_a) - area_b,
+                "note": note,
+            }
+        )
+
+    def changes(self) -> pd.DataFrame:
+        """Return all rows, in order of the inventory, then of the survey."""
+        frame = pd.DataFrame(self.rows, columns=list(CHANGE_COLUMNS)).astype(CHANGE_COLUMNS)
+        is_new = frame["before"] < 0
+        return frame.assign(is_new=is_new).sort_values(["is_new", "before", "after"], kind="stable", ignore_index=True)[
+            list(CHANGE_COLUMNS)
+        ]
+
+    def new_versions(self) -> gpd.GeoDataFrame:
+        """Return the new states of the buildings that changed."""
+        frame = gpd.GeoDataFrame(
+            [row[:3] for row in self.versions],
+            columns=["before", "after", "adopted"],
+            geometry=[row[3] for row in self.versions],
+            crs=self.after.crs,
+        )
+        return frame.astype({"before": "int64", "after": "int64", "adopted": "bool"})
+
+
+def _around(found: list[Box]) -> Box:
+    """Return the box around boxes."""
+    rows, cols = zip(*found, strict=True)
+    return tuple(slice(min(s.start for s in side), max(s.stop for s in side)) for side in (rows, cols))  # type: ignore[return-value]

@@ -1,0 +1,248 @@
+"""``msbdb update``: a survey brought into the living inventory.
+
+``msbdb import``: what an office has already, as the starting point of the inventory, and roof samples.
+
+``msbdb state``: an operator's word on a building of the inventory.
+
+``msbdb changes``: what became of the buildings of the inventory between two dates.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from msbdb.cli.build import check_inputs, emit_report, inputs, parameters, values
+from msbdb.cli.command import command, notice
+from msbdb.cli.options import INPUT_FILE, iso_date, shared
+from msbdb.cli.output import emit_json, emit_pairs, progress_bars
+
+if TYPE_CHECKING:
+    from msbdb.api.update import AdvanceReport
+
+import getpass
+
+from msbdb.cli.options import OUTPUT_FILE, assignment, crs_name
+from msbdb.cli.output import emit_table
+
+
+@command(
+    "update",
+    examples=(
+        "msbdb update --points spring.laz --db town.sqlite --survey spring --date 2024-04-20",
+        "msbdb update --points tiles/*.laz --crs EPSG:28992 --db postgresql://me@localhost/town "
+        "--survey ahn4 --date 2022-01-15 --aoi district.gpkg",
+    ),
+)
+@inputs
+@click.option("--survey", required=True, metavar="NAME", help="Name of the survey.")
+@click.option(
+    "--date",
+    type=iso_date,
+    required=True,
+    metavar="DATE",
+    help="When the data were taken: 2021-05-31, 2021-05 or 2021.",
+)
+@click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: only buildings in them take part.")
+@values
+@shared("json")
+def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401
+    """Build a survey and update the inventory by it.
+
+    The survey's buildings are compared with those of the inventory: each is unchanged, modified, new, demolished,
+    merged or split, and keeps its identity. Surveys come in the order of their dates. The last one of a place may be
+    repeated; the same content changes nothing. After an interruption, run the command again.
+    """
+    check_inputs(given)
+    params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
+    from msbdb import pipeline
+
+    with progress_bars() as progress:
+        report = pipeline.update(given.pop("points"), **given, params=params, progress=progress)
+    if figure is not None:
+        pipeline.changes(given["db"], survey=given["survey"], figure=figure)
+    if as_json:
+        emit_json(report.as_dict())
+        return
+    if report.build is not None:
+        emit_report(report.build)
+    emit_advance(report.inventory)
+
+
+def emit_advance(report: "AdvanceReport") -> None:
+    """Print what an update did to the inventory."""
+    shown = click.get_current_context().ensure_object(set)
+    for sentence in report.notices:
+        notice(sentence, shown)
+    counts = {kind: n for kind, n in report.counts.items() if kind != "versions"}
+    offset = report.offset
+    pairs: dict[str, object] = {
+        "inventory": "unchanged: this update was applied already" if report.status == "unchanged" else report.status,
+        "date": report.date,
+        **counts,
+        "new versions": report.counts["versions"],
+        "offset, m": f"{offset['dx_m']:.2f} east, {offset['dy_m']:.2f} north, {offset['dz_m']:.2f} up",
+        "told by": f"{offset['pairs']} pairs of buildings",
+    }
+    emit_pairs(pairs, "Inventory")
+
+
+@command(
+    "import",
+    examples=(
+        "msbdb import cadastre.gpkg --as inventory --db town.sqlite --date 2019-01-01 --id FID --map height=HGT",
+        "msbdb import roofs.geojson --as roof-samples --db town.sqlite --map material=MATERIAL",
+    ),
+)
+@click.argument("file", type=INPUT_FILE, metavar="FILE")
+@click.option(
+    "--as",
+    "what",
+    type=click.Choice(["inventory", "roof-samples"]),
+    required=True,
+    help="Footprints that surveys update from now on, or points with the material of a roof.",
+)
+@click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL.")
+@click.option("--name", metavar="NAME", help="Name of the imported inventory. [default: the file's name]")
+@click.option("--layer", metavar="NAME", help="The layer to read, where the file has several.")
+@click.option(
+    "--date", type=iso_date, metavar="DATE", help="The day from which the footprints hold. [default: since ever]"
+)
+@click.option(
+    "--map",
+    "mapping",
+    type=assignment,
+    multiple=True,
+    metavar="NAME=COLUMN",
+    help="What a column becomes: height (m) and storeys are measures, material and note those of samples, other names "
+    "are attributes; repeatable.",
+)
+@click.option(
+    "--id", "id_column", metavar="COLUMN", help="Column that tells the buildings apart, else their places do."
+)
+@click.option("--crs", type=crs_name, metavar="EPSG", help="The file's CRS where it does not state it, like EPSG:2154.")
+@shared("json")
+def import_(
+    *,
+    file: Path,
+    what: str,
+    db: str,
+    name: str | None,
+    layer: str | None,
+    date: str | None,
+    mapping: tuple[tuple[str, str], ...],
+    id_column: str | None,
+    crs: str | None,
+    as_json: bool,
+) -> None:
+    """Take footprints as the start of the inventory, or roof samples.
+
+    FILE is of any vector format. All its columns are kept as attributes of the buildings through every update. The
+    first survey measures the buildings and tells what has changed since.
+    """
+    from msbdb import pipeline
+
+    if what == "inventory":
+        report = pipeline.import_inventory(
+            db, file, name=name, layer=layer, date=date, mapping=dict(mapping), id_column=id_column, crs=crs
+        )
+    else:
+        report = pipeline.import_roof_samples(db, file, layer=layer, mapping=dict(mapping), crs=crs)
+    if as_json:
+        emit_json(report.as_dict())
+        return
+    rows = "buildings" if what == "inventory" else "samples"
+    emit_pairs({"import": report.name, "status": report.status, rows: report.rows})
+
+
+@command(
+    "state",
+    examples=(
+        'msbdb state town.sqlite 380763480517989761 refuted --note "a crane"',
+        "msbdb state town.sqlite 380763480517989761 auto",
+    ),
+)
+@shared("db")
+@click.argument("uid", type=click.IntRange(min=1), metavar="UID")
+@click.argument("state", type=click.Choice(["confirmed", "refuted", "auto"]), metavar="STATE")
+@click.option("--note", default="", metavar="TEXT", help="Why.")
+@click.option("--operator", metavar="NAME", help="Who says so. [default: the user's name]")
+def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> None:
+    """Confirm or refute a building by hand, or take that back.
+
+    UID is the building's number in the inventory (column uid of footprint_current). The operator's word wins over what
+    the extractors say, and holds through every rebuild and update. The last word stands; the one before it is told.
+    """
+    from msbdb import pipeline
+
+    word = None if state == "auto" else state
+    before = pipeline.set_state(db, uid, word, operator=operator or getpass.getuser(), note=note)
+    click.echo(f"Building {uid}: {'as the extractors say' if word is None else word}.")
+    if before is not None:
+        why = f" ({before['note']})" if before["note"] else ""
+        click.echo(f"Before: {before['state']} by {before['operator']}, {before['decided_at']}{why}.")
+
+
+SHOWN = ("date", "survey", "kind", "uid_before", "uid_after", "dh_m", "darea_m2", "note")
+
+MOST = 50
+"""Rows that are printed; a file takes them all."""
+
+
+@command(
+    "changes",
+    examples=(
+        "msbdb changes town.sqlite",
+        "msbdb changes town.sqlite --from 2020-01-01 --to 2024-12-31 --out changes.gpkg --figure changes.png",
+        "msbdb changes town.sqlite --from 2023 --aoi district.gpkg --json",
+        "msbdb changes town.sqlite --each --out surveys.csv",
+    ),
+)
+@shared("db")
+@click.option(
+    "--from", "since", type=iso_date, metavar="DATE", help="From the state of this day; surveys after it count."
+)
+@click.option("--to", "until", type=iso_date, metavar="DATE", help="To the state of this day; surveys up to it count.")
+@click.option("--survey", metavar="NAME", help="What this survey did, as with --each.")
+@click.option("--each", is_flag=True, help="A row a building and survey that saw it, in place of the net change.")
+@click.option(
+    "--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: buildings that meet them, those not surveyed included."
+)
+@click.option("--out", type=OUTPUT_FILE, metavar="FILE", help="Write all rows as .gpkg, .geojson or .csv.")
+@click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Draw the buildings coloured by kind of change.")
+@shared("json")
+def changes(
+    *,
+    db: str,
+    since: str | None,
+    until: str | None,
+    survey: str | None,
+    each: bool,
+    aoi: Path | None,
+    out: Path | None,
+    figure: Path | None,
+    as_json: bool,
+) -> None:
+    """Tell what became of the buildings between two dates.
+
+    The net change, a row a building: unchanged, modified (outline, height or parts), new, demolished, merged or split,
+    with state, heights and area before and after. What surveys did one after the other is told as one change: raised
+    and then demolished is demolished. Buildings that came and went in between are only counted; --each shows them.
+    Unchanged ones are counted and not printed.
+    """
+    from msbdb import pipeline
+
+    found = pipeline.changes(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
+    told = pipeline.summary(found)
+    if as_json:
+        emit_json(told)
+        return
+    if not found.counts and not found.in_between:
+        click.echo("No survey of the period saw a building there.")
+        return
+    emit_pairs(found.counts | ({"came and went in between": found.in_between} if found.in_between else {}))
+    rows = told["changes"]
+    if rows:
+        emit_table([{name: row[name] for name in SHOWN} for row in rows[:MOST]], "Changes")
+    if len(rows) > MOST:
+        click.echo(f"... and {len(rows) - MOST} more; --out writes them all.")

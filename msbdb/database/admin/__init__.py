@@ -1,0 +1,1 @@
+"""Care of a database: create, upgrade, copy, dump, check, and grant rights."""

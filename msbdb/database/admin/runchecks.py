@@ -1,0 +1,218 @@
+"""What a run says of itself: its counts and ledger, its rasters, and the digest of all its rows.
+
+The forest of parts (V33), and the buildings that are its roots.
+"""
+
+import zlib
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Table, func, select
+
+from msbdb.database.admin.findings import Finding, by_id
+from msbdb.database.runs.reading import build_of
+from msbdb.database.runs.writing import content_digest
+from msbdb.database.schema.sqltables import SQL
+from msbdb.errors import MsbdbError
+
+PART = SQL["part"]
+
+REJECTION = SQL["rejection"]
+
+RUN = SQL["run"]
+
+RUN_STATE = SQL["run_state"]
+
+SURVEY = SQL["survey"]
+
+COUNTED_ONLY = "duplicates"
+"""What the names of stages begin with whose dropped regions live on in coarser ones, and so are in no ledger."""
+
+LAST_STAGE = ("multiscale", "fake fathers")
+"""The method and the stage that keeps just the parts."""
+
+_UNREADABLE = (MsbdbError, ValueError, TypeError, KeyError, OverflowError, zlib.error, shapely.errors.ShapelyError)
+"""What damaged rows raise when they are read."""
+
+
+def check_ledger(connection: Connection) -> Iterator[Finding]:
+    """Yield stages whose books do not balance, or whose dropped regions are not the rows of the ledger."""
+    rejections = _rejections(connection)
+    for run_id, counts in connection.execute(select(RUN.c.run_id, RUN.c.counts).order_by(RUN.c.run_id)):
+        methods = counts.get("regions") if isinstance(counts, Mapping) else None
+        if not isinstance(methods, Mapping):
+            continue
+        stages = {(method, stage): numbers for method, own in methods.items() for stage, numbers in own.items()}
+        rows = rejections.get(run_id, {})
+        key = by_id("run", "run_id", run_id)
+        for (method, stage), numbers in stages.items():
+            name = f"stage '{stage}' of {method}"
+            found = rows.get((method, stage), 0)
+            yield from _unbalanced(key, name, numbers)
+            expected = numbers["dropped"]
+            allowed = {expected, 0} if stage.startswith(COUNTED_ONLY) else {expected}
+            if found not in allowed:
+                yield Finding("ledger", "rejection", key, f"{found} rows of {name}", f"{expected}, as the run counts")
+        for method, stage in sorted(set(rows) - set(stages)):
+            what = f"{rows[method, stage]} rows of stage '{stage}' of {method}"
+            yield Finding("ledger", "rejection", key, what, "none: no such stage")
+        kept = stages.get(LAST_STAGE, {}).get("kept")
+        parts = connection.scalar(select(func.count()).where(PART.c.run_id == run_id))
+        if kept is not None and parts != kept:
+            yield Finding("ledger", "part", key, f"{parts} parts", f"{kept}, as stage '{LAST_STAGE[1]}' kept")
+
+
+def _rejections(connection: Connection) -> dict[int, dict[tuple[str, str], int]]:
+    """Return the number of ledger rows by run, and by method and stage."""
+    found: dict[int, dict[tuple[str, str], int]] = {}
+    columns = (REJECTION.c.run_id, REJECTION.c.method, REJECTION.c.stage)
+    for run_id, method, stage, rows in connection.execute(select(*columns, func.count()).group_by(*columns)):
+        found.setdefault(run_id, {})[method, stage] = rows
+    return found
+
+
+def _unbalanced(key: str, name: str, numbers: Mapping[str, int]) -> Iterator[Finding]:
+    if numbers["in"] != numbers["kept"] + numbers["dropped"]:
+        what = f"{name}: {numbers['in']} in, {numbers['kept']} kept, {numbers['dropped']} dropped"
+        yield Finding("ledger", "run", key, what, "as many in as kept and dropped")
+
+
+def check_rasters(connection: Connection) -> Iterator[Finding]:
+    """Yield rasters of a run that cannot be read, or do not lie on the survey's lattice."""
+    edges = (SURVEY.c.west, SURVEY.c.south, SURVEY.c.east, SURVEY.c.north, SURVEY.c.cell_m)
+    query = (
+        select(RUN_STATE.c.run_id, RUN_STATE.c.name, RUN_STATE.c.dtype, RUN_STATE.c.shape, RUN_STATE.c.data, *edges)
+        .join_from(RUN_STATE, RUN)
+        .join(SURVEY)
+        .order_by(RUN_STATE.c.run_id, RUN_STATE.c.name)
+    )
+    for run_id, name, dtype, shape, data, west, south, east, north, cell in connection.execute(query):
+        key = f"{by_id('run_state', 'run_id', run_id)}, name={name}"
+        lattice = (round((north - south) / cell), round((east - west) / cell))
+        try:
+            cells = np.frombuffer(zlib.decompress(data), dtype=np.dtype(dtype)).reshape(shape)
+        except (ValueError, TypeError, zlib.error) as error:
+            yield Finding("rasters", "run_state", key, f"it cannot be read: {error}", f"{shape} cells of {dtype}")
+            continue
+        if cells.shape[-2:] != lattice:
+            yield Finding(
+                "rasters", "run_state", key, f"its shape is {list(cells.shape)}", f"{list(lattice)}, the lattice"
+            )
+
+
+def check_content(connection: Connection) -> Iterator[Finding]:
+    """Yield runs whose rows are not those that were written, by the digest of all of them."""
+    query = select(RUN.c.run_id, RUN.c.content_sha256, SURVEY.c.name).join_from(RUN, SURVEY).order_by(SURVEY.c.name)
+    for run_id, digest, survey in connection.execute(query).all():
+        key = by_id("run", "run_id", run_id)
+        try:
+            build = build_of(connection, survey)
+            found = content_digest(build, build.frames)
+        except _UNREADABLE as error:
+            yield Finding("content", "run", key, f"its rows cannot be read: {error}", "the rows that were written")
+            continue
+        if digest != found:
+            what = f"the rows of survey '{survey}' give the digest {found}"
+            yield Finding("content", "run", key, what, f"{digest}, as when they were written")
+
+
+BUILDING = SQL["building"]
+
+CHECK = "forest"
+
+BATCH = 10_000
+"""Rows that are read at once."""
+
+
+def check_forest(connection: Connection) -> Iterator[Finding]:
+    """Yield parts that break V33.
+
+    A father exists, of the same run and tree, on the coarser scale that SUPSCALE says, and is larger; a root is its own
+    tree's root; and who goes from father to father comes to that root, in no circle.
+    """
+    parts = _frame(connection, ("part_id", "run_id", "supid", "supscale", "root_id", "scale", "area_px"), PART)
+    # Ids that are given twice are told among the values.
+    parts = parts.drop_duplicates("part_id", ignore_index=True)
+    place = pd.Index(parts["part_id"]).get_indexer(parts["supid"])
+    is_child, has_father = (parts["supid"] != 0).to_numpy(), place >= 0
+    yield from _told(parts, is_child & ~has_father, "its father {supid} does not exist", "a part of this id")
+    father = parts.iloc[np.where(has_father, place, 0)].reset_index(drop=True).add_prefix("father_")
+    both = pd.concat([parts, father], axis=1)
+    child = is_child & has_father
+    for holds, what, expected in (
+        (both["run_id"] == both["father_run_id"], "it is of run {run_id}", "its father's run {father_run_id}"),
+        (both["root_id"] == both["father_root_id"], "its tree is {root_id}", "its father's {father_root_id}"),
+        (both["supscale"] == both["father_scale"], "SUPSCALE is {supscale}", "{father_scale}, its father's scale"),
+        (both["scale"] > both["father_scale"], "it is on scale {scale}", "a finer one than {father_scale}"),
+        (
+            both["area_px"] < both["father_area_px"],
+            "it has {area_px} cells",
+            "fewer than its father's {father_area_px}",
+        ),
+    ):
+        yield from _told(both, child & ~holds.to_numpy(), what, expected)
+    yield from _told(
+        parts,
+        (~is_child) & (parts["root_id"] != parts["part_id"]).to_numpy(),
+        "it has no father, and its tree is {root_id}",
+        "a root's tree is its own id {part_id}",
+    )
+    top, in_circle = _tops(place)
+    yield from _told(parts, in_circle, "its fathers run in a circle", "a root at the top")
+    root = parts["part_id"].to_numpy()[top]
+    lost = is_child & ~in_circle & ~is_child[top] & (root != parts["root_id"].to_numpy())
+    yield from _told(parts, lost, "its topmost father is not {root_id}", "the root that it names")
+
+
+def check_buildings(connection: Connection) -> Iterator[Finding]:
+    """Yield roots without a building, buildings without a root, and buildings whose numbers are not their tree's."""
+    parts = _frame(connection, ("part_id", "run_id", "supid", "root_id", "scale"), PART)
+    buildings = _frame(connection, ("building_id", "run_id", "root_id", "parts", "scales"), BUILDING)
+    roots = parts[parts["supid"] == 0]
+    for row in roots[~roots["part_id"].isin(buildings["root_id"])].itertuples():
+        yield Finding("buildings", "part", by_id("part", "part_id", row.part_id), "no building has this root", "one")
+    trees = parts.groupby("root_id").agg(found_parts=("part_id", "size"), found_scales=("scale", "nunique"))
+    both = buildings.merge(trees, how="left", left_on="root_id", right_index=True).fillna(0)
+    is_root = both["root_id"].isin(roots["part_id"])
+    for row in both[~is_root].itertuples():
+        key = by_id("building", "building_id", row.building_id)
+        yield Finding("buildings", "building", key, f"part {row.root_id} is no root", "the root of a tree")
+    for column in ("parts", "scales"):
+        wrong = both[is_root & (both[column] != both[f"found_{column}"])]
+        for record in wrong.to_dict(orient="records"):
+            key = by_id("building", "building_id", record["building_id"])
+            expected = f"{int(record[f'found_{column}'])}, as its tree has"
+            yield Finding("buildings", "building", key, f"{column} is {record[column]}", expected)
+
+
+def _frame(connection: Connection, names: tuple[str, ...], table: Table) -> pd.DataFrame:
+    """Return columns of whole numbers, in order of the first."""
+    columns = [table.columns[name] for name in names]
+    result = connection.execute(select(*columns).order_by(columns[0]), execution_options={"yield_per": BATCH})
+    # Column by column, as an array of rows takes ten times as long to make.
+    batches = [np.array(list(zip(*rows, strict=True)), dtype=np.int64) for rows in result.partitions()]
+    held = np.concatenate(batches, axis=1) if batches else np.empty((len(names), 0), dtype=np.int64)
+    return pd.DataFrame(dict(zip(names, held, strict=True)))
+
+
+def _told(parts: pd.DataFrame, wrong: NDArray[np.bool_], what: str, expected: str) -> Iterator[Finding]:
+    """Yield a finding a wrong part; the sentences name its columns."""
+    for row in parts[wrong].to_dict(orient="records"):
+        values = {str(name): value for name, value in row.items()}
+        key = by_id("part", "part_id", row["part_id"])
+        yield Finding(CHECK, "part", key, what.format_map(values), expected.format_map(values))
+
+
+def _tops(father: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the topmost place above each part, and which parts have none, by doubling the steps.
+
+    ``father`` (N,) holds places of fathers, -1 for none.
+    """
+    own = np.arange(len(father))
+    up = np.where(father < 0, own, father)
+    for _ in range(max(1, len(father).bit_length())):
+        up = up[up]
+    return up, father[up] >= 0

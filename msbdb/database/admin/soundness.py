@@ -1,0 +1,88 @@
+"""All checks, one after the other, on one state of the database."""
+
+import logging
+from collections.abc import Callable, Iterator
+
+from sqlalchemy import Connection, Engine
+from sqlalchemy.exc import DBAPIError
+
+from msbdb.database.admin.findings import Finding
+from msbdb.database.admin.historychecks import check_digests, check_events, check_intervals, check_orphans
+from msbdb.database.admin.rowchecks import check_foreign_keys, check_links, check_schema, check_values, missing_tables
+from msbdb.database.admin.runchecks import check_buildings, check_content, check_forest, check_ledger, check_rasters
+from msbdb.database.admin.shapechecks import check_geometries, check_registers, check_spatial_index
+from msbdb.database.dialects.connection import snapshot
+from msbdb.errors import MsbdbError
+
+logger = logging.getLogger(__name__)
+
+Progress = Callable[[str, int, int], None]
+
+CHECKS: dict[str, Callable[[Connection], Iterator[Finding]]] = {
+    "schema": check_schema,
+    "values": check_values,
+    "foreign keys": check_foreign_keys,
+    "links": check_links,
+    "forest": check_forest,
+    "buildings": check_buildings,
+    "geometries": check_geometries,
+    "registers": check_registers,
+    "spatial index": check_spatial_index,
+    "ledger": check_ledger,
+    "rasters": check_rasters,
+    "content": check_content,
+    "intervals": check_intervals,
+    "events": check_events,
+    "digests": check_digests,
+    "orphans": check_orphans,
+}
+"""The checks by name, in their order."""
+
+
+def check_database(engine: Engine, *, progress: Progress | None = None) -> list[Finding]:
+    """Hold every row against all that msbdb promises of it, and return what is wrong, sorted.
+
+    Nothing is changed, and writers are not held up; what is checked is one committed state.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    progress : callable, optional
+        Called with 'check', the checks done and the checks in all.
+
+    Returns
+    -------
+    list of Finding
+        Empty for a sound database. ``CHECKS`` has the names of the checks.
+
+    Raises
+    ------
+    DatabaseError
+        When the database cannot be read at all.
+    """
+    with snapshot(engine) as connection:
+        found = missing_tables(connection)
+        if found:
+            # Queries on what is missing would all fail.
+            return sorted(found)
+        for number, (name, check) in enumerate(CHECKS.items(), start=1):
+            found += _results(connection, name, check)
+            if progress is not None:
+                progress("check", number, len(CHECKS))
+    logger.info("%d checks, %d findings", len(CHECKS), len(found))
+    return sorted(found)
+
+
+def _results(connection: Connection, name: str, check: Callable[[Connection], Iterator[Finding]]) -> list[Finding]:
+    """Return a check's findings; rows so damaged that it cannot be made are a finding themselves."""
+    try:
+        with connection.begin_nested():
+            return list(check(connection))
+    except DBAPIError as error:
+        if connection.invalidated:
+            raise
+        cause = " ".join(str(error.orig).split())
+    except (ValueError, TypeError, KeyError, OverflowError, MsbdbError) as error:
+        cause = f"{type(error).__name__}: {error}"
+    return [Finding(name, "", "", f"the check cannot be made: {cause}", "rows of the declared types")]

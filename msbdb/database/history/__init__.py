@@ -1,0 +1,1 @@
+"""The living inventory: versions of buildings, changes, events and decisions, written and read."""

@@ -1,0 +1,342 @@
+"""Reading the living inventory: what stood at a date, what surveys changed, and what was applied in which order."""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from pyproj import CRS
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    Engine,
+    Select,
+    Table,
+    TextClause,
+    and_,
+    func,
+    null,
+    or_,
+    select,
+    text,
+    union,
+)
+
+from msbdb.database.dialects.connection import guarded, snapshot
+from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.history.rowdigest import COLUMN
+from msbdb.database.schema.sqlfiles import footprint_at_query
+from msbdb.database.schema.sqltables import SQL
+from msbdb.database.schema.srid import FIRST_OWN_SRID
+
+BUILDING_CHANGE = SQL["building_change"]
+
+BUILDING_VERSION = SQL["building_version"]
+
+INVENTORY_BUILDING = SQL["inventory_building"]
+
+INVENTORY_EVENT = SQL["inventory_event"]
+
+OPERATOR_STATE = SQL["operator_state"]
+
+ROOF_SAMPLE = SQL["roof_sample"]
+
+SURVEY = SQL["survey"]
+
+SURVEY_OFFSET = SQL["survey_offset"]
+
+Bounds = tuple[float, float, float, float]
+
+_WINDOWS = {
+    "sqlite": (
+        "building_version.version_id IN (SELECT rowid FROM SpatialIndex WHERE f_table_name = 'building_version' "
+        "AND search_frame = BuildMbr(:west, :south, :east, :north))"
+    ),
+    "postgresql": "building_version.geometry && ST_MakeEnvelope(:west, :south, :east, :north, :srid)",
+}
+"""The condition that a version's bounds meet a window, by the spatial index."""
+
+
+def footprint_at(engine: Engine, date: str) -> gpd.GeoDataFrame:
+    """Return the inventory as it was on a day, operators' states winning over those found.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    date : str
+        The day, ISO 8601; of a month or year its first day.
+
+    Returns
+    -------
+    GeoDataFrame
+        The columns of the view ``footprint_current``, in order of ``uid``.
+    """
+    with guarded(engine.url), engine.connect() as connection:
+        query = text(f"SELECT f.*, ST_AsBinary(f.geometry) AS wkb FROM ({footprint_at_query()}) AS f ORDER BY uid")  # noqa: S608  (our own text)
+        return _frame(connection, query, {"date": first_day(date)})
+
+
+def first_day(date: str) -> str:
+    """Return the first day of a day, month or year of ISO 8601.
+
+    Examples
+    --------
+    >>> first_day("2021"), first_day("2021-05"), first_day("2021-05-31")
+    ('2021-01-01', '2021-05-01', '2021-05-31')
+    """
+    return date + "0000-01-01"[len(date) :]
+
+
+def read_history(engine: Engine, uid: int | None = None) -> gpd.GeoDataFrame:
+    """Return the versions of a building of the inventory, or of all: columns of ``building_version``, and geometry."""
+    query = select(*_version_columns()).order_by(BUILDING_VERSION.c.uid, BUILDING_VERSION.c.valid_from, "version_id")
+    if uid is not None:
+        query = query.where(BUILDING_VERSION.c.uid == uid)
+    with guarded(engine.url), engine.connect() as connection:
+        return _frame(connection, query)
+
+
+def read_events(connection: Connection) -> gpd.GeoDataFrame:
+    """Return what was applied to the inventory, in that order: columns of ``inventory_event``, and geometry."""
+    query = select(*_told(INVENTORY_EVENT), func.ST_AsBinary(INVENTORY_EVENT.c.geometry).label("wkb")).order_by(
+        INVENTORY_EVENT.c.number
+    )
+    return _frame(connection, query)
+
+
+def read_offsets(connection: Connection) -> pd.DataFrame:
+    """Return how each survey lies to the inventory: columns of ``survey_offset``."""
+    return _plain(connection, select(*_told(SURVEY_OFFSET)))
+
+
+def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.GeoDataFrame:
+    """Return the versions within a window that were current before a survey, which may have been applied.
+
+    Parameters
+    ----------
+    connection : Connection
+        An open one.
+    bounds : tuple of float
+        West, south, east and north, metres.
+    survey_id : int
+        Versions that this survey made do not count, those that it ended do.
+
+    Returns
+    -------
+    GeoDataFrame
+        Columns of ``building_version``, in order of ``uid``; heights are NaN where unknown.
+    """
+    others = or_(BUILDING_VERSION.c.survey_id.is_(None), BUILDING_VERSION.c.survey_id != survey_id)
+    stood = or_(and_(BUILDING_VERSION.c.valid_to.is_(None), others), BUILDING_VERSION.c.closed_by == survey_id)
+    query = select(*_version_columns()).where(stood, window(connection, bounds)).order_by(BUILDING_VERSION.c.uid)
+    return _frame(connection, query)
+
+
+def read_born(connection: Connection, survey_id: int) -> gpd.GeoDataFrame:
+    """Return the versions with which buildings began in a survey: columns of ``building_version``."""
+    earlier = BUILDING_VERSION.alias("earlier")
+    before = or_(earlier.c.survey_id.is_(None), earlier.c.survey_id != survey_id)
+    has_earlier = select(null()).where(earlier.c.uid == BUILDING_VERSION.c.uid, before).exists()
+    query = select(*_version_columns()).where(BUILDING_VERSION.c.survey_id == survey_id, ~has_earlier)
+    return _frame(connection, query.order_by(BUILDING_VERSION.c.uid))
+
+
+def window(connection: Connection, bounds: Bounds) -> ColumnElement[bool]:
+    """Return the condition that a version's bounds meet a window, which the spatial index answers."""
+    values: dict[str, Any] = dict(zip(("west", "south", "east", "north"), bounds, strict=True))
+    if connection.dialect.name == "postgresql":
+        values["srid"] = dialect_of(connection.engine.url).database_srid(connection)
+    return text(_WINDOWS[connection.dialect.name]).bindparams(**values)  # type: ignore[return-value]  # a condition
+
+
+def read_changes(engine: Engine, since: str | None = None, until: str | None = None) -> gpd.GeoDataFrame:
+    """Return what surveys did to the buildings.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    since, until : str, optional
+        Surveys later than the one day, and up to the other; all by default.
+
+    Returns
+    -------
+    GeoDataFrame
+        A row a change (a pair of buildings for merged and split): columns of ``building_change``, and ``survey``,
+        ``date``, and state, storeys, heights, area and attributes before and after; the geometry is that of after, or
+        of before where nothing is left. In order of date, survey and change.
+    """
+    with guarded(engine.url), engine.connect() as connection:
+        return _changes(connection, since, until)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Period:
+    """What surveys did to the buildings within a period.
+
+    Parameters
+    ----------
+    changes : GeoDataFrame
+        As `read_changes` gives it.
+    versions : GeoDataFrame
+        The versions that the changes name: columns of ``building_version``.
+    offsets : DataFrame
+        ``survey_offset``, of all surveys.
+    """
+
+    changes: gpd.GeoDataFrame
+    versions: gpd.GeoDataFrame
+    offsets: pd.DataFrame
+
+
+def read_period(engine: Engine, since: str | None = None, until: str | None = None) -> Period:
+    """Return what surveys did to the buildings, with the versions before and after, as one committed state.
+
+    The parameters are those of `read_changes`.
+    """
+    ids = [
+        select(version)
+        .join(INVENTORY_EVENT, INVENTORY_EVENT.c.survey_id == BUILDING_CHANGE.c.survey_id)
+        .where(version.is_not(None), *_between(since, until))
+        for version in (BUILDING_CHANGE.c.version_before, BUILDING_CHANGE.c.version_after)
+    ]
+    named = BUILDING_VERSION.c.version_id.in_(union(*ids))
+    query = select(*_version_columns()).where(named).order_by(BUILDING_VERSION.c.version_id)
+    with snapshot(engine) as connection:
+        return Period(_changes(connection, since, until), _frame(connection, query), read_offsets(connection))
+
+
+def _changes(connection: Connection, since: str | None, until: str | None) -> gpd.GeoDataFrame:
+    """Return the changes of a period."""
+    one, two = (BUILDING_VERSION.alias(name) for name in ("version_1", "version_2"))
+    states = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
+    columns = [c for c in _told(BUILDING_CHANGE) if c.name != "survey_id"]
+    query = (
+        select(
+            SURVEY.c.name.label("survey"),
+            INVENTORY_EVENT.c.date,
+            *columns,
+            *(v.c[name].label(f"{name}_{which}") for name in states for v, which in ((one, "before"), (two, "after"))),
+            func.ST_AsBinary(func.coalesce(two.c.geometry, one.c.geometry)).label("wkb"),
+        )
+        .select_from(BUILDING_CHANGE)
+        .join(SURVEY, SURVEY.c.survey_id == BUILDING_CHANGE.c.survey_id)
+        .join(INVENTORY_EVENT, INVENTORY_EVENT.c.survey_id == BUILDING_CHANGE.c.survey_id)
+        .outerjoin(one, one.c.version_id == BUILDING_CHANGE.c.version_before)
+        .outerjoin(two, two.c.version_id == BUILDING_CHANGE.c.version_after)
+        .order_by(INVENTORY_EVENT.c.date, INVENTORY_EVENT.c.number, BUILDING_CHANGE.c.change_id)
+    )
+    return _frame(connection, query.where(*_between(since, until)))
+
+
+def read_states(engine: Engine) -> pd.DataFrame:
+    """Return the operators' words on buildings: columns of ``operator_state``, in order of ``uid``."""
+    with guarded(engine.url), engine.connect() as connection:
+        return _plain(connection, select(*_told(OPERATOR_STATE)).order_by(OPERATOR_STATE.c.uid))
+
+
+def read_roof_samples(engine: Engine) -> gpd.GeoDataFrame:
+    """Return the roof samples: columns of ``roof_sample``, and geometry."""
+    query = select(*_told(ROOF_SAMPLE), func.ST_AsBinary(ROOF_SAMPLE.c.geometry).label("wkb")).order_by(
+        ROOF_SAMPLE.c.sample_id
+    )
+    with guarded(engine.url), engine.connect() as connection:
+        return _frame(connection, query)
+
+
+def read_material_classes(engine: Engine) -> pd.DataFrame:
+    """Return the cross table of roof materials and classes (V53), the view ``roof_material_by_class``."""
+    columns = ["survey", "material", "speindex", "class_label", "samples"]
+    query = text(f"SELECT {', '.join(columns)} FROM roof_material_by_class")  # noqa: S608  (our own names)
+    with guarded(engine.url), engine.connect() as connection:
+        rows = pd.DataFrame([tuple(row) for row in connection.execute(query)], columns=columns)
+    return rows.sort_values(columns[:3], ignore_index=True)
+
+
+def has_building(connection: Connection, uid: int) -> bool:
+    """Tell whether the inventory has a building."""
+    return bool(connection.scalar(select(func.count()).where(INVENTORY_BUILDING.c.uid == uid)))
+
+
+def database_crs_of(engine: Engine) -> CRS:
+    """Return the database's CRS."""
+    with guarded(engine.url), engine.connect() as connection:
+        return database_crs(connection)
+
+
+def database_crs(connection: Connection) -> CRS:
+    """Return the database's CRS, as it is registered there."""
+    srid = dialect_of(connection.engine.url).database_srid(connection)
+    if srid < FIRST_OWN_SRID:
+        return CRS.from_epsg(srid)
+    query = text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid")
+    return CRS.from_wkt(str(connection.scalar(query, {"srid": srid})))
+
+
+def _between(since: str | None, until: str | None) -> list[ColumnElement[bool]]:
+    """Return the conditions that a survey lies between two days, the first one excluded."""
+    conditions = []
+    if since is not None:
+        conditions.append(INVENTORY_EVENT.c.date > first_day(since))
+    if until is not None:
+        conditions.append(INVENTORY_EVENT.c.date <= first_day(until))
+    return conditions
+
+
+def _told(table: Table) -> list[Column[Any]]:
+    """Return a table's columns but the outline, which is read as WKB, and the row's digest."""
+    return [column for column in table.columns if column.name not in ("geometry", COLUMN)]
+
+
+def _plain(connection: Connection, query: Select[Any]) -> pd.DataFrame:
+    """Return the rows of a query without an outline."""
+    result = connection.execute(query)
+    return pd.DataFrame([dict(row) for row in result.mappings()], columns=list(result.keys()))
+
+
+def _version_columns() -> list[ColumnElement[Any]]:
+    """Return the columns of building_version, with the geometry as WKB."""
+    return [*_told(BUILDING_VERSION), func.ST_AsBinary(BUILDING_VERSION.c.geometry).label("wkb")]
+
+
+_INTEGERS = {
+    "version_id", "uid", "survey_id", "closed_by", "building_id", "storeys", "parts", "change_id", "uid_before",
+    "uid_after", "version_before", "version_after", "storeys_before", "storeys_after", "number", "sample_id",
+}  # fmt: skip
+
+_WORDS = {
+    "valid_from", "valid_to", "source", "state", "found_state", "survey", "operator", "note", "kind", "name", "date",
+    "content_sha256", "state_before", "state_after", "material",
+}  # fmt: skip
+
+_OBJECTS = {"attributes", "attributes_before", "attributes_after", "counts"}
+
+_FLAGS = {"outline", "height"}
+
+
+def _frame(
+    connection: Connection, query: Select[Any] | TextClause, values: dict[str, Any] | None = None
+) -> gpd.GeoDataFrame:
+    """Return the rows of a query with a column ``wkb`` as a frame of settled dtypes."""
+    result = connection.execute(query, values or {})
+    names = list(result.keys())
+    columns = dict(zip(names, zip(*result.all(), strict=True), strict=False))
+    shapes = shapely.from_wkb(np.array([bytes(blob) for blob in columns.get("wkb", ())], dtype=object))
+    found = {name: _settled(name, list(columns.get(name, ()))) for name in names if name not in ("wkb", "geometry")}
+    return gpd.GeoDataFrame(found, geometry=shapes, crs=database_crs(connection))
+
+
+def _settled(name: str, values: list[Any]) -> Any:  # noqa: ANN401  (a pandas array of any dtype)
+    """Return a column's values in the dtype that its name has everywhere in the inventory."""
+    if name in _OBJECTS:
+        return pd.Series([json.loads(v) if isinstance(v, str) else v for v in values], dtype=object)
+    if name in _FLAGS or (values and isinstance(values[0], bool)):
+        return pd.Series(values, dtype=bool)
+    if name in _INTEGERS:
+        return pd.Series(values, dtype="Int64")
+    return pd.Series(values, dtype="object" if name in _WORDS else "float64")

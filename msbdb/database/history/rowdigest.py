@@ -1,0 +1,122 @@
+"""Digests of the rows of the inventory's history, by which an edit that msbdb did not make is noticed.
+
+Runs are replaced as a whole and have one digest each. The history is written row by row over years, by updates that end
+versions of earlier ones; so each of its rows has a digest of its own, in the column `COLUMN`.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import shapely
+from sqlalchemy import JSON, Boolean, ColumnElement, Connection, Double, Table, bindparam, func, select, update
+from sqlalchemy.types import TypeEngine
+
+from msbdb.database.dialects.dialect import Dialect
+from msbdb.database.schema.canonical import text_id, to_json
+from msbdb.database.schema.sqltables import SQL
+from msbdb.tables import DATABASE_TABLES, ROW_DIGEST
+
+COLUMN = ROW_DIGEST.name
+
+TABLES = tuple(table.name for table in DATABASE_TABLES if table.digested)
+"""The tables whose rows have digests."""
+
+BATCH = 5000
+"""Rows that are held at once."""
+
+
+def digests(table: str, columns: Sequence[tuple[str, TypeEngine[Any]]], rows: Sequence[Sequence[Any]]) -> list[int]:
+    """Return the digest of each row.
+
+    Parameters
+    ----------
+    table : str
+        Its name, which is part of the digest.
+    columns : sequence of str and type
+        Name and type of each column, in any order. A geometry is one of the name ``geometry``.
+    rows : sequence of sequence
+        Values as the database gives them; a geometry as WKB, a document as it is or as JSON. A column that is left out
+        is null.
+
+    Returns
+    -------
+    list of int
+        Keys above 0 as of `text_id`. Migrations use this: what it returns for a row must stay the same.
+    """
+    cells = {
+        name: _canonical(name, type_, values)
+        for (name, type_), values in zip(columns, zip(*rows, strict=True), strict=True)
+    }
+    found = []
+    for values in zip(*cells.values(), strict=True):
+        told = {name: value for name, value in zip(cells, values, strict=True) if value is not None}
+        found.append(text_id(table, json.dumps(told, sort_keys=True, ensure_ascii=False)))
+    return found
+
+
+def _canonical(name: str, type_: TypeEngine[Any], values: Sequence[Any]) -> list[Any]:
+    """Return a column's values in the one form that every dialect's values have."""
+    if name == "geometry":
+        shapes = shapely.from_wkb(np.array([bytes(value) for value in values], dtype=object))
+        return [str(words) for words in shapely.to_wkb(shapes, byte_order=1, output_dimension=2, hex=True)]
+    if isinstance(type_, Boolean):
+        return [None if value is None else bool(value) for value in values]
+    if isinstance(type_, Double):
+        # Adding zero makes -0.0, which SQLite does not keep, 0.0.
+        return [None if value is None else float(value) + 0.0 for value in values]
+    if isinstance(type_, JSON):
+        words = [value if isinstance(value, str) else to_json(value) for value in values]
+        # A document that says null is read as none.
+        return [None if value == "null" else value for value in words]
+    return list(values)
+
+
+def insert_digested(
+    connection: Connection,
+    dialect: Dialect,
+    table: str,
+    columns: Sequence[str],
+    rows: Sequence[tuple[Any, ...]],
+    *,
+    srid: int,
+    shapes: Any = None,  # noqa: ANN401  (an array of geometries)
+) -> None:
+    """Insert rows in bulk, each with its digest; documents are JSON already, ``shapes`` are the rows' geometries."""
+    if not rows:
+        return
+    types = {column.name: column.type for column in SQL[table].columns}
+    names = list(columns)
+    plain, stored = [list(rows)] * 2
+    if shapes is not None:
+        names.append("geometry")
+        plain = [(*row, wkb) for row, wkb in zip(rows, shapely.to_wkb(shapes), strict=True)]
+        stored = [(*row, shape) for row, shape in zip(rows, dialect.encode(shapes, srid), strict=True)]
+    made = digests(table, [(name, types[name]) for name in names], plain)
+    whole = [(*row, digest) for row, digest in zip(stored, made, strict=True)]
+    dialect.insert_rows(connection, table, [*names, COLUMN], whole, srid)
+
+
+def digest_again(connection: Connection, table: Table, where: ColumnElement[bool] | None = None) -> None:
+    """Write the digests of rows of a table that were changed by SQL."""
+    [key] = table.primary_key.columns
+    named = update(table).where(key == bindparam("own_key")).values({COLUMN: bindparam("own_digest")})
+    for batch in list(digested(connection, table, where)):
+        connection.execute(named, [{"own_key": number, "own_digest": digest} for number, _, digest in batch])
+
+
+def digested(
+    connection: Connection, table: Table, where: ColumnElement[bool] | None = None
+) -> Iterator[list[tuple[int, int | None, int]]]:
+    """Yield rows of a table in batches: key, the digest that is stored, and that of the values."""
+    [key] = table.primary_key.columns
+    columns = [column for column in table.columns if column.name != COLUMN]
+    chosen: list[Any] = [func.ST_AsBinary(c, type_=None) if c.name == "geometry" else c for c in columns]
+    query = select(key, table.c[COLUMN], *chosen).order_by(key)
+    if where is not None:
+        query = query.where(where)
+    kinds = [(column.name, column.type) for column in columns]
+    for rows in connection.execute(query, execution_options={"yield_per": BATCH}).partitions():
+        made = digests(table.name, kinds, [row[2:] for row in rows])
+        yield [(row[0], row[1], digest) for row, digest in zip(rows, made, strict=True)]

@@ -1,0 +1,206 @@
+"""The inventory as an update finds it, and whether the update may be applied to it."""
+
+import hashlib
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Engine, func, or_, select
+
+from msbdb.database.dialects.connection import snapshot
+from msbdb.database.history.periods import read_before, read_born, read_events, read_offsets
+from msbdb.database.schema.canonical import text_id
+from msbdb.database.schema.sqltables import SQL
+from msbdb.errors import InputError
+
+BUILDING_CHANGE = SQL["building_change"]
+
+BUILDING_VERSION = SQL["building_version"]
+
+INVENTORY_EVENT = SQL["inventory_event"]
+
+RUN = SQL["run"]
+
+SURVEY = SQL["survey"]
+
+SEAM_SHARE = 0.02
+"""Surveys that share no more than this of the smaller lie side by side: they may be applied in any order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What an update is computed from: the run of its survey, and what was applied where the survey lies."""
+
+    run_sha256: str
+    events: tuple[tuple[int, str], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """The inventory where a survey lies, as an update finds it.
+
+    Parameters
+    ----------
+    digest : str
+        Of all that decides of the update's outcome, but for the inventory itself, to which updates come in order.
+    basis : Basis
+        What the update is computed from.
+    applied : mapping, optional
+        Counts of the very same update where it was applied already.
+    before, born : GeoDataFrame
+        See `Advance`; ``before`` has all columns of ``building_version``.
+    events : GeoDataFrame
+        The updates by other surveys that were applied to the place, the latest first.
+    offsets : DataFrame
+        ``survey_offset``.
+    """
+
+    digest: str
+    basis: Basis
+    applied: dict[str, int] | None
+    before: gpd.GeoDataFrame
+    born: gpd.GeoDataFrame
+    events: gpd.GeoDataFrame
+    offsets: pd.DataFrame
+
+
+def survey_key(survey: str) -> int:
+    """Return a survey's key."""
+    return text_id("survey", survey)
+
+
+def read_standing(
+    engine: Engine, survey: str, date: str, bounds: tuple[float, float, float, float], area: shapely.MultiPolygon
+) -> Standing:
+    """Read what an update by a survey is computed from.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    survey, date : str
+        Its name and day.
+    bounds : tuple of float
+        Its west, south, east and north, metres.
+    area : MultiPolygon
+        Where it is to be applied.
+
+    Raises
+    ------
+    InputError
+        When something later was applied to the same place already.
+    """
+    survey_id = survey_key(survey)
+    with snapshot(engine) as connection:
+        basis = basis_of(connection, survey_id, area)
+        digest = _digest(basis, date, area)
+        applied = _applied(connection, survey_id, digest)
+        if applied is None:
+            _require_last(connection, survey, survey_id, date, area)
+        events = read_events(connection)
+        others = events["number"].isin([number for number, _ in basis.events]) & (events["kind"] == "update")
+        others &= events["survey_id"].fillna(0) != survey_id
+        return Standing(
+            digest=digest,
+            basis=basis,
+            applied=applied,
+            before=read_before(connection, bounds, survey_id),
+            born=read_born(connection, survey_id),
+            events=events[others].sort_values(["date", "number"], ascending=False),
+            offsets=read_offsets(connection),
+        )
+
+
+def _digest(basis: Basis, date: str, area: shapely.MultiPolygon) -> str:
+    """Return the digest of an update."""
+    digest = hashlib.sha256(f"{basis.run_sha256}\0{date}\0".encode())
+    digest.update(shapely.to_wkb(area, byte_order=1))
+    return digest.hexdigest()
+
+
+def basis_of(connection: Connection, survey_id: int, area: shapely.Geometry) -> Basis:
+    """Return what an update of an area is computed from, as it is now."""
+    run = connection.scalar(select(RUN.c.content_sha256).where(RUN.c.survey_id == survey_id))
+    events = read_events(connection)
+    near = events[events.intersects(area)]
+    return Basis(str(run), tuple(zip(near["number"].astype(int), near["content_sha256"], strict=True)))
+
+
+def _applied(connection: Connection, survey_id: int, digest: str) -> dict[str, int] | None:
+    """Return the counts of just this update, where it was applied and all of its rows are still there."""
+    query = select(INVENTORY_EVENT.c.content_sha256, INVENTORY_EVENT.c.counts).where(
+        INVENTORY_EVENT.c.survey_id == survey_id
+    )
+    found = connection.execute(query).one_or_none()
+    if found is None or found.content_sha256 != digest:
+        return None
+    kinds = select(BUILDING_CHANGE.c.kind, func.count()).where(BUILDING_CHANGE.c.survey_id == survey_id)
+    there = {str(kind): int(n) for kind, n in connection.execute(kinds.group_by(BUILDING_CHANGE.c.kind))}
+    versions = select(func.count()).where(BUILDING_VERSION.c.survey_id == survey_id)
+    there["versions"] = int(connection.scalar(versions) or 0)
+    return there if there == dict(found.counts) else None
+
+
+def _require_last(connection: Connection, survey: str, survey_id: int, date: str, area: shapely.MultiPolygon) -> None:
+    """Refuse an update of a place to which something later was applied already.
+
+    Raises
+    ------
+    InputError
+        Naming the later event.
+    """
+    events = read_events(connection)
+    shared = events.intersection(area).area
+    overlaps = shared > SEAM_SHARE * np.minimum(events.area, area.area)
+    near = events[overlaps & (events["survey_id"].fillna(0) != survey_id)]
+    own = events.loc[events["survey_id"] == survey_id, "number"]
+    later = near[near["date"] > date]
+    if len(own):
+        later = near[(near["date"] > date) | (near["number"] > int(own.iloc[0]))]
+    if len(later):
+        last = later.iloc[-1]
+        msg = (
+            f"The survey '{survey}' of {date} cannot be applied: '{last['name']}' of {last['date']} was applied to the "
+            "same place already. Apply surveys in the order of their dates; of those that overlap only the last one "
+            "can be applied again."
+        )
+        raise InputError(msg)
+    _require_unused(connection, survey, survey_id)
+
+
+def require_begun(before: gpd.GeoDataFrame, ended: NDArray[np.intp], survey: str, date: str) -> None:
+    """Refuse to end versions before they began, as may be on the seam of two surveys side by side.
+
+    Raises
+    ------
+    InputError
+        Naming the first building.
+    """
+    late = before.iloc[ended]
+    late = late[late["valid_from"] > date]
+    if len(late):
+        first = late.iloc[0]
+        msg = (
+            f"The survey '{survey}' of {date} changes the building {first['uid']}, whose present state began on "
+            f"{first['valid_from']}. Apply surveys that share buildings in the order of their dates."
+        )
+        raise InputError(msg)
+
+
+def _require_unused(connection: Connection, survey: str, survey_id: int) -> None:
+    """Refuse to take back what a later survey, though it lies beside this one, has built on."""
+    own = select(BUILDING_VERSION.c.version_id).where(BUILDING_VERSION.c.survey_id == survey_id)
+    uses = or_(BUILDING_CHANGE.c.version_before.in_(own), BUILDING_CHANGE.c.version_after.in_(own))
+    query = (
+        select(SURVEY.c.name)
+        .join(BUILDING_CHANGE, BUILDING_CHANGE.c.survey_id == SURVEY.c.survey_id)
+        .where(uses, BUILDING_CHANGE.c.survey_id != survey_id)
+        .limit(1)
+    )
+    later = connection.scalar(query)
+    if later is not None:
+        msg = f"The survey '{survey}' cannot be applied again: '{later}' has built on buildings that both have seen."
+        raise InputError(msg)

@@ -1,0 +1,273 @@
+"""Writing the living inventory: each import, update or word of an operator is one transaction, whole or not at all.
+
+An update is computed outside of the transaction, from what the inventory held when it was read, so that a writer holds
+its lock for the writing alone. The transaction begins with the question whether that still holds (`Basis`).
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from sqlalchemy import Connection, Engine, delete, exists, func, select, update
+
+from msbdb.database.dialects.connection import guarded
+from msbdb.database.dialects.dialect import Dialect, dialect_of
+from msbdb.database.history.rowdigest import digest_again, insert_digested
+from msbdb.database.history.standing import Basis, basis_of, require_begun
+from msbdb.database.runs.basis import OutdatedError
+from msbdb.database.schema.canonical import plain, text_id, to_json
+from msbdb.database.schema.sqltables import SQL
+
+BUILDING_CHANGE = SQL["building_change"]
+
+BUILDING_VERSION = SQL["building_version"]
+
+INVENTORY_BUILDING = SQL["inventory_building"]
+
+INVENTORY_EVENT = SQL["inventory_event"]
+
+SURVEY_OFFSET = SQL["survey_offset"]
+
+logger = logging.getLogger(__name__)
+
+MEASURES = (
+    "state", "storeys", "h_max", "h_mean", "h_p50", "h_p90", "area_m2", "volume_m3", "parts", "flat_share",
+    "area3d_share", "adaptive_share",
+)  # fmt: skip
+"""What a version tells of a building, besides its outline."""
+
+_FIGURES = ("outline", "height", "parts", "overlap_m2", "iou", "dh_m", "darea_m2", "note")
+"""What a change tells of a pair of buildings."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Advance:
+    """All that an update writes.
+
+    Parameters
+    ----------
+    survey, survey_id, date : str, int, str
+        The survey and its day.
+    area : MultiPolygon
+        Where it was surveyed.
+    digest : str
+        Of all that decides of the outcome.
+    basis : Basis
+        What it was computed from.
+    before : GeoDataFrame
+        The inventory before: ``version_id``, ``uid``, ``attributes``.
+    born : GeoDataFrame
+        ``uid`` and geometry of the buildings that an earlier application of this survey began.
+    offset : mapping
+        ``dx_m``, ``dy_m``, ``dz_m``, ``pairs`` and ``spread_m``.
+    changes : DataFrame
+        ``kind``, ``before`` and ``version`` (row numbers, or -1), and the columns of ``building_change`` that tell of
+        the pair.
+    states : GeoDataFrame
+        The new versions: ``before`` (row whose identity it continues, or -1), ``building_id``, ``MEASURES``, geometry.
+    """
+
+    survey: str
+    survey_id: int
+    date: str
+    area: shapely.MultiPolygon
+    digest: str
+    basis: Basis
+    before: gpd.GeoDataFrame
+    born: gpd.GeoDataFrame
+    offset: dict[str, Any]
+    changes: pd.DataFrame
+    states: gpd.GeoDataFrame
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Rows by kind of change, and versions."""
+        kinds = self.changes["kind"].value_counts()
+        return {str(kind): int(n) for kind, n in sorted(kinds.items())} | {"versions": len(self.states)}
+
+
+def write_advance(engine: Engine, advance: Advance) -> str:
+    """Write an update in one transaction, in place of an earlier application of the same survey.
+
+    Returns
+    -------
+    str
+        'created' or 'replaced'.
+
+    Raises
+    ------
+    OutdatedError
+        When what the update was computed from has changed; nothing was written.
+    DatabaseError
+        When the database is locked, full or cannot be reached; nothing was written.
+    """
+    dialect = dialect_of(engine.url)
+    with guarded(engine.url), dialect.writing(engine) as connection:
+        if basis_of(connection, advance.survey_id, advance.area) != advance.basis:
+            raise OutdatedError
+        srid = dialect.database_srid(connection)
+        number = _take_back(connection, advance.survey_id)
+        after = [(uid, text_id("version", "survey", advance.survey, uid)) for uid in _uids(advance)]
+        begins = advance.states["before"].to_numpy() < 0
+        _close(connection, advance)
+        born = [(uid, advance.survey) for (uid, _), is_new in zip(after, begins, strict=True) if is_new]
+        insert_digested(connection, dialect, "inventory_building", ["uid", "source"], born, srid=srid)
+        write_versions(connection, dialect, _version_rows(advance, after), srid)
+        _write_changes(connection, dialect, advance, after, srid)
+        offset = {"survey_id": advance.survey_id, **plain(advance.offset)}
+        insert_digested(connection, dialect, "survey_offset", list(offset), [tuple(offset.values())], srid=srid)
+        event = {"kind": "update", "name": advance.survey, "date": advance.date, "survey_id": advance.survey_id}
+        event |= {"number": number, "counts": advance.counts, "content_sha256": advance.digest}
+        write_event(connection, dialect, event, advance.area)
+        dialect.after_load(connection)
+    return "replaced" if number else "created"
+
+
+def _take_back(connection: Connection, survey_id: int) -> int:
+    """Undo an application of a survey; return its event's number, 0 where there was none."""
+    number = connection.scalar(select(INVENTORY_EVENT.c.number).where(INVENTORY_EVENT.c.survey_id == survey_id))
+    if number is None:
+        return 0
+    connection.execute(delete(BUILDING_CHANGE).where(BUILDING_CHANGE.c.survey_id == survey_id))
+    own = select(BUILDING_VERSION.c.uid).where(BUILDING_VERSION.c.survey_id == survey_id)
+    touched = list(connection.scalars(own))
+    connection.execute(delete(BUILDING_VERSION).where(BUILDING_VERSION.c.survey_id == survey_id))
+    closed = list(
+        connection.scalars(select(BUILDING_VERSION.c.version_id).where(BUILDING_VERSION.c.closed_by == survey_id))
+    )
+    _set_end(connection, closed, None, None)
+    has_version = exists().where(BUILDING_VERSION.c.uid == INVENTORY_BUILDING.c.uid)
+    for some in batches(touched):
+        connection.execute(delete(INVENTORY_BUILDING).where(INVENTORY_BUILDING.c.uid.in_(some), ~has_version))
+    connection.execute(delete(SURVEY_OFFSET).where(SURVEY_OFFSET.c.survey_id == survey_id))
+    connection.execute(delete(INVENTORY_EVENT).where(INVENTORY_EVENT.c.survey_id == survey_id))
+    return int(number)
+
+
+def _uids(advance: Advance) -> list[int]:
+    """Return the building of each new version: the one that it continues, or one that begins.
+
+    A building that an earlier application of the survey began keeps its identity: by its place and the run's building
+    where these are the same, else by the larger share of both outlines. So an operator's word on it holds on.
+    """
+    states, known = advance.states, advance.before["uid"].to_numpy()
+    fresh = np.flatnonzero(states["before"].to_numpy() < 0)
+    uids = {int(row): int(known[before]) for row, before in enumerate(states["before"]) if before >= 0}
+    shapes = states.geometry.to_numpy()
+    corners = np.round(shapely.bounds(shapes) * 1000)
+    for row in fresh.tolist():
+        place = [int(value) for value in corners[row]]
+        uids[row] = text_id("inventory building", "survey", advance.survey, states["building_id"].iloc[row], *place)
+    old = {int(uid): shape for uid, shape in zip(advance.born["uid"], advance.born.geometry, strict=True)}
+    lost = sorted(set(old) - set(uids.values()))
+    strange = [row for row in fresh.tolist() if uids[row] not in old]
+    for row, uid in _alike([shapes[row] for row in strange], [old[uid] for uid in lost]):
+        uids[strange[row]] = lost[uid]
+    return [uids[row] for row in range(len(states))]
+
+
+def _alike(some: Sequence[shapely.Geometry], others: Sequence[shapely.Geometry]) -> list[tuple[int, int]]:
+    """Return pairs of outlines that share half of the larger; each outline is in one pair at most."""
+    if not some or not others:
+        return []
+    one, two = (np.array(shapes, dtype=object) for shapes in (some, others))
+    pairs = shapely.STRtree(two).query(one, predicate="intersects")
+    shared = shapely.area(shapely.intersection(one[pairs[0]], two[pairs[1]]))
+    share = shared / np.maximum(shapely.area(one[pairs[0]]), shapely.area(two[pairs[1]]))
+    taken: tuple[set[int], set[int]] = (set(), set())
+    chosen = []
+    for at in np.lexsort((pairs[1], pairs[0], -share)).tolist():
+        a, b = int(pairs[0, at]), int(pairs[1, at])
+        if share[at] >= 0.5 and a not in taken[0] and b not in taken[1]:
+            taken[0].add(a)
+            taken[1].add(b)
+            chosen.append((a, b))
+    return chosen
+
+
+def _close(connection: Connection, advance: Advance) -> None:
+    """End the versions that are followed by others, or by nothing."""
+    changes = advance.changes
+    ended = changes.loc[(changes["before"] >= 0) & ((changes["version"] >= 0) | (changes["kind"] == "demolished"))]
+    rows = ended["before"].unique()
+    require_begun(advance.before, rows, advance.survey, advance.date)
+    ids = advance.before["version_id"].to_numpy()[rows].astype(int).tolist()
+    _set_end(connection, ids, advance.date, advance.survey_id)
+
+
+def _set_end(connection: Connection, versions: list[int], date: str | None, survey_id: int | None) -> None:
+    """End versions on a day by a survey, or reopen them."""
+    for some in batches(versions):
+        own = BUILDING_VERSION.c.version_id.in_(some)
+        connection.execute(update(BUILDING_VERSION).where(own).values(valid_to=date, closed_by=survey_id))
+        digest_again(connection, SQL["building_version"], own)
+
+
+def _version_rows(advance: Advance, after: list[tuple[int, int]]) -> gpd.GeoDataFrame:
+    """Return the new versions with the columns of building_version; imported attributes are handed on."""
+    known = advance.before["attributes"].tolist()
+    attributes = [known[before] if before >= 0 else None for before in advance.states["before"]]
+    return advance.states.assign(
+        version_id=[version for _, version in after],
+        uid=[uid for uid, _ in after],
+        valid_from=advance.date,
+        source="survey",
+        survey_id=advance.survey_id,
+        attributes=pd.Series(attributes, dtype=object, index=advance.states.index),
+    )
+
+
+def write_versions(connection: Connection, dialect: Dialect, rows: gpd.GeoDataFrame, srid: int) -> None:
+    """Write versions in bulk."""
+    columns = ["version_id", "uid", "valid_from", "source", "survey_id", "building_id", *MEASURES]
+    cells: list[list[Any]] = [_values(rows[name]) for name in columns]
+    cells.append([to_json(value) if isinstance(value, dict) else None for value in rows["attributes"]])
+    made, shapes = list(zip(*cells, strict=True)), _multi(rows.geometry.to_numpy())
+    insert_digested(connection, dialect, "building_version", [*columns, "attributes"], made, srid=srid, shapes=shapes)
+
+
+def _write_changes(
+    connection: Connection, dialect: Dialect, advance: Advance, after: list[tuple[int, int]], srid: int
+) -> None:
+    """Write the changes in bulk, with buildings and versions in place of row numbers; ``after`` has those of states."""
+    known = list(zip(advance.before["uid"].astype(int), advance.before["version_id"].astype(int), strict=True))
+    told = advance.changes[["before", "version", "kind"]].to_numpy().tolist()
+    changes = advance.changes.assign(iou=advance.changes["iou"].clip(upper=1.0))
+    figures = zip(*(_values(changes[name]) for name in _FIGURES), strict=True)
+    rows = []
+    for (before, version, kind), cells in zip(told, figures, strict=True):
+        one = known[before] if before >= 0 else (None, None)
+        two = after[version] if version >= 0 else (None, None) if kind == "demolished" else one
+        key = text_id("change", advance.survey, kind, one[0], two[0])
+        rows.append((key, advance.survey_id, kind, one[0], two[0], one[1], two[1], *cells))
+    columns = ["change_id", "survey_id", "kind", "uid_before", "uid_after", "version_before", "version_after"]
+    insert_digested(connection, dialect, "building_change", [*columns, *_FIGURES], sorted(rows), srid=srid)
+
+
+def write_event(connection: Connection, dialect: Dialect, event: dict[str, Any], area: shapely.MultiPolygon) -> None:
+    """Write down what was applied; an application in place of an earlier one keeps its number."""
+    last = connection.scalar(select(func.max(INVENTORY_EVENT.c.number))) or 0
+    srid = dialect.database_srid(connection)
+    row = {"number": event.pop("number", 0) or last + 1, **event, "counts": to_json(event["counts"])}
+    shapes = np.array([area], dtype=object)
+    insert_digested(connection, dialect, "inventory_event", list(row), [tuple(row.values())], srid=srid, shapes=shapes)
+
+
+def _values(column: pd.Series) -> list[Any]:
+    """Return a column as plain values, None where one is missing."""
+    return [None if pd.isna(value) else plain(value) for value in column.tolist()]
+
+
+def _multi(shapes: Any) -> Any:  # noqa: ANN401  (arrays of geometries)
+    """Return polygons as multipolygons."""
+    return np.array([s if s.geom_type == "MultiPolygon" else shapely.multipolygons([s]) for s in shapes], dtype=object)
+
+
+def batches(keys: list[int], size: int = 500) -> list[list[int]]:
+    """Return keys in lists short enough for one statement of any dialect."""
+    return [keys[at : at + size] for at in range(0, len(keys), size)]

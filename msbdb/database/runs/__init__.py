@@ -1,0 +1,1 @@
+"""Runs: checked, written in one transaction, and read back."""

@@ -1,0 +1,158 @@
+"""Checks of a build before it is loaded, so that what is wrong is named by its row, not by a constraint."""
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.errors import InputError, TableError
+from msbdb.params import DETECTORS, POINT_DETECTORS
+from msbdb.tables import (
+    BUILDING,
+    CANDIDATE_REGION,
+    REJECTION,
+    TABLES,
+    Build,
+    Reference,
+    Table,
+    Unique,
+    validate,
+    validate_parts,
+)
+from msbdb.tables.declare import RUN_ID
+from msbdb.threads import cores, in_threads
+
+_SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
+
+_POINT = (shapely.GeometryType.POINT,)
+
+
+def check_build(build: Build) -> None:
+    """Check that a build can be stored: names, declared columns, numbers, geometries and references.
+
+    Raises
+    ------
+    InputError
+        For a survey without a name, or extractors that are missing, unknown, not in order or named twice.
+    TableError
+        Naming the table, the column and the first rows that are wrong.
+    """
+    _check_names(build)
+    expected = {table.name for table in TABLES}
+    if set(build.frames) != expected:
+        msg = f"A build needs the tables {sorted(expected)}; got {sorted(build.frames)}."
+        raise TableError(msg)
+    for table in TABLES:
+        frame = build.frames[table.name]
+        validate(frame, table)
+        _check_numbers(frame, table)
+        if table.geometry:
+            _check_geometries(frame, table)
+    _check_keys(build.frames)
+    _check_references(build.frames, build.run.methods)
+    validate_parts(build.frames["part"])
+
+
+def _check_names(build: Build) -> None:
+    """Refuse a survey without a name, and extractors that are not in order or not known."""
+    if not build.survey.name.strip():
+        msg = f"A build needs a survey's name; got '{build.survey.name}'. Give one."
+        raise InputError(msg)
+    methods = build.run.methods
+    if not methods or list(methods) != sorted(set(methods) & set(DETECTORS)):
+        msg = (
+            f"A run's methods must be extractors in alphabetical order, of {', '.join(sorted(DETECTORS))}; got "
+            f"{', '.join(repr(name) for name in methods) or 'none'}. Give for instance 'flatregions', 'multiscale'."
+        )
+        raise InputError(msg)
+
+
+def geometries(frame: pd.DataFrame) -> NDArray[np.object_]:
+    """Return the (N,) geometries of a frame, plain or geographic."""
+    return np.asarray(frame["geometry"], dtype=object)
+
+
+def _check_numbers(frame: pd.DataFrame, table: Table) -> None:
+    """Refuse infinities everywhere, and missing values where none are declared."""
+    for column in table.columns:
+        values = frame[column.name]
+        wrong = values.isna() & (not column.nullable)
+        if column.dtype == "float64":
+            wrong |= np.isinf(values)
+        _require(~wrong, frame, table, f"{column.name} is missing or infinite")
+
+
+def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
+    """Refuse geometries that are missing, empty, of another type, or not valid."""
+    shapes = geometries(frame)
+    kind = shapely.get_type_id(shapes)
+    allowed = _SHAPES.get(str(table.geometry), _POINT)
+    _require(np.isin(kind, [int(k) for k in allowed]), frame, table, f"the geometry is no {table.geometry}")
+    _require(~shapely.is_empty(shapes), frame, table, "the geometry is empty")
+    valid = in_threads(shapely.is_valid, np.array_split(shapes, cores()))
+    _require(np.concatenate(valid), frame, table, "the geometry is not valid")
+
+
+def _check_keys(frames: dict[str, pd.DataFrame]) -> None:
+    """Refuse two rows of one key."""
+    for table in TABLES:
+        # Columns that only the database has belong to no key of a frame: the run's is the same in all rows.
+        unique = [
+            rule.columns for rule in table.rules if isinstance(rule, Unique) and set(rule.columns) <= set(table.names)
+        ]
+        for key in filter(None, (table.key, *unique)):
+            frame = frames[table.name]
+            _require(~frame.duplicated(list(key)), frame, table, f"{' with '.join(key)} is given twice")
+
+
+def _check_references(frames: dict[str, pd.DataFrame], methods: tuple[str, ...]) -> None:
+    """Refuse rows that refer to a scale, class, part, region or extractor that is not there."""
+    for table in TABLES:
+        frame = frames[table.name]
+        for column, other, key, allows_none in references(table):
+            known = frames[other][key]
+            holds = frame[column].isin(known) | (allows_none & (frame[column] == 0))
+            _require(holds, frame, table, f"{column} names nothing that exists")
+    parts, buildings, candidates = frames["part"], frames["building"], frames["candidate_region"]
+    roots = parts.loc[parts["supid"] == 0, "part_id"]
+    _require(buildings["root_id"].isin(roots), buildings, BUILDING, "root_id names nothing that exists")
+    asked = [name for name in POINT_DETECTORS if name in methods]
+    _require(candidates["method"].isin(asked), candidates, CANDIDATE_REGION, "method names nothing that exists")
+    rejected = frames["rejection"]
+    _require(rejected["method"].isin(DETECTORS), rejected, REJECTION, "method names nothing that exists")
+
+
+def references(table: Table) -> Iterator[tuple[str, str, str, bool]]:
+    """Yield a table's declared references by one column: column, table and column that it names, and if 0 means none.
+
+    The run's key is left out, as all rows of a build have the same, and so is the father's, which `validate_parts`
+    checks.
+
+    Examples
+    --------
+    >>> from msbdb.tables import PART
+    >>> list(references(PART))
+    [('scale', 'scale', 'scale', False), ('speindex', 'spectral_class', 'speindex', True)]
+    """
+    for column in table.columns:
+        if column.refers:
+            other, key = column.refers.split(".")
+            yield column.name, other, key, False
+    for rule in table.rules:
+        if isinstance(rule, Reference):
+            pairs = [(own, to) for own, to in zip(rule.columns, rule.to, strict=True) if own != RUN_ID.name]
+            if len(pairs) == 1:
+                [(own, key)] = pairs
+                yield table[own].zero_of or own, rule.table, key, bool(table[own].zero_of)
+
+
+def _require(holds: Collection[bool], frame: pd.DataFrame, table: Table, what: str) -> None:
+    """Raise for the rows where a condition fails, by their first column."""
+    fails = ~np.asarray(holds, dtype=bool)
+    if fails.any():
+        key = table.columns[0].name
+        rows = ", ".join(str(value) for value in frame.loc[fails, key][:5])
+        msg = f"Table {table.name} cannot be stored: {what} in {fails.sum()} rows, first at {key} {rows}."
+        raise TableError(msg)

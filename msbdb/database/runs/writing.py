@@ -1,0 +1,358 @@
+"""Loading a build: one transaction, the same rows for the same build, whole or not at all."""
+
+import hashlib
+import logging
+import zlib
+from dataclasses import asdict, dataclass
+from os import PathLike
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from sqlalchemy import URL, Connection, Engine, delete, func, insert, select, text, update
+
+from msbdb.database.dialects.connection import TIMEOUT_S, database_url, guarded, open_database, require_srid, shown
+from msbdb.database.dialects.dialect import Dialect, dialect_of
+from msbdb.database.runs.basis import BuildBasis
+from msbdb.database.runs.checks import check_build, geometries
+from msbdb.database.schema import migration as upgrade
+from msbdb.database.schema.canonical import plain, text_id, to_json
+from msbdb.database.schema.sqltables import METADATA, SQL
+from msbdb.database.schema.srid import srid_of
+from msbdb.tables import TABLES, Build, Table
+from msbdb.threads import in_threads
+
+RUN = SQL["run"]
+
+RUN_METHOD = SQL["run_method"]
+
+RUN_STATE = SQL["run_state"]
+
+SOURCE = SQL["source"]
+
+SURVEY = SQL["survey"]
+
+logger = logging.getLogger(__name__)
+
+PACKING = 4
+"""Level of the rasters' compression: the last before it takes four times as long for files smaller by a twentieth."""
+
+_FRAMES = {table.name for table in TABLES}
+
+_LOADED = [table.name for table in METADATA.sorted_tables if table.name in _FRAMES]
+"""The tables of a build's frames in an order in which every row finds what it refers to."""
+
+
+@dataclass(frozen=True, slots=True)
+class WriteReport:
+    """What a load did.
+
+    ``status`` is 'created', 'replaced' or 'unchanged'; ``rows`` counts the run's rows by table.
+    """
+
+    survey: str
+    methods: tuple[str, ...]
+    survey_id: int
+    run_id: int
+    status: str
+    rows: dict[str, int]
+
+
+def store_build(
+    target: str | PathLike[str] | URL, build: Build, *, basis: BuildBasis | None = None, timeout_s: float = TIMEOUT_S
+) -> WriteReport:
+    """Write a build in one transaction, into a database that this transaction creates where there is none.
+
+    So a first build that is stopped, or for which the disk is too small, leaves no empty database in its CRS.
+
+    Parameters
+    ----------
+    target : str, path or URL
+        The database. An older schema is upgraded.
+    build : Build
+        As `write_build` takes it.
+    basis : BuildBasis, optional
+        What it was computed from, of what the database held.
+    timeout_s : float
+        Seconds to wait for a lock or a server.
+
+    Raises
+    ------
+    OutdatedError
+        When the basis has changed; nothing was written.
+    MsbdbError
+        As of `open_database` and `write_build`.
+    """
+    check_build(build)
+    survey = build.survey
+    url = database_url(target)
+    dialect = dialect_of(url)
+    with guarded(url):
+        if not dialect.exists(url, timeout_s):
+            rows, rasters = _Rows.of(build), _packed(build)
+            srid = srid_of(survey.epsg, survey.crs_wkt)
+
+            def fill(connection: Connection) -> None:
+                upgrade.initialise(connection, dialect, srid, survey.crs_wkt)
+                _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
+
+            if dialect.create(url, timeout_s, fill):
+                logger.info("Created the database %s with the SRID %d", shown(url), srid)
+                return _report(build, rows, "created")
+    engine = open_database(url, create=True, srid=survey.epsg, crs_wkt=survey.crs_wkt, timeout_s=timeout_s)
+    try:
+        return write_build(engine, build, basis=basis)
+    finally:
+        engine.dispose()
+
+
+def write_build(engine: Engine, build: Build, *, basis: BuildBasis | None = None) -> WriteReport:
+    """Write a build in one transaction.
+
+    A survey has one run, whatever its extractors. Content that is there already is left alone, timings included; other
+    content replaces the survey's rows. Row order in the frames is of no matter.
+
+    Parameters
+    ----------
+    engine : Engine
+        From ``open_database``.
+    build : Build
+        With one frame for each of ``tables.TABLES``. Polygons become multipolygons.
+    basis : BuildBasis, optional
+        What it was computed from, of what the database held.
+
+    Raises
+    ------
+    OutdatedError
+        When the basis has changed; nothing was written.
+    InputError, TableError
+        When the build breaks its declaration; nothing was written.
+    CRSError
+        When the survey's CRS is not the database's.
+    LoadError
+        When the database refuses rows; nothing was written.
+    DatabaseError
+        When the database is locked, full or cannot be reached; nothing was written.
+    """
+    check_build(build)
+    dialect = dialect_of(engine.url)
+    rows = _Rows.of(build)
+    _, run_id = _keys(build)
+    srid = srid_of(build.survey.epsg, build.survey.crs_wkt)
+    with guarded(engine.url):
+        with engine.connect() as connection:
+            require_srid(connection, dialect, srid, shown(engine.url))
+            if _is_there(connection, run_id, rows.digest, rows.counts):
+                return _report(build, rows, "unchanged")
+        # Packed before the lock, which others wait for.
+        rasters = _packed(build)
+        with dialect.writing(engine) as connection:
+            if basis is not None:
+                basis.require(connection, build.survey.name)
+            removed = _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
+    return _report(build, rows, "replaced" if removed else "created")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """A build's rows in order, their number by table, and the digest of all."""
+
+    frames: dict[str, pd.DataFrame]
+    counts: dict[str, int]
+    digest: str
+
+    @classmethod
+    def of(cls, build: Build) -> Self:
+        """Return the rows of a build, whatever the order of its own."""
+        frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
+        counts = {name: len(frame) for name, frame in frames.items()}
+        counts |= {"run_method": len(build.run.methods), "run_state": len(build.state)}
+        counts["run_method"] = len(build.run.methods)
+        return cls(frames, counts, content_digest(build, frames))
+
+
+def _report(build: Build, rows: _Rows, status: str) -> WriteReport:
+    """Sum up a load."""
+    logger.info("Survey %s, methods %s: %s, %s", build.survey.name, ", ".join(build.run.methods), status, rows.counts)
+    return WriteReport(build.survey.name, build.run.methods, *_keys(build), status, rows.counts)
+
+
+def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
+    """Return the SHA-256 of all that a build would write, but for its timings; ``frames`` are in order."""
+    digest = hashlib.sha256()
+    run = asdict(build.run)
+    del run["timings"]
+    digest.update(to_json([_survey_row(build), _source_rows(build), run]).encode())
+    for name, frame in frames.items():
+        for column in frame.columns:
+            digest.update(f"\0{name}.{column}\0".encode())
+            digest.update(_column_bytes(frame, str(column)))
+    for name, values in sorted(build.state.items()):
+        cells = _portable(values)
+        digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
+        digest.update(cells.ravel().data)
+    return digest.hexdigest()
+
+
+def _fill(
+    connection: Connection, dialect: Dialect, build: Build, rows: _Rows, *, rasters: list[dict[str, Any]], srid: int
+) -> int:
+    """Write all of a build's rows in the caller's transaction; return how many runs they replace."""
+    survey_id, run_id = _keys(build)
+    with dialect.in_bulk(connection, rows.counts):
+        removed = connection.execute(delete(RUN).where(RUN.c.survey_id == survey_id)).rowcount
+        dialect.settle(connection)
+        _write_survey(connection, survey_id, build)
+        run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": rows.digest}
+        methods = [{"run_id": run_id, "method": method} for method in run.pop("methods")]
+        connection.execute(insert(RUN), [plain(run)])
+        connection.execute(insert(RUN_METHOD), methods)
+        for name in _LOADED:
+            _write_frame(connection, dialect, build, name, rows.frames[name], run_id=run_id, srid=srid)
+    for raster in rasters:
+        connection.execute(insert(RUN_STATE), [{"run_id": run_id, **raster}])
+    dialect.after_load(connection)
+    return removed
+
+
+def _keys(build: Build) -> tuple[int, int]:
+    """Return the keys of a build's survey and run; its extractors have no part in them."""
+    return text_id("survey", build.survey.name), text_id("run", build.survey.name)
+
+
+def _packed(build: Build) -> list[dict[str, Any]]:
+    """Return the rasters' columns but the run's key."""
+    return in_threads(_raster_row, sorted(build.state.items()))
+
+
+def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return a raster's columns but the run's key, packed."""
+    name, values = named
+    cells = _portable(values)
+    return {
+        "name": name,
+        "dtype": cells.dtype.str,
+        "shape": list(cells.shape),
+        "data": zlib.compress(cells.data, PACKING),
+    }
+
+
+def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, int]) -> bool:
+    """Tell whether the run holds this content, and all of its rows are still there."""
+    if connection.scalar(select(RUN.c.content_sha256).where(RUN.c.run_id == run_id)) != digest:
+        return False
+    counted = "SELECT count(*) FROM {} WHERE run_id = :run"
+    return all(connection.scalar(text(counted.format(name)), {"run": run_id}) == n for name, n in rows.items())
+
+
+def _write_survey(connection: Connection, survey_id: int, build: Build) -> None:
+    """Write the survey and its sources, or bring them up to date."""
+    row = _survey_row(build)
+    known = connection.scalar(select(func.count()).select_from(SURVEY).where(SURVEY.c.survey_id == survey_id))
+    if known:
+        connection.execute(update(SURVEY).where(SURVEY.c.survey_id == survey_id).values(**row))
+    else:
+        connection.execute(insert(SURVEY), [{"survey_id": survey_id, **row}])
+    connection.execute(delete(SOURCE).where(SOURCE.c.survey_id == survey_id))
+    sources = [{"survey_id": survey_id, "number": n, **row} for n, row in enumerate(_source_rows(build), start=1)]
+    if sources:
+        connection.execute(insert(SOURCE), sources)
+
+
+def _write_frame(
+    connection: Connection, dialect: Dialect, build: Build, name: str, frame: pd.DataFrame, *, run_id: int, srid: int
+) -> None:
+    """Write one table's rows in bulk, in the order of their keys, in which they are stored quickest."""
+    columns: dict[str, list[Any]] = {"run_id": [run_id] * len(frame)}
+    if name == "rejection":
+        ids = _rejection_ids(build, frame)
+        order = np.argsort(ids)
+        frame, columns["rejection_id"] = frame.iloc[order], ids[order].tolist()
+    for column in frame.columns:
+        if column == "geometry":
+            columns["geometry"] = dialect.encode(geometries(frame), srid)
+        else:
+            columns[str(column)] = _values(frame[column])
+    dialect.insert_rows(connection, name, list(columns), list(zip(*columns.values(), strict=True)), srid)
+
+
+def _values(values: pd.Series) -> list[Any]:
+    """Return a column's values as the drivers take them, None where one is missing."""
+    plain_values = values.tolist()
+    missing = np.flatnonzero(values.isna())
+    for place in missing.tolist():
+        plain_values[place] = None
+    return plain_values
+
+
+def _rejection_ids(build: Build, frame: pd.DataFrame) -> NDArray[np.int64]:
+    """Return keys of ledger rows; a region that one stage dropped twice for one reason is counted on.
+
+    A region's id is a digest already. Laid over with one of the other words it is unique among the rows that share
+    these, and among all as good as a digest of its own.
+    """
+    why = frame.groupby(["method", "stage", "reason"], sort=False).ngroup().rename("why")
+    again = frame.groupby([why, "region_id"], sort=False).cumcount().to_numpy()
+    both = why.to_numpy() * (again.max(initial=0) + 1) + again
+    _, first, group = np.unique(both, return_index=True, return_inverse=True)
+    kinds = frame[["method", "stage", "reason"]].iloc[first]
+    words = zip(*(kinds[name] for name in kinds), again[first], strict=True)
+    digests = np.array([text_id("rejection", build.survey.name, *row) for row in words], dtype=np.int64)
+    ids: NDArray[np.int64] = np.maximum(frame["region_id"].to_numpy(np.int64) ^ digests[group], 1)
+    return ids
+
+
+def _ordered(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+    """Return the rows in the table's order, with polygons as multipolygons."""
+    order = table.order
+    if frame[order[0]].is_unique:
+        order = order[:1]
+    rows = pd.DataFrame(frame).sort_values(order, kind="stable", ignore_index=True)
+    if table.geometry == "MULTIPOLYGON":
+        shapes = geometries(rows).copy()
+        simple = shapely.get_type_id(shapes) == shapely.GeometryType.POLYGON
+        shapes[simple] = shapely.multipolygons(shapes[simple], indices=np.arange(simple.sum()))
+        rows["geometry"] = pd.Series(shapes, dtype=object)
+    return rows
+
+
+def _survey_row(build: Build) -> dict[str, Any]:
+    """Return the survey's columns but its key."""
+    row = asdict(build.survey)
+    del row["sources"]
+    row["west"], row["south"], row["east"], row["north"] = row.pop("bounds")
+    return {name: plain(value) for name, value in row.items()}
+
+
+def _source_rows(build: Build) -> list[dict[str, Any]]:
+    """Return the sources in canonical order."""
+    rows = [plain(asdict(source)) for source in build.survey.sources]
+    return sorted(rows, key=lambda row: (row["role"], row["name"], row["sha256"]))
+
+
+def _column_bytes(frame: pd.DataFrame, column: str) -> bytes:
+    """Return a column's content as bytes that equal columns share."""
+    values = frame[column]
+    if column == "geometry":
+        shapes = geometries(frame)
+        # A point is normal as it is.
+        if shapely.get_dimensions(shapes).any():
+            shapes = shapely.normalize(shapes)
+        return b"".join(shapely.to_wkb(shapes, byte_order=1))
+    if values.dtype.kind in "if":
+        return _portable(values.to_numpy()).tobytes()
+    return _json_list(values).encode()
+
+
+def _json_list(words: pd.Series) -> str:
+    """Return a column as a list in JSON; each of its few different words is written once."""
+    codes, different = pd.factorize(words, use_na_sentinel=False)
+    written = np.array([to_json(word) for word in different.tolist()], dtype=object)
+    return f"[{', '.join(written[codes])}]"
+
+
+def _portable(values: NDArray[Any]) -> NDArray[Any]:
+    """Return an array in C order and little-endian."""
+    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))

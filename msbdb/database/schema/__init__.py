@@ -1,0 +1,1 @@
+"""The tables, views and queries of the database, generated from their declarations, and its versions."""

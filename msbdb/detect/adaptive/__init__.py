@@ -1,0 +1,1 @@
+"""The detector by vegetation removal and stepwise clustering of off-ground points (slides, Bathurst)."""

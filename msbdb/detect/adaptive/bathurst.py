@@ -1,0 +1,314 @@
+"""Stepwise clustering: the tree of single linkage cut at shorter and shorter distances, by harder thresholds (S6).
+
+Clusters as rows: ids, attributes, and the ledger of what was rejected.
+
+The extraction of buildings from off-ground points, from end to end (slides on adaptive filtering, S6 to S8).
+"""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from msbdb.detect.adaptive.offground import (
+    GREEN,
+    SCATTERED,
+    OffGround,
+    SurfaceEvidence,
+    off_ground,
+    structure,
+    tell_vegetation,
+)
+from msbdb.detect.pointregions import Candidates, PlacedPoints, PointBooks
+from msbdb.grid import GridSpec
+from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, renumber, reorder, sizes
+from msbdb.order import order_of_points
+from msbdb.params import AdaptiveParams, Params
+from msbdb.points.cloud import PointCloud
+from msbdb.points.graph import linked
+from msbdb.tables import CANDIDATE_REGION
+from msbdb.threads import cores
+
+Floats = NDArray[np.float64]
+
+Mask = NDArray[np.bool_]
+
+UPPER = 0.9
+"""Share of a cluster's points below the height that is compared with the threshold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step: the distance of the cut, metres, and the least that a cluster must have."""
+
+    distance_m: float
+    points: float
+    area_m2: float
+    height_m: float
+    width_m: float
+    level: float
+    level_per_split: float
+
+
+def ladder(params: AdaptiveParams, spacing_m: float) -> list[Step]:
+    """Return the steps; each value goes evenly from the first one given to the last."""
+    shares = np.linspace(0, 1, params.steps) if params.steps > 1 else np.ones(1)
+
+    def at(values: tuple[float, ...], share: float) -> float:
+        return float(values[0] + share * (values[-1] - values[0]))
+
+    return [
+        Step(
+            max(at(params.link_factors, share) * spacing_m, params.link_least_m),
+            at(params.points, share),
+            at(params.area_m2, share),
+            at(params.height_m, share),
+            at(params.width_m, share),
+            at(params.level_shares, share),
+            at(params.level_per_split, share),
+        )
+        for share in shares.tolist()
+    ]
+
+
+def cluster(points: OffGround, chosen: Mask, distance_m: float) -> tuple[Labels, int]:
+    """Cut the tree of single linkage: clusters are the connected components of points nearer than the distance.
+
+    Returns labels 1 to count in the order of the clusters' first points, 0 for points that are not chosen.
+    """
+    inside = np.flatnonzero(chosen)
+    labels = np.zeros(len(points), dtype=np.int32)
+    if not inside.size:
+        return labels, 0
+    labels[inside], count = linked(points.x[inside], points.y[inside], points.z[inside], distance_m)
+    return labels, count
+
+
+def judge(points: OffGround, found: SurfaceEvidence, labels: Labels, count: int, step: Step) -> NDArray[np.object_]:
+    """Return for each cluster the first threshold that it fails, in words; empty where it passes all."""
+    inside = np.flatnonzero(labels)
+    member = labels[inside] - 1
+    size = np.bincount(member, minlength=count)
+    area = np.bincount(member, points.area_m2[inside], count)
+    height = upper_heights(points.heights[inside], member, size)
+    width = widths(points.x[inside], points.y[inside], member, size)
+    level = np.bincount(member, found.level[inside], count) / np.maximum(size, 1)
+    split = np.bincount(member, found.split[inside], count) / np.maximum(size, 1)
+    fails = (
+        (size < step.points, f"fewer than {step.points:g} points"),
+        (area < step.area_m2, f"less than {step.area_m2:g} m2"),
+        (height < step.height_m, f"lower than {step.height_m:g} m"),
+        (width < step.width_m, f"narrower than {step.width_m:g} m"),
+        (level < step.level, f"level to less than {step.level:g}"),
+        (level < step.level_per_split * split, f"less than {step.level_per_split:g} times as level as split"),
+    )
+    reasons = np.full(count, "", dtype=object)
+    for broken, words in reversed(fails):
+        reasons[broken] = words
+    return reasons
+
+
+def upper_heights(heights: Floats, member: NDArray[np.int32], size: NDArray[np.int64]) -> Floats:
+    """Return the height that `UPPER` of each cluster's points do not exceed, metres."""
+    order = order_of_points(heights, heights, group=member)
+    first = np.cumsum(size) - size
+    place = first + np.maximum(np.ceil(UPPER * size).astype(np.int64) - 1, 0)
+    return np.asarray(heights[order][place])
+
+
+def widths(x: Floats, y: Floats, member: NDArray[np.int32], size: NDArray[np.int64]) -> Floats:
+    """Return the shorter side of the rectangle with the same second moments as each cluster's points, metres."""
+    count, number = len(size), np.maximum(size, 1)
+    dx = x - (np.bincount(member, x, count) / number)[member]
+    dy = y - (np.bincount(member, y, count) / number)[member]
+    xx, yy, xy = (np.bincount(member, product, count) / number for product in (dx * dx, dy * dy, dx * dy))
+    least = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    return np.asarray(np.sqrt(12 * np.maximum(least, 0)))
+
+
+METHOD = "adaptive"
+
+RULE = "clustering"
+
+
+def describe(points: OffGround, labels: Labels, count: int, placed: PlacedPoints) -> pd.DataFrame:
+    """Return the rows of labelled regions (``tables.CANDIDATE_REGION``, without geometry), in the labels' order.
+
+    No edge points are sought: the perimeter is 0, and compactness, linearity and directions are not known.
+    """
+    inside = np.flatnonzero(labels)
+    order = inside[np.argsort(points.heights[inside], kind="stable")]
+    statistics = height_statistics(labels, slice(0, count), HeightOrder(order.astype(np.int32), points.heights[order]))
+    area = placed.areas(labels, count)
+    mbr = bounding_rectangles(points, labels, count)
+    xcen, ycen = placed.centroids(labels, count)
+    unknown = np.full(count, np.nan)
+    rows = pd.DataFrame(
+        {
+            "candidate_id": placed.ids(labels, count),
+            "method": METHOD,
+            "rule": RULE,
+            "height_scale_m": unknown,
+            "points": sizes(labels, count),
+            "area_m2": area,
+            "perimeter": 0,
+            "mbr_m2": mbr,
+            "rectangularity": area / mbr,
+            "compactness": unknown,
+            "linearity": unknown,
+            "direction_1": unknown,
+            "direction_2": unknown,
+            "ndvi": unknown if points.ndvi is None else region_means(points.ndvi, labels, count),
+            **{name: statistics[name].to_numpy() for name in statistics.columns},
+            "xcen": xcen,
+            "ycen": ycen,
+        }
+    )
+    return CANDIDATE_REGION.typed(rows)
+
+
+def bounding_rectangles(points: OffGround, labels: Labels, count: int) -> Floats:
+    """Return the areas of the minimum bounding rectangles, m2.
+
+    Rectangles reach half a spacing beyond the points, as the areas do, so that points in a row have one.
+    """
+    if not count:
+        return np.zeros(0)
+    inside = np.flatnonzero(labels)
+    order = inside[np.argsort(labels[inside], kind="stable")]
+    # As lines, which shapely builds faster than points; each begins with its first point twice, for it needs two.
+    first = np.flatnonzero(np.diff(labels[order], prepend=0))
+    order = np.insert(order, first, order[first])
+    lines = shapely.linestrings(np.column_stack((points.x[order], points.y[order])), indices=labels[order] - 1)
+    hulls = shapely.buffer(shapely.convex_hull(lines), points.spacing_m / 2, join_style="mitre", cap_style="square")
+    return np.asarray(shapely.area(shapely.minimum_rotated_rectangle(hulls)))
+
+
+logger = logging.getLogger(__name__)
+
+VEGETATION = "vegetation"
+
+KINDS = {GREEN: "NDVI of vegetation", SCATTERED: "scattered surface or split echoes, as of crowns"}
+
+NEAREST = 4
+"""So many of the nearest points of regions are asked for one of like height when points are regained."""
+
+
+def extract_adaptive(
+    cloud: PointCloud,
+    heights: NDArray[np.float64],
+    *,
+    spec: GridSpec,
+    survey: str,
+    params: Params,
+    ndvi: NDArray[np.float32] | None = None,
+) -> Candidates:
+    """Extract the clusters of off-ground points that may be buildings.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        All echoes, N points.
+    heights : (N,) ndarray of float64, metres
+        Above ground, by any ground filter; that of the slides is ``ground_filter = adaptive`` (S3 to S5).
+    spec : GridSpec
+        The survey's lattice, on which the ids stand; points may lie outside of it.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Sections ``adaptive`` and, of ``surface``, the mask.
+    ndvi : (N,) ndarray of float32, optional
+        NDVI of each point, NaN where it has none.
+
+    Returns
+    -------
+    Candidates
+        Possibly without regions.
+
+    Raises
+    ------
+    InputError
+        When an array does not fit the points, or a coordinate or height is not finite.
+
+    Notes
+    -----
+    1. Points at or above the mask are off-ground.
+    2. Vegetation is taken out point by point: by NDVI where there is one, and by surface and echoes (S6; the second
+       is ours, since NDVI alone is not reliable, and most surveys have no colours).
+    3. What is left is clustered by Euclidean distance, step by step at shorter distances, and clusters that fail
+       harder thresholds on number of points, area, height and surface are dropped (S6). The slides give no values;
+       ours follow from the spacing.
+    4. Off-ground points at the edge of a region become its points again: eaves split pulses as crowns do.
+
+    The result does not depend on the order of the points. Border: what lies outside of the cloud does not exist.
+    O(N) in time at a given density, but for sorting.
+    """
+    own = params.adaptive
+    points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
+    placed = points.placed(spec, survey)
+    books = PointBooks(METHOD, placed)
+    found = structure(points, own)
+    steps = ladder(own, points.spacing_m)
+    labels, count = _without_vegetation(points, found, own, steps[0], books)
+    for number, step in enumerate(steps, start=1):
+        labels, count = _tightened(points, found, (labels, count), (number, step), books)
+    labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
+    regions = describe(points, labels, count, placed)
+    order = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
+    full = np.zeros(len(cloud), dtype=np.int32)
+    full[points.index] = reorder(labels, order, count)
+    logger.info("Adaptive: %d regions of %d off-ground points, spacing %.2f m", count, len(points), points.spacing_m)
+    return Candidates(METHOD, full, regions.iloc[order].reset_index(drop=True), books.rejections(), books.counts)
+
+
+def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) -> Labels:
+    """Give points at the edges back to regions: those near to one in plan, and of like elevation."""
+    inside, outside = np.flatnonzero(labels), np.flatnonzero(labels == 0)
+    if not inside.size or not outside.size or reach_m == 0:
+        return labels
+    place = np.column_stack((points.x, points.y))
+    _, nearest = cKDTree(place[inside]).query(place[outside], k=NEAREST, distance_upper_bound=reach_m, workers=cores())
+    there = nearest < inside.size
+    source = inside[np.where(there, nearest, 0)]
+    fits = there & (np.abs(points.z[source] - points.z[outside, None]) <= step_m)
+    some = fits.any(axis=1)
+    chosen = source[np.arange(outside.size), np.argmax(fits, axis=1)]
+    result = labels.copy()
+    result[outside[some]] = labels[chosen[some]]
+    return result
+
+
+def _without_vegetation(
+    points: OffGround, found: SurfaceEvidence, params: AdaptiveParams, step: Step, books: PointBooks
+) -> tuple[Labels, int]:
+    """Cluster what is no vegetation, and book the clusters of what is."""
+    kind = tell_vegetation(points, found, params)
+    dropped = 0
+    for number, reason in KINDS.items():
+        lost, lost_count = cluster(points, kind == number, step.distance_m)
+        dropped += books.reject(VEGETATION, np.full(lost_count, reason, dtype=object), lost, number)
+    labels, count = cluster(points, kind == 0, step.distance_m)
+    books.count(VEGETATION, count + dropped, count, dropped)
+    return labels, count
+
+
+def _tightened(
+    points: OffGround, found: SurfaceEvidence, clusters: tuple[Labels, int], step: tuple[int, Step], books: PointBooks
+) -> tuple[Labels, int]:
+    """Cut the clusters, which are labels and their number, at the step's distance, and drop those that fail."""
+    (labels, count), (number, values) = clusters, step
+    stage = f"step {number}"
+    pieces = labels, count
+    if number > 1:
+        pieces = cluster(points, labels > 0, values.distance_m)
+    reasons = judge(points, found, *pieces, values)
+    lost = reasons != ""
+    rejected, _ = renumber(pieces[0], lost)
+    dropped = books.reject(stage, reasons[lost], rejected, len(KINDS) + number)
+    kept, left = renumber(pieces[0], ~lost)
+    books.count(stage, count, left, dropped, pieces=pieces[1] - count)
+    return kept, left

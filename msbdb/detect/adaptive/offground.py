@@ -1,0 +1,347 @@
+"""The off-ground points in canonical order, with what the steps ask of them.
+
+What lies about a point: the residual of the plane through its neighbours, and means over them.
+
+Vegetation among off-ground points: by NDVI where there are colours, and by surface and echoes (S6).
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.filters import threshold_otsu
+
+from msbdb.detect.pointregions import PlacedPoints, places
+from msbdb.errors import InputError
+from msbdb.grid import GridSpec
+from msbdb.order import order_of_points
+from msbdb.params import AdaptiveParams
+from msbdb.points.cellindex import CellIndex, cell_place, index_cells, strip
+from msbdb.points.cloud import PointCloud
+from msbdb.points.density import measure_density
+from msbdb.threads import in_threads, kernel
+
+Floats = NDArray[np.float64]
+
+KIND = "\0adaptive"
+"""Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OffGround:
+    """The points of at least the mask's height, sorted by x, y and z, then by all else that is known of them.
+
+    Parameters
+    ----------
+    index : (N,) ndarray of int64
+        Their places in the cloud.
+    x, y, z : (N,) ndarray of float64, metres
+        From an origin at a whole kilometre nearby.
+    origin : (2,) ndarray of float64
+        Easting and northing of the origin.
+    heights : (N,) ndarray of float64, metres
+        Above ground.
+    area_m2 : (N,) ndarray of float64
+        Area that each point stands for, of all points of the cloud: one over the local density (A17).
+    split : (N,) ndarray of bool, optional
+        Which points are of pulses with several echoes; None where the source knows no echoes.
+    ndvi : (N,) ndarray of float32, optional
+        NaN where a point has none.
+    place : (N,) ndarray of int64
+        Row-major number of the point's cell on the lattice.
+    spacing_m : float
+        Mean spacing of the first echoes, 1/sqrt(density).
+    """
+
+    index: NDArray[np.int64]
+    x: Floats
+    y: Floats
+    z: Floats
+    origin: Floats
+    heights: Floats
+    area_m2: Floats
+    split: NDArray[np.bool_] | None
+    ndvi: NDArray[np.float32] | None
+    place: NDArray[np.int64]
+    spacing_m: float
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.x)
+
+    def placed(self, spec: GridSpec, survey: str) -> PlacedPoints:
+        """Return the points on a survey's lattice."""
+        return PlacedPoints(self.x, self.y, self.origin, self.area_m2, self.place, spec, survey + KIND)
+
+
+def off_ground(
+    cloud: PointCloud, heights: Floats, ndvi: NDArray[np.float32] | None, *, spec: GridSpec, mask_m: float
+) -> OffGround:
+    """Take the points at or above the mask, and measure the density.
+
+    Raises
+    ------
+    InputError
+        When heights or NDVI are not one a point, or coordinates or heights are not finite.
+    """
+    for name, values in (("heights", heights), ("NDVI values", ndvi)):
+        if values is not None and values.shape != (len(cloud),):
+            msg = f"The {name} must be one a point, {len(cloud)}; got the shape {values.shape}."
+            raise InputError(msg)
+    strange = len(cloud) - int(np.count_nonzero(np.isfinite(cloud.x + cloud.y + cloud.z + heights)))
+    if strange:
+        msg = (
+            f"{strange} of {len(cloud)} points have a coordinate or a height above ground that is NaN or infinite. "
+            "Drop these points, or give a terrain that covers them."
+        )
+        raise InputError(msg)
+    density = measure_density(cloud.x, cloud.y, cloud.first_echo)
+    chosen = np.flatnonzero(heights >= mask_m)
+    chosen = chosen[_canonical(cloud, heights, ndvi, chosen)]
+    x, y = cloud.x[chosen], cloud.y[chosen]
+    origin = np.round([float(v.mean()) if len(v) else 0.0 for v in (x, y)], -3)
+    return OffGround(
+        index=chosen,
+        x=x - origin[0],
+        y=y - origin[1],
+        z=cloud.z[chosen],
+        origin=origin,
+        heights=heights[chosen].astype(np.float64),
+        area_m2=density.area_m2[chosen],
+        split=None if not cloud.has_echoes else np.greater(cloud.number_of_returns[chosen], 1),  # type: ignore[index]  # there are echoes
+        ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
+        place=places(spec, cloud.x[chosen], cloud.y[chosen]),
+        spacing_m=density.spacing_m,
+    )
+
+
+def _canonical(
+    cloud: PointCloud, heights: Floats, ndvi: NDArray[np.float32] | None, chosen: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the order of chosen points by x and y, then by z and all else where points share a place in plan."""
+    known = [cloud.z, cloud.return_number, cloud.number_of_returns, heights, ndvi]
+    ties = [values[chosen] for values in known if values is not None]
+    return np.asarray(order_of_points(cloud.x[chosen], cloud.y[chosen], ties), dtype=np.int64)
+
+
+LEAST_POINTS = 5
+"""Through fewer points a plane fits always, or nearly."""
+
+SPLITS = 2
+"""Cells to the radius of a sphere: finer ones than the radius let the window fit the disc better."""
+
+SHARING = 4
+"""Cells to the radius of means: the points of one cell share theirs."""
+
+PARTS = 16
+"""Work is cut into so many parts; their borders change nothing."""
+
+
+class Sorted(NamedTuple):
+    """Points in the order of their cells, and the radius within which others are neighbours; for kernels."""
+
+    cells: CellIndex
+    x: Floats
+    y: Floats
+    radius_m: float
+
+
+def plane_residuals(x: Floats, y: Floats, z: Floats, radius_m: float) -> NDArray[np.float32]:
+    """Return how far the neighbours of each point within a sphere lie from their best plane.
+
+    Parameters
+    ----------
+    x, y, z : (N,) ndarray of float64, metres
+        Finite coordinates.
+    radius_m : float
+        Radius of the sphere, metres.
+
+    Returns
+    -------
+    (N,) ndarray of float32, metres
+        Root mean square distance from the plane of least squares, upright ones included: the root of the smallest
+        eigenvalue of the neighbours' covariance. Infinite for fewer than `LEAST_POINTS` points. The point is one of
+        its neighbours.
+    """
+    index = index_cells(x, y, radius_m / SPLITS)
+    found = np.empty(len(x), dtype=np.float32)
+    sorted_points = Sorted(index, x[index.order], y[index.order], radius_m)
+    sorted_z = z[index.order]
+    in_threads(lambda part: _residuals(sorted_points, sorted_z, part, found), _parts(index))
+    return found
+
+
+def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: float) -> NDArray[np.float32]:
+    """Return the means over all points within a radius in plan.
+
+    Parameters
+    ----------
+    x, y : (N,) ndarray of float64, metres
+        Finite coordinates.
+    values : (N, K) ndarray of float32
+        Finite.
+    radius_m : float
+        Radius, metres.
+
+    Returns
+    -------
+    (N, K) ndarray of float32
+
+    Notes
+    -----
+    The means vary little over a quarter of the radius. So points in a cell of that side share the mean over the disc
+    about the middle of them, which takes a fraction of the time where points are dense.
+    """
+    index = index_cells(x, y, radius_m / SHARING)
+    found = np.empty(values.shape, dtype=np.float32)
+    sorted_points = Sorted(index, x[index.order], y[index.order], radius_m)
+    sorted_values = np.ascontiguousarray(values[index.order])
+    in_threads(lambda part: _means(sorted_points, sorted_values, part, found), _parts(index))
+    return found
+
+
+def _parts(index: CellIndex) -> list[tuple[int, int]]:
+    """Cut the cells into parts of about equal numbers of points."""
+    wanted = np.linspace(0, index.order.size, PARTS + 1)
+    edges = np.unique(np.searchsorted(index.starts, wanted))
+    return [(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+@kernel
+def _residuals(points: Sorted, z: Floats, part: tuple[int, int], found: NDArray[np.float32]) -> None:
+    """Fill in the residuals of the points of a part of the cells; z comes in the order of the cells."""
+    index, x, y, radius_m = points
+    limit = radius_m * radius_m
+    for cell in range(part[0], part[1]):
+        row, col = cell_place(index, cell)
+        strips = [strip(index, other, col - SPLITS, col + SPLITS) for other in range(row - SPLITS, row + SPLITS + 1)]
+        for point in range(index.starts[cell], index.starts[cell + 1]):
+            n, sx, sy, sz = 0, 0.0, 0.0, 0.0
+            xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for first, stop in strips:
+                for other in range(first, stop):
+                    dx, dy, dz = x[other] - x[point], y[other] - y[point], z[other] - z[point]
+                    if dx * dx + dy * dy + dz * dz <= limit:
+                        n += 1
+                        sx, sy, sz = sx + dx, sy + dy, sz + dz
+                        xx, yy, zz = xx + dx * dx, yy + dy * dy, zz + dz * dz
+                        xy, xz, yz = xy + dx * dy, xz + dx * dz, yz + dy * dz
+            if n < LEAST_POINTS:
+                found[index.order[point]] = np.inf
+            else:
+                mx, my, mz = sx / n, sy / n, sz / n
+                squares = (xx / n - mx * mx, yy / n - my * my, zz / n - mz * mz)
+                products = (xy / n - mx * my, xz / n - mx * mz, yz / n - my * mz)
+                least = _least_eigenvalue(squares, products)
+                found[index.order[point]] = math.sqrt(max(least, 0.0))
+
+
+@kernel
+def _least_eigenvalue(squares: tuple[float, float, float], products: tuple[float, float, float]) -> float:
+    """Return the smallest eigenvalue of a symmetric matrix of xx, yy, zz and xy, xz, yz (Smith 1961)."""
+    xx, yy, zz = squares
+    xy, xz, yz = products
+    mean = (xx + yy + zz) / 3
+    ax, ay, az = xx - mean, yy - mean, zz - mean
+    spread = math.sqrt((ax * ax + ay * ay + az * az + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    if spread <= 0:
+        return mean
+    determinant = ax * (ay * az - yz * yz) - xy * (xy * az - yz * xz) + xz * (xy * yz - ay * xz)
+    cosine = min(1.0, max(-1.0, determinant / (2 * spread * spread * spread)))
+    return mean + 2 * spread * math.cos(math.acos(cosine) / 3 + 2 * math.pi / 3)
+
+
+@kernel
+def _means(points: Sorted, values: NDArray[np.float32], part: tuple[int, int], found: NDArray[np.float32]) -> None:
+    """Fill in the means about the points of a part of the cells; the values come in the order of the cells."""
+    index, x, y, radius_m = points
+    limit = radius_m * radius_m
+    width = values.shape[1]
+    sums = np.zeros(width, dtype=np.float64)
+    for cell in range(part[0], part[1]):
+        row, col = cell_place(index, cell)
+        begin, end = index.starts[cell], index.starts[cell + 1]
+        east, north = x[begin:end].mean(), y[begin:end].mean()
+        sums[:] = 0.0
+        n = 0
+        for other_row in range(row - SHARING, row + SHARING + 1):
+            first, stop = strip(index, other_row, col - SHARING, col + SHARING)
+            for other in range(first, stop):
+                dx, dy = x[other] - east, y[other] - north
+                if dx * dx + dy * dy <= limit:
+                    n += 1
+                    for k in range(width):
+                        sums[k] += values[other, k]
+        for point in range(begin, end):
+            for k in range(width):
+                found[index.order[point], k] = sums[k] / n
+
+
+GREEN = 1
+
+SCATTERED = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceEvidence:
+    """How the surface about each point looks; (N,) ndarrays of float32 from 0 to 1.
+
+    Parameters
+    ----------
+    level : ndarray
+        Mean degree to which the points around lie on planes.
+    split : ndarray
+        Share of the points around that are of pulses with several echoes; 0 where the source knows none.
+    """
+
+    level: NDArray[np.float32]
+    split: NDArray[np.float32]
+
+
+def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
+    """Measure planes in a small sphere about each point, and take their mean and that of the echoes in a wider disc."""
+    small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m)
+    wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
+    values = np.zeros((len(points), 2), dtype=np.float32)
+    values[:, 0] = _degree(plane_residuals(points.x, points.y, points.z, small_m), params.level_m)
+    if points.split is not None:
+        values[:, 1] = points.split
+    around = means_around(points.x, points.y, values, wide_m)
+    return SurfaceEvidence(around[:, 0], around[:, 1])
+
+
+def tell_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:
+    """Return for each point `GREEN`, `SCATTERED`, or 0 for what may be a roof.
+
+    Green points are vegetation, unless their surroundings are as level as only a planted roof is. Of the others those
+    are, whose surroundings scatter: by log-odds of the level share and the share of split echoes (ours: the slides
+    have colours; their sensor gave up to four echoes, S8).
+    """
+    if points.split is None:
+        odds = params.blind_bias + params.blind_level_weight * found.level
+    else:
+        odds = params.bias + params.level_weight * found.level - params.split_weight * found.split
+    kind = np.where(odds < params.least_odds, SCATTERED, 0).astype(np.int8)
+    if points.ndvi is not None and np.isfinite(points.ndvi).any():
+        green = points.ndvi > ndvi_threshold(points.ndvi, params)
+        kind[green & (found.level < params.ndvi_smooth)] = GREEN
+    return kind
+
+
+def ndvi_threshold(ndvi: NDArray[np.float32], params: AdaptiveParams) -> float:
+    """Return Otsu's threshold of the points that have colours, within the bounds."""
+    known = ndvi[np.isfinite(ndvi)]
+    low, high = min(params.ndvi_bounds), max(params.ndvi_bounds)
+    if known.min() == known.max():
+        return high
+    return float(np.clip(threshold_otsu(known), low, high))  # type: ignore[no-untyped-call]  # scikit-image is untyped
+
+
+def _degree(residual_m: NDArray[np.float32], level_m: float) -> NDArray[np.float32]:
+    """Return 1 for residuals up to half of what tells nothing, 0 from twice of it on, evenly in the logarithm."""
+    with np.errstate(divide="ignore"):
+        octaves = np.log2(residual_m / np.float32(level_m))
+    return np.asarray(np.clip((1 - octaves) / 2, 0, 1), dtype=np.float32)

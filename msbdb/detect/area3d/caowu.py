@@ -1,0 +1,234 @@
+"""The extraction of building regions among the points from end to end (Cao & Wu, section 2.2)."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.detect.area3d.candidates import METHOD, NormalisedCloud, describe_candidates
+from msbdb.detect.area3d.curvature import PointStructure, measure_structure
+from msbdb.detect.area3d.heightscales import OnSets, fuse_over_scales, height_scales
+from msbdb.detect.pointregions import Candidates, PointBooks, places
+from msbdb.errors import InputError, NodataError
+from msbdb.grid import GridSpec
+from msbdb.labels import Labels, chosen_cells, reorder, sums
+from msbdb.order import order_of_points, ranks
+from msbdb.params import Area3dParams, Params
+from msbdb.points.cloud import PointCloud
+from msbdb.points.density import measure_density
+from msbdb.points.graph import PointGraph, connect
+from msbdb.points.pointarea import build_point_scale_space, components, open_close_on_set
+
+logger = logging.getLogger(__name__)
+
+ORIGIN_M = 1000.0
+"""Coordinates are counted from a multiple of this, so that their squares keep their digits."""
+
+BLOCK_M = 16.0
+"""Side of the blocks by which points are sorted: what a few thousand points take fits into the processor's cache."""
+
+
+def extract_area3d(
+    cloud: PointCloud,
+    heights: NDArray[np.float64],
+    *,
+    spec: GridSpec,
+    survey: str,
+    params: Params,
+    ndvi: NDArray[np.float32] | None = None,
+) -> Candidates:
+    """Extract the regions of points that may be buildings.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        All echoes, outliers gone. Classes are not looked at.
+    heights : (N,) ndarray of float64, metres
+        The normalised cloud's third coordinate: heights above ground of the points, finite.
+    spec : GridSpec
+        The survey's lattice, from which regions take their ids.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Sections ``area3d`` and, of ``surface``, the mask.
+    ndvi : (N,) ndarray of float32, optional
+        NDVI of the points, NaN where unknown.
+
+    Returns
+    -------
+    Candidates
+        Possibly without regions.
+
+    Raises
+    ------
+    InputError
+        When heights or NDVI are not one a point, or a height or a coordinate is not finite.
+    NodataError
+        When there is no point.
+
+    Notes
+    -----
+    At each height scale h_j (C14) the connected components of the opened and closed on-set (C1 to C7) lose their
+    crowns (C16), and those of the components left that are as large as T_a are judged by their shape (C8 to C12, C17,
+    C18). The fusion over heights is the union (C19): as AOC filters one function, components at a higher h_j lie
+    within those at a lower one; so a region is accepted at the lowest height that accepts it, and what lies within it
+    higher up is absorbed. Higher scales thus add regions that are joined to something else lower down.
+
+    The change of curvature is measured once, among the points of the lowest on-set, so that the components without
+    crowns are nested too.
+
+    The result does not depend on the points' order. Complexity: O(N log N) and O(N) a height scale. Border: a
+    building cut by the border is judged by what is left of it. Halo: none suffices, as components are of any extent.
+    """
+    _require(cloud, heights, ndvi)
+    order = _canonical_order(cloud, heights, ndvi)
+    needed = replace(cloud, classification=None, intensity=None, colours=None, colour_names=())
+    scenes, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
+    scene = scenes[0]
+    placed = scene.cloud.placed(spec, survey)
+    books = PointBooks(METHOD, placed)
+    accepted = fuse_over_scales(scenes, scales, books)
+    regions = describe_candidates(
+        scene.cloud,
+        accepted.labels,
+        scene.shapes(accepted.labels, len(accepted.rule)),
+        rule=accepted.rule,
+        height_scale_m=accepted.height_m,
+        placed=placed,
+    )
+    logger.info("area3d: %d regions at the heights %s m", len(regions), scales)
+    return _in_order_of_ids(accepted.labels, regions, order, books)
+
+
+def _require(cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.float32] | None) -> None:
+    """Refuse clouds without points, arrays of another length, and numbers that are none."""
+    if len(cloud) == 0:
+        msg = (
+            "There is no point among which buildings could be sought; check the extent and the classes that were read."
+        )
+        raise NodataError(msg)
+    for name, values in (("heights", heights), ("ndvi", ndvi)):
+        if values is not None and values.shape != (len(cloud),):
+            msg = f"The {name} must be one a point, of {len(cloud)}; got the shape {values.shape}."
+            raise InputError(msg)
+    for name, values in (("height above ground", heights), ("x", cloud.x), ("y", cloud.y), ("z", cloud.z)):
+        strange = len(cloud) - int(np.count_nonzero(np.isfinite(values)))
+        if strange:
+            msg = f"The {name} is NaN or infinite at {strange} of {len(cloud)} points. Drop or interpolate them first."
+            raise InputError(msg)
+
+
+def _canonical_order(
+    cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.float32] | None
+) -> NDArray[np.intp]:
+    """Return the index that sorts the points by place, and equal places by all else that counts.
+
+    Blocks come first, so that what lies together in the world lies together in memory, for the graph and neighbours.
+    """
+    (_, row), (cols, col) = (ranks(np.floor(values / BLOCK_M).astype(np.int64)) for values in (cloud.y, cloud.x))
+    _, block = ranks(row * len(cols) + col)
+    echoes = [values for values in (ndvi, cloud.number_of_returns, cloud.return_number) if values is not None]
+    return order_of_points(cloud.x, cloud.y, [cloud.z, heights, *echoes], group=block)
+
+
+def _prepare(
+    cloud: PointCloud,
+    heights: NDArray[np.float64],
+    ndvi: NDArray[np.float32] | None,
+    spec: GridSpec,
+    params: Params,
+) -> tuple[tuple[OnSets, ...], tuple[float, ...]]:
+    """Build what all height scales share from the points in canonical order, for each area; choose the heights."""
+    own, mask_m = params.area3d, params.surface.mask_m
+    points = np.empty((len(cloud), 3), order="F")  # by columns, each of which the steps take as it is
+    x, y, z = points.T
+    for column, values in zip((x, y, z), (cloud.x, cloud.y, cloud.z), strict=True):
+        column[:] = values
+    origin = np.floor(points.min(axis=0) / ORIGIN_M) * ORIGIN_M
+    points -= origin
+    density = measure_density(x, y, cloud.first_echo)
+    link_m = own.link_spacings * density.spacing_m
+    graph = connect(x, y, z, link_m)
+    scales = height_scales(heights, own, mask_m=mask_m)
+    areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
+    filtered = _open_close(heights, graph, density.area_m2, areas, scales)
+    several = cloud.number_of_returns > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
+    structure = _structure(points, several, np.logical_or.reduce(filtered >= scales[0]), own)
+    green = None if ndvi is None else ndvi.astype(np.float64)
+    place = places(spec, cloud.x, cloud.y)
+    known = NormalisedCloud(points, heights, density.area_m2, several, green, place, origin[:2])
+    return tuple(
+        OnSets(known, graph, on, density.spacing_m, link_m, structure, replace(own, smallest_m2=area), mask_m)
+        for on, area in zip(filtered, areas, strict=True)
+    ), scales
+
+
+def _open_close(
+    heights: NDArray[np.float64],
+    graph: PointGraph,
+    area_m2: NDArray[np.float64],
+    areas: tuple[float, ...],
+    scales: tuple[float, ...],
+) -> NDArray[np.float64]:
+    """Return, for each area scale, the highest height scale at which each point is on after AOC (C6, C7).
+
+    Parameters
+    ----------
+    heights : (N,) ndarray of float64, metres
+        Heights above ground.
+    graph : PointGraph
+        The connected points.
+    area_m2 : (N,) ndarray of float64
+        Area of each point.
+    areas : tuple of float
+        Ta_k, m2, ascending; SP_k is fed by SP_{k-1} (Eq. 3).
+    scales : tuple of float
+        h_j, metres, ascending.
+
+    Returns
+    -------
+    (K, N) ndarray of float64
+        Metres; minus infinity where there is none.
+
+    Notes
+    -----
+    On-sets of a higher h_j lie within those of a lower one. Islands of less than T_a, for which no height decides
+    between on and off, are never on. For one area the on-sets are filtered one by one, which is faster than a sweep
+    over all heights (`open_close_on_set`) and gives the same.
+    """
+    islands, count = components(np.ones(len(heights), dtype=np.bool_), graph)
+    size = sums(islands, area_m2, count)
+    space = build_point_scale_space(heights, graph, areas, weights=area_m2) if len(areas) > 1 else None
+    filtered = np.full((len(areas), len(heights)), -np.inf)
+    for number, area in enumerate(areas):
+        large = chosen_cells(islands, size >= area)
+        for height_m in scales:
+            if space is None:
+                on = open_close_on_set(heights >= height_m, graph, area, weights=area_m2)
+            else:
+                on = space.on_set(number, height_m)
+            filtered[number, on & large] = height_m
+    return filtered
+
+
+def _structure(
+    points: NDArray[np.float64], several: NDArray[np.bool_] | None, on: NDArray[np.bool_], own: Area3dParams
+) -> PointStructure:
+    """Measure the structure of the points of the on-set; it is 0 for all others."""
+    found = measure_structure(
+        points[on], None if several is None else several[on], neighbours=own.neighbours, thin_m=own.thin_m
+    )
+    spread = PointStructure(np.zeros(len(on)), np.zeros(len(on)))
+    spread.curvature[on], spread.echo_share[on] = found.curvature, found.echo_share
+    return spread
+
+
+def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.intp], books: PointBooks) -> Candidates:
+    """Put the regions in the order of their ids, and the labels in that of the cloud."""
+    by_id = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
+    found = np.empty(len(labels), dtype=np.int32)
+    found[order] = reorder(labels, by_id, len(by_id))
+    rows = regions.iloc[by_id].reset_index(drop=True)
+    return Candidates(METHOD, found, rows, books.rejections(), books.counts)

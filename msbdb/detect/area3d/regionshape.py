@@ -1,0 +1,399 @@
+"""Shape of regions by their edge points (Cao & Wu, sections 2.1 and 2.2).
+
+Edge points of regions by the 8-directional neighbourhood (Cao & Wu, definitions 6 and 7).
+
+The rules that tell building regions by their shape (Cao & Wu, Eq. 8 and 9).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from msbdb.labels import sizes, sums
+from msbdb.params import Area3dParams
+from msbdb.points.cellindex import CellIndex, cell_place, index_cells, parts_of, strip
+from msbdb.threads import cores, in_threads, kernel
+
+BINS = 36
+"""Bars of the histogram of directions, 5 degrees each."""
+
+BATCH = 1 << 13
+"""Windows that are fitted by a line at once."""
+
+APART = 3
+"""The second main direction lies at least so many bars off the first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """Shape of M regions, float64 unless said otherwise, in the labels' order.
+
+    Parameters
+    ----------
+    points, perimeter : (M,) ndarray of int64
+        Number of points, and of edge points (C3, C10).
+    area_m2, mbr_m2 : (M,) ndarray
+        Area of the points and of their minimum bounding rectangle.
+    rectangularity, compactness, linearity : (M,) ndarray
+        C17, C12.
+    directions : (M, 2) ndarray
+        Main directions, degrees from east, 0 to 180; NaN where there is none.
+    """
+
+    points: NDArray[np.int64]
+    perimeter: NDArray[np.int64]
+    area_m2: NDArray[np.float64]
+    mbr_m2: NDArray[np.float64]
+    rectangularity: NDArray[np.float64]
+    compactness: NDArray[np.float64]
+    linearity: NDArray[np.float64]
+    directions: NDArray[np.float64]
+
+
+def measure_shapes(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    labels: NDArray[np.int32],
+    count: int,
+    *,
+    area_m2: NDArray[np.float64],
+    spacing_m: float,
+    params: Area3dParams,
+) -> Shapes:
+    """Measure the shape of labelled regions (C10 to C12, C17).
+
+    Parameters
+    ----------
+    x, y : (N,) ndarray of float64, metres
+        From an origin nearby.
+    labels : (N,) ndarray of int32
+        1 to ``count`` without a gap; 0 for none.
+    area_m2 : (N,) ndarray of float64
+        Area that each point stands for.
+    spacing_m : float
+        Mean point spacing.
+
+    Notes
+    -----
+    Rectangularity is the area in m2 over that of the minimum bounding rectangle, whose sides are taken no shorter than
+    a spacing, so that points in a row have one. Compactness is the number of points over that of edge points. The
+    first grows with the density d and the second with its root, so the ratio of one roof grows with sqrt(d); at a
+    ``compactness_density`` D it is multiplied by sqrt(D / d), and T_comp means the same at any density (C17).
+    """
+    edge = find_edges(x, y, labels, radius_m=params.sector_spacings * spacing_m, gap_m=params.gap_spacings * spacing_m)
+    at = np.flatnonzero(edge)
+    member = labels[at] - np.int32(1)
+    points = sizes(labels, count)
+    perimeter = np.bincount(member, minlength=count)
+    area = sums(labels, area_m2, count)
+    mbr = bounding_rectangles(x[at], y[at], member, least_m=spacing_m)
+    scale = np.sqrt(params.compactness_density) * spacing_m if params.compactness_density > 0 else 1.0
+    linearity, direction = measure_lines(
+        x[at],
+        y[at],
+        member,
+        most=params.line_most,
+        least=params.line_least,
+        tolerance_m=params.line_error_spacings * spacing_m,
+    )
+    return Shapes(
+        points=points,
+        perimeter=perimeter.astype(np.int64),
+        area_m2=area,
+        mbr_m2=mbr,
+        rectangularity=area / mbr,
+        compactness=points / np.maximum(perimeter, 1) * scale,
+        linearity=np.bincount(member, linearity, count) / np.maximum(perimeter, 1),
+        directions=main_directions(direction, member, count),
+    )
+
+
+def bounding_rectangles(
+    x: NDArray[np.float64], y: NDArray[np.float64], member: NDArray[np.int32], *, least_m: float
+) -> NDArray[np.float64]:
+    """Return (M,) the areas of the minimum bounding rectangles of groups of points, m2.
+
+    Groups are 0 to M - 1, each with a point; sides shorter than ``least_m`` count as that.
+    """
+    order = np.argsort(member, kind="stable")
+    # As lines, which shapely builds faster than points; each begins with its first point twice, for it needs two.
+    begins = np.flatnonzero(np.diff(member[order], prepend=-1))
+    order = np.insert(order, begins, order[begins])
+    corners = shapely.linestrings(np.column_stack((x[order], y[order])), indices=member[order])
+    rectangle = shapely.minimum_rotated_rectangle(corners)
+    half_perimeter, area = shapely.length(rectangle) / 2, shapely.area(rectangle)
+    # A rectangle of no width comes back as a line, whose length is one side and not two.
+    half_perimeter = np.where(shapely.get_dimensions(rectangle) < 2, shapely.length(rectangle), half_perimeter)
+    root = np.sqrt(np.maximum(half_perimeter**2 / 4 - area, 0))
+    found: NDArray[np.float64] = np.maximum(half_perimeter / 2 + root, least_m) * np.maximum(
+        half_perimeter / 2 - root, least_m
+    )
+    return found
+
+
+def measure_lines(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    member: NDArray[np.int32],
+    *,
+    most: int,
+    least: int,
+    tolerance_m: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return linearity L(u) and direction D(u) of the edge points (C11).
+
+    Parameters
+    ----------
+    x, y : (E,) ndarray of float64, metres
+        Edge points.
+    member : (E,) ndarray of int32
+        Their regions.
+    most, least : int
+        n_b and n_s, the most and fewest points of a line.
+    tolerance_m : float
+        σ_l.
+
+    Returns
+    -------
+    linearity : (E,) ndarray of float64
+        exp(-ε) of the longest line with an error ε below σ_l, ε in metres; 0 without one.
+    direction : (E,) ndarray of float64
+        Its angle, degrees from east, 0 to 180; NaN without one.
+
+    Notes
+    -----
+    The paper says neither what adjoins nor when to stop. Here the n points nearest to any edge point, of its region
+    and itself included, are a window of n adjoining ones; for n from n_b down to n_s, all windows that hold u are
+    compared, so that a corner finds the lines of its two walls beside it; after n_s L(u) = 0. The line is that of
+    total least squares, which may be vertical, and ε the root of the mean squared distance to it. Of equal errors the
+    window of the first edge point counts.
+    """
+    count = len(x)
+    linearity, direction = np.zeros(count), np.full(count, np.nan)
+    if count < least:
+        return linearity, direction
+    around, size = _nearest(x, y, member, min(most, count))
+    for n in range(min(most, count), least - 1, -1):
+        window = np.flatnonzero(size >= n)
+        error, angle = _fit_in_batches(x, y, around[window, :n])
+        fits = error < tolerance_m
+        window, error, angle = window[fits], error[fits], angle[fits]
+        order = np.argsort(error, kind="stable")[::-1]
+        best = np.full(count, -1)
+        # Of equal indices the last is what remains, so the window with the smallest error comes last.
+        best[around[window[order], :n].ravel()] = np.repeat(order, n)
+        won = np.flatnonzero((best >= 0) & (linearity == 0))
+        linearity[won], direction[won] = np.exp(-error[best[won]]), angle[best[won]]
+    return linearity, direction
+
+
+def _nearest(
+    x: NDArray[np.float64], y: NDArray[np.float64], member: NDArray[np.int32], k: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the k nearest points of the same region, the point itself first, and how many of them there are."""
+    extent = float(np.hypot(np.ptp(x), np.ptp(y))) + 1
+    stacked = np.column_stack([x, y, member * extent])  # in height, regions lie farther apart than any two points
+    distance, around = cKDTree(stacked).query(stacked, k=np.arange(1, k + 1), workers=cores())
+    return around, np.count_nonzero(distance < extent, axis=1)
+
+
+def _fit_in_batches(
+    x: NDArray[np.float64], y: NDArray[np.float64], windows: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what `_fit_lines` does, by threads; a batch of windows stays in the processor's cache."""
+    batches = [windows[first : first + BATCH] for first in range(0, max(len(windows), 1), BATCH)]
+    fitted = in_threads(lambda batch: _fit_lines(x, y, batch), batches)
+    return np.concatenate([error for error, _ in fitted]), np.concatenate([angle for _, angle in fitted])
+
+
+def _fit_lines(
+    x: NDArray[np.float64], y: NDArray[np.float64], windows: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return error and angle of the total least squares lines of (W, n) windows of points."""
+    east, north = x[windows], y[windows]
+    east -= east.mean(axis=1, keepdims=True)
+    north -= north.mean(axis=1, keepdims=True)
+    xx, yy, xy = ((a * b).mean(axis=1) for a, b in ((east, east), (north, north), (east, north)))
+    smallest = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    return np.sqrt(np.maximum(smallest, 0)), np.degrees(np.arctan2(2 * xy, xx - yy) / 2) % 180
+
+
+def main_directions(direction: NDArray[np.float64], member: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Return (count, 2) the two strongest peaks of the directions of each region's edge points (C11).
+
+    Parameters
+    ----------
+    direction : (E,) ndarray of float64
+        Degrees, 0 to 180; NaN for none.
+    member : (E,) ndarray of int32
+        Regions from 0.
+
+    Notes
+    -----
+    The histogram has bars of 5 degrees on the half circle, and each bar takes half of its neighbours along, so that a
+    direction on a border counts. The second peak lies 15 degrees or more off the first. A peak's direction is the
+    mean of the angles in its three bars. NaN where no edge point is left.
+    """
+    known = np.flatnonzero(np.isfinite(direction))
+    angle, of = direction[known], member[known]
+    bar = (angle / (180 / BINS)).astype(np.int64) % BINS
+    counts = np.bincount(of * np.int64(BINS) + bar, minlength=count * BINS).reshape(count, BINS).astype(np.float64)
+    weight = counts + (np.roll(counts, 1, axis=1) + np.roll(counts, -1, axis=1)) / 2
+    found = np.full((count, 2), np.nan)
+    row = np.arange(count)
+    for place in range(2):
+        peak = weight.argmax(axis=1)
+        some = weight[row, peak] > 0
+        found[some, place] = _mean_angles(angle, bar, of, peak)[some]
+        for step in range(-APART + 1, APART):
+            weight[row, (peak + step) % BINS] = 0
+    return found
+
+
+def _mean_angles(
+    angle: NDArray[np.float64], bar: NDArray[np.int64], of: NDArray[np.int32], peak: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Return the mean of the angles within a bar of each region's peak, on the half circle."""
+    width = 180 / BINS
+    near = np.abs((bar - peak[of] + BINS // 2) % BINS - BINS // 2) <= 1
+    middle = (peak + 0.5) * width
+    off = (angle[near] - middle[of[near]] + 90) % 180 - 90
+    total = np.bincount(of[near], off, len(peak)) / np.maximum(np.bincount(of[near], minlength=len(peak)), 1)
+    return (middle + total) % 180
+
+
+ALL_SECTORS = 255
+"""A bit for each of the eight sectors."""
+
+WIDER = 1 + 1e-6
+"""Cells are this much wider than the reach, so that rounding puts no neighbour beyond the next cell."""
+
+
+def find_edges(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    labels: NDArray[np.int32],
+    *,
+    radius_m: float,
+    gap_m: float,
+) -> NDArray[np.bool_]:
+    """Return which points are edge points of their region (C8, C9).
+
+    Parameters
+    ----------
+    x, y : (N,) ndarray of float64, metres
+        Places of the points; heights do not count.
+    labels : (N,) ndarray of int32
+        Regions; 0 for none.
+    radius_m : float
+        R, radius of the eight sectors of 45 degrees around a point, the first of them north of east.
+    gap_m : float
+        E_s.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+        True for a point of a region that has (1) a sector without any point of the same region, or (2) a sector
+        whose nearest such point is farther than E_s. Points at the very same place lie in no sector.
+
+    Notes
+    -----
+    A sector holds its first side, counter-clockwise, and not its second. Both conditions together ask for a point in
+    each sector no farther than the smaller of R and E_s. O(n) at a bounded density.
+    """
+    reach = min(radius_m, gap_m)
+    edge = np.zeros(len(x), dtype=np.bool_)
+    inside = np.flatnonzero(labels > 0)
+    x, y = x[inside], y[inside]
+    index = index_cells(x, y, reach * WIDER)
+    points = Members(index, x[index.order], y[index.order], labels[inside][index.order], reach**2)
+    found = np.empty(inside.size, dtype=np.bool_)
+    in_threads(lambda part: _open_sector(points, part, found), parts_of(index))
+    edge[inside[index.order]] = found
+    return edge
+
+
+class Members(NamedTuple):
+    """Points of regions in the order of their cells, and the square of their reach; for kernels."""
+
+    cells: CellIndex
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    labels: NDArray[np.int32]
+    reach_squared: float
+
+
+@kernel
+def _open_sector(points: Members, part: tuple[int, int], found: NDArray[np.bool_]) -> None:
+    """Write which points of a range of cells have a sector without a point of their region within reach."""
+    index, x, y, labels, reach_squared = points
+    for cell in range(part[0], part[1]):
+        row, col = cell_place(index, cell)
+        # The point's own row first: there its sectors are filled soonest.
+        near = (
+            strip(index, row, col - 1, col + 1),
+            strip(index, row + 1, col - 1, col + 1),
+            strip(index, row - 1, col - 1, col + 1),
+        )
+        for point in range(index.starts[cell], index.starts[cell + 1]):
+            seen = 0
+            for first, stop in near:
+                for other in range(first, stop):
+                    east, north = x[other] - x[point], y[other] - y[point]
+                    squared = east * east + north * north
+                    if squared == 0 or squared > reach_squared or labels[other] != labels[point]:
+                        continue
+                    seen |= 1 << _sector(east, north)
+                    if seen == ALL_SECTORS:
+                        break
+                if seen == ALL_SECTORS:
+                    break
+            found[point] = seen != ALL_SECTORS
+
+
+@kernel
+def _sector(east: float, north: float) -> int:
+    """Return the sector of 45 degrees that holds a direction, counted from east over north."""
+    sector = 0
+    if north < 0 or (north == 0 and east < 0):  # turned by half a circle into the upper half
+        east, north, sector = -east, -north, 4
+    if east <= 0:  # turned back by a quarter into the first one
+        east, north, sector = north, -east, sector + 2
+    return sector + 1 if north >= east else sector
+
+
+def perpendicular(directions: NDArray[np.float64], tolerance_deg: float) -> NDArray[np.bool_]:
+    """Return (M,) whether the two main directions of (M, 2) are at a right angle, within a tolerance; NaN never is."""
+    between = np.abs(directions[:, 0] - directions[:, 1])
+    square: NDArray[np.bool_] = np.abs(np.minimum(between, 180 - between) - 90) <= tolerance_deg
+    return square
+
+
+def judge(shapes: Shapes, params: Area3dParams) -> NDArray[np.int8]:
+    """Return (M,) the rule that accepts each region, 1 or 2; 0 for none (C18).
+
+    Notes
+    -----
+    Rule 1: rectangularity ≥ T_rect^1 and compactness ≥ T_comp. Rule 2, asked where rule 1 does not hold:
+    rectangularity ≥ T_rect^2 and compactness ≥ T_comp, and either the linearity ≥ T_line or the main directions are
+    perpendicular.
+    """
+    compact = shapes.compactness >= params.compactness
+    first = (shapes.rectangularity >= params.rectangularity_1) & compact
+    straight = shapes.linearity >= params.linearity
+    straight |= perpendicular(shapes.directions, params.perpendicular_deg)
+    second = (shapes.rectangularity >= params.rectangularity_2) & compact & straight
+    return np.where(first, 1, np.where(second, 2, 0)).astype(np.int8)
+
+
+def reasons_against(shapes: Shapes, rule: NDArray[np.int8], params: Area3dParams) -> NDArray[np.object_]:
+    """Return (M,) why each region is rejected, the first condition of rule 2 that fails; empty where it is accepted."""
+    found = np.full(len(rule), "neither straight nor perpendicular", dtype=object)
+    found[shapes.rectangularity < params.rectangularity_2] = "not rectangular enough"
+    found[shapes.compactness < params.compactness] = "not compact enough"
+    found[rule > 0] = ""
+    return found

@@ -1,0 +1,173 @@
+"""The extraction of flat regions from end to end (Mongus et al. 2013, section 3)."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.detect.flatregions.binarisation import Binarised, binarise
+from msbdb.detect.flatregions.initialisation import Denoised, denoise
+from msbdb.detect.flatregions.recognition import FlatBooks, clean, describe, grow, measure_shapes
+from msbdb.errors import GridMismatchError, NodataError
+from msbdb.grid import Grid
+from msbdb.labels import Labels, chosen_cells, label_zones, sizes
+from msbdb.params import FlatRegionParams, Params
+
+logger = logging.getLogger(__name__)
+
+PEAK = "sharp peak"
+
+VALLEY = "steep valley"
+
+ROUGH = "too rough for its size in every zone"
+
+THIN = "thinner than the opening"
+
+LONG = "too long and thin"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatRegions:
+    """What the extraction of flat regions gives.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        0 for none, otherwise row number + 1 in ``regions``, in row order of the regions' first cells.
+    regions : DataFrame
+        The columns of ``tables.FLAT_REGION``, without geometry.
+    rejections : DataFrame
+        The columns of ``tables.REJECTION``, without geometry.
+    counts : dict
+        By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
+        ``dropped``.
+    firm : (H, W) ndarray of bool
+        The cells of regions without those that R as it is given would not leave (`firm_cells`).
+    zones : (H, W) ndarray of int32
+        i of the largest flat component that holds a cell, 0 for none: the set G of Eq. 14, as in the paper's Fig. 2.
+    denoised : Grid
+        The surface without outliers, as in the paper's Fig. 1.
+    """
+
+    labels: Labels
+    regions: pd.DataFrame
+    rejections: pd.DataFrame
+    counts: dict[str, dict[str, int]]
+    firm: NDArray[np.bool_]
+    zones: NDArray[np.int32]
+    denoised: Grid
+
+
+def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params) -> FlatRegions:
+    """Extract the flat regions that may be buildings.
+
+    Parameters
+    ----------
+    g : Grid
+        What `initialise` made, metres: elevations with ``params.flatregions.on`` 'surface'; with 'ndsm', the same
+        less the terrain. Where the source is a raster, that raster.
+    heights : Grid
+        Heights above ground on the same lattice, metres, for the regions' statistics; with 'ndsm', regions get their
+        edges back from it, too.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Sections ``flatregions`` and, of ``surface``, the mask.
+
+    Returns
+    -------
+    FlatRegions
+        Possibly without regions.
+
+    Raises
+    ------
+    GridMismatchError
+        When the grids do not share a lattice.
+    NodataError
+        When the surface has no valid cell.
+    ParameterError
+        When λ_max is below λ_min, or λ_Δ is 0.
+
+    Notes
+    -----
+    Initialisation (M7, M8) comes before; denoising, binarisation and recognition are here. With 'ndsm' heights below
+    the mask become ground, which is level, so nothing is attached to a slope and no plateau rises (M27).
+    """
+    if not g.spec.same_lattice(heights.spec):
+        msg = (
+            f"The surface {g.spec.shape} at {g.spec.bounds} and the heights {heights.spec.shape} at "
+            f"{heights.spec.bounds} must share one lattice."
+        )
+        raise GridMismatchError(msg)
+    if not g.valid.any():
+        msg = "The surface has no valid cell in which flat regions could be sought."
+        raise NodataError(msg)
+    own, mask_m = params.flatregions, params.surface.mask_m
+    books = FlatBooks(g.spec, survey)
+    denoised = denoise(g, own)
+    _book_outliers(denoised, books)
+    if own.on == "ndsm":
+        found = binarise(level_ground(denoised.grid, mask_m), level_ground(g, mask_m), own)
+    else:
+        found = binarise(denoised.grid, g, own)
+    rough = books.reject("ratio", ROUGH, found.risen & ~found.flat)
+    _, candidates = label_zones(found.flat)
+    books.count("ratio", candidates + rough, candidates, rough)
+    labels = recognise(found, candidates, heights, params, books)
+    regions = describe(labels, found, heights, survey)
+    logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
+    firm = firm_cells(labels, found, len(regions))
+    return FlatRegions(labels, regions, books.rejections(), books.counts, firm, found.zones, denoised.grid)
+
+
+def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_]:
+    """Return (H, W) bool, the cells of regions without those that R as it is given would not leave.
+
+    A region of which it would leave less than half of the flat cells is gone as a whole, with its edges.
+    """
+    flat, firm = (sizes(labels[mask], count) for mask in (found.flat, found.firm))
+    return chosen_cells(labels, 2 * firm >= flat) & (found.firm | ~found.flat)
+
+
+def level_ground(heights: Grid, mask_m: float) -> Grid:
+    """Return heights above ground with all that is below the mask at 0."""
+    values = np.asarray(heights.values)
+    return heights.with_values(np.where(values < mask_m, 0, values).astype(np.float32))
+
+
+def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, books: FlatBooks) -> Labels:
+    """Turn the set G into labelled regions: G_B = Γ^Ψ(Φ_w(Γ_w(G))) (Eq. 17; M22)."""
+    own, cell_m = params.flatregions, heights.spec.cell_m
+    cleaned = clean(found.flat, own.opening_m, cell_m)
+    labels, count = label_zones(cleaned)
+    before, number = label_zones(found.flat)
+    vanished = chosen_cells(before, sizes(before[cleaned], number) == 0)
+    thin = books.reject("opening", THIN, vanished)
+    books.count("opening", candidates, count, thin, pieces=count + thin - candidates)
+    if own.on == "ndsm":
+        steps = int(own.grow_m / cell_m + 0.5)
+        labels = grow(labels, heights, steps=steps, step_m=own.grow_step_m, least_m=params.surface.mask_m)
+    return _drop_long(labels, count, own, cell_m, books)
+
+
+def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, books: FlatBooks) -> Labels:
+    """Keep the regions of Ψ < ψ (Eq. 16) and number them again, by their first cells.
+
+    Ψ is P²/(4πA) (A9), or its inverse as printed (M20).
+    """
+    psi = measure_shapes(labels, cell_m)["compactness"].to_numpy()
+    compact = (1 / psi if own.compactness == "literal" else psi) < own.max_compactness
+    inside = chosen_cells(labels, compact)
+    long = books.reject("compactness", LONG, np.where(inside, 0, labels))
+    kept, left = label_zones(np.where(inside, labels, 0))
+    books.count("compactness", count, left, long)
+    return kept
+
+
+def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
+    """Write peaks and valleys into the ledger."""
+    dropped = books.reject("denoising", PEAK, denoised.peaks)
+    dropped += books.reject("denoising", VALLEY, denoised.valleys)
+    books.count("denoising", dropped, 0, dropped)

@@ -1,0 +1,1 @@
+"""The multi-scale detector (Vu, Yamazaki and Matsuoka 2009): land cover by structure and colours."""

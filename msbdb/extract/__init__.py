@@ -1,1 +1,0 @@
-"""Extractors: from rasters and points to building parts, flat regions and candidates."""

@@ -1,0 +1,124 @@
+"""Terrain between the ground cells: a pyramid that fills gaps smoothly, and the step to a finer lattice.
+
+What both filters judge regions by: walls stand above the ground beside them, hills rise from it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
+
+from msbdb.errors import NodataError
+from msbdb.grid import Grid, GridSpec
+from msbdb.labels import sizes
+from msbdb.params import GroundParams
+
+
+def interpolate_ground(
+    values: NDArray[np.generic], ground: NDArray[np.bool_], spec: GridSpec, *, nearest: bool = False
+) -> Grid:
+    """Fill the cells that are not ground from those that are.
+
+    Parameters
+    ----------
+    values : (H, W) ndarray of float32, metres
+        Heights; those outside of the ground are ignored.
+    ground : (H, W) ndarray of bool
+        Ground cells.
+    spec : GridSpec
+        Their lattice.
+    nearest : bool
+        Take the nearest ground cell as it is, instead of a smooth surface through all around.
+
+    Raises
+    ------
+    NodataError
+        When no cell is ground.
+    """
+    if not ground.any():
+        msg = "No ground was found, so that heights above ground cannot be told; check the ground filter's parameters."
+        raise NodataError(msg)
+    known = np.asarray(values, dtype=np.float32)
+    if not ground.all():
+        distance, (rows, cols) = distance_transform_edt(~ground, return_indices=True)
+        filled = known[rows, cols]
+        known = filled if nearest else _relax(filled, distance)
+    return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
+
+
+def _relax(filled: NDArray[np.float32], distance: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Smooth the filled cells by means over shrinking windows, the ground held fast.
+
+    A window takes only the cells at least half its radius from the ground: nearer ones know better, and at the
+    border, where windows are cut, the large ones would pull them off a slope.
+    """
+    surface = filled
+    for radius in (32, 16, 8, 4, 2, 1):
+        free = distance >= max(radius / 2, 1)
+        if not free.any():
+            continue
+        for _ in range(4):
+            surface = np.where(free, uniform_filter(surface, 2 * radius + 1, mode="nearest"), surface)
+    return surface
+
+
+def refine(coarse: Grid, spec: GridSpec) -> Grid:
+    """Bring a gap-free grid onto another lattice bilinearly; beyond the outermost centres it is held constant."""
+    if coarse.spec.same_lattice(spec):
+        return coarse
+    rows, cols = np.arange(spec.shape[0]), np.arange(spec.shape[1])
+    east, north = spec.xy(np.zeros_like(cols), cols)[0], spec.xy(rows, np.zeros_like(rows))[1]
+    row = (coarse.spec.transform.f - north) / coarse.spec.cell_m - 0.5
+    col = (east - coarse.spec.transform.c) / coarse.spec.cell_m - 0.5
+    source = np.asarray(coarse.values, dtype=np.float32)
+    values = _bilinear(source, np.clip(row, 0, source.shape[0] - 1), np.clip(col, 0, source.shape[1] - 1))
+    return Grid(values, np.ones(spec.shape, dtype=np.bool_), spec)
+
+
+def _bilinear(source: NDArray[np.float32], row: NDArray[np.float64], col: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Bilinear values at the crossings of rows and columns, one axis after the other."""
+    r0 = np.minimum(row.astype(np.int64), max(source.shape[0] - 2, 0))
+    c0 = np.minimum(col.astype(np.int64), max(source.shape[1] - 2, 0))
+    r1, c1 = np.minimum(r0 + 1, source.shape[0] - 1), np.minimum(c0 + 1, source.shape[1] - 1)
+    fr, fc = (row - r0).astype(np.float32)[:, None], (col - c0).astype(np.float32)[None, :]
+    by_row = source[r0] * (1 - fr) + source[r1] * fr
+    values: NDArray[np.float32] = by_row[:, c0] * (1 - fc) + by_row[:, c1] * fc
+    return values
+
+
+Heights = NDArray[np.float32]
+
+Counts = NDArray[np.int64]
+
+
+def edge_step(params: GroundParams, cell_m: float) -> float:
+    """Return the step of an edge, metres: it grows with cells above 1 m, over which terrain itself rises more."""
+    return params.edge_step_m * max(cell_m, 1.0)
+
+
+def count_edges(
+    labels: NDArray[np.int32], count: int, heights: Heights, beside: Heights, step_m: float
+) -> tuple[Counts, Counts]:
+    """Count the cells on the boundary of each cluster, and those of them that are an edge.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        Clusters 1 to ``count``; 0 elsewhere.
+    count : int
+        Number of clusters.
+    heights : (H, W) ndarray of float32, metres
+        Lowest heights.
+    beside : (H, W) ndarray of float32, metres
+        Heights of the cells to compare with; infinity where a cell is not to be compared with.
+    step_m : float
+        A cell that stands more than this above the lowest of its eight neighbours in ``beside`` is an edge.
+
+    Returns
+    -------
+    boundary, edges : (count,) ndarray of int
+        Cells of each cluster with a neighbour in ``beside``, and the edges among them.
+    """
+    lowest = minimum_filter(beside, 3, mode="nearest")
+    boundary = (labels > 0) & np.isfinite(lowest)
+    edges = boundary & (heights - np.where(boundary, lowest, 0) > step_m)
+    return sizes(labels[boundary], count), sizes(labels[edges], count)

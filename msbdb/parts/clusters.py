@@ -1,0 +1,199 @@
+"""Slicing of heights into storeys or metric steps (V17-V19).
+
+Clusters: the flat zones of every scale, their attributes (V22-V26).
+
+The books of the multi-scale extraction: lost regions as rows of clusters, until they get their ids.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.grid import Grid
+from msbdb.labels import Labels, chosen_cells, label_zones, measure, sizes
+from msbdb.ledger import Books
+from msbdb.params import SurfaceParams
+from msbdb.parts.adjacency import grow
+
+MAX_SLICE = 2**16 - 1
+"""Slices are counted in 16 bits; higher ones are cut off."""
+
+
+def slice_heights(ndsm: Grid, surface: SurfaceParams) -> NDArray[np.uint16]:
+    """Slice an nDSM into storeys, or into steps of ``surface.step_m`` when ``surface.slicing`` is 'step'.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    surface : SurfaceParams
+        The mask, the way of slicing, and the height of a storey or step.
+
+    Returns
+    -------
+    (H, W) ndarray of uint16
+        H = 1 + floor((h - mask) / height) where h is valid and at least the mask (V17, V18, A8); otherwise 0.
+
+    Notes
+    -----
+    The paper slices by "an elevation slicing with the height of a story" without a rule for rounding; floor(h / 3)
+    would take houses of 2 to 3 m for ground. Nodata: cells that are not valid are background.
+    """
+    height = surface.storey_m if surface.slicing == "storey" else surface.step_m
+    heights = np.asarray(ndsm.values, dtype=np.float32)
+    above = ndsm.valid & (heights >= surface.mask_m)
+    slices = np.zeros(ndsm.spec.shape, dtype=np.uint16)
+    slices[above] = _slice(heights[above], surface.mask_m, height)
+    return slices
+
+
+def storeys(heights: NDArray[np.floating], surface: SurfaceParams) -> NDArray[np.int64]:
+    """Return the storeys (V18) of building heights in metres; at least 1, as a part is above ground by its zone."""
+    return _slice(heights, surface.mask_m, surface.storey_m)
+
+
+def _slice(heights: NDArray[np.floating], mask_m: float, height_m: float) -> NDArray[np.int64]:
+    """Count the slices from the mask up; float64, so that a height on a border falls into the upper slice."""
+    count = 1 + np.floor((heights.astype(np.float64) - mask_m) / height_m)
+    slices: NDArray[np.int64] = np.clip(count, 1, MAX_SLICE).astype(np.int64)
+    return slices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clusters:
+    """The clusters of all scales on one lattice; no stage changes one in place.
+
+    Parameters
+    ----------
+    labels : tuple of (H, W) ndarray of int32
+        One image a scale, finest first: 0 for none, otherwise row number + 1 in ``rows``.
+    rows : DataFrame
+        One row a cluster, of all scales together:
+
+        - ``level``: the scale, 0 = finest; ``hzone``: value of the flat zone, slices;
+        - ``first``: flat index of the first cell in row order; ``area``: cells;
+        - ``row_sum``, ``col_sum``: sums of its cells' rows and columns, from which the centroid follows;
+        - ``origin``, ``piece``: ``first`` when it was made, and how many cuts lie between it and its flat zone;
+        - ``alive``: False once a stage has dropped it. Its cells keep their label.
+    """
+
+    labels: tuple[Labels, ...]
+    rows: pd.DataFrame
+
+    @property
+    def alive(self) -> NDArray[np.bool_]:
+        """(N,) which rows no stage has dropped."""
+        return self.rows["alive"].to_numpy()
+
+    def at(self, level: int) -> NDArray[np.intp]:
+        """Return the row numbers of the living clusters of one scale."""
+        return np.flatnonzero(self.alive & (self.rows["level"].to_numpy() == level))
+
+    def flags(self, rows: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Return an array to look labels up in: True for the rows given, False for others and for label 0."""
+        wanted = np.zeros(len(self.rows) + 1, dtype=np.bool_)
+        wanted[rows + 1] = True
+        return wanted
+
+    def without(self, rows: NDArray[np.integer]) -> "Clusters":
+        """Return the clusters with some rows dropped."""
+        alive = self.alive.copy()
+        alive[rows] = False
+        return replace(self, rows=self.rows.assign(alive=alive))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """What a stage leaves: the clusters, the regions that it dropped (as rows with a ``reason``), new pieces."""
+
+    clusters: Clusters
+    dropped: pd.DataFrame
+    pieces: int = 0
+
+
+def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int) -> Clusters:
+    """Give every flat zone above 0 of every scale its row and attributes.
+
+    Parameters
+    ----------
+    levels : sequence of (H, W) ndarray of int
+        The scale-space, finest first; 0 is background and no cluster (V25).
+    connectivity : int
+        4 or 8, as for the scale-space (V10).
+
+    Notes
+    -----
+    Rows are in order of the scale, and within it of the first cell. Linear in the cells of each scale.
+    """
+    images, tables, offset = [], [], 0
+    for level, values in enumerate(levels):
+        labels, count = label_zones(values, connectivity=connectivity)
+        table = measure(labels, count)
+        table.insert(0, "level", level)
+        table.insert(1, "hzone", values.ravel()[table["first"]].astype(np.int64))
+        np.add(labels, np.int32(offset), out=labels, where=labels > 0)
+        images.append(labels)
+        tables.append(table)
+        offset += count
+    rows = pd.concat(tables, ignore_index=True)
+    return Clusters(tuple(images), rows.assign(origin=rows["first"], piece=0, alive=True))
+
+
+def merge_slivers(level: NDArray[Any], smallest_px: int, *, connectivity: int) -> NDArray[Any]:
+    """Give the flat zones that are too small the value of the nearest zone that is large enough.
+
+    Parameters
+    ----------
+    level : (H, W) ndarray of int
+        The finest level of the scale-space; 0 is background and neither grows nor shrinks.
+    smallest_px : int
+        Zones with fewer cells are slivers.
+    connectivity : int
+        4 or 8.
+
+    Returns
+    -------
+    (H, W) ndarray
+        Of the same dtype. A sliver without a larger neighbour on its island stays.
+
+    Notes
+    -----
+    Ours. Opening and closing take away small extrema, but not the narrow zones between them, such as mixed cells
+    along a high wall. As parts these would be buildings of a few cells. Zones only merge, so V11 holds on.
+    """
+    labels, count = label_zones(level, connectivity=connectivity)
+    small = sizes(labels, count) < smallest_px
+    if not small.any():
+        return level
+    seeds = np.where(chosen_cells(labels, small), 0, level).astype(np.int32)
+    grown = grow(seeds, (level > 0).astype(np.uint8), connectivity)
+    return np.where(grown > 0, grown, level).astype(level.dtype)
+
+
+class Ledger(Books):
+    """Counts by stage, checked to balance, and the clusters that were lost; ``level`` is -1 where no scale applies."""
+
+    def book(self, stage: str, before: Clusters, step: Step, *, lost: bool = True) -> Clusters:
+        """Book a stage and return the clusters that it leaves.
+
+        Parameters
+        ----------
+        stage : str
+            Name of the stage.
+        before : Clusters
+            What went in.
+        step : Step
+            What the stage left.
+        lost : bool
+            Whether the dropped regions are lost and go to the ledger. Duplicates are only counted, as the coarser
+            cluster stands for them.
+        """
+        if lost:
+            self.write(stage, step.dropped)
+        entered, kept = int(before.alive.sum()), int(step.clusters.alive.sum())
+        self.count(stage, entered, kept, len(step.dropped), pieces=step.pieces, written=lost)
+        return step.clusters

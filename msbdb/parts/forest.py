@@ -1,0 +1,207 @@
+"""The forest of parts: what the multi-scale extraction gives, with ids, attributes and the ledger (V22-V26, V33)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.grid import Grid, GridSpec
+from msbdb.identity import part_ids
+from msbdb.labels import Labels, central_cells, centroids, height_statistics, order_heights, reorder
+from msbdb.landcover import ClassMap
+from msbdb.params import SurfaceParams
+from msbdb.parts.clusters import Clusters, Ledger, storeys
+from msbdb.parts.fakefathers import spread_of_children
+from msbdb.parts.links import NONE, find_roots, link
+from msbdb.parts.spectrum import measure_spectrum
+from msbdb.tables import PART, REJECTION, validate_parts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forest:
+    """Trees of parts over the scales.
+
+    Parameters
+    ----------
+    labels : tuple of (H, W) ndarray of int32
+        One image a scale, finest first: 0 for none, otherwise row number + 1 in ``parts``. The parts of one scale
+        are disjoint and numbered without a gap, in row order of their first cells.
+    parts : DataFrame
+        The columns of ``tables.PART``, without geometry; in order of scale, finest first.
+    scales : DataFrame
+        ``tables.SCALE``, coarsest first.
+    rejections : DataFrame
+        The columns of ``tables.REJECTION``, without geometry.
+    counts : dict
+        By stage: regions ``in`` (with the ``pieces`` that the stage cut itself), ``kept`` and ``dropped``.
+    """
+
+    labels: tuple[Labels, ...]
+    parts: pd.DataFrame
+    scales: pd.DataFrame
+    rejections: pd.DataFrame
+    counts: dict[str, dict[str, int]]
+
+    @property
+    def root_labels(self) -> Labels:
+        """(H, W) int32: row number + 1 in ``parts`` of the root that covers a cell; 0 for none.
+
+        Roots are disjoint, whatever their scales.
+        """
+        return _cover(self.labels, (self.parts["supid"] == 0).to_numpy())
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What the attributes of a part depend on beside its cells."""
+
+    ndsm: Grid
+    classes: ClassMap | None
+    scales: pd.DataFrame
+    survey: str
+    surface: SurfaceParams
+
+
+def grow_forest(clusters: Clusters, context: Context, ledger: Ledger) -> Forest:
+    """Give the clusters that are left their ids, fathers and attributes, and check the forest.
+
+    Parameters
+    ----------
+    clusters : Clusters
+        What the last stage left.
+    context : Context
+        Heights, classes (without them SPE is 0 and the building share null), scales, survey and storeys.
+    ledger : Ledger
+        The books of the stages.
+
+    Raises
+    ------
+    TableError
+        When the parts break an invariant of the forest (V33).
+    """
+    clusters = compact(clusters)
+    rows, lost = clusters.rows, ledger.lost(clusters.rows)
+    ids = _identify(pd.concat([rows, lost], ignore_index=True), context)
+    father = link(clusters)
+    has_father = father != NONE
+    scale = _scale_of(rows, context)
+    parts = pd.DataFrame(
+        {
+            "part_id": ids[: len(rows)],
+            "supid": np.where(has_father, ids[father], 0),
+            "supscale": np.where(has_father, scale[father], 0) if len(rows) else scale,
+            "root_id": ids[find_roots(father)],
+            "scale": scale,
+            "hzone": rows["hzone"].to_numpy(),
+            **_places(clusters, context.ndsm.spec),
+            "stddis": spread_of_children(clusters, father, context.ndsm.spec.cell_m)["stddis"].to_numpy(),
+            **_heights(clusters, father, context),
+            **_spectra(clusters, context),
+        }
+    )
+    parts = PART.typed(parts)
+    validate_parts(parts.assign(geometry=None))
+    rejections = _rejections(lost, ids[len(rows) :], context)
+    return Forest(clusters.labels, parts, context.scales, rejections, ledger.counts)
+
+
+def compact(clusters: Clusters) -> Clusters:
+    """Return only the living clusters, in order of scale and first cell, and labels without the dropped ones."""
+    rows = clusters.rows
+    order = np.lexsort((rows["first"], rows["level"]))
+    order = order[clusters.alive[order]]
+    images = tuple(reorder(labels, order, len(rows)) for labels in clusters.labels)
+    return Clusters(images, rows.iloc[order].reset_index(drop=True))
+
+
+def _cover(images: tuple[Labels, ...], chosen: NDArray[np.bool_]) -> Labels:
+    """Return one image of the chosen parts, which do not overlap."""
+    label = np.zeros(chosen.size + 1, dtype=np.int32)
+    label[1:][chosen] = np.flatnonzero(chosen) + 1
+    cover = label[images[0]]
+    for image in images[1:]:
+        np.maximum(cover, label[image], out=cover)
+    return cover
+
+
+def _scale_of(rows: pd.DataFrame, context: Context) -> NDArray[np.int64]:
+    """Return SCALE, 1 = coarsest, of rows; 0 where their level is -1."""
+    level = rows["level"].to_numpy().astype(np.int64)
+    return np.where(level < 0, 0, len(context.scales) - level)
+
+
+def _identify(rows: pd.DataFrame, context: Context) -> NDArray[np.int64]:
+    """Return the ids of clusters and lost regions."""
+    spec = context.ndsm.spec
+    threshold = np.concatenate([[0], context.scales["threshold_px"].to_numpy()])[_scale_of(rows, context)]
+    row, col = np.divmod(rows["origin"].to_numpy().astype(np.int64), spec.shape[1])
+    row, col = row + spec.origin[0], col + spec.origin[1]
+    return part_ids(context.survey, spec.cell_m, threshold_px=threshold, row=row, col=col, piece=rows["piece"])
+
+
+def _places(clusters: Clusters, spec: GridSpec) -> dict[str, NDArray[np.generic]]:
+    """Return the first cell, the centroid, a cell inside, and the area of every cluster."""
+    rows = clusters.rows
+    sums = {name: rows[name].to_numpy().astype(np.int64) for name in ("area", "row_sum", "col_sum")}
+    inner = np.zeros(len(rows), dtype=np.int64)
+    for level in range(len(clusters.labels)):
+        at = _span(clusters, level)
+        inner[at] = central_cells(clusters.labels[level], at, **{name: part[at] for name, part in sums.items()})
+    first = rows["first"].to_numpy().astype(np.int64)
+    xo, yo = spec.xy(*np.divmod(first, spec.shape[1]))
+    xin, yin = spec.xy(*np.divmod(inner, spec.shape[1]))
+    xcen, ycen = centroids(rows, spec)
+    places = {"xo": xo, "yo": yo, "xcen": xcen, "ycen": ycen, "xin": xin, "yin": yin}
+    return {**places, "area_px": sums["area"], "area_m2": sums["area"] * spec.cell_area_m2}
+
+
+def _span(clusters: Clusters, level: int) -> slice:
+    """Return the rows of a scale of compact clusters; the labels are one higher."""
+    start, stop = np.searchsorted(clusters.rows["level"], [level, level + 1]).tolist()
+    return slice(start, stop)
+
+
+def _heights(clusters: Clusters, father: NDArray[np.int64], context: Context) -> dict[str, NDArray[np.generic]]:
+    """Return height statistics of every cluster, from the nDSM inside of it, and its storeys, from there or as written.
+
+    As written (V30), H is the value of the flat zone, which the opening lowers where a tower is about as large as the
+    podium under it.
+    """
+    order = order_heights(context.ndsm, _cover(clusters.labels, father == NONE) > 0)
+    tables = [height_statistics(labels, _span(clusters, level), order) for level, labels in enumerate(clusters.labels)]
+    table = pd.concat(tables, ignore_index=True)
+    found = {name: table[name].to_numpy() for name in table.columns}
+    zone = context.surface.storeys_from == "zone"
+    hindex = clusters.rows["hzone"].to_numpy() if zone else storeys(found["h_p90"], context.surface)
+    return {**found, "hindex": hindex}
+
+
+def _spectra(clusters: Clusters, context: Context) -> dict[str, NDArray[np.generic]]:
+    """Return SPE and the building share of every cluster; 0 and null without classes."""
+    speindex = np.zeros(len(clusters.rows), dtype=np.int64)
+    share = np.full(len(clusters.rows), np.nan)
+    if context.classes is not None:
+        for level in range(len(clusters.labels)):
+            spectrum = measure_spectrum(clusters, level, context.classes)
+            speindex[spectrum.rows], share[spectrum.rows] = spectrum.mode, spectrum.share
+    return {"speindex": speindex, "building_share": share}
+
+
+def _rejections(lost: pd.DataFrame, ids: NDArray[np.int64], context: Context) -> pd.DataFrame:
+    """Return the lost regions as ``tables.REJECTION``."""
+    spec = context.ndsm.spec
+    xcen, ycen = centroids(lost, spec)
+    frame = pd.DataFrame(
+        {
+            "region_id": ids,
+            "method": lost["method"],
+            "stage": lost["stage"],
+            "reason": lost["reason"],
+            "scale": _scale_of(lost, context),
+            "area_m2": lost["area"] * spec.cell_area_m2,
+            "xcen": xcen,
+            "ycen": ycen,
+        }
+    )
+    return REJECTION.typed(frame)

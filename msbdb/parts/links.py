@@ -1,0 +1,94 @@
+"""Links between fathers and children over all scales (V32, V33).
+
+Elimination of duplicates: one thing that shows on several scales stays on the coarsest (V27-V31).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.parts.clusters import Clusters, Step
+
+NONE = -1
+"""The father of a root."""
+
+
+def link(clusters: Clusters) -> NDArray[np.int64]:
+    """Find each living cluster's father: the living cluster that holds it on the nearest coarser scale (A3).
+
+    Parameters
+    ----------
+    clusters : Clusters
+        Nested: every cluster lies inside of one cluster of a coarser scale, or beside them all.
+
+    Returns
+    -------
+    (N,) ndarray of int64
+        Row number of the father; -1 for roots and for dropped clusters.
+
+    Notes
+    -----
+    Flat zones only merge as s rises (V11), and the stages that reshape keep the clusters nested. Hence the label at
+    one cell of the child, its first, tells the father.
+    """
+    rows = clusters.rows
+    level, first, alive = rows["level"].to_numpy(), rows["first"].to_numpy(), clusters.alive
+    living = np.concatenate([[False], alive])
+    father = np.full(len(rows), NONE, dtype=np.int64)
+    for coarser in range(1, len(clusters.labels)):
+        child = np.flatnonzero(alive & (level < coarser) & (father == NONE))
+        found = clusters.labels[coarser].ravel()[first[child]]
+        holds = living[found]
+        father[child[holds]] = found[holds] - 1
+    return father
+
+
+def find_roots(father: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the row number of each cluster's root; a root's is its own.
+
+    Complexity: linear in the clusters times the logarithm of the deepest tree's depth.
+    """
+    root = np.where(father == NONE, np.arange(len(father)), father)
+    while (root != root[root]).any():
+        root = root[root]
+    return root
+
+
+SAME_STOREYS = "same storeys as its coarser cluster"
+
+SAME_AREA = "nearly the area of its coarser cluster"
+
+
+def drop_duplicates(clusters: Clusters, share: float, *, by_storeys: bool = True) -> Step:
+    """Drop each finer cluster F that says nothing beside the next coarser one C that holds it.
+
+    Parameters
+    ----------
+    clusters : Clusters
+        Nested clusters.
+    share : float
+        F is a duplicate when area(F) >= share * area(C) (V28).
+    by_storeys : bool
+        Whether F is a duplicate also when its zone has as many storeys as C's (V27). Off after reshaping, when only
+        the areas have changed.
+
+    Returns
+    -------
+    Step
+        Nothing is lost with a duplicate: C stands for it. The heights of C come from the nDSM and not from its zone,
+        which the opening has lowered (A4).
+
+    Notes
+    -----
+    The scan goes from fine to coarse, so F is compared with the next coarser cluster that exists when it begins, even
+    if that one turns out to be a duplicate itself (V29). An F of its C's very area is always dropped, hence a child
+    is smaller than its father (V33).
+    """
+    father = link(clusters)
+    rows = clusters.rows
+    finer = np.flatnonzero(father != NONE)
+    coarser = father[finer]
+    zone, area = rows["hzone"].to_numpy(), rows["area"].to_numpy()
+    same_storeys = (zone[finer] == zone[coarser]) & by_storeys
+    duplicate = same_storeys | (area[finer] >= share * area[coarser])
+    reason = np.where(same_storeys, SAME_STOREYS, SAME_AREA)[duplicate]
+    return Step(clusters.without(finer[duplicate]), rows.iloc[finer[duplicate]].assign(reason=reason))

@@ -1,0 +1,215 @@
+"""The multi-scale extraction from end to end (Vu et al. 2009, section 3.2)."""
+
+import logging
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.errors import GridMismatchError
+from msbdb.grid import Grid
+from msbdb.labels import label_zones, measure
+from msbdb.landcover import ClassMap
+from msbdb.morphology.scalespace import build_scale_space, find_scales
+from msbdb.params import Params, ScaleParams, with_values
+from msbdb.parts.clusters import Clusters, Ledger, Step, label_clusters, merge_slivers, slice_heights
+from msbdb.parts.fakefathers import drop_fake_fathers
+from msbdb.parts.forest import Context, Forest, grow_forest
+from msbdb.parts.links import drop_duplicates
+from msbdb.parts.reshaping import cut_vegetation
+from msbdb.parts.spectrum import drop_unlike, split_by_classes
+from msbdb.tables import SCALE
+
+logger = logging.getLogger(__name__)
+
+TOO_SMALL = "smaller than the finest scale"
+
+VEGETATION = "vegetation by its structure"
+
+
+def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: Params) -> Forest:
+    """Extract the forest of building parts from heights above ground and land-cover classes.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    classes : ClassMap or None
+        Classes on the same lattice. Without them nothing is known of vegetation or roofs, and the stages that need
+        them are left out.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Of which ``surface``, ``scale`` and ``spectral`` count here.
+
+    Returns
+    -------
+    Forest
+        Possibly empty.
+
+    Raises
+    ------
+    GridMismatchError
+        When nDSM and classes do not share a lattice.
+
+    Notes
+    -----
+    Slices, scale-space, clusters, duplicates, vegetation, spectrum, fake fathers, links: the order of the paper, but
+    that fathers are looked up anew after each stage instead of once, which re-attaches children by itself (V45).
+    Complexity: linear in the cells for each scale, after one sort of the heights.
+    """
+    if classes is not None and not classes.spec.same_lattice(ndsm.spec):
+        msg = (
+            f"The classes lie on the lattice {classes.spec.shape} at {classes.spec.bounds}, the nDSM on "
+            f"{ndsm.spec.shape} at {ndsm.spec.bounds}. Classify on the nDSM's lattice."
+        )
+        raise GridMismatchError(msg)
+    ledger = Ledger("multiscale")
+    params = choose_scales(ndsm, classes, params)
+    sliced = slice_heights(ndsm, params.surface)
+    if classes is not None and params.spectral.decides == "structure":
+        sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger)
+    scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
+    thresholds = scales["threshold_px"].tolist()[::-1]
+    clusters = form_clusters(sliced, thresholds, params.scale, ledger)
+    step = drop_duplicates(clusters, params.scale.duplicate_share)
+    clusters = ledger.book("duplicates", clusters, step, lost=False)
+    if classes is not None:
+        clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
+    step = drop_fake_fathers(clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0])
+    clusters = ledger.book("fake fathers", clusters, step)
+    forest = grow_forest(clusters, Context(ndsm, classes, scales, survey, params.surface), ledger)
+    logger.info("Multi-scale extraction: %d parts, %d regions rejected", len(forest.parts), len(forest.rejections))
+    return forest
+
+
+def choose_scales(ndsm: Grid, classes: ClassMap | None, params: Params) -> Params:
+    """Return the parameters with scales: those that were given, or those that the heights contain (V8).
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    classes : ClassMap or None
+        Classes on the same lattice, by which vegetation has no part in the sizes where the structure decides. A build
+        finds its scales before there are colours, as the filter of the bands needs the finest one (V34).
+    params : Params
+        Where ``scale.scales_m2`` is empty, `find_scales` finds it by ``granulometry``.
+    """
+    if params.scale.scales_m2:
+        return params
+    sliced = slice_heights(ndsm, params.surface)
+    if classes is not None and params.spectral.decides == "structure":
+        sliced = np.where(classes.labelled("vegetation"), np.uint16(0), sliced)
+    found = find_scales(sliced, ndsm.spec.cell_area_m2, params.granulometry)
+    return with_values(params, {"scale": {"scales_m2": found}})
+
+
+def number_scales(scales_m2: tuple[float, ...], cell_area_m2: float) -> pd.DataFrame:
+    """Return the scales (``tables.SCALE``, coarsest first) of area thresholds in square metres.
+
+    Thresholds are rounded to whole cells, at least one; of those that fall together the largest stays.
+    """
+    cells: dict[int, float] = {}
+    for threshold_m2 in sorted(scales_m2, reverse=True):
+        cells.setdefault(max(1, round(threshold_m2 / cell_area_m2)), threshold_m2)
+    frame = pd.DataFrame(
+        {
+            "scale": range(1, len(cells) + 1),
+            "threshold_px": list(cells),
+            "threshold_m2": list(cells.values()),
+        }
+    )
+    return SCALE.typed(frame)
+
+
+def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams, ledger: Ledger) -> Clusters:
+    """Build the scale-space of sliced heights, and label its clusters.
+
+    Parameters
+    ----------
+    sliced : (H, W) ndarray of int
+        Storeys or steps; 0 is background.
+    thresholds : list of int
+        s of the scales, cells, ascending.
+    scale : ScaleParams
+        Connectivity, and what is done about slivers and courtyards.
+    ledger : Ledger
+        Gets the islands that the finest opening takes away, and fragments.
+
+    Notes
+    -----
+    Slivers: see `merge_slivers`. Courtyards: a coarse closing fills each hole smaller than s, so that a yard becomes
+    roof; with ``keep_courtyards`` every scale is cut to the cells that are above ground on the finest. Clusters stay
+    nested, as all scales are cut alike. Fragments smaller than s of the finest scale, which this can leave, are
+    dropped where slivers are merged as well.
+    """
+    connectivity = scale.connectivity
+    _book_islands(sliced, thresholds[0], connectivity, ledger)
+    finest = build_scale_space(sliced, thresholds[:1], connectivity=connectivity).levels[0]
+    if scale.merge_slivers:
+        finest = merge_slivers(finest, thresholds[0], connectivity=connectivity)
+    levels = [finest]
+    if len(thresholds) > 1:
+        levels.extend(build_scale_space(finest, thresholds[1:], connectivity=connectivity).levels)
+    if scale.keep_courtyards:
+        levels = [finest, *(np.where(finest > 0, level, 0) for level in levels[1:])]
+    clusters = label_clusters(levels, connectivity=connectivity)
+    tiny = clusters.rows["area"].to_numpy() < thresholds[0]
+    small = np.flatnonzero(tiny & scale.merge_slivers)
+    return ledger.book(
+        "clusters", clusters, Step(clusters.without(small), clusters.rows.iloc[small].assign(reason=TOO_SMALL))
+    )
+
+
+def _mask_vegetation(
+    sliced: NDArray[Any], vegetation: NDArray[np.bool_], scale: ScaleParams, ledger: Ledger
+) -> NDArray[Any]:
+    """Take vegetation away with the ground, before the scale-space; each blob goes to the ledger.
+
+    The paper cuts vegetation out of clusters after the scale-space (V37), because colours tell it there. Where the
+    structure tells it, crowns need not flatten the roofs beside them first.
+    """
+    blobs, count = label_zones((sliced > 0) & vegetation, connectivity=scale.connectivity)
+    lost = measure(blobs, count)
+    ledger.write("vegetation mask", _without_scale(lost, VEGETATION))
+    ledger.count("vegetation mask", count, 0, count)
+    return np.where(vegetation, 0, sliced).astype(sliced.dtype)
+
+
+def _book_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, ledger: Ledger) -> None:
+    """Book the connected areas above the mask that are too small for the finest scale."""
+    islands, count = label_zones(sliced > 0, connectivity=connectivity)
+    table = measure(islands, count)
+    lost = table[table["area"] < smallest_px]
+    ledger.write("opening", _without_scale(lost, TOO_SMALL))
+    ledger.count("opening", count, count - len(lost), len(lost))
+
+
+def _without_scale(measured: pd.DataFrame, reason: str) -> pd.DataFrame:
+    """Return measured regions, lost before there were scales, as rows of clusters."""
+    return measured.assign(level=-1, hzone=0, origin=measured["first"], piece=0, alive=False, reason=reason)
+
+
+def _apply_classes(clusters: Clusters, classes: ClassMap, smallest_px: int, params: Params, ledger: Ledger) -> Clusters:
+    """Reshape, split and drop clusters by their classes (V37-V45), and drop what thereby became a duplicate."""
+    scale, spectral = params.scale, params.spectral
+    step = cut_vegetation(
+        clusters, classes.labelled("vegetation"), smallest_px=smallest_px, connectivity=scale.connectivity
+    )
+    clusters = ledger.book("vegetation", clusters, step)
+    step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
+    clusters = ledger.book("duplicates after vegetation", clusters, step, lost=False)
+    step = split_by_classes(
+        clusters,
+        classes,
+        split_share=spectral.split_share,
+        min_share=spectral.min_building_share,
+        smallest_px=smallest_px,
+        connectivity=scale.connectivity,
+    )
+    clusters = ledger.book("split", clusters, step)
+    step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
+    clusters = ledger.book("duplicates after split", clusters, step, lost=False)
+    return ledger.book("spectrum", clusters, drop_unlike(clusters, classes, spectral.min_building_share))

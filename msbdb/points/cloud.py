@@ -1,0 +1,97 @@
+"""A point cloud in memory: coordinates in metres and the attributes that were asked for."""
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from msbdb.errors import InputError
+from msbdb.grid import Bounds, require_metric
+
+UNCLASSIFIED_CLASS, GROUND_CLASS, BUILDING_CLASS = 1, 2, 6
+
+NOISE_CLASSES = (7, 18)
+"""Classes of points by the ASPRS LAS specification; noise is low or high."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points of one survey; arrays of equal length, None where the source has no such attribute.
+
+    Parameters
+    ----------
+    x, y, z : (N,) ndarray of float64, metres
+        Finite coordinates.
+    crs : CRS
+        Horizontal CRS, projected and in metres.
+    vertical_crs : CRS, optional
+        The heights' CRS, when the source names one.
+    classification : (N,) ndarray of uint8, optional
+        ASPRS classes.
+    return_number, number_of_returns : (N,) ndarray of uint8, optional
+        None when the source holds no echo information (all zero).
+    intensity : (N,) ndarray of uint16, optional
+        None when constant.
+    colours : (N, B) ndarray of uint16, optional
+        None when the source has none, or all are zero.
+    colour_names : tuple of str
+        Of ``red, green, blue, nir``, one a column of ``colours``.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    crs: CRS
+    vertical_crs: CRS | None = None
+    classification: NDArray[np.uint8] | None = None
+    return_number: NDArray[np.uint8] | None = None
+    number_of_returns: NDArray[np.uint8] | None = None
+    intensity: NDArray[np.uint16] | None = None
+    colours: NDArray[np.uint16] | None = None
+    colour_names: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Check the lengths and the CRS."""
+        require_metric(self.crs)
+        for name, values in self.arrays().items():
+            if len(values) != len(self.x):
+                msg = f"The attribute {name} has {len(values)} values for {len(self.x)} points."
+                raise InputError(msg)
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.x)
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the arrays that are present, by name."""
+        found = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+
+    def in_class(self, *classes: int) -> NDArray[np.bool_]:
+        """Return (N,) bool, which points have one of the ASPRS classes; none where the source holds no classes."""
+        if self.classification is None:
+            return np.zeros(len(self), dtype=np.bool_)
+        return np.isin(self.classification, classes)
+
+    def take(self, index: NDArray[np.generic]) -> "PointCloud":
+        """Return the points that a boolean or integer index selects, with all their attributes."""
+        changes = {name: value[index] for name, value in self.arrays().items()}
+        return replace(self, **changes)
+
+    @property
+    def bounds(self) -> Bounds:
+        """West, south, east and north, metres."""
+        return (float(self.x.min()), float(self.y.min()), float(self.x.max()), float(self.y.max()))
+
+    @property
+    def first_echo(self) -> NDArray[np.bool_]:
+        """Which points are first echoes (V15); all of them where the source holds no echo information."""
+        if self.return_number is None:
+            return np.ones(len(self), dtype=np.bool_)
+        return np.equal(self.return_number, 1)
+
+    @property
+    def has_echoes(self) -> bool:
+        """Whether some pulse gave more than one echo, so that the echoes tell something."""
+        return self.number_of_returns is not None and bool((self.number_of_returns > 1).any())

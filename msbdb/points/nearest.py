@@ -1,0 +1,177 @@
+"""The nearest points of each point in space, by cells in plan."""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.errors import ParameterError
+from msbdb.points.cellindex import CellIndex, cell_place, index_cells, parts_of, require_coordinates, strip
+from msbdb.threads import in_threads, kernel
+
+Floats = NDArray[np.float64]
+
+A_CELL = 3.0
+"""Points that a cell shall hold on average, of those that hold any: then few rings of cells are looked at."""
+
+FIRST_CELL_M = 1.0
+"""Cells by which the density is told."""
+
+RINGS = 3
+"""Rings of cells around a point's own that are looked at, before its cells are taken larger."""
+
+LARGER = 4.0
+"""By so much: points that lie far from the others find theirs in few steps."""
+
+MOST_PIECES = 2 * (2 * RINGS + 1)
+"""Stretches of rows that a ring has at most."""
+
+SLACK = 1e-6
+"""Share of a cell by which a ring counts as nearer, for rounding may put a point into the next cell."""
+
+
+class _NearestSearch(NamedTuple):
+    """Points in the order of their cells; for kernels."""
+
+    cells: CellIndex
+    x: Floats
+    y: Floats
+    z: Floats
+
+
+def nearest(x: Floats, y: Floats, z: Floats, count: int) -> NDArray[np.int32]:
+    """Return the nearest points of each point, itself included, the nearest first.
+
+    Parameters
+    ----------
+    x, y, z : (N,) ndarray of float64, metres
+        Finite coordinates.
+    count : int
+        K, at least 1. Of fewer points, all.
+
+    Returns
+    -------
+    (N, K) ndarray of int32
+        Of equally near points the first ones in the points' order.
+
+    Raises
+    ------
+    InputError
+        When the arrays are not three of one length, or a coordinate is NaN or infinite.
+    ParameterError
+        When K is not at least 1.
+
+    Notes
+    -----
+    Rings of cells around a point are looked at until none beyond can hold a nearer point. Where points are about as
+    dense everywhere, O(N K); a search tree takes twice as long.
+
+    Examples
+    --------
+    >>> nearest(np.array([0.0, 1.0, 3.0]), np.zeros(3), np.zeros(3), 2)
+    array([[0, 1],
+           [1, 0],
+           [2, 1]], dtype=int32)
+    """
+    require_coordinates(x=x, y=y, z=z)
+    if count < 1:
+        msg = f"The number of nearest points must be 1 or more; got {count}."
+        raise ParameterError(msg)
+    found = np.empty((len(x), min(count, len(x))), dtype=np.int32)
+    left = np.ones(len(x), dtype=np.bool_)
+    cell_m = _cell_size(x, y)
+    while left.any():
+        index = index_cells(x, y, cell_m)
+        search = _NearestSearch(index, x[index.order], y[index.order], z[index.order])
+        in_threads(partial(_find, search, left, found), parts_of(index))
+        cell_m *= LARGER
+    return found
+
+
+def _cell_size(x: Floats, y: Floats) -> float:
+    """Return the side of cells that hold about as many points as they shall."""
+    if not len(x):
+        return FIRST_CELL_M
+    first = index_cells(x, y, FIRST_CELL_M)
+    return FIRST_CELL_M * float(np.sqrt(A_CELL * first.keys.size / first.order.size))
+
+
+@kernel
+def _find(search: _NearestSearch, left: NDArray[np.bool_], found: NDArray[np.int32], part: tuple[int, int]) -> None:
+    """Find the nearest points of those that are left, in a range of cells, where the rings suffice."""
+    index, x, y, _ = search
+    count = found.shape[1]
+    squares, points = np.empty(count), np.empty(count, dtype=np.int32)
+    pieces = np.empty((RINGS + 1, MOST_PIECES, 2), dtype=np.int64)
+    sizes = np.empty(RINGS + 1, dtype=np.int64)
+    rows, cols = index.shape
+    for cell in range(part[0], part[1]):
+        row, col = cell_place(index, cell)
+        ready = 0
+        for own in range(index.starts[cell], index.starts[cell + 1]):
+            if not left[index.order[own]]:
+                continue
+            west, south = x[own] - (index.west + col * index.cell_m), y[own] - (index.south + row * index.cell_m)
+            inside = min(west, index.cell_m - west, south, index.cell_m - south) - SLACK * index.cell_m
+            held = 0
+            for ring in range(1, RINGS + 1):
+                if ring > ready:
+                    sizes[ring] = _ring(index, row, col, ring, pieces[ring])
+                    ready = ring
+                for piece in range(sizes[ring]):
+                    held = _take(search, own, pieces[ring, piece], (squares, points), held)
+                reach = max(ring * index.cell_m + inside, 0.0)
+                everything = row <= ring and col <= ring and row + ring >= rows - 1 and col + ring >= cols - 1
+                if everything or (held == count and squares[count - 1] < reach * reach):
+                    left[index.order[own]] = False
+                    found[index.order[own]] = points
+                    break
+
+
+@kernel
+def _ring(index: CellIndex, row: int, col: int, ring: int, pieces: NDArray[np.int64]) -> int:
+    """Write where the points of a ring of cells begin and end, the first ring with its inside; return the pieces."""
+    size = 0
+    for other in range(row - ring, row + ring + 1):
+        whole = ring == 1 or abs(other - row) == ring
+        for side in range(1 if whole else 2):
+            first_col = col - ring if whole or side == 0 else col + ring
+            last_col = col + ring if whole else first_col
+            first, stop = strip(index, other, first_col, last_col)
+            if stop > first:
+                pieces[size, 0] = first
+                pieces[size, 1] = stop
+                size += 1
+    return size
+
+
+@kernel
+def _take(
+    search: _NearestSearch,
+    own: int,
+    piece: NDArray[np.int64],
+    held: tuple[Floats, NDArray[np.int32]],
+    size: int,
+) -> int:
+    """Sort the points of a piece into those held, as long as they are among the nearest; return how many there are."""
+    index, x, y, z = search
+    squares, points = held
+    for other in range(piece[0], piece[1]):
+        dx, dy, dz = x[other] - x[own], y[other] - y[own], z[other] - z[own]
+        square = dx * dx + dy * dy + dz * dz
+        point = index.order[other]
+        place = size
+        if size == squares.size:
+            place -= 1
+            if square > squares[place] or (square == squares[place] and point > points[place]):
+                continue
+        else:
+            size += 1
+        while place > 0 and (
+            squares[place - 1] > square or (squares[place - 1] == square and points[place - 1] > point)
+        ):
+            squares[place], points[place] = squares[place - 1], points[place - 1]
+            place -= 1
+        squares[place], points[place] = square, point
+    return size

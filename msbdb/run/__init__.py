@@ -1,0 +1,1 @@
+"""The composition of the stages: one survey from its files to what the database keeps."""

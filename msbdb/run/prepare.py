@@ -1,0 +1,172 @@
+"""What a build is made from: points or rasters, imagery, and the record of the survey."""
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from msbdb.bands import Bands
+from msbdb.errors import InputError, MsbdbWarning
+from msbdb.grid import Grid, GridSpec, lattice
+from msbdb.ground.choice import terrain
+from msbdb.ground.interpolation import interpolate_ground
+from msbdb.io.files import describe_source
+from msbdb.io.las import read_points
+from msbdb.io.ortho import read_bands
+from msbdb.io.raster import align_grid, read_grid
+from msbdb.params import Params
+from msbdb.points.cloud import PointCloud
+from msbdb.run.stages import Progress
+from msbdb.surface import Surface, surface_from_rasters
+from msbdb.surface.gridding import cell_size, density
+from msbdb.surface.heights import grid_surface, normalise
+from msbdb.tables import Source, Survey
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The files of a build, and what the user states of them."""
+
+    points: tuple[Path, ...] = ()
+    ortho: tuple[Path, ...] = ()
+    dsm: Path | None = None
+    dtm: Path | None = None
+    ndsm: Path | None = None
+    crs: str | None = None
+    ortho_crs: str | None = None
+    z_unit: str = "auto"
+
+    def __post_init__(self) -> None:
+        """Check that there is one kind of heights."""
+        given = [name for name in ("points", "dsm", "ndsm") if getattr(self, name)]
+        if len(given) != 1 or (self.dsm is None) != (self.dtm is None):
+            msg = (
+                f"A build needs either points, or a DSM with a DTM, or an nDSM; got {' and '.join(given) or 'none'}"
+                f"{' with' if self.dtm else ' without'} a DTM."
+            )
+            raise InputError(msg)
+
+    def files(self) -> Iterator[tuple[Path, str]]:
+        """Yield each file with its role."""
+        yield from ((path, "points") for path in self.points)
+        yield from ((path, role) for path, role in ((self.dsm, "dsm"), (self.dtm, "dtm"), (self.ndsm, "ndsm")) if path)
+        yield from ((path, "ortho") for path in self.ortho)
+
+    def stated(self) -> dict[str, str]:
+        """Return what the user stated of the files, as far as it is not the default."""
+        words = {"crs": self.crs, "ortho_crs": self.ortho_crs, "z_unit": self.z_unit if self.z_unit != "auto" else None}
+        return {name: str(word) for name, word in words.items() if word is not None}
+
+    def default_survey(self) -> str:
+        """Name the survey after the first file."""
+        return next(self.files())[0].stem.removesuffix(".copc")
+
+    def sources(self) -> tuple[Source, ...]:
+        """Describe every file by name, role, size and checksum, in an order of content."""
+        described = [describe_source(path, role) for path, role in self.files()]
+        return tuple(sorted(described, key=lambda source: (source.role, source.sha256)))
+
+
+@contextmanager
+def collect_notices(notices: list[str]) -> Iterator[None]:
+    """Turn the warnings meant for people into notices of the run; other warnings pass."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MsbdbWarning)
+        yield
+    for warning in caught:
+        if issubclass(warning.category, MsbdbWarning):
+            notices.append(str(warning.message))
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+
+
+def read_cloud(inputs: Inputs, progress: Progress | None, notices: list[str]) -> PointCloud | None:
+    """Read the points, where the build is from points."""
+    if not inputs.points:
+        return None
+    cloud, found = read_points(inputs.points, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
+    notices.extend(found)
+    return cloud
+
+
+def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Surface:
+    """Build the surface from the points, or take it from the rasters."""
+    if cloud is not None:
+        return build_surface(cloud, params)
+    if inputs.ndsm is not None:
+        ndsm = read_grid(inputs.ndsm, crs=inputs.crs, role="nDSM", z_unit=inputs.z_unit)
+        return surface_from_rasters(ndsm, flat_ground(ndsm))
+    if inputs.dsm is None or inputs.dtm is None:  # kept from happening by Inputs
+        msg = "A DSM needs a DTM."
+        raise InputError(msg)
+    dsm = read_grid(inputs.dsm, crs=inputs.crs, role="DSM", z_unit=inputs.z_unit)
+    dtm = read_grid(inputs.dtm, crs=inputs.crs, role="DTM", z_unit=inputs.z_unit)
+    return surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm))
+
+
+def without_gaps(dtm: Grid, dsm: Grid) -> Grid:
+    """Interpolate the terrain where it has no value but the surface has one: often under the middle of buildings."""
+    gaps = int(np.count_nonzero(dsm.valid & ~dtm.valid))
+    if not gaps:
+        return dtm
+    share = 100 * gaps / np.count_nonzero(dsm.valid)
+    msg = f"The DTM has no value in {gaps} cells of the DSM ({share:.1f} %); they were interpolated."
+    warnings.warn(msg, MsbdbWarning, stacklevel=2)
+    return interpolate_ground(dtm.values, dtm.valid, dtm.spec)
+
+
+def flat_ground(ndsm: Grid) -> Grid:
+    """Return the terrain of heights that are above ground already: zero everywhere."""
+    return Grid(np.zeros(ndsm.spec.shape, dtype=np.float32), np.ones(ndsm.spec.shape, dtype=np.bool_), ndsm.spec)
+
+
+def read_ortho(inputs: Inputs, spec: GridSpec) -> Bands | None:
+    """Bring the orthophotos onto the lattice, where there are any."""
+    return read_bands(list(inputs.ortho), spec, crs=inputs.ortho_crs) if inputs.ortho else None
+
+
+def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:
+    """Write down the survey."""
+    spec: GridSpec = surface.ndsm.spec
+    vertical = cloud.vertical_crs if cloud is not None else None
+    return Survey(
+        name=name,
+        date=date,
+        crs_wkt=spec.crs.to_wkt(),
+        epsg=spec.crs.to_epsg() or 0,
+        vertical_crs=vertical.name if vertical is not None else "",
+        density=round(surface.density, 6),
+        cell_m=spec.cell_m,
+        bounds=spec.bounds,
+        sources=inputs.sources(),
+    )
+
+
+def build_surface(points: PointCloud, params: Params) -> Surface:
+    """Grid the first echoes, tell the ground, and subtract it (V13 to V16).
+
+    Parameters
+    ----------
+    points : PointCloud
+        All echoes of the survey; outliers are gone.
+    params : Params
+        Sections ``surface`` and ``ground``.
+
+    Raises
+    ------
+    NodataError
+        When there is no first echo, or no ground.
+    """
+    points_m2 = density(points)
+    cell_m = params.surface.cell_m or cell_size(points_m2, literal=params.surface.cell_rule == "literal")
+    spec = lattice(points.bounds, cell_m, points.crs)
+    dsm, samples = grid_surface(points, spec, params)
+    dtm, name = terrain(points, spec, params.ground)
+    logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)
+    return Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)

@@ -1,0 +1,176 @@
+"""Land cover of a build: structure, colours where there are any, and the operator's labels, in one class map.
+
+Operators' labels of classes, which survive that their survey is built again (V36).
+"""
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.bands import Bands
+from msbdb.errors import InputError
+from msbdb.grid import Grid
+from msbdb.labels import sizes, sums
+from msbdb.landcover import LABELS, ClassMap, overlay
+from msbdb.params import Params
+from msbdb.spectral.classes import classify
+from msbdb.spectral.model import ClassModel
+from msbdb.surface import drop_green_regions
+from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND
+
+COLOURS = {"red", "green", "blue", "nir"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cover:
+    """The class maps of a build and the tables that describe their classes.
+
+    Parameters
+    ----------
+    structure : ClassMap
+        Roofs and vegetation by texture and echoes.
+    spectral : ClassMap, optional
+        Classes by colour, with their automatic labels; None without imagery.
+    table, bands : DataFrame
+        ``tables.SPECTRAL_CLASS`` and ``tables.SPECTRAL_CLASS_BAND``.
+    colours_decide : bool
+        Colours alone tell roofs from vegetation (V36 to V41 as written), structure only where there is no imagery.
+    green_decides : bool
+        Spectral vegetation is vegetation even where the structure sees a roof.
+    operator : mapping of int to str
+        The operator's labels.
+    model : ClassModel, optional
+        The fit of the classes by colour; None without imagery, and for a kept run, whose record has it.
+    """
+
+    structure: ClassMap
+    spectral: ClassMap | None
+    table: pd.DataFrame
+    bands: pd.DataFrame
+    colours_decide: bool
+    green_decides: bool
+    operator: Mapping[int, str]
+    model: ClassModel | None = None
+
+    @property
+    def classes(self) -> ClassMap:
+        """The map that the extractors read."""
+        if self.spectral is None or not self.colours_decide:
+            return overlay(self.structure, self.spectral, operator=self.operator, green_decides=self.green_decides)
+        count = max(self.spectral.labels, default=0)
+        beyond = (self.spectral.index == 0) & (self.structure.index > 0)
+        index = np.where(beyond, self.structure.index + count, self.spectral.index).astype(np.uint8)
+        labels = {**self.spectral.labels, count + 1: "building", count + 2: "vegetation", **self.operator}
+        return ClassMap(index, labels, self.spectral.spec)
+
+    def relabelled(self, labels: Mapping[int, str]) -> "Cover":
+        """Return the cover with further labels by the operator.
+
+        Raises
+        ------
+        InputError
+            For a class or a label that does not exist.
+        """
+        known = self.table["speindex"].tolist()
+        for number, label in labels.items():
+            if number not in known or label not in LABELS:
+                msg = (
+                    f"Class {number} cannot be labelled '{label}': there are the classes 1 to {max(known, default=0)} "
+                    f"and the labels {', '.join(LABELS)}."
+                )
+                raise InputError(msg)
+        chosen = self.table["speindex"].isin(list(labels))
+        table = self.table.assign(
+            label=[labels.get(k, old) for k, old in zip(known, self.table["label"], strict=True)],
+            labelled_by=np.where(chosen, "operator", self.table["labelled_by"]),
+        )
+        return replace(self, table=table, operator={**self.operator, **labels})
+
+
+def classify_cover(
+    structure: ClassMap,
+    bands: Bands | None,
+    ndsm: Grid,
+    roughness_m: NDArray[np.float32],
+    params: Params,
+    *,
+    echoes: bool,
+) -> Cover:
+    """Classify the colours where there are any, and describe all classes in one table.
+
+    One band of intensity alone is no imagery: it tells materials apart too poorly.
+    """
+    spectral, table, band_table, model = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), None
+    if bands is not None and COLOURS & set(bands.names):
+        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params)
+    colours_decide = spectral is not None and params.spectral.decides == "spectral"
+    if spectral is not None:
+        structure = drop_green_regions(structure, spectral.labelled("vegetation"), roughness_m, params.cover)
+    table = pd.concat([table, _structure_rows(structure, len(table), ndsm, roughness_m)], ignore_index=True)
+    green = bands is not None and "nir" in bands.names and not echoes
+    return Cover(structure, spectral, table, band_table, colours_decide, green, {}, model)
+
+
+def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:
+    """Describe the two structural classes, which follow the spectral ones; one without cells is 0 m high."""
+    cells = sizes(structure.index, 2)
+    size = np.where(cells > 0, cells, np.nan)
+    heights = sums(structure.index, np.asarray(ndsm.values, dtype=np.float64), 2)
+    rough = sums(structure.index, roughness_m.astype(np.float64), 2)
+    rows = pd.DataFrame(
+        {
+            "speindex": np.array([count + 1, count + 2], dtype=np.int64),
+            "label": ["building", "vegetation"],
+            "labelled_by": "automatic",
+            "source": "structure",
+            "cells": cells,
+            "share": cells / max(int(cells.sum()), 1),
+            "ndvi": np.nan,
+            "brightness": np.nan,
+            "roughness_m": rough / size,
+            "height_m": heights / np.maximum(cells, 1),
+        }
+    )
+    return rows[SPECTRAL_CLASS.names]
+
+
+MEASURED = ("cells", "ndvi", "brightness", "roughness_m")
+"""Figures by which a class is known as the same one."""
+
+LOST = (
+    "The operator's label '{label}' of class {number} was not kept, as the class is another one now. "
+    "See 'msbdb classes', and label it again."
+)
+
+
+def keep_labels(cover: Cover, labelled: pd.DataFrame, lost: list[str]) -> Cover:
+    """Give classes the labels that an operator gave them before, where they are the same classes.
+
+    Parameters
+    ----------
+    cover : Cover
+        Classes as they were found now.
+    labelled : DataFrame
+        The survey's classes with an operator's label so far (`msbdb.database.read_labelled_classes`).
+    lost : list of str
+        Takes a sentence for each label that cannot be kept.
+    """
+    now = {int(row["speindex"]): row for row in cover.table.to_dict(orient="records")}
+    kept: dict[int, str] = {}
+    for old in labelled.to_dict(orient="records"):
+        number, label = int(old["speindex"]), str(old["label"])
+        if number in now and _is_same(old, now[number]):
+            kept[number] = label
+        else:
+            lost.append(LOST.format(label=label, number=number))
+    return cover.relabelled(kept) if kept else cover
+
+
+def _is_same(old: dict[Hashable, Any], new: dict[Hashable, Any]) -> bool:
+    """Tell whether two classes of one number have the same content."""
+    one, two = (np.array([row[name] for name in MEASURED], dtype=np.float64) for row in (old, new))
+    return bool(old["source"] == new["source"] and np.allclose(one, two, rtol=1e-6, atol=1e-9, equal_nan=True))

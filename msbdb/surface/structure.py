@@ -1,0 +1,228 @@
+"""Land cover from structure alone: roofs and vegetation told by texture and echoes, without any colour.
+
+The log-odds of roof against vegetation are summed over the evidence of each cell, smoothed, cut, and then judged
+again a region at a time. All values are ours, calibrated together on tiles of four surveys and on thinned copies.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+
+from msbdb.grid import Grid
+from msbdb.labels import chosen_cells, label_zones, sizes, sums
+from msbdb.landcover import ClassMap
+from msbdb.params import CoverParams, Params
+from msbdb.points.cloud import PointCloud
+from msbdb.surface.heights import Surface
+from msbdb.surface.texture import Echoes, echoes, roughness
+from msbdb.threads import in_threads
+
+ROOF, VEGETATION = 1, 2
+"""Indices of the structural classes."""
+
+Mask = NDArray[np.bool_]
+
+Field = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """What structure alone tells of the cells.
+
+    Parameters
+    ----------
+    cover : ClassMap
+        Class 1 (building) and 2 (vegetation) above the mask, 0 below it and where not valid.
+    roof_probability : (H, W) ndarray of float32
+        Of roof against vegetation, 0 to 1, by each cell's own echoes and texture, before any smoothing; also below
+        the mask, where it tells little.
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small window.
+    """
+
+    cover: ClassMap
+    roof_probability: Field
+    roughness_m: Field
+
+
+def structural_cover(
+    ndsm: Grid,
+    roughness_m: Field,
+    wide_roughness_m: Field,
+    echoes: Echoes | None,
+    *,
+    mask_m: float,
+    params: CoverParams,
+) -> Structure:
+    """Tell roofs from vegetation on every cell above the mask.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    roughness_m, wide_roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small and the wide windows.
+    echoes : Echoes, optional
+        What the echoes tell; without them the roughness decides alone.
+    mask_m : float
+        Height of the mask (V17), metres.
+    params : CoverParams
+        Weights and sizes.
+
+    Returns
+    -------
+    Structure
+    """
+    raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
+    odds = _echo_odds(roughness_m, echoes, params) if echoes else _rough_odds(roughness_m, wide_roughness_m, params)
+    probability = _sigmoid(odds)
+    roof = smooth_share(probability, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
+    neck_m = params.neck_m if echoes else params.blind_neck_m
+    roof = _tidy(roof & raised, raised, ndsm.spec.cell_m, neck_m, params)
+    roof = _judge_regions(roof, roughness_m, echoes, ndsm.spec.cell_m, params)
+    roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), ndsm.spec.cell_m, params)
+    index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
+    cover = ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
+    return Structure(cover, probability, roughness_m)
+
+
+def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field:
+    """Log-odds of roof from the echoes, with a little from the roughness."""
+    return (
+        params.echo_bias
+        - params.split_weight * echoes.split_best
+        - params.split_wide_weight * echoes.split_wide
+        - params.echo_rough_weight * np.log(np.maximum(roughness_m, params.smooth_floor_m))
+        + params.solid_weight * echoes.solid
+    )
+
+
+def _rough_odds(roughness_m: Field, wide_m: Field, params: CoverParams) -> Field:
+    """Log-odds of roof from the roughness alone."""
+    floor = params.smooth_floor_m
+    small = np.log(np.maximum(roughness_m, floor) / params.rough_m)
+    wide = np.log(np.maximum(wide_m, floor) / params.rough_wide_m)
+    return np.asarray(-params.rough_weight * (small + wide), dtype=np.float32)
+
+
+def _sigmoid(odds: Field) -> Field:
+    """Probabilities of log-odds."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))), dtype=np.float32)
+
+
+def smooth_share(probability: Field, raised: Mask, sigma_cells: float) -> Field:
+    """Mean probability of roof around a cell, over raised cells only (normalised Gaussian)."""
+    probability = np.where(raised, probability, np.float32(0))
+    sigma = max(sigma_cells, 0.7)
+    blur = partial(gaussian_filter, sigma=sigma, mode="constant", truncate=2.5)
+    share, weight = in_threads(blur, (probability, raised.astype(np.float32)))
+    share /= np.maximum(weight, 1e-3)
+    return np.asarray(share)
+
+
+def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverParams) -> Mask:
+    """Close small holes, cut thin necks and drop small regions."""
+    roof = roof | (_small(~roof, params.hole_m2 / cell_m**2, eight=False) & raised)
+    radius = round(neck_m / 2 / cell_m)
+    if radius:
+        size = 2 * radius + 1
+        roof = maximum_filter(minimum_filter(roof, size, mode="nearest"), size, mode="nearest")
+    return roof & ~_small(roof, params.min_roof_m2 / cell_m**2, eight=True)
+
+
+def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m: float, params: CoverParams) -> Mask:
+    """Keep the regions that are smooth enough for the share of echoes that they split.
+
+    On cells above 1 m a window spans several planes of a roof, so that the limit of smoothness grows with the cell.
+    """
+    limit = params.smooth_m_limit * max(1.0, cell_m)
+    labels, count = label_zones(roof)
+    cells = sizes(labels, count)
+    smooth = sizes(labels[roughness_m < limit], count) / cells
+    needed = np.full(count, params.min_smooth_share)
+    if echoes:
+        split = sums(labels, echoes.split, count) / cells
+        needed = params.smooth_per_split * (split - params.free_split_share)
+    return chosen_cells(labels, smooth >= needed)
+
+
+def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params: CoverParams) -> ClassMap:
+    """Take regions for vegetation after all that are mostly green and not quite smooth: two witnesses to one.
+
+    A green roof is smooth and stays; a dense crown that stops every pulse is told by its colour.
+
+    Parameters
+    ----------
+    cover : ClassMap
+        From `structural_cover`.
+    green : (H, W) ndarray of bool
+        Cells of the colour of vegetation.
+    roughness_m : (H, W) ndarray of float32, metres
+        In the small window.
+    params : CoverParams
+        Shares and the limit of smoothness.
+    """
+    labels, count = label_zones(cover.index == ROOF)
+    cells = sizes(labels, count)
+    limit = params.smooth_m_limit * max(1.0, cover.spec.cell_m)
+    green_share = sizes(labels[green], count) / cells
+    smooth_share = sizes(labels[roughness_m < limit], count) / cells
+    crown = (green_share >= params.green_share) & (smooth_share < params.green_smooth_share)
+    index = np.where(chosen_cells(labels, crown), np.uint8(VEGETATION), cover.index)
+    return ClassMap(index, cover.labels, cover.spec)
+
+
+def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: CoverParams) -> Mask:
+    """Give the roofs' edges back: raised neighbours of like height, a cell at a time, and then the small holes."""
+    for _ in range(round(params.grow_m / cell_m)):
+        upper, lower = in_threads(partial(_around, roof, heights), (maximum_filter, minimum_filter))
+        near = np.minimum(np.abs(heights - upper), np.abs(heights - lower)) < params.grow_step_m
+        roof = roof | (raised & near)
+    return roof | (_small(~roof, params.hole_m2 / cell_m**2, eight=False) & raised)
+
+
+def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
+    """Highest or lowest roof in the 3 by 3 cells around each cell; infinite where there is none."""
+    none = -np.inf if extreme is maximum_filter else np.inf
+    return extreme(np.where(roof, heights, none), 3, mode="nearest")
+
+
+def _small(mask: Mask, cells: float, *, eight: bool) -> Mask:
+    """Return the components of fewer cells than given.
+
+    Holes are 4-connected, as the background of 8-connected roofs.
+    """
+    labels, count = label_zones(mask, connectivity=8 if eight else 4)
+    return chosen_cells(labels, sizes(labels, count) < cells)
+
+
+def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
+    """Tell roofs from vegetation by texture, and by echoes where there are any.
+
+    Parameters
+    ----------
+    surface : Surface
+        What ``build_surface`` or ``surface_from_rasters`` returned.
+    points : PointCloud, optional
+        The same points; None for a raster source.
+    params : Params
+        Sections ``surface`` and ``cover``.
+
+    Returns
+    -------
+    Structure
+        Building and vegetation above the mask, each cell's own probability of roof, and the roughness in the small
+        window.
+    """
+    small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
+    rough, wide = in_threads(partial(roughness, surface.samples), (small_m, wide_m))
+    found = (
+        None
+        if points is None
+        else echoes(points, surface.ndsm, surface.dtm, small_m=small_m, wide_m=wide_m, mask_m=mask_m)
+    )
+    return structural_cover(surface.ndsm, rough, wide, found, mask_m=mask_m, params=params.cover)

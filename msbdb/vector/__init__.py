@@ -1,1 +1,0 @@
-"""From raster labels to polygons with shared edges, and back."""
