@@ -8,12 +8,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 import shapely
+from msbdb.kept import KeptRun
 from simulated.builds import EVERY, small_build
 from support.processes import BENCHMARKS, load_script, run_script
 
 from msbdb.database import open_database, write_build
 from msbdb.database.runs.checks import check_build
-from msbdb.tables import Build
 
 SCRIPT = BENCHMARKS / "scale"
 BUILDINGS = 2_000
@@ -26,7 +26,7 @@ def script() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def tile() -> Build:
+def tile() -> KeptRun:
     """Return a small build."""
     return small_build()
 

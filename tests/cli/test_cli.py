@@ -305,7 +305,7 @@ def test_build_hands_everything_over(pipeline):
 )
 def test_the_fake_is_called_as_the_pipeline_is(name):
     """The stand-in of these tests takes the arguments of the real function, by the same names."""
-    from msbdb import pipeline as real
+    from msbdb import api as real
 
     fake = inspect.signature(getattr(FakePipeline, name)).parameters
     assert [word for word in fake if word != "self"] == list(inspect.signature(getattr(real, name)).parameters)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from msbdb.kept import KeptRun
 from simulated.builds import BASE, EPSG, SOUTH, WEST, ledger_build, small_build
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import DatabaseError as RefusedError
@@ -15,7 +16,6 @@ from msbdb.database.dialects import bulk, spatialite
 from msbdb.database.schema.sqlfiles import VIEWS
 from msbdb.database.schema.sqltables import SPATIAL
 from msbdb.errors import DatabaseError, LoadError
-from msbdb.tables import Build
 
 COUNT = 4000
 WINDOW = (WEST + 7.3, SOUTH + 5.1, WEST + 19.9, SOUTH + 23.7)
@@ -202,7 +202,7 @@ COUNTED = (
 )
 
 
-def empty_build() -> Build:
+def empty_build() -> KeptRun:
     """Return the small build without a row but its scales."""
     build = small_build()
     frames = {name: frame if name == "scale" else frame[:0] for name, frame in build.frames.items()}

@@ -12,6 +12,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import pytest
+from msbdb.kept import KeptRun
 from simulated.builds import big_build, small_build
 from simulated.scenes import SCENES
 from sqlalchemy import Engine, text
@@ -19,7 +20,7 @@ from sqlalchemy.exc import DBAPIError
 from support.faultfiles import write_points
 from support.towns import ROW, town_build
 
-from msbdb import pipeline
+from msbdb import api
 from msbdb.api import reports
 from msbdb.api.update import advance
 from msbdb.database import (
@@ -43,14 +44,13 @@ from msbdb.database.dialects.dialect import dialect_of
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import DatabaseError
 from msbdb.params import Params, with_values
-from msbdb.tables import Build
 
 build_module = importlib.import_module("msbdb.api.build")
 update_module = importlib.import_module("msbdb.api.update")
 SPAWN = multiprocessing.get_context("spawn")
 
 
-def tile(number: int, year: int = 2020, *, grown: float = 5.0) -> Build:
+def tile(number: int, year: int = 2020, *, grown: float = 5.0) -> KeptRun:
     """Return a survey of one tile of a street, each of two houses; one grew in the later year, by so many metres."""
     houses = ROW[2 * number : 2 * number + 2]
     if year > 2020:
@@ -60,7 +60,7 @@ def tile(number: int, year: int = 2020, *, grown: float = 5.0) -> Build:
 
 
 def bring(target: str, numbers: tuple[int, ...]) -> None:
-    """Build tiles and update the inventory by them, survey after survey, as one process does."""
+    """KeptRun tiles and update the inventory by them, survey after survey, as one process does."""
     for year in (2020, 2021):
         for number in numbers:
             store_build(target, tile(number, year), timeout_s=60)
@@ -156,7 +156,7 @@ def test_an_update_that_others_always_overtake_says_so(begun: str, monkeypatch: 
 
 
 @contextmanager
-def rewriting(engine: Engine, builds: list[Build]) -> Iterator[threading.Event]:
+def rewriting(engine: Engine, builds: list[KeptRun]) -> Iterator[threading.Event]:
     """Write builds by turns until the block ends; yields what is set when all were written once."""
     stop, once, failures = threading.Event(), threading.Event(), []
 
@@ -237,7 +237,7 @@ def test_labels_that_came_meanwhile_are_not_written_over(target: str) -> None:
     assert store_build(target, small_build(version="2"), basis=BuildBasis(before, digest)).status == "replaced"
     classes = build.frames["spectral_class"]
     labelled = classes.assign(label="vegetation", labelled_by="operator")
-    write_build(engine, Build(build.survey, build.run, {**build.frames, "spectral_class": labelled}, build.state))
+    write_build(engine, KeptRun(build.survey, build.run, {**build.frames, "spectral_class": labelled}, build.state))
     for basis in (BuildBasis(labelled=before), BuildBasis(content_sha256=digest)):
         with pytest.raises(OutdatedError):
             store_build(target, small_build(version="3"), basis=basis)
@@ -277,7 +277,7 @@ def labelling(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("labelling")
     cloud = SCENES["podium_tower"](density=1.0).points
     points = write_points(folder / "tile.laz", cloud, crs=cloud.crs)
-    pipeline.build([points], db=folder / "town.sqlite", survey="new", extract=["multiscale"])
+    api.build([points], db=folder / "town.sqlite", survey="new", extract=["multiscale"])
     return points, folder / "town.sqlite"
 
 
@@ -288,14 +288,14 @@ def test_operators_who_label_at_once_both_have_their_labels(
     db = shutil.copy(labelling[1], tmp_path / "town.sqlite")
     original, calls = reports._relabelled, []
 
-    def meanwhile(*args: object) -> Build:
+    def meanwhile(*args: object) -> KeptRun:
         calls.append(args)
         if len(calls) == 1:
-            pipeline.relabel(db, {1: "other"})
+            api.relabel(db, {1: "other"})
         return original(*args)
 
     monkeypatch.setattr(reports, "_relabelled", meanwhile)
-    pipeline.relabel(db, {2: "other"})
+    api.relabel(db, {2: "other"})
     assert len(calls) == 3
     classes = read_classes(open_database(db)).set_index("speindex")
     assert classes.loc[[1, 2], ["label", "labelled_by"]].to_numpy().tolist() == [["other", "operator"]] * 2
@@ -309,16 +309,16 @@ def test_a_label_during_a_rebuild_is_not_lost(
     original = build_module.run
 
     def meanwhile(*args: object) -> object:
-        pipeline.relabel(db, {1: "other"})
+        api.relabel(db, {1: "other"})
         return original(*args)
 
     params = with_values(Params(), {"surface": {"storey_m": 2.8}})
     again = {"db": db, "survey": "new", "extract": ["multiscale"], "params": params}
     monkeypatch.setattr(build_module, "run", meanwhile)
     with pytest.raises(DatabaseError, match="An operator labelled classes of the survey 'new' while it was built"):
-        pipeline.build([labelling[0]], **again)
+        api.build([labelling[0]], **again)
     monkeypatch.undo()
-    assert pipeline.build([labelling[0]], **again).changed
+    assert api.build([labelling[0]], **again).changed
     assert read_classes(open_database(db)).set_index("speindex").loc[1, "label"] == "other"
 
 

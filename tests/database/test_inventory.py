@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from msbdb.kept import KeptRun
 from sqlalchemy import Engine, text
 from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
@@ -30,14 +31,13 @@ from msbdb.database import (
     write_state,
 )
 from msbdb.errors import InputError, LoadError
-from msbdb.tables import Build
 
 LATER: list[House] = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
 """The first house of the row is gone, the last one is longer, and a new one stands apart."""
 
 
 @cache
-def built(name: str, date: str, houses: tuple[House, ...], shift: float = 0.0, version: str = "1") -> Build:
+def built(name: str, date: str, houses: tuple[House, ...], shift: float = 0.0, version: str = "1") -> KeptRun:
     """Return a build of a survey, made once."""
     return town_build(name, date, list(houses), shift=shift, version=version)
 

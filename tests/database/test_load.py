@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import shapely
 from geopandas.testing import assert_geodataframe_equal
+from msbdb.kept import KeptRun
 from simulated.builds import (
     AWNING,
     BLOCK,
@@ -50,10 +51,10 @@ from msbdb.database import (
     read_part_candidates,
     read_part_flat_regions,
     read_parts,
+    read_rasters,
     read_rejections,
     read_run,
     read_scales,
-    read_state,
     read_survey,
     write_build,
 )
@@ -61,13 +62,13 @@ from msbdb.database.dialects.dialect import dialect_of
 from msbdb.database.schema.sqlfiles import VIEWS
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import InputError, LoadError, TableError
-from msbdb.tables import TABLES, Build
+from msbdb.tables import TABLES
 
 FILLED = {table.name for table in TABLES}
 """The tables that a build fills; those of the inventory have tests of their own."""
 
 
-def changed(build: Build, table: str, row: int = 0, **columns: Any) -> Build:
+def changed(build: KeptRun, table: str, row: int = 0, **columns: Any) -> KeptRun:
     """Return a build with other values in one row of a table."""
     frame = build.frames[table].copy()
     for name, value in columns.items():
@@ -78,7 +79,7 @@ def changed(build: Build, table: str, row: int = 0, **columns: Any) -> Build:
     return replace(build, frames={**build.frames, table: frame})
 
 
-def assert_same_build(found: Build, expected: Build) -> None:
+def assert_same_build(found: KeptRun, expected: KeptRun) -> None:
     """Check that two builds hold the same, whatever the order of rows and sources."""
     assert replace(found.survey, sources=()) == replace(expected.survey, sources=())
     assert set(found.survey.sources) == set(expected.survey.sources)
@@ -117,7 +118,7 @@ def test_each_table_is_read_by_itself(engine: Engine) -> None:
     assert read_scales(engine)["threshold_m2"].tolist() == [200, 50, 20]
     assert read_classes(engine)["labelled_by"].tolist() == ["automatic", "automatic", "operator"]
     assert read_class_bands(engine)["mean"].tolist() == [11, 10, 21, 20, 31, 30]
-    assert read_state(engine)["ndsm"].dtype == np.float32
+    assert read_rasters(engine)["ndsm"].dtype == np.float32
     assert read_flat_regions(engine)["region_id"].tolist() == [SLAB_ROOF, WING, DECK, PITCH]
     links = read_part_flat_regions(engine)
     assert links["part_id"].tolist() == [PODIUM, SLAB, LIFT, HOUSE, BLOCK]
@@ -197,7 +198,7 @@ def test_a_changed_raster_is_a_change(engine: Engine) -> None:
     write_build(engine, build)
     state = {**build.state, "ndsm": build.state["ndsm"] + np.float32(1)}
     assert write_build(engine, replace(build, state=state)).status == "replaced"
-    assert read_state(engine)["ndsm"][0, 0] == 1
+    assert read_rasters(engine)["ndsm"][0, 0] == 1
 
 
 def test_rows_that_were_deleted_by_hand_come_back(engine: Engine) -> None:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from sqlalchemy import Engine
 from support.towns import EPSG, ROW, SOUTH, UTM, WEST, House, town_build
 
-from msbdb import pipeline
+from msbdb import api
 from msbdb.cli.main import cli
 from msbdb.database import footprint_at, open_database, write_build
 
@@ -41,7 +41,7 @@ def engine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     engine = open_database(place, create=True, srid=EPSG)
     for date, houses in SURVEYS.items():
         write_build(engine, town_build(f"s{date}", date, houses))
-        pipeline.advance(engine.url, f"s{date}")
+        api.advance(engine.url, f"s{date}")
     yield engine
     if request.param == "postgis":
         request.getfixturevalue("databases").release([place])
@@ -61,7 +61,7 @@ def place(engine: Engine) -> str:
 
 def test_many_surveys_are_told_as_one_change(engine: Engine) -> None:
     """What was joined and parted again has the ground of before; the shed is only counted."""
-    found = pipeline.changes(place(engine), since="2020", until="2023")
+    found = api.changes(place(engine), since="2020", until="2023")
     assert found.counts == {"demolished": 1, "modified": 3, "unchanged": 6}
     assert found.in_between == 1
     table = found.table.set_index("kind")
@@ -81,7 +81,7 @@ def test_the_states_at_both_dates_are_those_of_the_inventory(engine: Engine) -> 
     at = {day: set(footprint_at(engine, day)["version_id"].astype(int)) for day in days}
     for since in days:
         for until in days[days.index(since) + 1 :]:
-            table = pipeline.changes(place(engine), since=since, until=until).table
+            table = api.changes(place(engine), since=since, until=until).table
             sides = [set(table[f"version_{side}"].dropna().astype(int)) for side in ("before", "after")]
             if until != "2024" or since != "2023":
                 assert sides == [at[since], at[until]]
@@ -117,7 +117,7 @@ def test_an_area_limits_what_is_counted(engine: Engine, tmp_path: Path) -> None:
     for name, north in (("shed", SOUTH + 80), ("nowhere", SOUTH + 58)):
         area = gpd.GeoDataFrame(geometry=gpd.GeoSeries.from_wkt([wkt(west, SOUTH + 55, east, north)]), crs=UTM)
         area.to_file(tmp_path / f"{name}.gpkg")
-    found = [pipeline.changes(place(engine), aoi=tmp_path / f"{name}.gpkg") for name in ("shed", "nowhere")]
+    found = [api.changes(place(engine), aoi=tmp_path / f"{name}.gpkg") for name in ("shed", "nowhere")]
     assert [(f.counts, f.in_between) for f in found] == [({}, 1), ({}, 0)]
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from affine import Affine
+from msbdb.kept import KeptRun
 from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import SCENES
@@ -29,7 +30,6 @@ from msbdb.tables import (
     REJECTION,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
-    Build,
     Run,
     Survey,
 )
@@ -135,7 +135,7 @@ def test_a_kept_run_gives_its_layers_back(tmp_path, methods):
         counts["regions"][one.method] = one.counts
     run = Run(tuple(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
     engine = open_database(tmp_path / "town.sqlite", create=True, srid=32633)
-    write_build(engine, Build(survey, run, found, pack_state(ndsm, cover, no_flat_regions(SPEC), layers)))
+    write_build(engine, KeptRun(survey, run, found, pack_state(ndsm, cover, no_flat_regions(SPEC), layers)))
     back = unpack_candidates(read_build(engine))
     assert [one.method for one in back] == list(methods)
     for one, other in zip(back, layers, strict=True):

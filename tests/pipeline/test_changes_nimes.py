@@ -7,7 +7,7 @@ import pytest
 from simulated.epochs import EDITS
 from simulated.tiles import judge, write_first, write_second
 
-from msbdb import pipeline
+from msbdb import api
 from msbdb.database import open_database, read_changes, read_history
 
 pytestmark = pytest.mark.nimes
@@ -22,9 +22,9 @@ def test_edits_of_the_points_are_found_and_nothing_else(tmp_path: Path) -> None:
         pytest.skip(f"{TILE} is not there; scripts/fetch_nimes brings it")
     (tmp_path / "second").mkdir()
     first, db = write_first([TILE], tmp_path), tmp_path / "nimes.sqlite"
-    pipeline.update(first, db=db, survey="first", date="2020-01-01", **OPTIONS)
+    api.update(first, db=db, survey="first", date="2020-01-01", **OPTIONS)
     second, edits = write_second(first, db, "first", tmp_path / "second", seed=1, each=4, crs="EPSG:2154")
-    report = pipeline.update(second, db=db, survey="second", date="2024-01-01", **OPTIONS)
+    report = api.update(second, db=db, survey="second", date="2024-01-01", **OPTIONS)
     assert report.inventory.offset["dx_m"] == pytest.approx(0.5, abs=0.2)
     assert report.inventory.offset["dz_m"] == pytest.approx(0, abs=0.2)
     engine = open_database(db)
@@ -37,4 +37,4 @@ def test_edits_of_the_points_are_found_and_nothing_else(tmp_path: Path) -> None:
     assert {edit.what for edit in told.found} == set(EDITS)
     assert told.missed == ()
     assert told.invented == ()
-    assert pipeline.update(second, db=db, survey="second", date="2024-01-01", **OPTIONS).inventory.status == "unchanged"
+    assert api.update(second, db=db, survey="second", date="2024-01-01", **OPTIONS).inventory.status == "unchanged"

@@ -11,7 +11,7 @@ from simulated.scenes import SCENES, VEGETATION
 
 import msbdb
 from msbdb.api.bypoint import evaluate_points
-from msbdb.database import read_state, read_survey
+from msbdb.database import read_rasters, read_survey
 from msbdb.errors import InputError
 from msbdb.fuse.footprints import fuse, keep_evidence
 from msbdb.outline.polygons import rasterise
@@ -44,7 +44,7 @@ def town(folder):
 def kept(db):
     """Return the rasters that a database keeps."""
     with msbdb.open(db) as opened:
-        return read_state(opened.engine)
+        return read_rasters(opened.engine)
 
 
 def test_a_build_by_both_keeps_the_labels_and_the_evidence(town):
@@ -61,7 +61,7 @@ def test_the_outlines_lie_on_their_buildings(town):
     """Each keeps the id, state and storeys; what both see of the house stands, measured on its own cells."""
     with msbdb.open(town) as opened:
         buildings, together = opened.buildings().set_index("building_id"), opened.together()
-        spec = lattice_of(read_survey(opened.engine), read_state(opened.engine))
+        spec = lattice_of(read_survey(opened.engine), read_rasters(opened.engine))
     assert len(together) > 0
     assert together["building_id"].is_monotonic_increasing
     own = buildings.loc[together["building_id"]]

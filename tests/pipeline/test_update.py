@@ -11,7 +11,7 @@ from simulated.files import write_points
 from support.towns import EPSG, ROW, town_build
 
 import msbdb
-from msbdb import pipeline
+from msbdb import api
 from msbdb.database import canonical_dump, footprint_at, open_database, write_build
 from msbdb.errors import InputError
 from msbdb.params import profile, with_values
@@ -40,13 +40,13 @@ def dump(db: Path) -> list[str]:
 def test_an_update_is_a_build_and_an_advance(points: Path, tmp_path: Path) -> None:
     """Both ways end in the same content, and a repeat builds nothing."""
     survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
-    report = pipeline.update([points], db=tmp_path / "one.sqlite", **survey)
+    report = api.update([points], db=tmp_path / "one.sqlite", **survey)
     assert report.build is not None
     assert report.inventory.counts == {"new": report.build.buildings, "versions": report.build.buildings}
     msbdb.build([points], db=tmp_path / "two.sqlite", **survey)
-    assert pipeline.advance(tmp_path / "two.sqlite", "spring").status == "created"
+    assert api.advance(tmp_path / "two.sqlite", "spring").status == "created"
     assert dump(tmp_path / "one.sqlite") == dump(tmp_path / "two.sqlite")
-    again = pipeline.update([points], db=tmp_path / "one.sqlite", **survey)
+    again = api.update([points], db=tmp_path / "one.sqlite", **survey)
     assert (again.build, again.inventory.status) == (None, "unchanged")
     assert dump(tmp_path / "one.sqlite") == dump(tmp_path / "two.sqlite")
 
@@ -57,10 +57,10 @@ def test_an_update_is_a_build_and_an_advance(points: Path, tmp_path: Path) -> No
 def test_other_files_or_values_build_the_survey_again(points: Path, tmp_path: Path, other: dict[str, object]) -> None:
     """What decides of a build is compared, what was stated by the user included."""
     survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
-    pipeline.update([points], db=tmp_path / "town.sqlite", **survey)
+    api.update([points], db=tmp_path / "town.sqlite", **survey)
     if "params" in other:
         other = {"params": with_values(profile(), other["params"])}
-    report = pipeline.update([points], db=tmp_path / "town.sqlite", **{**survey, **other})
+    report = api.update([points], db=tmp_path / "town.sqlite", **{**survey, **other})
     assert report.build is not None
     assert report.inventory.status == "replaced"
 
@@ -68,7 +68,7 @@ def test_other_files_or_values_build_the_survey_again(points: Path, tmp_path: Pa
 def test_an_update_without_a_date_is_refused_before_any_work(points: Path, tmp_path: Path) -> None:
     """The message names the option."""
     with pytest.raises(InputError, match="--date"):
-        pipeline.update([points], db=tmp_path / "town.sqlite", survey="spring", date="")
+        api.update([points], db=tmp_path / "town.sqlite", survey="spring", date="")
     assert not (tmp_path / "town.sqlite").exists()
 
 
@@ -77,7 +77,7 @@ def test_an_interruption_between_build_and_advance_is_repaired_by_repeating(
 ) -> None:
     """The build stays, and the repeat only advances."""
     survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
-    pipeline.update([points], db=tmp_path / "whole.sqlite", **survey)
+    api.update([points], db=tmp_path / "whole.sqlite", **survey)
     with monkeypatch.context() as patch:
 
         def killed(*_: object, **__: object) -> None:
@@ -85,9 +85,9 @@ def test_an_interruption_between_build_and_advance_is_repaired_by_repeating(
 
         patch.setattr(MODULE, "write_advance", killed)
         with pytest.raises(KeyboardInterrupt):
-            pipeline.update([points], db=tmp_path / "town.sqlite", **survey)
+            api.update([points], db=tmp_path / "town.sqlite", **survey)
     assert footprint_at(open_database(tmp_path / "town.sqlite"), "2025").empty
-    report = pipeline.update([points], db=tmp_path / "town.sqlite", **survey)
+    report = api.update([points], db=tmp_path / "town.sqlite", **survey)
     assert (report.build, report.inventory.status) == (None, "created")
     assert dump(tmp_path / "town.sqlite") == dump(tmp_path / "whole.sqlite")
 
@@ -106,11 +106,11 @@ def test_an_update_is_computed_again_when_others_change_the_place(
     def compared(before, *rest, **options):
         seen.append(len(before))
         if len(seen) == 1:
-            pipeline.advance(db, "one")
+            api.advance(db, "one")
         return compare(before, *rest, **options)
 
     monkeypatch.setattr(MODULE, "compare", compared)
-    assert pipeline.advance(db, "two").counts == {"unchanged": 8, "versions": 0}
+    assert api.advance(db, "two").counts == {"unchanged": 8, "versions": 0}
     assert seen == [0, 0, 8]
 
 
@@ -119,7 +119,7 @@ def test_operators_labels_survive_that_a_survey_is_built_again(points: Path, tmp
     db = tmp_path / "town.sqlite"
     survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
     msbdb.build([points], db=db, **survey)
-    number = int(pipeline.classes(db).query("source == 'structure'")["speindex"].min())
+    number = int(api.classes(db).query("source == 'structure'")["speindex"].min())
     msbdb.relabel(db, {number: "building"})
     labelled = dump(db)
     report = msbdb.build([points], db=db, **survey)
@@ -127,10 +127,10 @@ def test_operators_labels_survive_that_a_survey_is_built_again(points: Path, tmp
     assert dump(db) == labelled
     coarse = with_values(profile(), {"scale": {"merge_slivers": False}})
     msbdb.build([points], db=db, params=coarse, **survey)
-    table = pipeline.classes(db).set_index("speindex")
+    table = api.classes(db).set_index("speindex")
     assert table.loc[number, ["label", "labelled_by"]].tolist() == ["building", "operator"]
     wide = with_values(profile(), {"surface": {"cell_m": 1.0}})
     report = msbdb.build([points], db=db, params=wide, **survey)
     assert any(f"label 'building' of class {number} was not kept" in sentence for sentence in report.notices)
     assert not msbdb.build([points], db=db, params=wide, **survey).changed
-    assert np.all(pipeline.classes(db)["labelled_by"] == "automatic")
+    assert np.all(api.classes(db)["labelled_by"] == "automatic")

@@ -2,6 +2,7 @@
 
 import geopandas as gpd
 import numpy as np
+from msbdb.kept import KeptRun
 from pyproj import CRS
 from shapely import box
 
@@ -14,7 +15,7 @@ from msbdb.parts.tree import extract_parts
 from msbdb.run.describe import make_frames, outline_parts
 from msbdb.run.kept import pack_state
 from msbdb.spectral.coverclasses import Cover
-from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Build, Run, Source, Survey
+from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Run, Source, Survey
 
 EPSG = 32631
 UTM = CRS.from_epsg(EPSG)
@@ -61,7 +62,7 @@ def town_build(
     bounds: tuple[float, float, float, float] = BOUNDS,
     shift: float = 0.0,
     version: str = "1",
-) -> Build:
+) -> KeptRun:
     """Return the build of a survey of a town."""
     ndsm = town_heights(houses, bounds=bounds, shift=shift)
     params = Params()
@@ -76,4 +77,4 @@ def town_build(
     survey = Survey(name, date, UTM.to_wkt(), EPSG, "", 10.0, ndsm.spec.cell_m, ndsm.spec.bounds, (source,))
     counts: dict[str, object] = {"regions": dict(forest.counts)}
     run = Run("multiscale", "default", version, dict(as_dict(params)), counts, {}, ())
-    return Build(survey, run, frames, pack_state(ndsm, cover, flat, ()))
+    return KeptRun(survey, run, frames, pack_state(ndsm, cover, flat, ()))

@@ -41,7 +41,7 @@ def warm() -> None:
     """Load what a build loads, before any fork, and start no thread, which a fork would lack."""
     import numpy as np
 
-    from msbdb import pipeline  # noqa: F401
+    from msbdb import api  # noqa: F401
     from msbdb.morphology import area_opening
 
     area_opening(np.ones((2, 2), dtype=np.int32), 1)

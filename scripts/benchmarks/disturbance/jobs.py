@@ -7,7 +7,7 @@ from pathlib import Path
 from simulated.files import write_points
 from simulated.scenes import SCENES, scan
 
-from msbdb import pipeline
+from msbdb import api
 from msbdb.database import copy_database, open_database
 from msbdb.database.history.imports import write_state
 from msbdb.database.history.periods import footprint_at
@@ -44,13 +44,13 @@ class Town:
 
     def build(self, survey: str, epoch: int, storey_m: float = 3.0) -> Step:
         """Return a build of an epoch."""
-        return lambda target, progress: pipeline.build(
+        return lambda target, progress: api.build(
             [self.tiles[epoch]], db=target, progress=progress, **self._options(survey, epoch, storey_m)
         )
 
     def update(self, survey: str, epoch: int, storey_m: float = 3.0) -> Step:
         """Return an update by an epoch."""
-        return lambda target, progress: pipeline.update(
+        return lambda target, progress: api.update(
             [self.tiles[epoch]], db=target, progress=progress, **self._options(survey, epoch, storey_m)
         )
 
@@ -61,7 +61,7 @@ class Town:
 
 def _advance(survey: str) -> Step:
     def step(target: str, progress: Progress) -> None:
-        pipeline.advance(target, survey)
+        api.advance(target, survey)
 
     return step
 
@@ -77,7 +77,7 @@ def _copy(source: str) -> Step:
 
 def _applied(target: str, progress: Progress) -> None:
     """Begin the inventory, and have an operator decide on a building."""
-    pipeline.advance(target, "older")
+    api.advance(target, "older")
     engine = open_database(target)
     uid = int(footprint_at(engine, "2016")["uid"].min())
     write_state(engine, uid, "refuted", operator="ann", note="a tent", decided_at="2016-01-01T00:00:00Z")

@@ -23,6 +23,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from msbdb.kept import KeptRun
 from pyproj import CRS
 
 from msbdb.params import POINT_DETECTORS
@@ -39,7 +40,6 @@ from msbdb.tables import (
     SCALE,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
-    Build,
     Run,
     Source,
     Survey,
@@ -67,7 +67,7 @@ HOSTILE = "x'; DROP TABLE part; --"
 """A name of a survey that is harmless only where it is quoted."""
 
 
-def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, **run: Any) -> Build:
+def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, **run: Any) -> KeptRun:
     """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database.
 
     An extractor that ``method`` does not name gives no regions, and buildings that know nothing of it.
@@ -123,7 +123,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
         "notices": ("The heights were in feet.",),
     }
     row, col = np.indices((100, 400))
-    return Build(
+    return KeptRun(
         survey=Survey(
             name=survey,
             date="2020-04-01",
@@ -144,7 +144,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
     )
 
 
-def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
+def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> KeptRun:
     """Return a build of so many buildings, each a root with one child, for loads that take a while."""
     base = small_build()
     cols = int(np.ceil(np.sqrt(count)))
@@ -185,7 +185,7 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> Build:
     lattice = max(-(-count // cols), 5), max(cols, 20)
     north, east = (20.0 * cells for cells in lattice)
     survey = replace(base.survey, epsg=epsg, cell_m=20.0, bounds=(WEST, SOUTH, WEST + east, SOUTH + north))
-    return Build(survey, base.run, frames, {"ndsm": np.full(lattice, height_m, dtype=np.float32)})
+    return KeptRun(survey, base.run, frames, {"ndsm": np.full(lattice, height_m, dtype=np.float32)})
 
 
 LOST = (
@@ -197,7 +197,7 @@ LOST = (
 """Stages and reasons of the ledger's rows in ``ledger_build``."""
 
 
-def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: float = 0.0, **run: Any) -> Build:
+def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: float = 0.0, **run: Any) -> KeptRun:
     """Return the small build with a ledger of so many rows: single cells of 0.4 m on a square, in no order."""
     base = small_build(survey, shift=shift, **run)
     rng = np.random.default_rng(7)
@@ -219,7 +219,7 @@ def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: 
     )
     ledger = rows.astype({c.name: c.dtype for c in REJECTION.columns})
     geo = gpd.GeoDataFrame(ledger, geometry=shapely.points(x, y), crs=f"EPSG:{EPSG}")
-    return Build(base.survey, base.run, {**base.frames, "rejection": geo}, base.state)
+    return KeptRun(base.survey, base.run, {**base.frames, "rejection": geo}, base.state)
 
 
 def _box(west: float, south: float, width: float, height: float, hole: shapely.Polygon | None = None) -> Any:

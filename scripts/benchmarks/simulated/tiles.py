@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from msbdb.database import open_database, read_buildings, read_state, read_survey
+from msbdb.database import open_database, read_buildings, read_rasters, read_survey
 from msbdb.io.las import read_points
 from msbdb.params import profile
 from msbdb.points.cloud import PointCloud
@@ -66,7 +66,7 @@ def write_second(
     xyz = [np.concatenate([np.asarray(las[axis], dtype=np.float64) for las in files]) for axis in "xyz"]
     points, _ = read_points(list(first), crs=crs)
     engine = open_database(db)
-    record, state = read_survey(engine, survey), read_state(engine, survey)
+    record, state = read_survey(engine, survey), read_rasters(engine, survey)
     ndsm = unpack_heights(state, lattice_of(record, state))
     buildings = read_buildings(engine, survey)
     engine.dispose()
