@@ -54,3 +54,7 @@ class MissingDependencyError(MsbdbError, ImportError):
 
 class MsbdbWarning(UserWarning):
     """Something was assumed, converted or left out; the result is still right."""
+
+
+class PassingNotice(MsbdbWarning):
+    """A notice of one call alone, which is no part of what a run keeps."""

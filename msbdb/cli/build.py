@@ -12,7 +12,7 @@ from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 from msbdb.params import DETECTORS, PROFILES, Params
 
 if TYPE_CHECKING:
-    from msbdb.api.build import BuildReport
+    from msbdb.run.reports import BuildReport
 
 Z_UNITS = ("auto", "m", "ft", "us-ft")
 
@@ -123,12 +123,12 @@ def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa:
     """
     check_inputs(given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
-    from msbdb import pipeline
+    from msbdb import api
 
     with progress_bars() as progress:
-        report = pipeline.build(given.pop("points"), **given, params=params, progress=progress)
+        report = api.build(given.pop("points"), **given, params=params, progress=progress)
     if figure is not None:
-        pipeline.view(given["db"], figure, survey=report.survey)
+        api.view(given["db"], figure, survey=report.survey)
     if as_json:
         emit_json(report.as_dict())
     else:

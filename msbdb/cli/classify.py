@@ -66,10 +66,10 @@ def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:
     unclassified, and all others keep their class.
     """
     params = parameters(options["profile"], options.pop("params_file"), options.pop("settings"), None)
-    from msbdb import pipeline
+    from msbdb import api
 
     with progress_bars() as progress:
-        report = pipeline.classify(source, out, **options, params=params, progress=progress)
+        report = api.classify(source, out, **options, params=params, progress=progress)
     if as_json:
         emit_json(report.as_dict())
         return

@@ -75,7 +75,7 @@ def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **optio
     The report counts by area, by object (all, and those over 50 m2), by shape and by height, as the papers do; by
     point, it counts points. A point file is compared with a classified one of the same points.
     """
-    from msbdb import pipeline
+    from msbdb import api
 
     is_file = Path(db).suffix.lower() in (".las", ".laz")
     if is_file or by == "point":
@@ -86,9 +86,9 @@ def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **optio
             msg = f"A file of points is compared by point, {db}; leave out --by area, or name a database."
             raise click.UsageError(msg)
         how = {name: value for name, value in options.items() if name not in BY_AREA}
-        result = pipeline.evaluate_points(db, reference, **how).as_dict()
+        result = api.evaluate_points(db, reference, **how).as_dict()
     else:
-        result = pipeline.evaluate(db, reference, **options).as_dict()
+        result = api.evaluate(db, reference, **options).as_dict()
     if as_json:
         emit_json(result)
     else:

@@ -18,7 +18,7 @@ from msbdb.cli.options import INPUT_FILE, iso_date, shared
 from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 
 if TYPE_CHECKING:
-    from msbdb.api.update import AdvanceReport
+    from msbdb.run.reports import AdvanceReport
 
 import getpass
 
@@ -55,12 +55,12 @@ def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa
     """
     check_inputs(given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
-    from msbdb import pipeline
+    from msbdb import api
 
     with progress_bars() as progress:
-        report = pipeline.update(given.pop("points"), **given, params=params, progress=progress)
+        report = api.update(given.pop("points"), **given, params=params, progress=progress)
     if figure is not None:
-        pipeline.changes(given["db"], survey=given["survey"], figure=figure)
+        api.changes(given["db"], survey=given["survey"], figure=figure)
     if as_json:
         emit_json(report.as_dict())
         return
@@ -140,14 +140,14 @@ def import_(
     FILE is of any vector format. All its columns are kept as attributes of the buildings through every update. The
     first survey measures the buildings and tells what has changed since.
     """
-    from msbdb import pipeline
+    from msbdb import api
 
     if what == "inventory":
-        report = pipeline.import_inventory(
+        report = api.import_inventory(
             db, file, name=name, layer=layer, date=date, mapping=dict(mapping), id_column=id_column, crs=crs
         )
     else:
-        report = pipeline.import_roof_samples(db, file, layer=layer, mapping=dict(mapping), crs=crs)
+        report = api.import_roof_samples(db, file, layer=layer, mapping=dict(mapping), crs=crs)
     if as_json:
         emit_json(report.as_dict())
         return
@@ -173,10 +173,10 @@ def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> 
     UID is the building's number in the inventory (column uid of footprint_current). The operator's word wins over what
     the extractors say, and holds through every rebuild and update. The last word stands; the one before it is told.
     """
-    from msbdb import pipeline
+    from msbdb import api
 
     word = None if state == "auto" else state
-    before = pipeline.set_state(db, uid, word, operator=operator or getpass.getuser(), note=note)
+    before = api.set_state(db, uid, word, operator=operator or getpass.getuser(), note=note)
     click.echo(f"Building {uid}: {'as the extractors say' if word is None else word}.")
     if before is not None:
         why = f" ({before['note']})" if before["note"] else ""
@@ -230,10 +230,10 @@ def changes(
     and then demolished is demolished. Buildings that came and went in between are only counted; --each shows them.
     Unchanged ones are counted and not printed.
     """
-    from msbdb import pipeline
+    from msbdb import api
 
-    found = pipeline.changes(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
-    told = pipeline.summary(found)
+    found = api.changes(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
+    told = api.summary(found)
     if as_json:
         emit_json(told)
         return

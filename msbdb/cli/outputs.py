@@ -27,9 +27,9 @@ def info(*, db: str, as_json: bool) -> None:
     Its surveys with their sources, its runs with their counts, and the version of its schema. With --json also what
     each run decided itself: the ground filter, the scales, the scaling of the bands and the centres of the classes.
     """
-    from msbdb import pipeline
+    from msbdb import api
 
-    result = pipeline.info(db)
+    result = api.info(db)
     if as_json:
         emit_json(result)
     else:
@@ -58,9 +58,9 @@ def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
     Parts of buildings are outlined by scale and filled by height, flat regions are coloured by their zone, candidate
     regions by the height scale that accepted them or by their height, on a hillshade of the surface.
     """
-    from msbdb import pipeline
+    from msbdb import api
 
-    pipeline.view(db, out, survey=survey, of=of)
+    api.view(db, out, survey=survey, of=of)
     click.echo(f"Wrote {out}.")
 
 
@@ -84,9 +84,9 @@ def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     (Shapefile of the parts with the paper's names of at most ten characters) or .geojson (the parts in longitude and
     latitude).
     """
-    from msbdb import pipeline
+    from msbdb import api
 
-    pipeline.export(db, out, survey=survey, overwrite=overwrite)
+    api.export(db, out, survey=survey, overwrite=overwrite)
     click.echo(f"Wrote {out}.")
 
 
@@ -108,15 +108,15 @@ def classes(*, db: str, labels: tuple[tuple[int, str], ...], survey: str | None,
     Without --set, the classes of a survey are listed with their statistics. A new label runs the build again from the
     classes on, without the source data. The labels are building, vegetation, shadow, water and other.
     """
-    from msbdb import pipeline
+    from msbdb import api
 
     result: dict[str, Any] = {}
     report = None
     if labels:
         with progress_bars() as progress:
-            report = pipeline.relabel(db, dict(labels), survey=survey, progress=progress)
+            report = api.relabel(db, dict(labels), survey=survey, progress=progress)
         result["build"] = report.as_dict()
-    result["classes"] = pipeline.classes(db, survey=survey).to_dict(orient="records")
+    result["classes"] = api.classes(db, survey=survey).to_dict(orient="records")
     if as_json:
         emit_json(result)
         return

@@ -8,7 +8,7 @@ from msbdb.database.admin.findings import Finding
 from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_schema, upgrade_schema
 from msbdb.database.admin.roles import ROLES, grant_role
 from msbdb.database.admin.soundness import CHECKS, check_database
-from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, shown, upgrade_database
+from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened, shown, upgrade_database
 from msbdb.database.history.imports import write_import, write_samples, write_state
 from msbdb.database.history.periods import (
     database_crs_of,
@@ -35,10 +35,10 @@ from msbdb.database.runs.reading import (
     read_part_candidates,
     read_part_flat_regions,
     read_parts,
+    read_rasters,
     read_rejections,
     read_run,
     read_scales,
-    read_state,
     read_survey,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
@@ -70,6 +70,7 @@ __all__ = [
     "grant_role",
     "list_runs",
     "open_database",
+    "opened",
     "read_build",
     "read_buildings",
     "read_candidates",
@@ -85,12 +86,12 @@ __all__ = [
     "read_part_candidates",
     "read_part_flat_regions",
     "read_parts",
+    "read_rasters",
     "read_rejections",
     "read_roof_samples",
     "read_run",
     "read_scales",
     "read_standing",
-    "read_state",
     "read_states",
     "read_survey",
     "run_example",

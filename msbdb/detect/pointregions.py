@@ -1,18 +1,28 @@
-"""What the two extractors on points give: candidate regions, as labels of the points and as rows.
+"""Candidate regions of points: what the two detectors on the points share.
 
-Labelled points on a survey's lattice: means, centroids, ids, and the books of what was rejected.
+Heights and NDVI of the points; labelled points on the lattice with means, centroids and ids; the ledger of rejected
+regions; and the outlines that make them regions of the lattice.
 """
 
 from dataclasses import dataclass, replace
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from msbdb.bands import Bands
+from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import GridSpec
+from msbdb.ground.quadratic import ground_heights
 from msbdb.identity import part_ids
 from msbdb.labels import Labels, region_means, sums
 from msbdb.ledger import Books
+from msbdb.outline.pointoutlines import outline_regions
+from msbdb.outline.polygons import rasterise
+from msbdb.params import Params
+from msbdb.points.cloud import PointCloud
+from msbdb.surface import heights_above
 from msbdb.tables import REJECTION
 
 
@@ -157,3 +167,53 @@ class PointBooks(Books):
     def rejections(self) -> pd.DataFrame:
         """Return all lost regions in the order of writing."""
         return REJECTION.typed(self.lost(REJECTION.empty()))
+
+
+def point_heights(scene: Scene, params: Params) -> Floats:
+    """Return the points' heights above ground, metres.
+
+    The quadratic ground filter gives them itself (C13, Eq. 6); any other filter gives a terrain to subtract.
+    """
+    surface, cloud = scene.require_surface(), scene.require_cloud()
+    if surface.ground_filter == "quadratic":
+        return np.asarray(cloud.z - ground_heights(cloud, params.ground))
+    return heights_above(cloud, surface.dtm)
+
+
+def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | None:
+    """Return the vegetation index (nir - red) / (nir + red) of each point's cell.
+
+    Parameters
+    ----------
+    bands : Bands, optional
+        Of an orthophoto, or gridded from the points.
+    cloud : PointCloud
+        N points in the bands' CRS.
+
+    Returns
+    -------
+    (N,) ndarray of float32 or None
+        From -1 to 1; NaN where the cell has no colours or is black, or there is no cell. None without the bands
+        ``red`` and ``nir``.
+    """
+    red, nir = (None, None) if bands is None else (bands.band("red"), bands.band("nir"))
+    if bands is None or red is None or nir is None:
+        return None
+    total = red + nir
+    usable = bands.valid & (total > 0)
+    index: NDArray[np.float32] = np.full(red.shape, np.nan, dtype=np.float32)
+    np.divide(nir - red, total, out=index, where=usable)
+    return bands.spec.sample(index, cloud.x, cloud.y, outside=np.nan)
+
+
+def outlined(found: Candidates, scene: Scene, params: Params) -> Regions:
+    """Return candidate regions of points as regions of the lattice: the cells within their outlines (S7)."""
+    surface, cloud, spec = scene.require_surface(), scene.require_cloud(), scene.heights.spec
+    spacing_m = 1 / surface.density**0.5
+    outlines = outline_regions(
+        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=spacing_m, params=params.vector
+    )
+    table = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
+    return Regions(
+        found.method, rasterise(outlines, spec), table, found.rejections, found.counts, of_points=found.labels
+    )

@@ -1,6 +1,6 @@
-"""From a forest on the lattice to the tables that the database takes."""
+"""Description: from parts and regions on the lattice to outlines and to the tables that the database takes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import partial
 
 import geopandas as gpd
@@ -8,23 +8,24 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from msbdb.detect.candidatelayer import CandidateLayer
-from msbdb.detect.flatregions.flatlayer import Flat
+from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.buildings import buildings_from_parts, covered_shares, link_labels, witnessed
-from msbdb.grid import Grid
+from msbdb.grid import Grid, GridSpec
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
-from msbdb.params import VectorParams
+from msbdb.params import POINT_DETECTORS, VectorParams
 from msbdb.parts.forest import Forest
-from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import (
     BUILDING,
     CANDIDATE_REGION,
+    FLAT_REGION,
     FLAT_REGION_CANDIDATE,
     PART,
     PART_CANDIDATE,
     PART_FLAT_REGION,
+    REJECTION,
     TABLES,
+    Table,
     validate,
     validate_parts,
 )
@@ -52,50 +53,61 @@ def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDa
 
 
 def make_frames(
-    forest: Forest,
-    parts: gpd.GeoDataFrame,
-    cover: Cover,
-    flat: Flat,
-    candidates: Sequence[CandidateLayer],
-    *,
-    ndsm: Grid,
+    scene: Scene, regions: Mapping[str, Regions], forest: Forest, parts: gpd.GeoDataFrame
 ) -> dict[str, pd.DataFrame]:
-    """Return all tables of the build, checked against their declarations.
+    """Return all tables of the run, checked against their declarations.
 
-    ``candidates`` has one layer for each extractor on the points that was run, also where it found nothing.
+    Parameters
+    ----------
+    scene : Scene
+        Heights and land cover.
+    regions : mapping of str to Regions
+        Of each detector that was run, also where it found nothing.
+    forest : Forest
+        The parts; empty where none were sought.
+    parts : GeoDataFrame
+        The same parts with their outlines.
     """
-    link = partial(link_labels, cell_area_m2=ndsm.spec.cell_area_m2)
-    part_ids, flat_ids = parts["part_id"].to_numpy(), flat.regions["region_id"].to_numpy()
+    spec = scene.heights.spec
+    link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
+    flat = regions.get("flatregions") or no_regions("flatregions", FLAT_REGION, spec)
+    candidates = [regions[name] for name in POINT_DETECTORS if name in regions]
+    part_ids, flat_ids = parts["part_id"].to_numpy(), flat.table["region_id"].to_numpy()
     flat_links = link(forest.labels, part_ids, flat.labels, flat_ids, table=PART_FLAT_REGION)
-    heard = {"flatregions": flat_links} if flat.extracted else {}
+    links = {"flatregions": flat_links} if "flatregions" in regions else {}
     between = []
-    for layer in candidates:
-        ids = layer.regions["candidate_id"].to_numpy()
-        heard[layer.method] = link(forest.labels, part_ids, layer.labels, ids, table=PART_CANDIDATE)
-        between.append(link([flat.labels], flat_ids, layer.labels, ids, table=FLAT_REGION_CANDIDATE))
-    buildings = buildings_from_parts(parts, forest.root_labels, ndsm)
+    for found in candidates:
+        ids = found.table["candidate_id"].to_numpy()
+        links[found.method] = link(forest.labels, part_ids, found.labels, ids, table=PART_CANDIDATE)
+        between.append(link([flat.labels], flat_ids, found.labels, ids, table=FLAT_REGION_CANDIDATE))
+    buildings = buildings_from_parts(parts, forest.root_labels, scene.heights)
     roots = buildings["root_id"].to_numpy()
-    buildings = witnessed(buildings, {name: covered_shares(roots, links) for name, links in heard.items()})
-    rejections = _joined(forest.rejections, [flat.rejections, *(layer.rejections for layer in candidates)])
+    buildings = witnessed(buildings, {name: covered_shares(roots, found) for name, found in links.items()})
+    rejections = _joined(forest.rejections, [flat.ledger, *(found.ledger for found in candidates)])
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
-    crs = ndsm.spec.crs
-    no_regions = gpd.GeoDataFrame(CANDIDATE_REGION.empty(), geometry=[], crs=crs)
+    none = no_regions("area3d", CANDIDATE_REGION, spec)
     frames = {
         "scale": forest.scales,
         "part": parts[[*PART.names, "geometry"]],
-        "spectral_class": cover.table,
-        "spectral_class_band": cover.bands,
-        "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=crs),
+        "spectral_class": scene.cover.table,
+        "spectral_class_band": scene.cover.bands,
+        "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=spec.crs),
         "building": buildings[[*BUILDING.names, "geometry"]],
-        "flat_region": flat.regions,
+        "flat_region": flat.table,
         "part_flat_region": flat_links,
-        "candidate_region": _joined(no_regions, [layer.regions for layer in candidates]),
-        "part_candidate": _joined(PART_CANDIDATE.empty(), [heard[layer.method] for layer in candidates]),
+        "candidate_region": _joined(none.table, [found.table for found in candidates]),
+        "part_candidate": _joined(PART_CANDIDATE.empty(), [links[found.method] for found in candidates]),
         "flat_region_candidate": _joined(FLAT_REGION_CANDIDATE.empty(), between),
     }
     for table in TABLES:
         validate(frames[table.name], table)
     return frames
+
+
+def no_regions(method: str, table: Table, spec: GridSpec) -> Regions:
+    """Return the regions of a detector that was not run."""
+    rows = gpd.GeoDataFrame(table.empty(), geometry=[], crs=spec.crs)
+    return Regions(method, np.zeros(spec.shape, dtype=np.int32), rows, REJECTION.empty(), {})
 
 
 def _joined(first: pd.DataFrame, others: list[pd.DataFrame]) -> pd.DataFrame:

@@ -1,15 +1,15 @@
-"""What a build is made from: points or rasters, imagery, and the record of the survey."""
+"""Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
 import logging
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from msbdb.bands import Bands
+from msbdb.detect.scene import Evidence, Scene
 from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
@@ -19,9 +19,12 @@ from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.io.raster import align_grid, read_grid
 from msbdb.params import Params
+from msbdb.parts.tree import choose_scales
 from msbdb.points.cloud import PointCloud
-from msbdb.run.stages import Progress
-from msbdb.surface import Surface, surface_from_rasters
+from msbdb.run.stages import Progress, Stages
+from msbdb.spectral.colours import spectral_bands
+from msbdb.spectral.coverclasses import classify_cover, keep_labels
+from msbdb.surface import Surface, cover_from_surface, surface_from_rasters
 from msbdb.surface.gridding import cell_size, density
 from msbdb.surface.heights import grid_surface, normalise
 from msbdb.tables import Source, Survey
@@ -73,26 +76,69 @@ class Inputs:
         return tuple(sorted(described, key=lambda source: (source.role, source.sha256)))
 
 
-@contextmanager
-def collect_notices(notices: list[str]) -> Iterator[None]:
-    """Turn the warnings meant for people into notices of the run; other warnings pass."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", MsbdbWarning)
-        yield
-    for warning in caught:
-        if issubclass(warning.category, MsbdbWarning):
-            notices.append(str(warning.message))
-        else:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-
-
-def read_cloud(inputs: Inputs, progress: Progress | None, notices: list[str]) -> PointCloud | None:
+def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:
     """Read the points, where the build is from points."""
     if not inputs.points:
         return None
-    cloud, found = read_points(inputs.points, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
-    notices.extend(found)
+    cloud, notices = read_points(inputs.points, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
+    for notice in notices:
+        warnings.warn(notice, MsbdbWarning, stacklevel=2)
     return cloud
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """What a survey is called, when it was flown, and the classes that an operator labelled in it before."""
+
+    name: str
+    date: str = ""
+    classes: pd.DataFrame | None = None
+
+
+def prepare(
+    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, label: Label, *, evidence: bool
+) -> tuple[Scene, Params]:
+    """Bring the files of a survey onto one lattice, for the detectors.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        The files; the points are read already.
+    cloud : PointCloud or None
+        What `read_cloud` returned.
+    params : Params
+        Sections ``surface``, ``ground``, ``cover`` and ``spectral``.
+    stages : Stages
+        For timings and progress.
+    label : Label
+        Name, date and operator's labels.
+    evidence : bool
+        Whether each cell's own evidence of roof is kept, for the fused footprints.
+
+    Returns
+    -------
+    scene : Scene
+        The survey on its lattice.
+    params : Params
+        The parameters, with the scales that were found where they give none (V8).
+    """
+    with stages.stage("surface"):
+        surface = make_surface(inputs, cloud, params)
+    spec = surface.ndsm.spec
+    with stages.stage("cover"):
+        structure = cover_from_surface(surface, cloud, params)
+    with stages.stage("bands"):
+        ortho = read_bands(list(inputs.ortho), spec, crs=inputs.ortho_crs) if inputs.ortho else None
+        bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
+    with stages.stage("classes"):
+        echoes = cloud is not None and cloud.has_echoes
+        params = choose_scales(surface.ndsm, structure.cover, params)
+        cover = classify_cover(structure.cover, bands, surface.ndsm, structure.roughness_m, params, echoes=echoes)
+        if label.classes is not None:
+            cover = keep_labels(cover, label.classes)
+    record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
+    kept = Evidence.of(structure) if evidence else None
+    return Scene(record, surface.ndsm, cover, kept, surface=surface, cloud=cloud, bands=bands), params
 
 
 def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Surface:
@@ -124,11 +170,6 @@ def without_gaps(dtm: Grid, dsm: Grid) -> Grid:
 def flat_ground(ndsm: Grid) -> Grid:
     """Return the terrain of heights that are above ground already: zero everywhere."""
     return Grid(np.zeros(ndsm.spec.shape, dtype=np.float32), np.ones(ndsm.spec.shape, dtype=np.bool_), ndsm.spec)
-
-
-def read_ortho(inputs: Inputs, spec: GridSpec) -> Bands | None:
-    """Bring the orthophotos onto the lattice, where there are any."""
-    return read_bands(list(inputs.ortho), spec, crs=inputs.ortho_crs) if inputs.ortho else None
 
 
 def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:

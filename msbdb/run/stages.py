@@ -1,11 +1,13 @@
-"""Stages of a run: their names, timings and progress."""
+"""Stages of a run: their names, timings and progress, and the notices for people that arise in them."""
 
 import logging
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
-from msbdb.params import POINT_DETECTORS
+from msbdb.errors import MsbdbWarning, PassingNotice
 
 logger = logging.getLogger(__name__)
 
@@ -16,24 +18,26 @@ STAGES = (
     "read",
     "surface",
     "cover",
-    "flat regions",
     "bands",
-    *POINT_DETECTORS,
     "classes",
-    "parts",
-    "together",
+    "adaptive",
+    "area3d",
+    "flatregions",
+    "multiscale",
+    "fusion",
     "outlines",
     "write",
 )
+"""The stages of a build in their order; those of the detectors have the detectors' names."""
 
 
 class Stages:
-    """Times the stages of one run and tells the caller of them.
+    """Times the stages of one run and reports them to the caller.
 
     Parameters
     ----------
     progress : callable, optional
-        Told when a stage begins and ends.
+        Called when a stage begins and ends.
     """
 
     def __init__(self, progress: Progress | None) -> None:
@@ -44,14 +48,55 @@ class Stages:
     def stage(self, name: str) -> Iterator[None]:
         """Time one stage; stages of the same name add up."""
         begin = time.perf_counter()
-        self._tell(name, 0)
+        self._report(name, 0)
         yield
         seconds = time.perf_counter() - begin
         self.timings[name] = self.timings.get(name, 0.0) + seconds
-        self._tell(name, 1)
+        self._report(name, 1)
         logger.info("%s: %.2f s", name, seconds)
 
-    def _tell(self, name: str, done: int) -> None:
+    def rounded(self) -> dict[str, float]:
+        """Return the timings for a report, seconds."""
+        return {name: round(seconds, 3) for name, seconds in self.timings.items()}
+
+    def _report(self, name: str, done: int) -> None:
         """Report a stage's state."""
         if self.progress is not None:
             self.progress(name, done, 1)
+
+
+@dataclass(slots=True)
+class Notices:
+    """Sentences for people, in the order in which they arose.
+
+    Attributes
+    ----------
+    kept : list of str
+        Those that the run keeps in the database.
+    passing : list of str
+        Those of this call alone, which a repeated build would not repeat.
+    """
+
+    kept: list[str] = field(default_factory=list)
+    passing: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def collect_notices(notices: Notices) -> Iterator[None]:
+    """Collect the notices that arise inside: warnings of the kind `MsbdbWarning`. Other warnings pass.
+
+    Parameters
+    ----------
+    notices : Notices
+        Receives them when the block ends without an error.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MsbdbWarning)
+        yield
+    for warning in caught:
+        if issubclass(warning.category, PassingNotice):
+            notices.passing.append(str(warning.message))
+        elif issubclass(warning.category, MsbdbWarning):
+            notices.kept.append(str(warning.message))
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)

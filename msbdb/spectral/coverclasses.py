@@ -1,8 +1,6 @@
-"""Land cover of a build: structure, colours where there are any, and the operator's labels, in one class map.
+"""Land cover of a survey: structure, colours where there are any, and the operator's labels, in one class map (V36)."""
 
-Operators' labels of classes, which survive that their survey is built again (V36).
-"""
-
+import warnings
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
-from msbdb.errors import InputError
+from msbdb.errors import InputError, PassingNotice
 from msbdb.grid import Grid
 from msbdb.labels import sizes, sums
 from msbdb.landcover import LABELS, ClassMap, overlay
@@ -147,7 +145,7 @@ LOST = (
 )
 
 
-def keep_labels(cover: Cover, labelled: pd.DataFrame, lost: list[str]) -> Cover:
+def keep_labels(cover: Cover, labelled: pd.DataFrame) -> Cover:
     """Give classes the labels that an operator gave them before, where they are the same classes.
 
     Parameters
@@ -156,8 +154,11 @@ def keep_labels(cover: Cover, labelled: pd.DataFrame, lost: list[str]) -> Cover:
         Classes as they were found now.
     labelled : DataFrame
         The survey's classes with an operator's label so far (`msbdb.database.read_labelled_classes`).
-    lost : list of str
-        Takes a sentence for each label that cannot be kept.
+
+    Warns
+    -----
+    PassingNotice
+        For each label that cannot be kept.
     """
     now = {int(row["speindex"]): row for row in cover.table.to_dict(orient="records")}
     kept: dict[int, str] = {}
@@ -166,7 +167,7 @@ def keep_labels(cover: Cover, labelled: pd.DataFrame, lost: list[str]) -> Cover:
         if number in now and _is_same(old, now[number]):
             kept[number] = label
         else:
-            lost.append(LOST.format(label=label, number=number))
+            warnings.warn(LOST.format(label=label, number=number), PassingNotice, stacklevel=2)
     return cover.relabelled(kept) if kept else cover
 
 

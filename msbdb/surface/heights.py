@@ -8,13 +8,11 @@ from scipy.ndimage import map_coordinates
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid, GridSpec
+from msbdb.kept import PER_METRE
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples, fill_gaps, sample_nearest
 from msbdb.surface.texture import grid_samples
-
-PER_METRE = 100
-"""Heights above ground are whole centimetres, finer than any scanner: so they can be kept without loss."""
 
 
 def normalise(dsm: Grid, dtm: Grid) -> Grid:

@@ -12,7 +12,7 @@ from msbdb.tables.inventory_tables import (
     ROW_DIGEST,
     SURVEY_OFFSET,
 )
-from msbdb.tables.records import Build, Run, Source, Survey
+from msbdb.tables.records import Counts, Run, Source, Survey
 from msbdb.tables.run_tables import (
     BUILDING,
     CANDIDATE_REGION,
@@ -75,9 +75,9 @@ __all__ = [
     "SURVEY",
     "SURVEY_OFFSET",
     "TABLES",
-    "Build",
     "Check",
     "Column",
+    "Counts",
     "Index",
     "Reference",
     "Run",

@@ -1,10 +1,6 @@
 """The values that go into the database besides the tables: a survey, its sources, the run, and the whole build."""
 
-from dataclasses import dataclass
-
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +33,36 @@ class Survey:
 
 
 @dataclass(frozen=True, slots=True)
+class Counts:
+    """What a run counted, and what it decided itself.
+
+    Parameters
+    ----------
+    regions : dict
+        By detector and stage: regions ``in``, ``kept`` and ``dropped``.
+    cells : dict
+        Cells of the lattice: all, valid, and a class label each.
+    cover : dict
+        Whether colours alone decide the classes, and whether green overrules structure: 0 or 1.
+    stated : dict
+        What the user stated of the files.
+    chosen : dict
+        The ground filter, the scales, and the fit of the classes by colour (V21, X2).
+    """
+
+    regions: dict[str, dict[str, dict[str, int]]] = field(default_factory=dict)
+    cells: dict[str, int] = field(default_factory=dict)
+    cover: dict[str, int] = field(default_factory=dict)
+    stated: dict[str, str] = field(default_factory=dict)
+    chosen: dict[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class Run:
     """The run that built a survey.
 
     ``methods`` names its extractors in alphabetical order: ``("multiscale",)`` or ``("flatregions", "multiscale")``.
-    ``parameters`` and ``counts`` are nested plain dictionaries; ``timings`` are seconds a stage (and stay out of the
+    ``parameters`` are nested plain dictionaries; ``timings`` are seconds a stage (and stay out of the
     canonical dump, as they are the one thing that differs between equal runs). ``notices`` are sentences for people.
     """
 
@@ -49,20 +70,6 @@ class Run:
     profile: str
     version: str
     parameters: dict[str, object]
-    counts: dict[str, object]
+    counts: Counts
     timings: dict[str, float]
     notices: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Build:
-    """All that one build writes into the database, in one transaction.
-
-    ``frames`` holds one frame for each of ``TABLES`` by name (GeoDataFrames where the table has a geometry).
-    ``state`` holds named rasters of the run, from which classes can be re-labelled without the source data.
-    """
-
-    survey: Survey
-    run: Run
-    frames: dict[str, pd.DataFrame]
-    state: dict[str, NDArray[np.generic]]

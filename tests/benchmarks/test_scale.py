@@ -8,12 +8,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 import shapely
-from msbdb.kept import KeptRun
 from simulated.builds import EVERY, small_build
 from support.processes import BENCHMARKS, load_script, run_script
 
 from msbdb.database import open_database, write_build
 from msbdb.database.runs.checks import check_build
+from msbdb.kept import KeptRun
 
 SCRIPT = BENCHMARKS / "scale"
 BUILDINGS = 2_000

@@ -1,4 +1,4 @@
-"""The commands: what they promise in their help, hand to the pipeline, print, and how they fail."""
+"""The commands: what they promise in their help, hand to the public functions, print, and how they fail."""
 
 import inspect
 import io
@@ -42,7 +42,7 @@ COMMANDS: dict[str, click.Command] = {
 
 @dataclass
 class FakeReport:
-    """A build's report as the pipeline gives it."""
+    """A build's report as msbdb.api gives it."""
 
     survey: str = "spring"
     buildings: int = 3
@@ -59,11 +59,11 @@ class FakeReport:
         return {"survey": self.survey, "buildings": self.buildings, "quality": float("nan"), "notices": self.notices}
 
 
-class FakePipeline(types.ModuleType):
-    """Stands for msbdb.pipeline: remembers its calls, and returns or raises what a test sets."""
+class FakeApi(types.ModuleType):
+    """Stands for msbdb.api: remembers its calls, and returns or raises what a test sets."""
 
     def __init__(self) -> None:
-        super().__init__("msbdb.pipeline")
+        super().__init__("msbdb.api")
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.fails: BaseException | None = None
         self.warns: tuple[Warning, ...] = ()
@@ -72,7 +72,7 @@ class FakePipeline(types.ModuleType):
         self.calls.append((name, values))
         for warning in self.warns:
             warnings.warn(warning, stacklevel=2)
-        logging.getLogger("msbdb.pipeline").info("a stage was done")
+        logging.getLogger("msbdb.api").info("a stage was done")
         if self.fails is not None:
             raise self.fails
 
@@ -221,11 +221,11 @@ class FakePipeline(types.ModuleType):
 
 
 @pytest.fixture
-def pipeline(monkeypatch, tmp_path):
-    """Put the fake in the pipeline's place, in a fresh folder."""
-    fake = FakePipeline()
-    monkeypatch.setitem(sys.modules, "msbdb.pipeline", fake)
-    monkeypatch.setattr(msbdb, "pipeline", fake, raising=False)
+def api(monkeypatch, tmp_path):
+    """Put the fake in the place of the public functions, in a fresh folder."""
+    fake = FakeApi()
+    monkeypatch.setitem(sys.modules, "msbdb.api", fake)
+    monkeypatch.setattr(msbdb, "api", fake)
     monkeypatch.chdir(tmp_path)
     return fake
 
@@ -236,7 +236,7 @@ def run(*args: str) -> Any:
 
 
 def example_lines() -> list[str]:
-    """Return the examples of all commands that go through the pipeline."""
+    """Return the examples of all commands that go through msbdb.api."""
     return [line for name, made in COMMANDS.items() if " " not in name for line in made.examples]
 
 
@@ -252,7 +252,7 @@ def test_every_command_has_help_with_examples(name):
 
 
 @pytest.mark.parametrize("name", sorted({"build", "info", "classes", "classify", "evaluate", "params"}))
-def test_every_reporting_command_has_json(name, pipeline):
+def test_every_reporting_command_has_json(name, api):
     """With --json the standard output is one JSON value and nothing else."""
     Path("a.laz").touch()
     args = {
@@ -269,7 +269,7 @@ def test_every_reporting_command_has_json(name, pipeline):
 
 
 @pytest.mark.parametrize("line", example_lines())
-def test_every_example_runs(line, pipeline):
+def test_every_example_runs(line, api):
     """An example of the help works as it stands, given its files."""
     Path("tiles").mkdir()
     words: list[str] = []
@@ -282,7 +282,7 @@ def test_every_example_runs(line, pipeline):
     assert result.exit_code == 0, result.stderr
 
 
-def test_build_hands_everything_over(pipeline):
+def test_build_hands_everything_over(api):
     """Files become paths, several after one flag too; survey, date, CRS and unit pass as they are."""
     for name in ("a.laz", "b.laz", "o.tif"):
         Path(name).touch()
@@ -291,7 +291,7 @@ def test_build_hands_everything_over(pipeline):
         *("--date", "2021-05", "--crs", "EPSG:2154", "--z-unit", "us-ft"),
     )
     assert result.exit_code == 0, result.stderr
-    name, values = pipeline.calls[0]
+    name, values = api.calls[0]
     assert name == "build"
     assert tuple(values["points"]) == (Path("a.laz"), Path("b.laz"))
     assert tuple(values["ortho"]) == (Path("o.tif"),)
@@ -303,11 +303,11 @@ def test_build_hands_everything_over(pipeline):
 @pytest.mark.parametrize(
     "name", ["build", "info", "relabel", "classes", "view", "export", "evaluate", "evaluate_points", "classify"]
 )
-def test_the_fake_is_called_as_the_pipeline_is(name):
+def test_the_fake_is_called_as_the_api_is(name):
     """The stand-in of these tests takes the arguments of the real function, by the same names."""
     from msbdb import api as real
 
-    fake = inspect.signature(getattr(FakePipeline, name)).parameters
+    fake = inspect.signature(getattr(FakeApi, name)).parameters
     assert [word for word in fake if word != "self"] == list(inspect.signature(getattr(real, name)).parameters)
 
 
@@ -319,7 +319,7 @@ def test_units_are_those_of_the_reader():
     assert ("auto", *crs.Z_UNITS) == Z_UNITS
 
 
-def test_the_nearest_word_on_a_parameter_wins(pipeline):
+def test_the_nearest_word_on_a_parameter_wins(api):
     """The profile is overruled by the file, the file by --set, and that by --scales."""
     Path("a.laz").touch()
     Path("p.toml").write_text("[surface]\ncell_m = 2.0\nstorey_m = 2.5\n[vector]\nsimplify_px = 3.0\n")
@@ -329,32 +329,32 @@ def test_the_nearest_word_on_a_parameter_wins(pipeline):
         *("--scales", "200,50"),
     )
     assert result.exit_code == 0, result.stderr
-    params = pipeline.calls[0][1]["params"]
+    params = api.calls[0][1]["params"]
     assert (params.surface.cell_m, params.surface.storey_m, params.vector.simplify_px) == (2.0, 2.7, 3.0)
     assert params.surface.slicing == "step"
     assert params.ground.ground_filter == "wavelet", "the profile's own value stays"
     assert params.scale.scales_m2 == (50.0, 200.0)
-    assert pipeline.calls[0][1]["profile"] == "vu2009"
+    assert api.calls[0][1]["profile"] == "vu2009"
 
 
-def test_scales_auto_asks_for_granulometry(pipeline):
+def test_scales_auto_asks_for_granulometry(api):
     """--scales auto empties the list, by which the thresholds are found from the data (V8)."""
     Path("a.laz").touch()
     run("build", "--points", "a.laz", "--db", "x", "--scales", "auto")
-    assert pipeline.calls[0][1]["params"].scale.scales_m2 == ()
+    assert api.calls[0][1]["params"].scale.scales_m2 == ()
 
 
-def test_build_reports_and_draws(pipeline):
+def test_build_reports_and_draws(api):
     """The summary goes to the standard output, notices to the standard error, and the figure is drawn once."""
     Path("a.laz").touch()
     result = run("build", "--points", "a.laz", "--db", "x", "--figure", "f.png")
     assert "spring" in result.stdout
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
-    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings"})
+    assert api.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings"})
 
 
-def test_json_has_no_nan(pipeline):
+def test_json_has_no_nan(api):
     """Not-a-number and the numbers of numpy become what JSON knows."""
     Path("a.laz").touch()
     result = run("build", "--points", "a.laz", "--db", "x", "--json")
@@ -376,16 +376,16 @@ def test_json_has_no_nan(pipeline):
         (("--db", "x", "--points", "a.laz", "--set", "cell=1"), "no setting"),
     ],
 )
-def test_wrong_usage_is_told_apart(args, says, pipeline):
+def test_wrong_usage_is_told_apart(args, says, api):
     """A command line that makes no sense ends with code 2 and says what it should be; nothing is run."""
     Path("a.laz").touch()
     result = run("build", *args)
     assert result.exit_code == 2
     assert says in result.stderr
-    assert not pipeline.calls
+    assert not api.calls
 
 
-def test_an_unknown_parameter_is_refused(pipeline):
+def test_an_unknown_parameter_is_refused(api):
     """A setting that is not declared names those that are."""
     Path("a.laz").touch()
     result = run("build", "--points", "a.laz", "--db", "x", "--set", "surface.sell_m=1")
@@ -394,27 +394,27 @@ def test_an_unknown_parameter_is_refused(pipeline):
     assert "cell_m" in result.stderr
 
 
-def test_an_error_is_one_line(pipeline):
+def test_an_error_is_one_line(api):
     """An expected error ends with code 1 and its message alone on the standard error."""
-    pipeline.fails = DatabaseError("The database x is locked; close the program that writes to it.")
+    api.fails = DatabaseError("The database x is locked; close the program that writes to it.")
     result = run("info", "x")
     assert result.exit_code == 1
     assert result.stdout == ""
     assert result.stderr.strip() == "Error: The database x is locked; close the program that writes to it."
 
 
-def test_debug_shows_the_traceback(pipeline):
+def test_debug_shows_the_traceback(api):
     """The traceback comes with --debug, and the message still closes the output."""
-    pipeline.fails = DatabaseError("No.")
+    api.fails = DatabaseError("No.")
     result = run("info", "x", "--debug")
     assert result.exit_code == 1
     assert "Traceback (most recent call last)" in result.stderr
     assert result.stderr.strip().endswith("Error: No.")
 
 
-def test_a_bug_is_called_a_bug(pipeline):
+def test_a_bug_is_called_a_bug(api):
     """An unexpected exception is one line that says whose fault it is and how to see more."""
-    pipeline.fails = ZeroDivisionError("division by zero")
+    api.fails = ZeroDivisionError("division by zero")
     result = run("info", "x")
     assert result.exit_code == 1
     assert "bug in msbdb" in result.stderr
@@ -430,18 +430,18 @@ def test_a_bug_is_called_a_bug(pipeline):
         (MemoryError(), "memory"),
     ],
 )
-def test_the_machine_s_limits_are_no_bugs(failure, says, pipeline):
+def test_the_machine_s_limits_are_no_bugs(failure, says, api):
     """A full disk or memory is named as such."""
-    pipeline.fails = failure
+    api.fails = failure
     result = run("info", "x")
     assert result.exit_code == 1
     assert says in result.stderr
     assert "bug" not in result.stderr
 
 
-def test_interruption_ends_with_130(pipeline):
+def test_interruption_ends_with_130(api):
     """Ctrl-C says that the database is whole, and ends as shells expect."""
-    pipeline.fails = KeyboardInterrupt()
+    api.fails = KeyboardInterrupt()
     result = run("info", "x")
     assert result.exit_code == 130
     assert "Interrupted" in result.stderr
@@ -449,17 +449,17 @@ def test_interruption_ends_with_130(pipeline):
 
 
 @pytest.mark.filterwarnings("default::UserWarning")
-def test_notices_come_once_and_other_warnings_on_demand(pipeline):
+def test_notices_come_once_and_other_warnings_on_demand(api):
     """A notice is told once, though it is warned of and reported; other libraries' warnings need -v."""
     Path("a.laz").touch()
-    pipeline.warns = (MsbdbWarning("No imagery: classes come from height texture."), UserWarning("chatter"))
+    api.warns = (MsbdbWarning("No imagery: classes come from height texture."), UserWarning("chatter"))
     quiet = run("build", "--points", "a.laz", "--db", "x")
     assert quiet.stderr.count("No imagery") == 1
     assert "chatter" not in quiet.stderr
     assert "chatter" in run("build", "--points", "a.laz", "--db", "x", "-v").stderr
 
 
-def test_v_shows_the_stages(pipeline):
+def test_v_shows_the_stages(api):
     """Log records of the stages come with -v only, and logging is left as it was."""
     package = logging.getLogger("msbdb")
     before = (list(package.handlers), package.level)
@@ -468,8 +468,8 @@ def test_v_shows_the_stages(pipeline):
     assert (list(package.handlers), package.level) == before
 
 
-def test_progress_is_drawn_on_terminals(pipeline, monkeypatch):
-    """On a terminal the pipeline gets a callback, and the stage appears on the standard error."""
+def test_progress_is_drawn_on_terminals(api, monkeypatch):
+    """On a terminal the build gets a callback, and the stage appears on the standard error."""
     screen = io.StringIO()
     console = Console(file=screen, force_terminal=True, width=100)
     monkeypatch.setattr(output, "stderr_console", lambda: console)
@@ -477,7 +477,7 @@ def test_progress_is_drawn_on_terminals(pipeline, monkeypatch):
     Path("a.laz").touch()
     result = run("build", "--points", "a.laz", "--db", "x")
     assert result.exit_code == 0
-    assert pipeline.calls[0][1]["progress"] is not None
+    assert api.calls[0][1]["progress"] is not None
     assert "surface" in screen.getvalue()
     assert "surface" not in result.stdout
 
@@ -501,15 +501,15 @@ def test_start_up_is_quick():
     assert done.stdout.strip() == "[]"
 
 
-def test_classes_lists_and_relabels(pipeline):
+def test_classes_lists_and_relabels(api):
     """Without --set the classes are listed; with it they are labelled anew first."""
     listed = run("classes", "x")
-    assert [name for name, _ in pipeline.calls] == ["classes"]
+    assert [name for name, _ in api.calls] == ["classes"]
     assert "building" in listed.stdout
-    pipeline.calls.clear()
+    api.calls.clear()
     result = run("classes", "x", "--set", "3=vegetation", "--set", "7=building", "--survey", "spring", "--json")
-    assert [name for name, _ in pipeline.calls] == ["relabel", "classes"]
-    values = pipeline.calls[0][1]
+    assert [name for name, _ in api.calls] == ["relabel", "classes"]
+    values = api.calls[0][1]
     assert (values["db"], values["labels"], values["survey"]) == ("x", {3: "vegetation", 7: "building"}, "spring")
     printed = json.loads(result.stdout)
     assert printed["build"]["buildings"] == 3
@@ -517,29 +517,29 @@ def test_classes_lists_and_relabels(pipeline):
 
 
 @pytest.mark.parametrize("wrong", ["3=tree", "three=water", "3"])
-def test_a_wrong_label_is_refused(wrong, pipeline):
+def test_a_wrong_label_is_refused(wrong, api):
     """A label that does not exist names those that do."""
     result = run("classes", "x", "--set", wrong)
     assert result.exit_code == 2
     assert "building, vegetation, shadow, water, other" in " ".join(result.stderr.split())
-    assert not pipeline.calls
+    assert not api.calls
 
 
-def test_export_view_and_evaluate_pass_their_options(pipeline):
+def test_export_view_and_evaluate_pass_their_options(api):
     """The thin commands hand over what they are given."""
     Path("r.gpkg").touch()
     assert run("export", "x", "o.gpkg", "--overwrite", "--survey", "s").exit_code == 0
     assert run("view", "x", "--out", "f.png").exit_code == 0
     result = run("evaluate", "x", "--reference", "r.gpkg", "--layer", "b", "--overlap", "0.3", "--cell", "1")
     assert result.exit_code == 0
-    assert pipeline.calls[0] == ("export", {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True})
-    assert pipeline.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings"})
-    values = pipeline.calls[2][1]
+    assert api.calls[0] == ("export", {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True})
+    assert api.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings"})
+    values = api.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
     assert "0.912" in result.stdout
 
 
-def test_classify_passes_its_options_and_reports(pipeline):
+def test_classify_passes_its_options_and_reports(api):
     """Names, lists, flags and parameters; notices go to the standard error."""
     for name in ("a.laz", "o.tif", "p.tif"):
         Path(name).touch()
@@ -548,7 +548,7 @@ def test_classify_passes_its_options_and_reports(pipeline):
         *("--ortho", "p.tif", "--set", "surface.mask_m=3", "--profile", "vu2009", "--keep", "--overwrite"),
     )
     assert result.exit_code == 0, result.stderr
-    name, values = pipeline.calls[0]
+    name, values = api.calls[0]
     assert name == "classify"
     assert (values["source"], values["out"]) == (Path("a.laz"), Path("b.las"))
     assert (values["extract"], values["crs"], values["profile"]) == (("multiscale", "adaptive"), "EPSG:2154", "vu2009")
@@ -558,20 +558,20 @@ def test_classify_passes_its_options_and_reports(pipeline):
     for line in ("regions by area3d 4", "building points 300", "written b.las"):
         assert line in " ".join(result.stdout.split())
     assert run("classify", "a.laz", "b.las").exit_code == 0
-    assert (pipeline.calls[1][1]["extract"], pipeline.calls[1][1]["keep"]) == (("area3d",), False)
+    assert (api.calls[1][1]["extract"], api.calls[1][1]["keep"]) == (("area3d",), False)
 
 
-def test_point_files_and_by_point_are_evaluated_by_point(pipeline):
+def test_point_files_and_by_point_are_evaluated_by_point(api):
     """Each with the options that mean something for it."""
     Path("r.laz").touch()
     result = run("evaluate", "a.LAZ", "--reference", "r.laz", "--crs", "2154")
     assert result.exit_code == 0, result.stderr
     assert run("evaluate", "x", "--reference", "r.laz", "--by", "point", "--of", "area3d", "--json").exit_code == 0
     assert run("evaluate", "x", "--reference", "r.laz", "--by", "area").exit_code == 0
-    names = [name for name, _ in pipeline.calls]
+    names = [name for name, _ in api.calls]
     assert names == ["evaluate_points", "evaluate_points", "evaluate"]
-    assert pipeline.calls[0][1]["crs"] == "EPSG:2154"
-    assert (pipeline.calls[1][1]["found"], pipeline.calls[1][1]["of"]) == ("x", "area3d")
+    assert api.calls[0][1]["crs"] == "EPSG:2154"
+    assert (api.calls[1][1]["found"], api.calls[1][1]["of"]) == ("x", "area3d")
     assert "order" in result.stdout
 
 
@@ -585,13 +585,13 @@ def test_point_files_and_by_point_are_evaluated_by_point(pipeline):
         (["a.laz", "--by", "area"], "is compared by point"),
     ],
 )
-def test_options_without_effect_are_refused(args, says, pipeline):
+def test_options_without_effect_are_refused(args, says, api):
     """Rather than ignored."""
     Path("r.laz").touch()
     result = run("evaluate", *args, "--reference", "r.laz")
     assert result.exit_code == 2
     assert says in result.stderr
-    assert pipeline.calls == []
+    assert api.calls == []
 
 
 def test_params_lists_every_parameter():

@@ -29,11 +29,6 @@ from msbdb.database import (
 from msbdb.database.history.versions import MEASURES
 from msbdb.database.schema.canonical import text_id
 
-REGIONS = {
-    "spectral": {"in": 8, "pieces": 0, "kept": 6, "dropped": 2},
-    "duplicates": {"in": 7, "pieces": 0, "kept": 6, "dropped": 1},
-    "fake fathers": {"in": 6, "pieces": 0, "kept": 6, "dropped": 0},
-}
 RUN, OTHER_RUN = text_id("run", "delft"), text_id("run", "spring")
 UID = text_id("inventory building", "import", "register", "1")
 ENTERED, GONE = text_id("version", "import", "register", UID), text_id("change", "spring", "demolished", UID, None)
@@ -200,13 +195,13 @@ CORRUPTIONS = [
     ),
     Corruption(
         "a raster that cannot be unpacked",
-        *("rasters", "run_state", f"run_id={RUN}, name=ndsm", "it cannot be read"),
-        sql=("UPDATE run_state SET data = CAST('x' AS {blob}) WHERE name = 'ndsm'",),
+        *("rasters", "run_state", f"run_id={RUN}, name=ndsm_cm", "it cannot be read"),
+        sql=("UPDATE run_state SET data = CAST('x' AS {blob}) WHERE name = 'ndsm_cm'",),
     ),
     Corruption(
         "a raster beside the lattice",
-        *("rasters", "run_state", f"run_id={RUN}, name=ndsm", "its shape is [400, 100]"),
-        sql=("UPDATE run_state SET shape = '[400, 100]' WHERE name = 'ndsm'",),
+        *("rasters", "run_state", f"run_id={RUN}, name=ndsm_cm", "its shape is [400, 100]"),
+        sql=("UPDATE run_state SET shape = '[400, 100]' WHERE name = 'ndsm_cm'",),
     ),
     Corruption(
         "a height that somebody edited",
@@ -216,7 +211,7 @@ CORRUPTIONS = [
     Corruption(
         "a cell of a raster that somebody edited",
         *("content", "run", f"run_id={RUN}", "survey 'delft' give the digest"),
-        sql=("UPDATE run_state SET dtype = '<i4' WHERE name = 'ndsm'",),
+        sql=("UPDATE run_state SET dtype = '<i4' WHERE name = 'ndsm_cm'",),
     ),
     Corruption(
         "versions that overlap",
@@ -397,10 +392,9 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a file with an inventory and two surveys, in which all is right."""
     place = tmp_path_factory.mktemp("sound") / "city.sqlite"
     engine = open_database(place, create=True, srid=EPSG)
-    counts = {"regions": {"multiscale": REGIONS}}
-    for build, height in (small_build(counts=counts), 900), (small_build("spring", shift=1000, counts=counts), 0):
-        cells = {"ndsm_cm": np.full((100, 400), height, dtype=np.int32), "valid": np.ones((100, 400), dtype=np.uint8)}
-        write_build(engine, replace(build, state={**build.state, **cells}))
+    for build, height in (small_build(), 900), (small_build("spring", shift=1000), 0):
+        level = replace(build.rasters, heights_cm=np.full((100, 400), height, dtype=np.int32))
+        write_build(engine, replace(build, rasters=level))
     enter_history(engine)
     return place
 

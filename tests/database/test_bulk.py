@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from msbdb.kept import KeptRun
 from simulated.builds import BASE, EPSG, SOUTH, WEST, ledger_build, small_build
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import DatabaseError as RefusedError
@@ -16,6 +15,7 @@ from msbdb.database.dialects import bulk, spatialite
 from msbdb.database.schema.sqlfiles import VIEWS
 from msbdb.database.schema.sqltables import SPATIAL
 from msbdb.errors import DatabaseError, LoadError
+from msbdb.kept import KeptRun
 
 COUNT = 4000
 WINDOW = (WEST + 7.3, SOUTH + 5.1, WEST + 19.9, SOUTH + 23.7)

@@ -1,6 +1,5 @@
 """Many at once: writers of different areas, readers among them, two operators, and one writer at a time on a file."""
 
-import importlib
 import multiprocessing
 import shutil
 import threading
@@ -12,7 +11,6 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import pytest
-from msbdb.kept import KeptRun
 from simulated.builds import big_build, small_build
 from simulated.scenes import SCENES
 from sqlalchemy import Engine, text
@@ -21,7 +19,6 @@ from support.faultfiles import write_points
 from support.towns import ROW, town_build
 
 from msbdb import api
-from msbdb.api import reports
 from msbdb.api.update import advance
 from msbdb.database import (
     BuildBasis,
@@ -43,10 +40,10 @@ from msbdb.database.dialects.connection import snapshot
 from msbdb.database.dialects.dialect import dialect_of
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import DatabaseError
+from msbdb.kept import KeptRun
 from msbdb.params import Params, with_values
+from msbdb.run import compose, store, update
 
-build_module = importlib.import_module("msbdb.api.build")
-update_module = importlib.import_module("msbdb.api.update")
 SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -60,7 +57,7 @@ def tile(number: int, year: int = 2020, *, grown: float = 5.0) -> KeptRun:
 
 
 def bring(target: str, numbers: tuple[int, ...]) -> None:
-    """KeptRun tiles and update the inventory by them, survey after survey, as one process does."""
+    """Build tiles and update the inventory by them, survey after survey, as one process does."""
     for year in (2020, 2021):
         for number in numbers:
             store_build(target, tile(number, year), timeout_s=60)
@@ -126,7 +123,7 @@ def test_updates_of_one_survey_at_once_end_in_one_of_them(begun: str, tmp_path: 
 
 def test_a_build_during_an_update_is_compared_anew(begun: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was computed from the run that is gone is not written."""
-    original, calls = update_module.write_advance, []
+    original, calls = update.write_advance, []
 
     def meanwhile(*args: object) -> str:
         calls.append(args)
@@ -134,7 +131,7 @@ def test_a_build_during_an_update_is_compared_anew(begun: str, tmp_path: Path, m
             store_build(begun, tile(0, 2021, grown=9.0))
         return original(*args)
 
-    monkeypatch.setattr(update_module, "write_advance", meanwhile)
+    monkeypatch.setattr(update, "write_advance", meanwhile)
     store_build(begun, tile(0, 2021, grown=5.0))
     assert advance(begun, "t0_2021").status == "created"
     assert len(calls) == 2
@@ -149,7 +146,7 @@ def test_an_update_that_others_always_overtake_says_so(begun: str, monkeypatch: 
 
     store_build(begun, tile(0, 2021))
     before = content(begun)
-    monkeypatch.setattr(update_module, "write_advance", overtaken)
+    monkeypatch.setattr(update, "write_advance", overtaken)
     with pytest.raises(DatabaseError, match="Others keep changing the inventory where the survey 't0_2021' lies"):
         advance(begun, "t0_2021")
     assert content(begun) == before
@@ -237,7 +234,7 @@ def test_labels_that_came_meanwhile_are_not_written_over(target: str) -> None:
     assert store_build(target, small_build(version="2"), basis=BuildBasis(before, digest)).status == "replaced"
     classes = build.frames["spectral_class"]
     labelled = classes.assign(label="vegetation", labelled_by="operator")
-    write_build(engine, KeptRun(build.survey, build.run, {**build.frames, "spectral_class": labelled}, build.state))
+    write_build(engine, KeptRun(build.survey, build.run, {**build.frames, "spectral_class": labelled}, build.rasters))
     for basis in (BuildBasis(labelled=before), BuildBasis(content_sha256=digest)):
         with pytest.raises(OutdatedError):
             store_build(target, small_build(version="3"), basis=basis)
@@ -286,7 +283,7 @@ def test_operators_who_label_at_once_both_have_their_labels(
 ) -> None:
     """The second gives the label again, to what the first wrote."""
     db = shutil.copy(labelling[1], tmp_path / "town.sqlite")
-    original, calls = reports._relabelled, []
+    original, calls = store.relabelled, []
 
     def meanwhile(*args: object) -> KeptRun:
         calls.append(args)
@@ -294,7 +291,7 @@ def test_operators_who_label_at_once_both_have_their_labels(
             api.relabel(db, {1: "other"})
         return original(*args)
 
-    monkeypatch.setattr(reports, "_relabelled", meanwhile)
+    monkeypatch.setattr(store, "relabelled", meanwhile)
     api.relabel(db, {2: "other"})
     assert len(calls) == 3
     classes = read_classes(open_database(db)).set_index("speindex")
@@ -306,7 +303,7 @@ def test_a_label_during_a_rebuild_is_not_lost(
 ) -> None:
     """The build says so; built again, the label is there."""
     db = shutil.copy(labelling[1], tmp_path / "town.sqlite")
-    original = build_module.run
+    original = compose.run_survey
 
     def meanwhile(*args: object) -> object:
         api.relabel(db, {1: "other"})
@@ -314,7 +311,7 @@ def test_a_label_during_a_rebuild_is_not_lost(
 
     params = with_values(Params(), {"surface": {"storey_m": 2.8}})
     again = {"db": db, "survey": "new", "extract": ["multiscale"], "params": params}
-    monkeypatch.setattr(build_module, "run", meanwhile)
+    monkeypatch.setattr(compose, "run_survey", meanwhile)
     with pytest.raises(DatabaseError, match="An operator labelled classes of the survey 'new' while it was built"):
         api.build([labelling[0]], **again)
     monkeypatch.undo()

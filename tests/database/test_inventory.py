@@ -10,11 +10,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from msbdb.kept import KeptRun
 from sqlalchemy import Engine, text
 from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
-from msbdb.api.update import MEASURED_FIRST, advance
+from msbdb.api.update import advance
 from msbdb.database import (
     canonical_dump,
     check_database,
@@ -31,6 +30,8 @@ from msbdb.database import (
     write_state,
 )
 from msbdb.errors import InputError, LoadError
+from msbdb.kept import KeptRun
+from msbdb.run.update import MEASURED_FIRST
 
 LATER: list[House] = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
 """The first house of the row is gone, the last one is longer, and a new one stands apart."""

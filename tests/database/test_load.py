@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 import shapely
 from geopandas.testing import assert_geodataframe_equal
-from msbdb.kept import KeptRun
 from simulated.builds import (
     AWNING,
     BLOCK,
@@ -62,6 +61,7 @@ from msbdb.database.dialects.dialect import dialect_of
 from msbdb.database.schema.sqlfiles import VIEWS
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import InputError, LoadError, TableError
+from msbdb.kept import KeptRun
 from msbdb.tables import TABLES
 
 FILLED = {table.name for table in TABLES}
@@ -91,9 +91,10 @@ def assert_same_build(found: KeptRun, expected: KeptRun) -> None:
         two = expected.frames[table.name].sort_values(key, ignore_index=True)
         check = assert_geodataframe_equal if table.geometry else pd.testing.assert_frame_equal
         check(one, two)
-    assert sorted(found.state) == sorted(expected.state)
-    for name, values in expected.state.items():
-        np.testing.assert_array_equal(found.state[name], values, strict=True)
+    named = found.rasters.by_name()
+    assert sorted(named) == sorted(expected.rasters.by_name())
+    for name, values in expected.rasters.by_name().items():
+        np.testing.assert_array_equal(named[name], values, strict=True)
 
 
 def test_what_is_written_is_read(engine: Engine) -> None:
@@ -118,7 +119,7 @@ def test_each_table_is_read_by_itself(engine: Engine) -> None:
     assert read_scales(engine)["threshold_m2"].tolist() == [200, 50, 20]
     assert read_classes(engine)["labelled_by"].tolist() == ["automatic", "automatic", "operator"]
     assert read_class_bands(engine)["mean"].tolist() == [11, 10, 21, 20, 31, 30]
-    assert read_rasters(engine)["ndsm"].dtype == np.float32
+    assert read_rasters(engine).heights_cm.dtype == np.int32
     assert read_flat_regions(engine)["region_id"].tolist() == [SLAB_ROOF, WING, DECK, PITCH]
     links = read_part_flat_regions(engine)
     assert links["part_id"].tolist() == [PODIUM, SLAB, LIFT, HOUSE, BLOCK]
@@ -193,12 +194,12 @@ def test_other_content_replaces_the_runs_rows(engine: Engine) -> None:
 
 
 def test_a_changed_raster_is_a_change(engine: Engine) -> None:
-    """The state is part of the content."""
+    """The rasters are part of the content."""
     build = small_build()
     write_build(engine, build)
-    state = {**build.state, "ndsm": build.state["ndsm"] + np.float32(1)}
-    assert write_build(engine, replace(build, state=state)).status == "replaced"
-    assert read_rasters(engine)["ndsm"][0, 0] == 1
+    rasters = replace(build.rasters, heights_cm=build.rasters.heights_cm + np.int32(1))
+    assert write_build(engine, replace(build, rasters=rasters)).status == "replaced"
+    assert read_rasters(engine).heights_cm[0, 0] == 1
 
 
 def test_rows_that_were_deleted_by_hand_come_back(engine: Engine) -> None:
@@ -299,7 +300,7 @@ def test_a_build_without_buildings_is_stored(engine: Engine) -> None:
     """A flat field gives an empty but valid database."""
     build = small_build()
     frames = {name: frame if name == "scale" else frame[:0] for name, frame in build.frames.items()}
-    empty = replace(build, frames=frames, state={})
+    empty = replace(build, frames=frames)
     assert write_build(engine, empty).rows["part"] == 0
     assert_same_build(read_build(engine), empty)
     assert write_build(engine, empty).status == "unchanged"

@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import importlib
 import json
 import os
 import resource
@@ -14,6 +13,7 @@ import geopandas as gpd
 import pytest
 import shapely
 from click.testing import CliRunner
+from msbdb.database.spatialite import _driver
 from pyproj import CRS
 from simulated.scenes import SCENES
 from support.faultfiles import write_points
@@ -23,6 +23,7 @@ import msbdb
 from msbdb.cli.main import cli
 from msbdb.database import check_target, open_database
 from msbdb.database.dialects.spatialite import _driver
+from msbdb.run import store
 
 
 def run(*args):
@@ -194,7 +195,7 @@ def test_a_locked_database_is_told(tiles, town, monkeypatch, lock):
     before = dump(town)
     for function in (open_database, check_target):
         monkeypatch.setitem(function.__kwdefaults__, "timeout_s", 0.2)
-    monkeypatch.setattr(importlib.import_module("msbdb.api.build"), "PATIENCE_S", 0.2)
+    monkeypatch.setattr(store, "PATIENCE_S", 0.2)
     build = ("build", "--points", tiles["podium_tower"], "--db", town)
     with connect(town) as other:
         other.execute(f"BEGIN {lock}")

@@ -7,22 +7,23 @@ import numpy as np
 import pandas as pd
 import pytest
 from affine import Affine
-from msbdb.kept import KeptRun
+from msbdb.run.kept import lattice_of
 from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.database import open_database, read_build, read_part_candidates, write_build
-from msbdb.detect.candidatelayer import CandidateLayer
-from msbdb.detect.flatregions.flatlayer import Flat, no_flat_regions
+from msbdb.detect.multiscale.vu2009 import detect_multiscale
+from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import Grid, GridSpec
+from msbdb.kept import KeptRun, Rasters, lattice_of
 from msbdb.landcover import ClassMap
 from msbdb.outline.polygons import polygonise
 from msbdb.params import Params
-from msbdb.parts.tree import extract_parts
+from msbdb.run.compose import count_cells
 from msbdb.run.describe import make_frames, outline_parts
-from msbdb.run.kept import lattice_of, pack_state, unpack_candidates
+from msbdb.run.store import recall_regions
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import (
     CANDIDATE_REGION,
@@ -30,6 +31,7 @@ from msbdb.tables import (
     REJECTION,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
+    Counts,
     Run,
     Survey,
 )
@@ -58,7 +60,7 @@ def rows(table, labels, first, spec=SPEC, **words):
 
 
 def layer(method, *regions, spec=SPEC, first=1000):
-    """Return the candidates of an extractor, with one row in its ledger."""
+    """Return the candidate regions of a detector, with one row in its ledger."""
     labels = images(*regions, spec=spec)
     height_scale = 3.0 if method == "area3d" else np.nan
     words = {"method": method, "rule": "rule 1", "height_scale_m": height_scale}
@@ -66,38 +68,44 @@ def layer(method, *regions, spec=SPEC, first=1000):
     dropped = (first + 500, method, "rules", "no rule", 0, 12.0, 389_001.0, 5_820_999.0)
     ledger = pd.DataFrame([dropped], columns=REJECTION.names).astype({c.name: c.dtype for c in REJECTION.columns})
     n = len(found)
-    return CandidateLayer(method, labels, found, ledger, {"rules": {"in": n + 1, "kept": n, "dropped": 1}})
+    return Regions(method, labels, found, ledger, {f"{method} rules": {"in": n + 1, "kept": n, "dropped": 1}})
 
 
 def flat(*regions):
     """Return flat regions."""
     labels = images(*regions)
     found = rows(FLAT_REGION, labels, 100)
-    return Flat(labels, found, REJECTION.empty(), {}, extracted=True)
+    return Regions("flatregions", labels, found, REJECTION.empty(), {})
 
 
-def frames(witness, candidates):
-    """Return the tables of a build of three roofs."""
+def town():
+    """Return the scene of three roofs."""
     heights = np.zeros(SPEC.shape, dtype=np.float32)
     for roof in (WEST, MIDDLE, EAST):
         heights[roof] = 9.5
-    ndsm = Grid(heights, np.ones(SPEC.shape, dtype=bool), SPEC)
     classes = ClassMap((heights > 0).astype(np.uint8), {1: "building"}, SPEC)
-    params = Params()
-    params = replace(params, scale=replace(params.scale, scales_m2=(20.0, 50.0)))
-    forest = extract_parts(ndsm, classes, survey="town", params=params)
     roofs = (1, "building", "automatic", "structure", 300, 1.0, np.nan, np.nan, 0.1, 9.5)
     table = pd.DataFrame([roofs], columns=SPECTRAL_CLASS.names)
     cover = Cover(classes, None, table, SPECTRAL_CLASS_BAND.empty(), False, False, {})
-    parts = outline_parts(forest, ndsm, params.vector)
-    return make_frames(forest, parts, cover, witness, candidates, ndsm=ndsm), cover, ndsm
+    survey = Survey("town", "", SPEC.crs.to_wkt(), 32633, "", 0.0, 1.0, SPEC.bounds, ())
+    return Scene(survey, Grid(heights, np.ones(SPEC.shape, dtype=bool), SPEC), cover, None)
+
+
+def frames(*witnesses):
+    """Return the tables of a build of three roofs, in which these detectors and the multi-scale one were run."""
+    scene, params = town(), Params()
+    params = replace(params, scale=replace(params.scale, scales_m2=(20.0, 50.0)))
+    found = detect_multiscale(scene, params)
+    parts = outline_parts(found.forest, scene.heights, params.vector)
+    regions = {"multiscale": found, **{one.method: one for one in witnesses}}
+    return make_frames(scene, regions, found.forest, parts)
 
 
 def test_every_pair_of_witnesses_is_linked():
     """Parts and flat regions, parts and candidates, flat regions and candidates, each with its ledger."""
     area3d = layer("area3d", WEST, (slice(5, 15), slice(30, 40)))
     adaptive = layer("adaptive", EAST, first=2000)
-    found, *_ = frames(flat(WEST, (slice(20, 25), slice(0, 5))), (adaptive, area3d))
+    found = frames(flat(WEST, (slice(20, 25), slice(0, 5))), area3d, adaptive)
     assert found["candidate_region"]["candidate_id"].tolist() == [2000, 1000, 1001]
     buildings = found["building"].assign(east=found["building"].geometry.centroid.x).sort_values("east")
     assert buildings["flat_share"].tolist() == [1, 0, 0]
@@ -113,10 +121,10 @@ def test_every_pair_of_witnesses_is_linked():
 
 def test_who_was_not_run_is_not_heard():
     """An extractor that found nothing speaks against a building; one that was not run has no say and no share."""
-    nothing, *_ = frames(no_flat_regions(SPEC), [layer("area3d")])
+    nothing = frames(layer("area3d"))
     assert nothing["building"]["area3d_share"].tolist() == [0, 0, 0]
     assert set(nothing["building"]["state"]) == {"unsure"}
-    unheard, *_ = frames(no_flat_regions(SPEC), ())
+    unheard = frames()
     shares = unheard["building"][["flat_share", "area3d_share", "adaptive_share"]]
     assert shares.isna().all(axis=None)
     assert set(unheard["building"]["state"]) == {"confirmed"}
@@ -124,27 +132,29 @@ def test_who_was_not_run_is_not_heard():
 
 
 @pytest.mark.parametrize("methods", [(), ("area3d",), ("adaptive", "area3d")])
-def test_a_kept_run_gives_its_layers_back(tmp_path, methods):
-    """Labels, rows, ledger and counts of each extractor, in the order of their names."""
+def test_a_kept_run_gives_its_regions_back(tmp_path, methods):
+    """Labels, rows, ledger and counts of each detector, in the order of their names."""
     layers = [layer(method, WEST, EAST, first=1000 * n) for n, method in enumerate(methods, start=1)]
-    found, cover, ndsm = frames(no_flat_regions(SPEC), layers)
-    bounds = (389_000.0, 5_820_970.0, 389_060.0, 5_821_000.0)
-    survey = Survey("town", "", SPEC.crs.to_wkt(), 32633, "", 0.0, 1.0, bounds, ())
-    counts = {"regions": {"multiscale": {"opening": {"in": 3, "kept": 3, "dropped": 0}}}}
+    found, scene = frames(*layers), town()
+    stages = {"opening": {"in": 3, "kept": 3, "dropped": 0}}
     for one in layers:
-        counts["regions"][one.method] = one.counts
-    run = Run(tuple(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
+        stages |= one.counts
+    rule = {"colours_decide": 0, "green_decides": 0}
+    counts = Counts(stages, count_cells(scene.heights, scene.cover), rule, {})
+    run = Run(",".join(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
+    rasters = Rasters.of_heights(scene.heights, scene.cover.structure.index)
+    rasters = replace(rasters, regions={one.method: one.labels for one in layers})
     engine = open_database(tmp_path / "town.sqlite", create=True, srid=32633)
-    write_build(engine, KeptRun(survey, run, found, pack_state(ndsm, cover, no_flat_regions(SPEC), layers)))
-    back = unpack_candidates(read_build(engine))
-    assert [one.method for one in back] == list(methods)
-    for one, other in zip(back, layers, strict=True):
+    write_build(engine, KeptRun(scene.survey, run, found, rasters))
+    back = recall_regions(read_build(engine))
+    assert list(back) == [one.method for one in back.values()] == list(methods)
+    for one, other in zip(back.values(), layers, strict=True):
         np.testing.assert_array_equal(one.labels, other.labels, strict=True)
         pd.testing.assert_frame_equal(
-            pd.DataFrame(one.regions.drop(columns="geometry")), pd.DataFrame(other.regions.drop(columns="geometry"))
+            pd.DataFrame(one.table.drop(columns="geometry")), pd.DataFrame(other.table.drop(columns="geometry"))
         )
-        assert one.regions.geometry.geom_equals(other.regions.geometry).all()
-        assert one.rejections.to_numpy().tolist() == other.rejections.to_numpy().tolist()
+        assert one.table.geometry.geom_equals(other.table.geometry).all()
+        assert one.ledger.to_numpy().tolist() == other.ledger.to_numpy().tolist()
         assert one.counts == other.counts
 
 
@@ -156,17 +166,16 @@ def test_labels_by_the_operator_keep_the_candidates(tmp_path):
     msbdb.build([points], db=db, extract=["flatregions", "multiscale"])
     with msbdb.open(db) as opened:
         build, classes = read_build(opened.engine), opened.classes()
-    spec = lattice_of(build.survey, build.state)
-    added = layer("area3d", (slice(None), slice(None)), spec=spec)
-    build.run.counts["regions"]["area3d"] = added.counts
+    added = layer("area3d", (slice(None), slice(None)), spec=lattice_of(build.survey))
+    counts = replace(build.run.counts, regions=build.run.counts.regions | added.counts)
     ledger = build.frames["rejection"]
-    extra = gpd.GeoDataFrame(added.rejections, geometry=[ledger.geometry.iloc[0]], crs=ledger.crs)
-    kept = {"candidate_region": added.regions, "rejection": pd.concat([ledger, extra], ignore_index=True)}
-    run = replace(build.run, methods=("area3d", "flatregions", "multiscale"))
-    state = {**build.state, "area3d": added.labels}
+    extra = gpd.GeoDataFrame(added.ledger, geometry=[ledger.geometry.iloc[0]], crs=ledger.crs)
+    kept = {"candidate_region": added.table, "rejection": pd.concat([ledger, extra], ignore_index=True)}
+    run = replace(build.run, method="area3d,flatregions,multiscale", counts=counts)
+    rasters = replace(build.rasters, regions={**build.rasters.regions, "area3d": added.labels})
     roofs = classes.loc[classes["label"] == "building", "speindex"].tolist()
     with msbdb.open(db) as opened:
-        write_build(opened.engine, replace(build, run=run, frames={**build.frames, **kept}, state=state))
+        write_build(opened.engine, replace(build, run=run, frames={**build.frames, **kept}, rasters=rasters))
     msbdb.relabel(db, dict.fromkeys(roofs, "building"))
     with msbdb.open(db) as opened:
         before = opened.dump()

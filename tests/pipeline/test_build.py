@@ -212,7 +212,7 @@ def test_the_forest_and_the_ledger_balance(town):
     with msbdb.open(town[0]) as opened:
         parts, rejections = opened.parts(), opened.rejections()
         engine = open_database(town[0])
-        counts = read_build(engine).run.counts["regions"]
+        counts = read_build(engine).run.counts.regions
         engine.dispose()
     validate_parts(parts)
     stages = {(method, name): stage for method, own in counts.items() for name, stage in own.items()}

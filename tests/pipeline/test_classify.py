@@ -1,26 +1,27 @@
 """What decides of a point: its cell and height, or its label; and the colours that extractors on points are given."""
 
-import sys
-
 import laspy
-import msbdb.pipeline
 import numpy as np
+import pandas as pd
 import pytest
 from affine import Affine
 from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import SCENES
 
+import msbdb
 from msbdb.bands import Bands
-from msbdb.detect.pointregions import Candidates
+from msbdb.detect.adaptive import bathurst
+from msbdb.detect.area3d import caowu
+from msbdb.detect.pointregions import Candidates, point_ndvi
 from msbdb.grid import GridSpec
 from msbdb.io.las import read_points
 from msbdb.points.cloud import PointCloud
-from msbdb.tables import CANDIDATE_REGION, REJECTION
-
-module = sys.modules["msbdb.api.classify"]  # the package has a function of this name
+from msbdb.run.classify import points_in
+from msbdb.tables import REJECTION
 
 UTM33 = CRS.from_epsg(32633)
+MODULES = {"adaptive": bathurst, "area3d": caowu}
 SPEC = GridSpec((2, 3), Affine(2.0, 0.0, 100.0, 0.0, -2.0, 204.0), UTM33)
 
 
@@ -35,7 +36,7 @@ def test_cell_and_height_decide_together():
     cells = np.array([[True, False, False], [False, False, True]])
     cloud = cloud_at((101, 203), (103, 203), (105, 201), (101, 203), (99, 203), (101, 205), (107, 201), (105, 201))
     heights = np.array([2.0, 9.0, 5.0, 1.99, 9.0, 9.0, 9.0, np.nan])
-    taken = module.points_in(cells, SPEC, cloud, heights, 2.0)
+    taken = points_in(cells, SPEC, cloud, heights, 2.0)
     np.testing.assert_array_equal(taken, [True, False, True, False, False, False, False, False])
 
 
@@ -46,29 +47,29 @@ def test_points_take_the_vegetation_index_of_their_cells():
     valid = np.array([[True, True, True], [True, True, False]])
     bands = Bands(np.stack([red, nir]), ("red", "nir"), valid, SPEC)
     cloud = cloud_at((101, 203), (103, 203), (105, 203), (101, 201), (103, 201), (105, 201), (99, 201))
-    index = module.point_ndvi(bands, cloud)
+    index = point_ndvi(bands, cloud)
     assert index.dtype == np.float32
     np.testing.assert_allclose(index, [0.5, -0.5, np.nan, 0.0, -1.0, np.nan, np.nan])
-    assert module.point_ndvi(None, cloud) is None
-    assert module.point_ndvi(Bands(red[None], ("red",), valid, SPEC), cloud) is None
+    assert point_ndvi(None, cloud) is None
+    assert point_ndvi(Bands(red[None], ("red",), valid, SPEC), cloud) is None
 
 
 @pytest.mark.parametrize("method", ["area3d", "adaptive"])
 def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch, method):
-    """A labelled point is a building, whatever its cell and height; the extractor sees cloud, surface and colours."""
+    """A labelled point is a building, whatever its cell and height; the extractor sees cloud, heights and colours."""
     source = write_points(tmp_path / "town.laz", SCENES["podium_tower"](density=1.0).points)
     seen = {}
 
-    def point_candidates(name, cloud, surface, *, ndvi, params, survey):
-        seen.update(name=name, cloud=cloud, surface=surface, ndvi=ndvi, params=params, survey=survey)
+    def extract(cloud, heights, *, spec, survey, params, ndvi):
+        seen.update(cloud=cloud, heights=heights, spec=spec, survey=survey, ndvi=ndvi)
         labels = (np.arange(len(cloud)) % 3).astype(np.int32)
-        return Candidates(name, labels, CANDIDATE_REGION.empty(), REJECTION.empty(), {})
+        return Candidates(method, labels, pd.DataFrame(index=range(2)), REJECTION.empty(), {})
 
-    monkeypatch.setattr(module, "point_candidates", point_candidates)
+    monkeypatch.setattr(MODULES[method], f"extract_{method}", extract)
     report = msbdb.api.classify(source, tmp_path / "out.laz", extract=(method,))
     cloud, _ = read_points(source)
     np.testing.assert_array_equal(laspy.read(tmp_path / "out.laz").classification == 6, np.arange(len(cloud)) % 3 > 0)
-    assert (seen["name"], seen["survey"], seen["ndvi"].shape) == (method, "town", (len(cloud),))
+    assert (seen["survey"], seen["ndvi"].shape, seen["heights"].shape) == ("town", (len(cloud),), (len(cloud),))
     np.testing.assert_array_equal(seen["cloud"].x, cloud.x)
-    assert seen["surface"].ndsm.spec.crs == cloud.crs
-    assert (report.regions, report.building_points) == ({method: 0}, np.count_nonzero(np.arange(len(cloud)) % 3))
+    assert seen["spec"].crs == cloud.crs
+    assert (report.regions, report.building_points) == ({method: 2}, np.count_nonzero(np.arange(len(cloud)) % 3))

@@ -6,21 +6,30 @@ from dataclasses import replace
 import numpy as np
 import pyogrio
 import pytest
+from msbdb.api.bypoint import evaluate_points
+from msbdb.run.kept import lattice_of
+from simulated.builds import small_build
 from simulated.files import write_points
 from simulated.scenes import SCENES, VEGETATION
 
 import msbdb
-from msbdb.api.bypoint import evaluate_points
+from msbdb.api import evaluate_points
 from msbdb.database import read_rasters, read_survey
+from msbdb.detect.scene import Evidence
 from msbdb.errors import InputError
-from msbdb.fuse.footprints import fuse, keep_evidence
+from msbdb.fuse.footprints import fuse
+from msbdb.kept import Rasters, lattice_of
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, with_values
-from msbdb.run.kept import lattice_of, unpack_evidence
+from msbdb.run.compose import forest_of
+from msbdb.run.describe import no_regions
 from msbdb.run.prepare import build_surface
+from msbdb.run.store import recall_scene
 from msbdb.surface import cover_from_surface
+from msbdb.tables import FLAT_REGION
 
 BOTH = ("multiscale", "flatregions")
+EVIDENCE = ("roughness_mm", "roof_probability")
 RASTERS = {"together": "int32", "roughness_mm": "uint16", "roof_probability": "uint8"}
 
 
@@ -42,9 +51,9 @@ def town(folder):
 
 
 def kept(db):
-    """Return the rasters that a database keeps."""
+    """Return the rasters that a database keeps, by name."""
     with msbdb.open(db) as opened:
-        return read_rasters(opened.engine)
+        return read_rasters(opened.engine).by_name()
 
 
 def test_a_build_by_both_keeps_the_labels_and_the_evidence(town):
@@ -61,7 +70,7 @@ def test_the_outlines_lie_on_their_buildings(town):
     """Each keeps the id, state and storeys; what both see of the house stands, measured on its own cells."""
     with msbdb.open(town) as opened:
         buildings, together = opened.buildings().set_index("building_id"), opened.together()
-        spec = lattice_of(read_survey(opened.engine), read_rasters(opened.engine))
+        spec = lattice_of(read_survey(opened.engine))
     assert len(together) > 0
     assert together["building_id"].is_monotonic_increasing
     own = buildings.loc[together["building_id"]]
@@ -157,7 +166,7 @@ def test_the_labels_follow_the_order_of_the_ids(folder, tmp_path):
     state = kept(db)
     with msbdb.open(db) as opened:
         buildings = opened.buildings()
-        spec = lattice_of(read_survey(opened.engine), state)
+        spec = lattice_of(read_survey(opened.engine))
     shown = rasterise(buildings.geometry, spec)
     both = (shown > 0) & (state["together"] > 0)
     assert both.any()
@@ -169,12 +178,20 @@ def test_the_evidence_is_rounded_to_whole_millimetres_and_255ths():
     scene = SCENES["under_trees"]()
     surface = build_surface(scene.points, Params())
     structure = cover_from_surface(surface, scene.points, Params())
-    evidence = keep_evidence(structure)
+    evidence = Evidence.of(structure)
     assert np.abs(evidence.roughness_mm / 1000 - structure.roughness_m).max() <= 0.0005 + 1e-6
     assert np.abs(evidence.roof_probability / 255 - structure.roof_probability).max() <= 0.5 / 255 + 1e-6
-    again = unpack_evidence({name: getattr(evidence, name) for name in ("roughness_mm", "roof_probability")})
-    np.testing.assert_array_equal(again.roughness_mm, evidence.roughness_mm)
-    assert unpack_evidence({}) is None
+    rasters = Rasters.of_heights(surface.ndsm, structure.cover.index)
+    assert again_of(rasters) == (None, None)
+    roughness, probability = again_of(replace(rasters, **{name: getattr(evidence, name) for name in EVIDENCE}))
+    np.testing.assert_array_equal(roughness, evidence.roughness_mm, strict=True)
+    np.testing.assert_array_equal(probability, evidence.roof_probability, strict=True)
+
+
+def again_of(rasters):
+    """Return the evidence in rasters that were named for the database and came back."""
+    back = Rasters.from_names(rasters.by_name())
+    return tuple(getattr(back, name) for name in EVIDENCE)
 
 
 @pytest.mark.long
@@ -189,5 +206,12 @@ def test_the_values_of_the_fusion_are_parameters_of_the_build(folder, town, tmp_
 
 
 def test_without_evidence_nothing_is_fused():
-    """A run that an older msbdb kept has none; labelled anew it still has none."""
-    assert fuse(None, None, None, None, Params()) is None
+    """A run that an older msbdb kept has none, and one without flat regions has nothing to fuse."""
+    scene = recall_scene(small_build())
+    assert scene.evidence is None
+    forest = forest_of(scene, {}, Params())
+    flat = no_regions("flatregions", FLAT_REGION, scene.heights.spec)
+    assert fuse(forest, flat, scene, Params()) is None
+    known = Evidence(np.zeros(scene.heights.spec.shape, np.uint16), np.zeros(scene.heights.spec.shape, np.uint8))
+    assert fuse(forest, None, replace(scene, evidence=known), Params()) is None
+    assert fuse(forest, flat, replace(scene, evidence=known), Params()) is not None

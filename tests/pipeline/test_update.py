@@ -1,6 +1,5 @@
 """Surveys brought into the inventory by the pipeline: from points, twice, after an interruption, and with labels."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +14,7 @@ from msbdb import api
 from msbdb.database import canonical_dump, footprint_at, open_database, write_build
 from msbdb.errors import InputError
 from msbdb.params import profile, with_values
-
-MODULE = sys.modules["msbdb.api.update"]
-"""The module; the package has the function of this name."""
+from msbdb.run import update as module
 
 ONLY = {"extract": ("multiscale",)}
 
@@ -83,7 +80,7 @@ def test_an_interruption_between_build_and_advance_is_repaired_by_repeating(
         def killed(*_: object, **__: object) -> None:
             raise KeyboardInterrupt
 
-        patch.setattr(MODULE, "write_advance", killed)
+        patch.setattr(module, "write_advance", killed)
         with pytest.raises(KeyboardInterrupt):
             api.update([points], db=tmp_path / "town.sqlite", **survey)
     assert footprint_at(open_database(tmp_path / "town.sqlite"), "2025").empty
@@ -100,7 +97,7 @@ def test_an_update_is_computed_again_when_others_change_the_place(
     engine = open_database(db, create=True, srid=EPSG)
     write_build(engine, town_build("one", "2020", ROW))
     write_build(engine, town_build("two", "2021", ROW))
-    compare = MODULE.compare
+    compare = module.compare
     seen = []
 
     def compared(before, *rest, **options):
@@ -109,7 +106,7 @@ def test_an_update_is_computed_again_when_others_change_the_place(
             api.advance(db, "one")
         return compare(before, *rest, **options)
 
-    monkeypatch.setattr(MODULE, "compare", compared)
+    monkeypatch.setattr(module, "compare", compared)
     assert api.advance(db, "two").counts == {"unchanged": 8, "versions": 0}
     assert seen == [0, 0, 8]
 

@@ -2,20 +2,20 @@
 
 import geopandas as gpd
 import numpy as np
-from msbdb.kept import KeptRun
 from pyproj import CRS
 from shapely import box
 
-from msbdb.detect.flatregions.flatlayer import no_flat_regions
+from msbdb.detect.multiscale.vu2009 import detect_multiscale
+from msbdb.detect.scene import Scene
 from msbdb.grid import Grid, lattice
+from msbdb.kept import KeptRun, Rasters
 from msbdb.landcover import ClassMap
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, as_dict
-from msbdb.parts.tree import extract_parts
+from msbdb.run.compose import count_cells
 from msbdb.run.describe import make_frames, outline_parts
-from msbdb.run.kept import pack_state
 from msbdb.spectral.coverclasses import Cover
-from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Run, Source, Survey
+from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Counts, Run, Source, Survey
 
 EPSG = 32631
 UTM = CRS.from_epsg(EPSG)
@@ -69,12 +69,12 @@ def town_build(
     roofs = (np.asarray(ndsm.values) > 2).astype(np.uint8)
     structure = ClassMap(roofs, {1: "building", 2: "vegetation"}, ndsm.spec)
     cover = Cover(structure, None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), False, False, {})
-    flat = no_flat_regions(ndsm.spec)
-    forest = extract_parts(ndsm, cover.classes, survey=name, params=params)
-    parts = outline_parts(forest, ndsm, params.vector).assign(speindex=0)
-    frames = make_frames(forest, parts, cover, flat, (), ndsm=ndsm)
     source = Source(f"{name}.tif", "ndsm", "ab" * 32, 1000)
     survey = Survey(name, date, UTM.to_wkt(), EPSG, "", 10.0, ndsm.spec.cell_m, ndsm.spec.bounds, (source,))
-    counts: dict[str, object] = {"regions": dict(forest.counts)}
+    scene = Scene(survey, ndsm, cover, None)
+    found = detect_multiscale(scene, params)
+    parts = outline_parts(found.forest, ndsm, params.vector).assign(speindex=0)
+    frames = make_frames(scene, {"multiscale": found}, found.forest, parts)
+    counts = Counts(found.counts, count_cells(ndsm, cover), {"colours_decide": 0, "green_decides": 0}, {})
     run = Run("multiscale", "default", version, dict(as_dict(params)), counts, {}, ())
-    return KeptRun(survey, run, frames, pack_state(ndsm, cover, flat, ()))
+    return KeptRun(survey, run, frames, Rasters.of_heights(ndsm, roofs))

@@ -220,3 +220,13 @@ def snapshot(engine: Engine) -> Iterator[Connection]:
         if connection.dialect.name == "postgresql":
             connection.execute(text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY"))
         yield connection
+
+
+@contextmanager
+def opened(db: str | PathLike[str] | URL) -> Iterator[Engine]:
+    """Open a database that must exist, and close it at the end of the block."""
+    engine = open_database(db)
+    try:
+        yield engine
+    finally:
+        engine.dispose()

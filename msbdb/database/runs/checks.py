@@ -8,13 +8,13 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, TableError
+from msbdb.kept import KeptRun
 from msbdb.params import DETECTORS, POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
     CANDIDATE_REGION,
     REJECTION,
     TABLES,
-    Build,
     Reference,
     Table,
     Unique,
@@ -29,7 +29,7 @@ _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.M
 _POINT = (shapely.GeometryType.POINT,)
 
 
-def check_build(build: Build) -> None:
+def check_build(build: KeptRun) -> None:
     """Check that a build can be stored: names, declared columns, numbers, geometries and references.
 
     Raises
@@ -55,7 +55,7 @@ def check_build(build: Build) -> None:
     validate_parts(build.frames["part"])
 
 
-def _check_names(build: Build) -> None:
+def _check_names(build: KeptRun) -> None:
     """Refuse a survey without a name, and extractors that are not in order or not known."""
     if not build.survey.name.strip():
         msg = f"A build needs a survey's name; got '{build.survey.name}'. Give one."

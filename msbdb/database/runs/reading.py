@@ -7,13 +7,13 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, select, text
 
 from msbdb.database.dialects.connection import guarded, shown, snapshot
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import crs_from, horizontal
 from msbdb.errors import InputError
+from msbdb.kept import KeptRun, Rasters
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
@@ -28,7 +28,7 @@ from msbdb.tables import (
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
     TABLES,
-    Build,
+    Counts,
     Run,
     Source,
     Survey,
@@ -70,7 +70,7 @@ def list_runs(engine: Engine) -> pd.DataFrame:
     return rows.sort_values("survey", ignore_index=True)
 
 
-def read_build(engine: Engine, survey: str | None = None) -> Build:
+def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
     """Return a run as the build that was written, its rows in the tables' order; one committed state.
 
     Parameters
@@ -89,15 +89,15 @@ def read_build(engine: Engine, survey: str | None = None) -> Build:
         return build_of(connection, survey)
 
 
-def build_of(connection: Connection, survey: str | None) -> Build:
+def build_of(connection: Connection, survey: str | None) -> KeptRun:
     """Return a run as ``read_build`` does, as an open transaction sees it."""
     run = _find_run(connection, survey, shown(connection.engine.url))
     record = _survey_record(connection, run.survey_id)
-    return Build(
+    return KeptRun(
         survey=record,
         run=_run_record(connection, run),
         frames={table.name: _read_table(connection, table, run.run_id, record) for table in TABLES},
-        state=_read_state(connection, run.run_id),
+        rasters=_read_rasters(connection, run.run_id),
     )
 
 
@@ -189,10 +189,10 @@ def read_class_bands(engine: Engine, survey: str | None = None) -> pd.DataFrame:
     return _read_plain(engine, SPECTRAL_CLASS_BAND, survey)
 
 
-def read_state(engine: Engine, survey: str | None = None) -> dict[str, NDArray[np.generic]]:
-    """Return a run's named rasters, from which its classes can be labelled anew without the source data."""
+def read_rasters(engine: Engine, survey: str | None = None) -> Rasters:
+    """Return a run's rasters, from which its classes can be labelled again without the source data."""
     with snapshot(engine) as connection:
-        return _read_state(connection, _find_run(connection, survey, shown(engine.url)).run_id)
+        return _read_rasters(connection, _find_run(connection, survey, shown(engine.url)).run_id)
 
 
 def _read_plain(engine: Engine, table: Table, survey: str | None) -> pd.DataFrame:
@@ -249,7 +249,7 @@ def _run_record(connection: Connection, row: Any) -> Run:  # noqa: ANN401  (a ro
         profile=row.profile,
         version=row.version,
         parameters=row.parameters,
-        counts=row.counts,
+        counts=Counts(**row.counts),
         timings=row.timings,
         notices=tuple(row.notices),
     )
@@ -272,8 +272,9 @@ def _read_table(connection: Connection, table: Table, run_id: int, survey: Surve
     return frame.sort_values(table.order, kind="stable", ignore_index=True)
 
 
-def _read_state(connection: Connection, run_id: int) -> dict[str, NDArray[np.generic]]:
+def _read_rasters(connection: Connection, run_id: int) -> Rasters:
     rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name))
-    return {
+    named = {
         row.name: np.frombuffer(zlib.decompress(row.data), dtype=np.dtype(row.dtype)).reshape(row.shape) for row in rows
     }
+    return Rasters.from_names(named)

@@ -21,7 +21,8 @@ from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.canonical import plain, text_id, to_json
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
-from msbdb.tables import TABLES, Build, Table
+from msbdb.kept import KeptRun
+from msbdb.tables import TABLES, Table
 from msbdb.threads import in_threads
 
 RUN = SQL["run"]
@@ -61,7 +62,7 @@ class WriteReport:
 
 
 def store_build(
-    target: str | PathLike[str] | URL, build: Build, *, basis: BuildBasis | None = None, timeout_s: float = TIMEOUT_S
+    target: str | PathLike[str] | URL, build: KeptRun, *, basis: BuildBasis | None = None, timeout_s: float = TIMEOUT_S
 ) -> WriteReport:
     """Write a build in one transaction, into a database that this transaction creates where there is none.
 
@@ -71,7 +72,7 @@ def store_build(
     ----------
     target : str, path or URL
         The database. An older schema is upgraded.
-    build : Build
+    build : KeptRun
         As `write_build` takes it.
     basis : BuildBasis, optional
         What it was computed from, of what the database held.
@@ -108,7 +109,7 @@ def store_build(
         engine.dispose()
 
 
-def write_build(engine: Engine, build: Build, *, basis: BuildBasis | None = None) -> WriteReport:
+def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = None) -> WriteReport:
     """Write a build in one transaction.
 
     A survey has one run, whatever its extractors. Content that is there already is left alone, timings included; other
@@ -118,7 +119,7 @@ def write_build(engine: Engine, build: Build, *, basis: BuildBasis | None = None
     ----------
     engine : Engine
         From ``open_database``.
-    build : Build
+    build : KeptRun
         With one frame for each of ``tables.TABLES``. Polygons become multipolygons.
     basis : BuildBasis, optional
         What it was computed from, of what the database held.
@@ -164,22 +165,21 @@ class _Rows:
     digest: str
 
     @classmethod
-    def of(cls, build: Build) -> Self:
+    def of(cls, build: KeptRun) -> Self:
         """Return the rows of a build, whatever the order of its own."""
         frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
         counts = {name: len(frame) for name, frame in frames.items()}
-        counts |= {"run_method": len(build.run.methods), "run_state": len(build.state)}
-        counts["run_method"] = len(build.run.methods)
+        counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
         return cls(frames, counts, content_digest(build, frames))
 
 
-def _report(build: Build, rows: _Rows, status: str) -> WriteReport:
+def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:
     """Sum up a load."""
     logger.info("Survey %s, methods %s: %s, %s", build.survey.name, ", ".join(build.run.methods), status, rows.counts)
     return WriteReport(build.survey.name, build.run.methods, *_keys(build), status, rows.counts)
 
 
-def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
+def content_digest(build: KeptRun, frames: dict[str, pd.DataFrame]) -> str:
     """Return the SHA-256 of all that a build would write, but for its timings; ``frames`` are in order."""
     digest = hashlib.sha256()
     run = asdict(build.run)
@@ -189,7 +189,7 @@ def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
         for column in frame.columns:
             digest.update(f"\0{name}.{column}\0".encode())
             digest.update(_column_bytes(frame, str(column)))
-    for name, values in sorted(build.state.items()):
+    for name, values in sorted(build.rasters.by_name().items()):
         cells = _portable(values)
         digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
         digest.update(cells.ravel().data)
@@ -197,7 +197,7 @@ def content_digest(build: Build, frames: dict[str, pd.DataFrame]) -> str:
 
 
 def _fill(
-    connection: Connection, dialect: Dialect, build: Build, rows: _Rows, *, rasters: list[dict[str, Any]], srid: int
+    connection: Connection, dialect: Dialect, build: KeptRun, rows: _Rows, *, rasters: list[dict[str, Any]], srid: int
 ) -> int:
     """Write all of a build's rows in the caller's transaction; return how many runs they replace."""
     survey_id, run_id = _keys(build)
@@ -217,14 +217,14 @@ def _fill(
     return removed
 
 
-def _keys(build: Build) -> tuple[int, int]:
+def _keys(build: KeptRun) -> tuple[int, int]:
     """Return the keys of a build's survey and run; its extractors have no part in them."""
     return text_id("survey", build.survey.name), text_id("run", build.survey.name)
 
 
-def _packed(build: Build) -> list[dict[str, Any]]:
+def _packed(build: KeptRun) -> list[dict[str, Any]]:
     """Return the rasters' columns but the run's key."""
-    return in_threads(_raster_row, sorted(build.state.items()))
+    return in_threads(_raster_row, sorted(build.rasters.by_name().items()))
 
 
 def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
@@ -247,7 +247,7 @@ def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, 
     return all(connection.scalar(text(counted.format(name)), {"run": run_id}) == n for name, n in rows.items())
 
 
-def _write_survey(connection: Connection, survey_id: int, build: Build) -> None:
+def _write_survey(connection: Connection, survey_id: int, build: KeptRun) -> None:
     """Write the survey and its sources, or bring them up to date."""
     row = _survey_row(build)
     known = connection.scalar(select(func.count()).select_from(SURVEY).where(SURVEY.c.survey_id == survey_id))
@@ -262,7 +262,7 @@ def _write_survey(connection: Connection, survey_id: int, build: Build) -> None:
 
 
 def _write_frame(
-    connection: Connection, dialect: Dialect, build: Build, name: str, frame: pd.DataFrame, *, run_id: int, srid: int
+    connection: Connection, dialect: Dialect, build: KeptRun, name: str, frame: pd.DataFrame, *, run_id: int, srid: int
 ) -> None:
     """Write one table's rows in bulk, in the order of their keys, in which they are stored quickest."""
     columns: dict[str, list[Any]] = {"run_id": [run_id] * len(frame)}
@@ -287,7 +287,7 @@ def _values(values: pd.Series) -> list[Any]:
     return plain_values
 
 
-def _rejection_ids(build: Build, frame: pd.DataFrame) -> NDArray[np.int64]:
+def _rejection_ids(build: KeptRun, frame: pd.DataFrame) -> NDArray[np.int64]:
     """Return keys of ledger rows; a region that one stage dropped twice for one reason is counted on.
 
     A region's id is a digest already. Laid over with one of the other words it is unique among the rows that share
@@ -318,7 +318,7 @@ def _ordered(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     return rows
 
 
-def _survey_row(build: Build) -> dict[str, Any]:
+def _survey_row(build: KeptRun) -> dict[str, Any]:
     """Return the survey's columns but its key."""
     row = asdict(build.survey)
     del row["sources"]
@@ -326,7 +326,7 @@ def _survey_row(build: Build) -> dict[str, Any]:
     return {name: plain(value) for name, value in row.items()}
 
 
-def _source_rows(build: Build) -> list[dict[str, Any]]:
+def _source_rows(build: KeptRun) -> list[dict[str, Any]]:
     """Return the sources in canonical order."""
     rows = [plain(asdict(source)) for source in build.survey.sources]
     return sorted(rows, key=lambda row: (row["role"], row["name"], row["sha256"]))

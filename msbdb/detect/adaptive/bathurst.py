@@ -23,7 +23,8 @@ from msbdb.detect.adaptive.offground import (
     structure,
     tell_vegetation,
 )
-from msbdb.detect.pointregions import Candidates, PlacedPoints, PointBooks
+from msbdb.detect.pointregions import Candidates, PlacedPoints, PointBooks, outlined, point_heights, point_ndvi
+from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import GridSpec
 from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, renumber, reorder, sizes
 from msbdb.order import order_of_points
@@ -312,3 +313,30 @@ def _tightened(
     kept, left = renumber(pieces[0], ~lost)
     books.count(stage, count, left, dropped, pieces=pieces[1] - count)
     return kept, left
+
+
+def detect_adaptive(scene: Scene, params: Params) -> Regions:
+    """Detect candidate regions among the points of a scene (S6): the detector ``adaptive``.
+
+    Parameters
+    ----------
+    scene : Scene
+        With points and a surface.
+    params : Params
+        Sections ``adaptive``, ``surface``, ``ground`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
+    """
+    cloud = scene.require_cloud()
+    found = extract_adaptive(
+        cloud,
+        point_heights(scene, params),
+        spec=scene.heights.spec,
+        survey=scene.survey.name,
+        params=params,
+        ndvi=point_ndvi(scene.bands, cloud),
+    )
+    return outlined(found, scene, params)

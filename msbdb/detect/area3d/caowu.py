@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from msbdb.detect.area3d.candidates import METHOD, NormalisedCloud, describe_candidates
 from msbdb.detect.area3d.curvature import PointStructure, measure_structure
 from msbdb.detect.area3d.heightscales import OnSets, fuse_over_scales, height_scales
-from msbdb.detect.pointregions import Candidates, PointBooks, places
+from msbdb.detect.pointregions import Candidates, PointBooks, outlined, places, point_heights, point_ndvi
+from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import InputError, NodataError
 from msbdb.grid import GridSpec
 from msbdb.labels import Labels, chosen_cells, reorder, sums
@@ -232,3 +233,30 @@ def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.in
     found[order] = reorder(labels, by_id, len(by_id))
     rows = regions.iloc[by_id].reset_index(drop=True)
     return Candidates(METHOD, found, rows, books.rejections(), books.counts)
+
+
+def detect_area3d(scene: Scene, params: Params) -> Regions:
+    """Detect candidate regions among the points of a scene (C19): the detector ``area3d``.
+
+    Parameters
+    ----------
+    scene : Scene
+        With points and a surface.
+    params : Params
+        Sections ``area3d``, ``surface``, ``ground`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
+    """
+    cloud = scene.require_cloud()
+    found = extract_area3d(
+        cloud,
+        point_heights(scene, params),
+        spec=scene.heights.spec,
+        survey=scene.survey.name,
+        params=params,
+        ndvi=point_ndvi(scene.bands, cloud),
+    )
+    return outlined(found, scene, params)

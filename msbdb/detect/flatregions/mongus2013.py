@@ -3,17 +3,22 @@
 import logging
 from dataclasses import dataclass
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.detect.flatregions.binarisation import Binarised, binarise
-from msbdb.detect.flatregions.initialisation import Denoised, denoise
+from msbdb.detect.flatregions.initialisation import Denoised, denoise, initialise
 from msbdb.detect.flatregions.recognition import FlatBooks, clean, describe, grow, measure_shapes
+from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import GridMismatchError, NodataError
 from msbdb.grid import Grid
-from msbdb.labels import Labels, chosen_cells, label_zones, sizes
+from msbdb.labels import Labels, chosen_cells, label_zones, reorder, sizes
+from msbdb.outline.polygons import polygonise
+from msbdb.outline.simplification import simplify_coverage
 from msbdb.params import FlatRegionParams, Params
+from msbdb.tables import FLAT_REGION
 
 logger = logging.getLogger(__name__)
 
@@ -171,3 +176,52 @@ def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
     dropped = books.reject("denoising", PEAK, denoised.peaks)
     dropped += books.reject("denoising", VALLEY, denoised.valleys)
     books.count("denoising", dropped, 0, dropped)
+
+
+def detect_flat_regions(scene: Scene, params: Params) -> Regions:
+    """Detect flat regions in a scene (M22): the detector ``flatregions``.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of points, the lowest echo of each cell counts (M8); of rasters, the surface as it is.
+    params : Params
+        Sections ``flatregions``, ``surface`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.FLAT_REGION`` and outlines.
+    """
+    spec = scene.heights.spec
+    found = extract_flat_regions(
+        lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
+    )
+    order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
+    labels = reorder(found.labels, order, len(order))
+    traced = polygonise(labels, spec, len(order))
+    outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
+    regions = found.regions.iloc[order].reset_index(drop=True)
+    table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]
+    firm = None if found.firm[found.labels > 0].all() else found.firm
+    return Regions("flatregions", labels, table, found.rejections, found.counts, firm=firm)
+
+
+def lowest_surface(scene: Scene, params: Params) -> Grid:
+    """Return the surface in which flat regions are sought (M7, M8), metres.
+
+    The terrain is subtracted with ``flatregions.on`` 'ndsm'. Valid where both surfaces are.
+    """
+    surface, cloud = scene.require_surface(), scene.cloud
+    lowest = surface.dsm
+    if cloud is not None:
+        max_gap_m = params.surface.max_gap_m if params.flatregions.gaps == "near" else 0.0
+        lowest = initialise(cloud, scene.heights.spec, max_gap_m=max_gap_m)
+    return above_ground(lowest, surface.dtm) if params.flatregions.on == "ndsm" else lowest
+
+
+def above_ground(surface: Grid, dtm: Grid) -> Grid:
+    """Subtract the terrain from another surface than the DSM; valid where both are, 0 elsewhere."""
+    valid = surface.valid & dtm.valid
+    height = np.asarray(surface.values, dtype=np.float32) - np.asarray(dtm.values, dtype=np.float32)
+    return Grid(np.where(valid, height, np.float32(0)), valid, surface.spec)

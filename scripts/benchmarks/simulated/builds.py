@@ -23,9 +23,9 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from msbdb.kept import KeptRun
 from pyproj import CRS
 
+from msbdb.kept import PER_METRE, KeptRun, Rasters
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
@@ -40,6 +40,7 @@ from msbdb.tables import (
     SCALE,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
+    Counts,
     Run,
     Source,
     Survey,
@@ -118,11 +119,10 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
         "profile": "default",
         "version": "0.1.0",
         "parameters": {"scale": {"scales_m2": (20.0, 50.0, 200.0)}},
-        "counts": {"duplicates": {"in": 7, "kept": 6, "dropped": 1}},
+        "counts": counts_of(frames),
         "timings": {"read": 0.5},
         "notices": ("The heights were in feet.",),
     }
-    row, col = np.indices((100, 400))
     return KeptRun(
         survey=Survey(
             name=survey,
@@ -140,7 +140,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
         ),
         run=Run(**{**values, **run}),
         frames=frames,
-        state={"class_index": (col % 4).astype(np.uint8), "ndsm": (row / 5).astype(np.float32)},
+        rasters=slope((100, 400)),
     )
 
 
@@ -185,7 +185,9 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> KeptRun
     lattice = max(-(-count // cols), 5), max(cols, 20)
     north, east = (20.0 * cells for cells in lattice)
     survey = replace(base.survey, epsg=epsg, cell_m=20.0, bounds=(WEST, SOUTH, WEST + east, SOUTH + north))
-    return KeptRun(survey, base.run, frames, {"ndsm": np.full(lattice, height_m, dtype=np.float32)})
+    level = np.full(lattice, round(height_m * PER_METRE), dtype=np.int32)
+    rasters = Rasters(level, np.ones(lattice, dtype=np.bool_), np.zeros(lattice, dtype=np.uint8))
+    return KeptRun(survey, replace(base.run, counts=counts_of(frames)), frames, rasters)
 
 
 LOST = (
@@ -219,7 +221,26 @@ def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: 
     )
     ledger = rows.astype({c.name: c.dtype for c in REJECTION.columns})
     geo = gpd.GeoDataFrame(ledger, geometry=shapely.points(x, y), crs=f"EPSG:{EPSG}")
-    return KeptRun(base.survey, base.run, {**base.frames, "rejection": geo}, base.state)
+    frames = {**base.frames, "rejection": geo}
+    return KeptRun(base.survey, replace(base.run, counts=counts_of(frames)), frames, base.rasters)
+
+
+def counts_of(frames: Mapping[str, pd.DataFrame]) -> Counts:
+    """Return counts that agree with the parts and the ledger: each stage keeps what will be parts."""
+    kept = len(frames["part"])
+    dropped = {str(stage): int(rows) for stage, rows in frames["rejection"].groupby("stage").size().items()}
+    regions = {
+        stage: {"in": kept + rows, "pieces": 0, "kept": kept, "dropped": rows}
+        for stage, rows in (dropped | {"fake fathers": 0}).items()
+    }
+    cells = {"all": 40_000, "valid": 40_000, "building": 13_333, "vegetation": 13_333}
+    return Counts(regions, cells, {"colours_decide": 1, "green_decides": 0}, {})
+
+
+def slope(shape: tuple[int, int]) -> Rasters:
+    """Return rasters of a slope that falls by 20 cm a row to the north, with columns of each class by structure."""
+    row, col = np.indices(shape)
+    return Rasters((row * 20).astype(np.int32), np.ones(shape, dtype=np.bool_), (col % 3).astype(np.uint8))
 
 
 def _box(west: float, south: float, width: float, height: float, hole: shapely.Polygon | None = None) -> Any:

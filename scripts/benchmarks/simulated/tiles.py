@@ -12,9 +12,9 @@ import shapely
 
 from msbdb.database import open_database, read_buildings, read_rasters, read_survey
 from msbdb.io.las import read_points
+from msbdb.kept import heights_of
 from msbdb.params import profile
 from msbdb.points.cloud import PointCloud
-from msbdb.run.kept import lattice_of, unpack_heights
 from msbdb.run.prepare import build_surface
 from msbdb.surface import heights_above
 from simulated.epochs import EDITS, Edit, second_epoch
@@ -66,8 +66,7 @@ def write_second(
     xyz = [np.concatenate([np.asarray(las[axis], dtype=np.float64) for las in files]) for axis in "xyz"]
     points, _ = read_points(list(first), crs=crs)
     engine = open_database(db)
-    record, state = read_survey(engine, survey), read_rasters(engine, survey)
-    ndsm = unpack_heights(state, lattice_of(record, state))
+    ndsm = heights_of(read_survey(engine, survey), read_rasters(engine, survey))
     buildings = read_buildings(engine, survey)
     engine.dispose()
     heights = heights_above(PointCloud(*xyz, points.crs), build_surface(points, profile()).dtm)

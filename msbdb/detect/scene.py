@@ -1,0 +1,146 @@
+"""What passes between the steps: the scene that every detector starts from, and the regions that it returns."""
+
+from dataclasses import dataclass, replace
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from msbdb.bands import Bands
+from msbdb.errors import InputError
+from msbdb.grid import Grid
+from msbdb.parts.forest import Forest
+from msbdb.points.cloud import PointCloud
+from msbdb.spectral.coverclasses import Cover
+from msbdb.surface import Surface
+from msbdb.surface.structure import Structure
+from msbdb.tables import Survey
+
+MOST_MM = np.iinfo(np.uint16).max
+CERTAIN = np.iinfo(np.uint8).max
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Each cell's own evidence of roof, in the whole numbers that the database keeps.
+
+    Parameters
+    ----------
+    roughness_mm : (H, W) ndarray of uint16
+        Residual of the best plane in the small window, millimetres; more than 65.535 m counts as that.
+    roof_probability : (H, W) ndarray of uint8
+        Of roof against vegetation, before any smoothing; 255 is certain.
+    """
+
+    roughness_mm: NDArray[np.uint16]
+    roof_probability: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, structure: Structure) -> "Evidence":
+        """Round the evidence to what the database keeps, so that a build and a re-labelling give the same."""
+        millimetres = np.clip(np.rint(structure.roughness_m * np.float32(1000)), 0, MOST_MM)
+        share = np.rint(structure.roof_probability * np.float32(CERTAIN))
+        return cls(millimetres.astype(np.uint16), share.astype(np.uint8))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One survey, prepared for the detectors: all on one lattice.
+
+    Parameters
+    ----------
+    survey : Survey
+        The record of the survey; its name is part of all ids.
+    heights : Grid
+        Heights above ground, metres.
+    cover : Cover
+        Land cover by structure, colours and the operator's labels.
+    evidence : Evidence, optional
+        Each cell's own evidence of roof, for the fused footprints; None where these were not asked for.
+    surface : Surface, optional
+        DSM, DTM and nDSM; None where a scene is read back from the database.
+    cloud : PointCloud, optional
+        The points; None for a raster source.
+    bands : Bands, optional
+        Colours of the orthophoto or the points.
+    """
+
+    survey: Survey
+    heights: Grid
+    cover: Cover
+    evidence: Evidence | None
+    surface: Surface | None = None
+    cloud: PointCloud | None = None
+    bands: Bands | None = None
+
+    def require_surface(self) -> Surface:
+        """Return the surface.
+
+        Raises
+        ------
+        InputError
+            When the scene was read back from a database, which keeps no surface.
+        """
+        if self.surface is None:
+            msg = f"The survey '{self.survey.name}' was read from a database; detect in it from its source files."
+            raise InputError(msg)
+        return self.surface
+
+    def require_cloud(self) -> PointCloud:
+        """Return the points.
+
+        Raises
+        ------
+        InputError
+            When the scene has none.
+        """
+        if self.cloud is None:
+            msg = f"The survey '{self.survey.name}' has no points in hand; give its LAS or LAZ files."
+            raise InputError(msg)
+        return self.cloud
+
+    def without_sources(self) -> "Scene":
+        """Return the scene without surface, points and bands, which no step after the detectors needs."""
+        return replace(self, surface=None, cloud=None, bands=None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regions:
+    """What one detector found in a scene.
+
+    Parameters
+    ----------
+    method : str
+        Name of the detector.
+    labels : (H, W) ndarray of int32
+        0 for none, otherwise row number + 1 in ``table``.
+    table : GeoDataFrame
+        ``tables.FLAT_REGION``, ``tables.CANDIDATE_REGION`` or, of the multi-scale detector, the roots of
+        ``tables.PART``; in order of the ids, except for the roots.
+    ledger : DataFrame
+        ``tables.REJECTION`` without geometry: a row for each region that a stage dropped.
+    counts : dict
+        By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
+        ``dropped``.
+    firm : (H, W) ndarray of bool, optional
+        The cells that count in the fused footprints; None where all do.
+    of_points : (N,) ndarray of int32, optional
+        Labels of the points, of a detector that takes the points themselves.
+    forest : Forest, optional
+        The tree of parts over the scales, of the multi-scale detector.
+    """
+
+    method: str
+    labels: NDArray[np.int32]
+    table: gpd.GeoDataFrame | pd.DataFrame
+    ledger: pd.DataFrame
+    counts: dict[str, dict[str, int]]
+    firm: NDArray[np.bool_] | None = None
+    of_points: NDArray[np.int32] | None = None
+    forest: Forest | None = None
+
+    @property
+    def firm_labels(self) -> NDArray[np.int32]:
+        """``labels`` of the firm cells, 0 elsewhere."""
+        return self.labels if self.firm is None else np.where(self.firm, self.labels, np.int32(0))

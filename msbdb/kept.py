@@ -1,0 +1,146 @@
+"""A run as the database keeps it: one typed value of records, tables and rasters.
+
+From it the classes can be labelled again without the source data, and a map can be drawn.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+import pandas as pd
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from msbdb.grid import Grid, GridSpec
+from msbdb.params import POINT_DETECTORS
+from msbdb.tables import Run, Survey
+
+PER_METRE = 100
+"""Heights above ground are whole centimetres, finer than any scanner, so that they are kept without loss."""
+
+_REGION_NAMES = {"flatregions": "flat", "area3d": "area3d", "adaptive": "adaptive"}
+"""Names of the detectors' label rasters in the database."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rasters:
+    """The rasters of a run, all of one shape (H, W).
+
+    Parameters
+    ----------
+    heights_cm : (H, W) ndarray of int32, centimetres
+        Heights above ground.
+    valid : (H, W) ndarray of bool
+        Where the heights are known.
+    structure : (H, W) ndarray of uint8
+        Class by structure: 0 none, 1 building, 2 vegetation.
+    spectral : (H, W) ndarray of uint8, optional
+        Class by colour; None without imagery.
+    regions : mapping of str to (H, W) ndarray of int32
+        Labels of the regions of the detectors that were run, except ``multiscale``: 0 for none, otherwise row number
+        + 1 in order of the ids.
+    firm : (H, W) ndarray of bool, optional
+        Cells of the flat regions that count in the fused footprints; None where all do.
+    fused : (H, W) ndarray of int32, optional
+        Fused footprints: 0 for none, otherwise row number + 1 of the building in order of the ids.
+    roughness_mm : (H, W) ndarray of uint16, optional
+        Residual of the best plane in the small window, millimetres.
+    roof_probability : (H, W) ndarray of uint8, optional
+        Probability of roof against vegetation; 255 is certain.
+    """
+
+    heights_cm: NDArray[np.int32]
+    valid: NDArray[np.bool_]
+    structure: NDArray[np.uint8]
+    spectral: NDArray[np.uint8] | None = None
+    regions: Mapping[str, NDArray[np.int32]] = field(default_factory=dict)
+    firm: NDArray[np.bool_] | None = None
+    fused: NDArray[np.int32] | None = None
+    roughness_mm: NDArray[np.uint16] | None = None
+    roof_probability: NDArray[np.uint8] | None = None
+
+    def by_name(self) -> dict[str, NDArray[np.generic]]:
+        """Return the rasters by the names of their rows in the database, those that are None left out."""
+        firm = None if self.firm is None else self.firm.astype(np.uint8)
+        named: dict[str, NDArray[np.generic] | None] = {
+            "ndsm_cm": self.heights_cm,
+            "valid": self.valid.astype(np.uint8),
+            "structure": self.structure,
+            "spectral": self.spectral,
+            "flat_firm": firm,
+            "together": self.fused,
+            "roughness_mm": self.roughness_mm,
+            "roof_probability": self.roof_probability,
+            **{_REGION_NAMES[method]: labels for method, labels in self.regions.items()},
+        }
+        return {name: values for name, values in named.items() if values is not None}
+
+    @classmethod
+    def from_names(cls, rows: Mapping[str, NDArray[np.generic]]) -> Self:
+        """Return the rasters from the rows of the database, the inverse of ``by_name``."""
+        return cls(
+            heights_cm=rows["ndsm_cm"].astype(np.int32),
+            valid=rows["valid"].astype(np.bool_),
+            structure=rows["structure"].astype(np.uint8),
+            spectral=rows["spectral"].astype(np.uint8) if "spectral" in rows else None,
+            regions={method: rows[name].astype(np.int32) for method, name in _REGION_NAMES.items() if name in rows},
+            firm=rows["flat_firm"].astype(np.bool_) if "flat_firm" in rows else None,
+            fused=rows["together"].astype(np.int32) if "together" in rows else None,
+            roughness_mm=rows["roughness_mm"].astype(np.uint16) if "roughness_mm" in rows else None,
+            roof_probability=rows["roof_probability"].astype(np.uint8) if "roof_probability" in rows else None,
+        )
+
+    @classmethod
+    def of_heights(cls, heights: Grid, structure: NDArray[np.uint8]) -> Self:
+        """Return the rasters of a scene in which nothing was detected yet."""
+        metres = np.asarray(heights.values, dtype=np.float64)
+        return cls(np.round(metres * PER_METRE).astype(np.int32), heights.valid, structure)
+
+
+def lattice_of(survey: Survey) -> GridSpec:
+    """Return the lattice on which a survey's rasters lie."""
+    west, south, east, north = survey.bounds
+    shape = round((north - south) / survey.cell_m), round((east - west) / survey.cell_m)
+    transform = Affine(survey.cell_m, 0.0, west, 0.0, -survey.cell_m, north)
+    return GridSpec(shape, transform, CRS.from_wkt(survey.crs_wkt))
+
+
+def heights_of(survey: Survey, rasters: Rasters) -> Grid:
+    """Return the heights above ground of a run, metres, equal to those of its build to the bit."""
+    metres = (rasters.heights_cm.astype(np.float64) / PER_METRE).astype(np.float32)
+    return Grid(metres, rasters.valid, lattice_of(survey))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeptRun:
+    """All that one build writes into the database, in one transaction.
+
+    Parameters
+    ----------
+    survey : Survey
+        Where and when the data were taken, and from which files.
+    run : Run
+        Detectors, parameters, counts, timings and notices.
+    frames : dict of str to DataFrame
+        One frame for each of ``tables.TABLES`` by name; GeoDataFrames where the table has a geometry.
+    rasters : Rasters
+        Heights, classes and labels of the regions.
+    """
+
+    survey: Survey
+    run: Run
+    frames: dict[str, pd.DataFrame]
+    rasters: Rasters
+
+    @property
+    def heights(self) -> Grid:
+        """The heights above ground, metres."""
+        return heights_of(self.survey, self.rasters)
+
+    @property
+    def candidate_counts(self) -> dict[str, int]:
+        """The number of candidate regions of each detector on points that was run."""
+        found = self.frames["candidate_region"]["method"]
+        return {name: int((found == name).sum()) for name in POINT_DETECTORS if name in self.run.methods}

@@ -1,0 +1,109 @@
+"""Buildings written back into the points: a LAS or LAZ file whose class 6 is what an extractor found."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.detect.scene import Regions, Scene
+from msbdb.errors import MsbdbWarning
+from msbdb.grid import GridSpec
+from msbdb.io.las import read_points_indexed
+from msbdb.io.lasheader import read_las_header
+from msbdb.io.laswrite import check_output, write_classes
+from msbdb.params import Params
+from msbdb.points.cloud import BUILDING_CLASS, UNCLASSIFIED_CLASS, PointCloud
+from msbdb.run.compose import choose_detectors, detect
+from msbdb.run.prepare import Inputs, Label, prepare
+from msbdb.run.reports import ClassifyReport
+from msbdb.run.stages import Notices, Progress, Stages, collect_notices
+from msbdb.surface import heights_above
+
+Mask = NDArray[np.bool_]
+
+
+def classify_points(
+    inputs: Inputs,
+    out: Path,
+    *,
+    extract: Sequence[str],
+    params: Params,
+    keep: bool,
+    overwrite: bool,
+    progress: Progress | None,
+) -> ClassifyReport:
+    """Detect the buildings among the points of a file, and write it with them in class 6; see `msbdb.api.classify`."""
+    source = inputs.points[0]
+    notices, stages = Notices(), Stages(progress)
+    check_output(source, out, overwrite=overwrite)
+    with collect_notices(notices):
+        methods = choose_detectors(extract, inputs)
+        with stages.stage("read"):
+            cloud, index, found = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
+            for message in found:
+                warnings.warn(message, MsbdbWarning, stacklevel=2)
+        scene, params = prepare(inputs, cloud, params, stages, Label(inputs.default_survey()), evidence=False)
+        heights = heights_above(cloud, scene.require_surface().dtm)
+        regions = detect(scene, methods, params, stages)
+    taken = np.zeros(len(cloud), dtype=np.bool_)
+    for one in regions.values():
+        taken |= _points_of(one, scene, heights, params)
+    stale = np.zeros_like(taken) if keep else _stale(cloud, taken)
+    with stages.stage("write"):
+        classes, where = _as_in_file(read_las_header(source).points, index, taken, stale)
+        written = write_classes(source, out, classes, where=where, overwrite=overwrite, progress=progress)
+    return ClassifyReport(
+        points=written.points,
+        read=len(cloud),
+        building_points=int(np.count_nonzero(taken)),
+        changed=written.changed,
+        demoted=int(np.count_nonzero(stale)),
+        regions={name: len(one.table) for name, one in regions.items()},
+        notices=(*notices.kept, *notices.passing, *written.notices),
+        timings=stages.rounded(),
+    )
+
+
+def _points_of(regions: Regions, scene: Scene, heights: NDArray[np.float64], params: Params) -> Mask:
+    """Return the points of a detector's regions: its own, or those in its cells that are high enough above ground."""
+    if regions.of_points is not None:
+        return regions.of_points > 0
+    return points_in(regions.labels > 0, scene.heights.spec, scene.require_cloud(), heights, params.surface.mask_m)
+
+
+def points_in(cells: Mask, spec: GridSpec, cloud: PointCloud, heights: NDArray[np.float64], least_m: float) -> Mask:
+    """Return the points in the chosen cells of a lattice that are high enough above ground.
+
+    Parameters
+    ----------
+    cells : (H, W) ndarray of bool
+        Chosen cells; a point outside of the lattice is in none.
+    spec : GridSpec
+        The lattice, in the points' CRS.
+    cloud : PointCloud
+        N points.
+    heights : (N,) ndarray of float64, metres
+        Their heights above ground; NaN where unknown, which is not enough.
+    least_m : float
+        Least height above ground, metres: walls and roofs count, the ground beside and below does not.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+    """
+    return spec.sample(cells, cloud.x, cloud.y, outside=False) & (heights >= least_m)
+
+
+def _stale(cloud: PointCloud, taken: Mask) -> Mask:
+    """Return the points that the source calls buildings, and that were not found to be."""
+    return cloud.in_class(BUILDING_CLASS) & ~taken
+
+
+def _as_in_file(points: int, index: NDArray[np.int64], taken: Mask, stale: Mask) -> tuple[NDArray[np.uint8], Mask]:
+    """Return the classes of all points of a file, and which of them are to be written."""
+    classes, where = np.full(points, UNCLASSIFIED_CLASS, dtype=np.uint8), np.zeros(points, dtype=np.bool_)
+    classes[index[taken]] = BUILDING_CLASS
+    where[index[taken | stale]] = True
+    return classes, where

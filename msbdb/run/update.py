@@ -1,0 +1,266 @@
+"""A survey brought into the living inventory: built, compared with what stood there, and written as versions."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.change.comparison import Comparison, compare, measure
+from msbdb.database import (
+    PATIENCE_S,
+    Advance,
+    Engine,
+    OutdatedError,
+    Standing,
+    first_day,
+    open_database,
+    read_buildings,
+    read_parts,
+    read_rasters,
+    read_run,
+    read_standing,
+    read_survey,
+    survey_key,
+    write_advance,
+)
+from msbdb.database.schema.canonical import to_json
+from msbdb.errors import DatabaseError, InputError
+from msbdb.grid import Grid
+from msbdb.io.vector import read_polygons
+from msbdb.kept import heights_of
+from msbdb.outline.polygons import rasterise
+from msbdb.params import DETECTORS, ChangeParams, Params, as_dict, with_values
+from msbdb.params import profile as named_profile
+from msbdb.run.compose import choose_detectors
+from msbdb.run.prepare import Inputs
+from msbdb.run.reports import AdvanceReport
+from msbdb.run.stages import Notices, collect_notices
+from msbdb.tables import EXTRACTOR_SHARES, Survey
+from msbdb.version import __version__
+
+logger = logging.getLogger(__name__)
+
+ATTEMPTS = 5
+"""How often an update is computed again, when others change the same place of the inventory meanwhile."""
+
+MEASURED_FIRST = "its heights are known for the first time"
+
+WITNESSED = ("state", "storeys", "parts", *EXTRACTOR_SHARES.values())
+
+HEIGHTS = ("h_max", "h_mean", "h_p50", "h_p90")
+
+
+def is_built(
+    points: Sequence[Path],
+    *,
+    db: str | Path,
+    survey: str,
+    date: str,
+    ortho: Sequence[Path] = (),
+    params: Params | None = None,
+    profile: str = "default",
+    extract: Sequence[str] = DETECTORS,
+    denoising_figure: Path | None = None,
+    **given: Any,  # noqa: ANN401  (the other inputs of build)
+) -> bool:
+    """Tell whether a survey was built from the same files, with the same values, by the same msbdb.
+
+    The parameters are those of `msbdb.api.build`.
+    """
+    inputs = Inputs(tuple(map(Path, points)), tuple(map(Path, ortho)), **given)
+    with collect_notices(Notices()):
+        methods = choose_detectors(extract, inputs)
+    try:
+        engine = open_database(db)
+    except DatabaseError:
+        return False
+    try:
+        record, run = read_survey(engine, survey), read_run(engine, survey)
+    except InputError:
+        return False
+    finally:
+        engine.dispose()
+    wanted = to_json([as_dict(params or named_profile(profile)), profile, __version__, list(methods), date])
+    found = to_json([run.parameters, run.profile, run.version, list(run.methods), record.date])
+    stated = run.counts.stated == inputs.stated()
+    return denoising_figure is None and stated and wanted == found and set(record.sources) == set(inputs.sources())
+
+
+def advance_inventory(db: str | Path, survey: str, *, aoi: Path | None) -> AdvanceReport:
+    """Update the inventory by a survey that is built already; see `msbdb.api.advance`."""
+    engine = open_database(db, timeout_s=PATIENCE_S)
+    try:
+        record = read_survey(engine, survey)
+        require_date(survey, record.date)
+        area = _area(record, aoi)
+        for _ in range(ATTEMPTS):
+            try:
+                return _advance(engine, record, area)
+            except OutdatedError:
+                logger.info("The inventory changed where survey %s lies; comparing again", survey)
+    finally:
+        engine.dispose()
+    msg = f"Others keep changing the inventory where the survey '{survey}' lies. Wait for them, and try again."
+    raise DatabaseError(msg)
+
+
+def require_date(survey: str, date: str) -> None:
+    """Refuse a survey without a date."""
+    if not date:
+        msg = (
+            f"The survey '{survey}' has no date, so that its place in the inventory's history is unknown. "
+            "Build it again with --date, for instance --date 2021-05-31."
+        )
+        raise InputError(msg)
+
+
+def _area(record: Survey, aoi: Path | None) -> shapely.MultiPolygon:
+    """Return where a survey lies, cut by the area of interest."""
+    shape = shapely.box(*record.bounds)
+    if aoi is not None:
+        wanted = read_polygons(aoi, to=record.crs_wkt).union_all()
+        shape = shapely.intersection(shape, wanted)
+    parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon" and not part.is_empty]
+    if not parts:
+        msg = f"The area of interest does not overlap the survey '{record.name}'. Check both, and the CRS of the area."
+        raise InputError(msg)
+    whole: shapely.MultiPolygon = shapely.normalize(shapely.multipolygons(parts))
+    return whole
+
+
+def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> AdvanceReport:
+    """Compare and write once."""
+    date = first_day(record.date)
+    standing = read_standing(engine, record.name, date, record.bounds, area)
+    if standing.applied is not None:
+        own = standing.offsets[standing.offsets["survey_id"] == survey_key(record.name)]
+        offset = {str(name): value for name, value in own.drop(columns="survey_id").iloc[0].items()}
+        return _report(record, date, "unchanged", standing.applied, offset)
+    before, heights = standing.before, _heights(engine, record)
+    inside = None
+    if not area.equals(shapely.box(*record.bounds)):
+        inside = rasterise([area], heights.spec) > 0
+    after = read_buildings(engine, record.name)
+    params = _params(engine, record.name)
+    found = compare(before, after, heights=heights, earlier=_earlier(engine, standing), surveyed=inside, params=params)
+    found, states = _states(found, before, after, heights)
+    states = _put_together(states, found, engine, record.name)
+    made = Advance(
+        survey=record.name, survey_id=survey_key(record.name), date=date, area=area, digest=standing.digest,
+        basis=standing.basis, before=before, born=standing.born, offset=asdict(found.offset), changes=found.changes,
+        states=states,
+    )  # fmt: skip
+    return _report(record, date, write_advance(engine, made), made.counts, made.offset)
+
+
+def _params(engine: Engine, survey: str) -> ChangeParams:
+    """Return what counts as change, as the survey's run has it."""
+    values: Any = read_run(engine, survey).parameters
+    return with_values(Params(), {"change": values.get("change", {})}).change
+
+
+def _heights(engine: Engine, record: Survey) -> Grid:
+    """Return the heights above ground of a survey."""
+    return heights_of(record, read_rasters(engine, record.name))
+
+
+def _earlier(engine: Engine, standing: Standing) -> list[Grid]:
+    """Return the heights of the earlier surveys of the place, the latest first, each brought to the inventory's place.
+
+    A survey that was applied before lies to the inventory as its stored offset says.
+    """
+    grids = []
+    offsets = standing.offsets.set_index("survey_id")
+    for event in standing.events.itertuples(index=False):
+        grid = _heights(engine, read_survey(engine, event.name))
+        offset = offsets.loc[event.survey_id]
+        grids.append(_moved_back(grid, float(offset["dx_m"]), float(offset["dy_m"]), float(offset["dz_m"])))
+    return grids
+
+
+def _moved_back(grid: Grid, dx: float, dy: float, dz: float) -> Grid:
+    """Return heights without the offset that their survey had."""
+    transform = type(grid.spec.transform).translation(-dx, -dy) @ grid.spec.transform
+    values = np.where(grid.valid, np.asarray(grid.values) - np.float32(dz), np.float32(0)).astype(np.float32)
+    return Grid(values, grid.valid, replace(grid.spec, transform=transform))
+
+
+def _states(
+    found: Comparison, before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, heights: Grid
+) -> tuple[Comparison, gpd.GeoDataFrame]:
+    """Return what the new versions tell: the survey's own buildings' values, or what is measured in their outlines.
+
+    A building of an imported inventory, which no survey has measured, gets a version with its own outline and the
+    heights found there, also where it is unchanged.
+    """
+    found = _with_first_measures(found, before, heights)
+    versions = found.versions
+    rows = versions["after"].to_numpy()
+    known = pd.DataFrame(after.drop(columns="geometry")).astype(object)
+    told = known.reindex(rows).set_axis(versions.index)
+    states = gpd.GeoDataFrame(
+        told[["building_id", *WITNESSED, *HEIGHTS, "area_m2", "volume_m3"]].assign(before=versions["before"]),
+        geometry=versions.geometry,
+        crs=after.crs,
+    )
+    states["state"] = states["state"].fillna("unsure")
+    for row in np.flatnonzero(~versions["adopted"].to_numpy()).tolist():
+        values = measure(versions.geometry.iloc[row], heights)
+        for name, value in values.items():
+            states.loc[states.index[row], name] = value
+    return found, states
+
+
+def _with_first_measures(found: Comparison, before: gpd.GeoDataFrame, heights: Grid) -> Comparison:
+    """Add a version to each unchanged building whose heights were unknown so far and are known now."""
+    changes = found.changes.copy()
+    unknown = before["h_p90"].isna().to_numpy()
+    wanted = (changes["kind"] == "unchanged") & (changes["before"] >= 0) & (changes["version"] < 0)
+    more: list[dict[str, Any]] = []
+    for row in changes.index[wanted]:
+        at = int(changes.loc[row, "before"])
+        if not unknown[at] or not measure(before.geometry.iloc[at], heights):
+            continue
+        changes.loc[row, "version"] = len(found.versions) + len(more)
+        changes.loc[row, "note"] = "; ".join(word for word in (changes.loc[row, "note"], MEASURED_FIRST) if word)
+        shape = before.geometry.iloc[at]
+        more.append({"before": at, "after": int(changes.loc[row, "after"]), "adopted": False, "geometry": shape})
+    if not more:
+        return found
+    added = gpd.GeoDataFrame(more, geometry="geometry", crs=found.versions.crs)
+    versions = gpd.GeoDataFrame(pd.concat([found.versions, added], ignore_index=True), crs=found.versions.crs)
+    types = {"before": "int64", "after": "int64", "adopted": "bool"}
+    return replace(found, changes=changes, versions=versions.astype(types))
+
+
+def _put_together(states: gpd.GeoDataFrame, found: Comparison, engine: Engine, survey: str) -> gpd.GeoDataFrame:
+    """Give versions whose outline is not the survey's own the storeys and number of the parts that stand in it."""
+    rows = np.flatnonzero(~found.versions["adopted"].to_numpy())
+    if not len(rows):
+        return states
+    parts = read_parts(engine, survey)
+    inner: NDArray[np.object_] = np.asarray(shapely.points(parts["xin"].to_numpy(), parts["yin"].to_numpy()))
+    tree = shapely.STRtree(inner)
+    for row in rows.tolist():
+        inside = parts.iloc[tree.query(states.geometry.iloc[row], predicate="contains")]
+        if len(inside):
+            states.loc[states.index[row], "storeys"] = int(inside["hindex"].max())
+            states.loc[states.index[row], "parts"] = len(inside)
+    return states
+
+
+def _report(record: Survey, date: str, status: str, counts: dict[str, int], offset: dict[str, Any]) -> AdvanceReport:
+    """Sum up an update."""
+    notices = []
+    if not int(offset["pairs"]) and set(counts) - {"new", "versions"}:
+        notices.append("No buildings are alike enough to tell the survey's offset to the inventory.")
+    plain = {name: None if pd.isna(value) else float(value) for name, value in offset.items()}
+    plain["pairs"] = int(offset["pairs"])
+    return AdvanceReport(record.name, date, status, dict(counts), plain, tuple(notices))
