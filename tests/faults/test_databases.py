@@ -13,7 +13,6 @@ import geopandas as gpd
 import pytest
 import shapely
 from click.testing import CliRunner
-from msbdb.database.spatialite import _driver
 from pyproj import CRS
 from simulated.scenes import SCENES
 from support.faultfiles import write_points

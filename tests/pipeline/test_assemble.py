@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from affine import Affine
-from msbdb.run.kept import lattice_of
 from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import SCENES

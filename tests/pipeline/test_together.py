@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pyogrio
 import pytest
-from msbdb.api.bypoint import evaluate_points
-from msbdb.run.kept import lattice_of
 from simulated.builds import small_build
 from simulated.files import write_points
 from simulated.scenes import SCENES, VEGETATION
