@@ -20,19 +20,23 @@ class SqlFile:
     sql: str
 
 
+INSTALLED = {"migrations": "migrations", "schema": "sql"}
+"""The folders of SQL and migrations, by their names in an installed msbdb (pyproject.toml)."""
+
+
 def packaged(folder: str) -> Path:
-    """Return ``migrations`` or ``schema``: beside this module in an installed msbdb, at the top of a source checkout.
+    """Return ``migrations`` or ``schema``: in the database room of an installed msbdb, at the top of a source checkout.
 
     Raises
     ------
     DatabaseError
         When the installation lacks it.
     """
-    here = Path(__file__).resolve().parent
-    for place in (here / folder, here.parent.parent / folder):
+    room = Path(__file__).resolve().parents[1]
+    for place in (room / INSTALLED[folder], room.parent.parent / folder):
         if place.is_dir():
             return place
-    msg = f"This msbdb lacks its folder '{folder}' beside {here}. Install msbdb again."
+    msg = f"This msbdb lacks its folder '{folder}' in {room}. Install msbdb again."
     raise DatabaseError(msg)
 
 

@@ -10,11 +10,12 @@ from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.database import read_part_flat_regions
-from msbdb.detect.flatregions.flatlayer import find_flat_regions
+from msbdb.detect.flatregions.mongus2013 import detect_flat_regions
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
 from msbdb.points.cloud import PointCloud
-from msbdb.run.prepare import build_surface
+from msbdb.run.prepare import Inputs, Label, prepare
+from msbdb.run.stages import Stages
 from msbdb.tables import EXTRACTOR_SHARES
 
 MULTISCALE = ("multiscale",)
@@ -149,8 +150,8 @@ def test_gaps_are_filled_as_the_profile_says():
     areas = {}
     for gaps in ("near", "all"):
         params = with_values(profile(), {"flatregions": {"gaps": gaps}})
-        found = find_flat_regions(build_surface(points, params), points, params, survey="roof", figure=None)
-        areas[gaps] = found.regions["area_m2"].tolist()
+        scene, params = prepare(inputs, points, params, Stages(None), Label("roof"), evidence=False)
+        areas[gaps] = detect_flat_regions(scene, params).table["area_m2"].tolist()
     assert [len(found) for found in areas.values()] == [1, 1]
     assert areas["all"][0] == pytest.approx(400, rel=0.06)
     assert areas["all"][0] - areas["near"][0] == pytest.approx(16, abs=8), (
