@@ -139,7 +139,7 @@ def test_flat_regions_are_evaluated_on_their_own(town, tmp_path):
     assert parts.area.rates.quality > 0.99
 
 
-def test_gaps_are_filled_as_the_profile_says():
+def test_gaps_are_filled_as_the_profile_says(tmp_path):
     """A gap of 6 m in a roof is part of its region where all cells are interpolated, as in mongus2013 (M8)."""
     rng = np.random.default_rng(2)
     x, y = rng.uniform(0, 50, (2, 10_000))
@@ -147,6 +147,7 @@ def test_gaps_are_filled_as_the_profile_says():
     gap = (np.abs(x - 25) < 3) & (np.abs(y - 25) < 3)
     z = np.where(roof, 6.0, 0.0) + rng.normal(0, 0.01, x.size)
     points = PointCloud(x[~gap] + 389_000, y[~gap] + 5_821_000, z[~gap], CRS.from_epsg(32633))
+    inputs = Inputs((write_points(tmp_path / "roof.laz", points),))
     areas = {}
     for gaps in ("near", "all"):
         params = with_values(profile(), {"flatregions": {"gaps": gaps}})
