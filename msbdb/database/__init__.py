@@ -9,7 +9,7 @@ from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_sche
 from msbdb.database.admin.roles import ROLES, grant_role
 from msbdb.database.admin.soundness import CHECKS, check_database
 from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened, shown, upgrade_database
-from msbdb.database.history.imports import write_import, write_samples, write_state
+from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.periods import (
     database_crs_of,
     first_day,

@@ -1,6 +1,6 @@
 """The tables of the database, each column of which is declared here once, and the values that go with them."""
 
-from msbdb.tables.declare import Check, Column, Index, Reference, Table, Unique, validate
+from msbdb.tables.declaration import Check, Column, Index, KeyReference, Table, Unique, validate
 from msbdb.tables.inventory_tables import (
     BUILDING_CHANGE,
     BUILDING_VERSION,
@@ -79,7 +79,7 @@ __all__ = [
     "Column",
     "Counts",
     "Index",
-    "Reference",
+    "KeyReference",
     "Run",
     "Source",
     "Survey",

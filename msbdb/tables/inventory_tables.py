@@ -7,7 +7,7 @@ they need and so outlive rebuilds; hence ``building_version.building_id`` is no 
 
 from dataclasses import replace
 
-from msbdb.tables.declare import Check, Column, Index, Table, one_of, only_stored, shares
+from msbdb.tables.declaration import Check, Column, Index, Table, one_of, only_stored, shares
 from msbdb.tables.run_tables import BUILDING, BUILDING_STATES, EXTRACTOR_SHARES
 
 CHANGE_KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")

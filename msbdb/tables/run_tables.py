@@ -6,13 +6,13 @@ import pandas as pd
 
 from msbdb.errors import TableError
 from msbdb.params import DETECTORS, POINT_DETECTORS
-from msbdb.tables.declare import (
+from msbdb.tables.declaration import (
     RUN_ID,
     RUN_KEY,
     Check,
     Column,
     Index,
-    Reference,
+    KeyReference,
     Table,
     Unique,
     one_of,
@@ -168,7 +168,7 @@ SPECTRAL_CLASS_BAND = Table(
         Column("band", "str", "-", "name of the band", primary=True),
         Column("mean", "float64", "DN", "mean value of the band in the class, in the source's units"),
     ),
-    rules=(Reference(("run_id", "speindex"), "spectral_class", ("run_id", "speindex"), cascade=True),),
+    rules=(KeyReference(("run_id", "speindex"), "spectral_class", ("run_id", "speindex"), cascade=True),),
 )
 
 # One foreign key and two checks hold the forest (V33): the father exists, in the same run and tree, on the scale that
@@ -212,14 +212,14 @@ PART = Table(
     ),
     rules=(
         Unique(("part_id", "scale", "root_id", "run_id")),
-        Reference(
+        KeyReference(
             ("father_id", "supscale", "root_id", "run_id"),
             "part",
             ("part_id", "scale", "root_id", "run_id"),
             deferred=True,
         ),
-        Reference(("run_id", "scale"), "scale", ("run_id", "scale")),
-        Reference(("run_id", "class_id"), "spectral_class", ("run_id", "speindex")),
+        KeyReference(("run_id", "scale"), "scale", ("run_id", "scale")),
+        KeyReference(("run_id", "class_id"), "spectral_class", ("run_id", "speindex")),
         Check("part_id", "part_id > 0"),
         Check(
             "father",
@@ -286,8 +286,8 @@ BUILDING = Table(
     ),
     rules=(
         Unique(("root_id",)),
-        Reference(("root_id",), "part", ("part_id",), deferred=True),
-        Reference(("run_id", "class_id"), "spectral_class", ("run_id", "speindex")),
+        KeyReference(("root_id",), "part", ("part_id",), deferred=True),
+        KeyReference(("run_id", "class_id"), "spectral_class", ("run_id", "speindex")),
         Check("building_id", "building_id > 0"),
         one_of("state", BUILDING_STATES),
         Check("size", "storeys >= 0 AND area_m2 > 0"),

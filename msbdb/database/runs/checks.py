@@ -15,13 +15,13 @@ from msbdb.tables import (
     CANDIDATE_REGION,
     REJECTION,
     TABLES,
-    Reference,
+    KeyReference,
     Table,
     Unique,
     validate,
     validate_parts,
 )
-from msbdb.tables.declare import RUN_ID
+from msbdb.tables.declaration import RUN_ID
 from msbdb.threads import cores, in_threads
 
 _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
@@ -141,7 +141,7 @@ def references(table: Table) -> Iterator[tuple[str, str, str, bool]]:
             other, key = column.refers.split(".")
             yield column.name, other, key, False
     for rule in table.rules:
-        if isinstance(rule, Reference):
+        if isinstance(rule, KeyReference):
             pairs = [(own, to) for own, to in zip(rule.columns, rule.to, strict=True) if own != RUN_ID.name]
             if len(pairs) == 1:
                 [(own, key)] = pairs

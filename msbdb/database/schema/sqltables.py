@@ -6,7 +6,7 @@ import sqlalchemy as sa
 from geoalchemy2 import Geometry
 from sqlalchemy.types import TypeEngine
 
-from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Check, Column, Index, Reference, Table, Unique
+from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Check, Column, Index, KeyReference, Table, Unique
 
 METADATA = sa.MetaData(
     naming_convention={
@@ -66,7 +66,7 @@ def _column(table: Table, column: Column) -> sa.Column[Any]:
     )
 
 
-def _rule(rule: Check | Unique | Reference) -> sa.Constraint:
+def _rule(rule: Check | Unique | KeyReference) -> sa.Constraint:
     """Return a declared rule as a constraint."""
     if isinstance(rule, Check):
         return sa.CheckConstraint(rule.rule, name=rule.name)

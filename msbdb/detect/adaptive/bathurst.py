@@ -43,7 +43,7 @@ UPPER = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ClusterStep:
     """One step: the distance of the cut, metres, and the least that a cluster must have."""
 
     distance_m: float
@@ -55,7 +55,7 @@ class Step:
     level_per_split: float
 
 
-def ladder(params: AdaptiveParams, spacing_m: float) -> list[Step]:
+def ladder(params: AdaptiveParams, spacing_m: float) -> list[ClusterStep]:
     """Return the steps; each value goes evenly from the first one given to the last."""
     shares = np.linspace(0, 1, params.steps) if params.steps > 1 else np.ones(1)
 
@@ -63,7 +63,7 @@ def ladder(params: AdaptiveParams, spacing_m: float) -> list[Step]:
         return float(values[0] + share * (values[-1] - values[0]))
 
     return [
-        Step(
+        ClusterStep(
             max(at(params.link_factors, share) * spacing_m, params.link_least_m),
             at(params.points, share),
             at(params.area_m2, share),
@@ -89,7 +89,9 @@ def cluster(points: OffGround, chosen: Mask, distance_m: float) -> tuple[Labels,
     return labels, count
 
 
-def judge(points: OffGround, found: SurfaceEvidence, labels: Labels, count: int, step: Step) -> NDArray[np.object_]:
+def judge(
+    points: OffGround, found: SurfaceEvidence, labels: Labels, count: int, step: ClusterStep
+) -> NDArray[np.object_]:
     """Return for each cluster the first threshold that it fails, in words; empty where it passes all."""
     inside = np.flatnonzero(labels)
     member = labels[inside] - 1
@@ -284,7 +286,7 @@ def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) 
 
 
 def _without_vegetation(
-    points: OffGround, found: SurfaceEvidence, params: AdaptiveParams, step: Step, books: PointBooks
+    points: OffGround, found: SurfaceEvidence, params: AdaptiveParams, step: ClusterStep, books: PointBooks
 ) -> tuple[Labels, int]:
     """Cluster what is no vegetation, and book the clusters of what is."""
     kind = tell_vegetation(points, found, params)
@@ -298,7 +300,11 @@ def _without_vegetation(
 
 
 def _tightened(
-    points: OffGround, found: SurfaceEvidence, clusters: tuple[Labels, int], step: tuple[int, Step], books: PointBooks
+    points: OffGround,
+    found: SurfaceEvidence,
+    clusters: tuple[Labels, int],
+    step: tuple[int, ClusterStep],
+    books: PointBooks,
 ) -> tuple[Labels, int]:
     """Cut the clusters, which are labels and their number, at the step's distance, and drop those that fail."""
     (labels, count), (number, values) = clusters, step

@@ -9,7 +9,7 @@ from simulated.scenes import SCENES, scan
 
 from msbdb import api
 from msbdb.database import copy_database, open_database
-from msbdb.database.history.imports import write_state
+from msbdb.database.history.entries import write_state
 from msbdb.database.history.periods import footprint_at
 from msbdb.params import Params, with_values
 

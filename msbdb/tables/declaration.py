@@ -73,7 +73,7 @@ class Unique:
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class KeyReference:
     """Columns that refer to columns of another table; ``deferred`` ones are checked when the transaction ends."""
 
     columns: tuple[str, ...]
@@ -103,7 +103,7 @@ class Table:
         Its name and meaning.
     stored : tuple of Column
         All columns of the database in order, without the geometry.
-    rules : tuple of Check, Unique and Reference
+    rules : tuple of Check, Unique and KeyReference
         What every row keeps, besides the columns' own keys.
     indexes : tuple of Index
         What is looked up often.
@@ -116,7 +116,7 @@ class Table:
     name: str
     doc: str
     stored: tuple[Column, ...]
-    rules: tuple[Check | Unique | Reference, ...] = ()
+    rules: tuple[Check | Unique | KeyReference, ...] = ()
     indexes: tuple[Index, ...] = ()
     geometry: str | None = None
     digested: bool = False
