@@ -1,7 +1,4 @@
-"""The systematic offset of a survey to the inventory: estimated and reported, never mistaken for change.
-
-Where two surveys differ: pieces of the lattice that were built, are gone, or rose or sank.
-"""
+"""Differences between two surveys: the systematic offset, and the pieces of ground that were built or are gone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +12,8 @@ from skimage.morphology import isotropic_dilation, isotropic_opening
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import Labels, boxes, chosen_cells, label_zones, renumber, sizes
 from msbdb.params import ChangeParams
+
+Mask = NDArray[np.bool_]
 
 LIKE_OVERLAP = 0.6
 """Two footprints are taken for one building, to measure the offset, when they share this much of both."""
@@ -39,6 +38,47 @@ class Offset:
     dz_m: float
     pairs: int
     spread_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Epochs:
+    """Both sides of a comparison on the lattice of the later survey, the inventory shifted onto it.
+
+    Parameters
+    ----------
+    before, after : (H, W) ndarray of int32
+        Footprints: 0 for none, otherwise row number + 1 of the frame.
+    surveyed : (H, W) ndarray of bool
+        Where the later survey has heights, within the area of interest.
+    rise : Grid
+        Height above ground now less that of before, without the vertical offset, metres; invalid where the earlier one
+        is not known.
+    heights, earlier : Grid
+        Height above ground now and before, metres; the latter is invalid where it is not known.
+    """
+
+    before: Labels
+    after: Labels
+    surveyed: Mask
+    rise: Grid
+    heights: Grid
+    earlier: Grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Labelled pieces of change, each of ``least_m2`` and thick: ``gain``, ``loss`` and ``lift``, 0 for none.
+
+    ``fallen`` has all cells of the earlier footprints whose heights are gone, ``rose`` and ``sank`` those that stand
+    higher or lower than before, thick or not.
+    """
+
+    gain: Labels
+    loss: Labels
+    lift: Labels
+    fallen: Mask
+    rose: Mask
+    sank: Mask
 
 
 def estimate_offset(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, *, least_pairs: int) -> Offset:
@@ -85,17 +125,6 @@ def _agreed(rise: NDArray[np.float64]) -> float:
     return float(np.median(rise[near[first]]))
 
 
-def moved(shapes: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.object_]:
-    """Return geometries shifted in plan."""
-    return np.asarray(shapely.transform(shapes, lambda xy: xy + np.array([dx, dy])))
-
-
-def _middles(shapes: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Return the centres of the geometries' bounds, (N, 2)."""
-    bounds = shapely.bounds(shapes)
-    return np.asarray((bounds[:, :2] + bounds[:, 2:]) / 2)
-
-
 def _like(before: NDArray[np.object_], after: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.int64]:
     """Return the pairs (2, N) of footprints that share most of both, once the inventory is shifted."""
     shifted = moved(before, dx, dy)
@@ -105,48 +134,15 @@ def _like(before: NDArray[np.object_], after: NDArray[np.object_], dx: float, dy
     return np.asarray(found[:, shared >= LIKE_OVERLAP * larger])
 
 
-Mask = NDArray[np.bool_]
+def _middles(shapes: NDArray[np.object_]) -> NDArray[np.float64]:
+    """Return the centres of the geometries' bounds, (N, 2)."""
+    bounds = shapely.bounds(shapes)
+    return np.asarray((bounds[:, :2] + bounds[:, 2:]) / 2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Epochs:
-    """Both sides of a comparison on the lattice of the later survey, the inventory shifted onto it.
-
-    Parameters
-    ----------
-    before, after : (H, W) ndarray of int32
-        Footprints: 0 for none, otherwise row number + 1 of the frame.
-    surveyed : (H, W) ndarray of bool
-        Where the later survey has heights, within the area of interest.
-    rise : Grid
-        Height above ground now less that of before, without the vertical offset, metres; invalid where the earlier one
-        is not known.
-    heights, earlier : Grid
-        Height above ground now and before, metres; the latter is invalid where it is not known.
-    """
-
-    before: Labels
-    after: Labels
-    surveyed: Mask
-    rise: Grid
-    heights: Grid
-    earlier: Grid
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
-    """Labelled pieces of change, each of ``least_m2`` and thick: ``gain``, ``loss`` and ``lift``, 0 for none.
-
-    ``fallen`` has all cells of the earlier footprints whose heights are gone, ``rose`` and ``sank`` those that stand
-    higher or lower than before, thick or not.
-    """
-
-    gain: Labels
-    loss: Labels
-    lift: Labels
-    fallen: Mask
-    rose: Mask
-    sank: Mask
+def moved(shapes: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.object_]:
+    """Return geometries shifted in plan."""
+    return np.asarray(shapely.transform(shapes, lambda xy: xy + np.array([dx, dy])))
 
 
 def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Grid:

@@ -1,7 +1,6 @@
-"""Candidate regions of points: what the two detectors on the points share.
+"""Candidate regions of points: what both detectors on points share.
 
-Heights and NDVI of the points; labelled points on the lattice with means, centroids and ids; the ledger of rejected
-regions; and the outlines that make them regions of the lattice.
+They take heights and NDVI of the points, give their regions ids and rows on the lattice, and outline them.
 """
 
 from dataclasses import dataclass, replace
@@ -24,6 +23,11 @@ from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface import heights_above
 from msbdb.tables import REJECTION
+
+Floats = NDArray[np.float64]
+
+PLACES = 2**31
+"""Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,16 +56,54 @@ class Candidates:
     counts: dict[str, dict[str, int]]
 
 
-Floats = NDArray[np.float64]
+def point_heights(scene: Scene, params: Params) -> Floats:
+    """Return the points' heights above ground, metres.
 
-PLACES = 2**31
-"""Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
+    The quadratic ground filter gives them itself (C13, Eq. 6); any other filter gives a terrain to subtract.
+    """
+    surface, cloud = scene.require_surface(), scene.require_cloud()
+    if surface.ground_filter == "quadratic":
+        return np.asarray(cloud.z - ground_heights(cloud, params.ground))
+    return heights_above(cloud, surface.dtm)
 
 
-def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
-    """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
-    row, col = spec.rowcol(easting, northing)
-    return (row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2)
+def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | None:
+    """Return the vegetation index (nir - red) / (nir + red) of each point's cell.
+
+    Parameters
+    ----------
+    bands : Bands, optional
+        Of an orthophoto, or gridded from the points.
+    cloud : PointCloud
+        N points in the bands' CRS.
+
+    Returns
+    -------
+    (N,) ndarray of float32 or None
+        From -1 to 1; NaN where the cell has no colours or is black, or there is no cell. None without the bands
+        ``red`` and ``nir``.
+    """
+    red, nir = (None, None) if bands is None else (bands.band("red"), bands.band("nir"))
+    if bands is None or red is None or nir is None:
+        return None
+    total = red + nir
+    usable = bands.valid & (total > 0)
+    index: NDArray[np.float32] = np.full(red.shape, np.nan, dtype=np.float32)
+    np.divide(nir - red, total, out=index, where=usable)
+    return bands.spec.sample(index, cloud.x, cloud.y, outside=np.nan)
+
+
+def outlined(found: Candidates, scene: Scene, params: Params) -> Regions:
+    """Return candidate regions of points as regions of the lattice: the cells within their outlines (S7)."""
+    surface, cloud, spec = scene.require_surface(), scene.require_cloud(), scene.heights.spec
+    spacing_m = 1 / surface.density**0.5
+    outlines = outline_regions(
+        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=spacing_m, params=params.vector
+    )
+    table = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
+    return Regions(
+        found.method, rasterise(outlines, spec), table, found.rejections, found.counts, of_points=found.labels
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,6 +167,12 @@ class PlacedPoints:
         return part_ids(self.key, self.spec.cell_m, threshold_px=stage, row=row, col=col, piece=piece)
 
 
+def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
+    """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
+    row, col = spec.rowcol(easting, northing)
+    return (row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2)
+
+
 class PointBooks(Books):
     """The books of an extractor on points: labelled regions of points become ``tables.REJECTION``."""
 
@@ -167,53 +215,3 @@ class PointBooks(Books):
     def rejections(self) -> pd.DataFrame:
         """Return all lost regions in the order of writing."""
         return REJECTION.typed(self.lost(REJECTION.empty()))
-
-
-def point_heights(scene: Scene, params: Params) -> Floats:
-    """Return the points' heights above ground, metres.
-
-    The quadratic ground filter gives them itself (C13, Eq. 6); any other filter gives a terrain to subtract.
-    """
-    surface, cloud = scene.require_surface(), scene.require_cloud()
-    if surface.ground_filter == "quadratic":
-        return np.asarray(cloud.z - ground_heights(cloud, params.ground))
-    return heights_above(cloud, surface.dtm)
-
-
-def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | None:
-    """Return the vegetation index (nir - red) / (nir + red) of each point's cell.
-
-    Parameters
-    ----------
-    bands : Bands, optional
-        Of an orthophoto, or gridded from the points.
-    cloud : PointCloud
-        N points in the bands' CRS.
-
-    Returns
-    -------
-    (N,) ndarray of float32 or None
-        From -1 to 1; NaN where the cell has no colours or is black, or there is no cell. None without the bands
-        ``red`` and ``nir``.
-    """
-    red, nir = (None, None) if bands is None else (bands.band("red"), bands.band("nir"))
-    if bands is None or red is None or nir is None:
-        return None
-    total = red + nir
-    usable = bands.valid & (total > 0)
-    index: NDArray[np.float32] = np.full(red.shape, np.nan, dtype=np.float32)
-    np.divide(nir - red, total, out=index, where=usable)
-    return bands.spec.sample(index, cloud.x, cloud.y, outside=np.nan)
-
-
-def outlined(found: Candidates, scene: Scene, params: Params) -> Regions:
-    """Return candidate regions of points as regions of the lattice: the cells within their outlines (S7)."""
-    surface, cloud, spec = scene.require_surface(), scene.require_cloud(), scene.heights.spec
-    spacing_m = 1 / surface.density**0.5
-    outlines = outline_regions(
-        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=spacing_m, params=params.vector
-    )
-    table = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
-    return Regions(
-        found.method, rasterise(outlines, spec), table, found.rejections, found.counts, of_points=found.labels
-    )

@@ -1,7 +1,4 @@
-"""Evidence for parts and buildings: the regions of other extractors that confirm them, counted in shared cells.
-
-Buildings from parts: one building a tree, with a summary of its parts and heights (V30, V49).
-"""
+"""Buildings from the roots of the forest, and the regions of other detectors that support them (V30, V49)."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -19,132 +16,6 @@ if TYPE_CHECKING:
     import geopandas as gpd
 
 Ids = NDArray[np.int64]
-
-
-def link_labels(
-    one_labels: Sequence[Labels],
-    one_ids: Ids,
-    other_labels: Labels,
-    other_ids: Ids,
-    *,
-    table: Table,
-    cell_area_m2: float,
-) -> pd.DataFrame:
-    """Link regions of two kinds that share cells.
-
-    Parameters
-    ----------
-    one_labels : sequence of (H, W) ndarray of int32
-        Images of the one kind, such as one a scale (``Forest.labels``): 0 for none, otherwise index + 1 in
-        ``one_ids``.
-    one_ids : (N,) ndarray of int64
-        Ids of the regions of all these images.
-    other_labels : (H, W) ndarray of int32
-        0 for none, otherwise index + 1 in ``other_ids``.
-    other_ids : (M,) ndarray of int64
-        Ids of the regions of the other kind.
-    table : Table
-        The declaration of the links: the one id, the other id, the shared area, and its shares of both.
-    cell_area_m2 : float
-        Area of a cell.
-
-    Returns
-    -------
-    DataFrame
-        The declared table, in order of the one kind, and of the other within it.
-
-    Raises
-    ------
-    GridMismatchError
-        When the images differ in shape.
-    TableError
-        When a label has no id.
-
-    Notes
-    -----
-    Regions of one image are disjoint: the shares of a region add up to what the other image covers of it. Linear in
-    the cells for each image.
-    """
-    one, other, overlap, one_share, other_share = table.names
-    _require_ids(other_labels, other_ids, other)
-    counted = [_overlaps(labels, one_ids, other_labels, table) for labels in one_labels]
-    # A row without cells gives the columns where there is no image.
-    found = pd.concat([pd.DataFrame(columns=["one", "other", "cells", "one_cells"], dtype=np.int64), *counted])
-    found = found.sort_values(["one", "other"], ignore_index=True)
-    other_cells = sizes(other_labels, len(other_ids))
-    left, right, cells = (found[name].to_numpy() for name in ("one", "other", "cells"))
-    frame = pd.DataFrame(
-        {
-            one: one_ids[left],
-            other: other_ids[right],
-            overlap: cells * cell_area_m2,
-            one_share: cells / found["one_cells"].to_numpy(),
-            other_share: cells / other_cells[right],
-        }
-    )
-    return table.typed(frame)
-
-
-def covered_shares(part_ids: Ids, links: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the share of each part's area that the regions of one image cover, from 0 to 1.
-
-    A building's is that of its root, whose cells are the building's footprint.
-
-    Parameters
-    ----------
-    part_ids : (N,) ndarray of int64
-        Ids of the parts, or of the roots.
-    links : DataFrame
-        ``tables.PART_FLAT_REGION``, or ``tables.PART_CANDIDATE`` of one extractor.
-    """
-    shares = links.groupby("part_id")["part_share"].sum().reindex(part_ids, fill_value=0.0)
-    # Shares of disjoint regions may exceed 1 by the rounding of their sum.
-    return np.asarray(np.minimum(shares.to_numpy(dtype=np.float64), 1.0))
-
-
-def witnessed(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]]) -> pd.DataFrame:
-    """Return buildings with the other extractors' word: what each covers, and the state that follows.
-
-    A building that the classes confirm stays confirmed when at least half of the extractors that were heard cover at
-    least ``CONFIRMING_COVER`` of it each, and is unsure otherwise. Where none was heard, the classes' word stands.
-
-    Parameters
-    ----------
-    buildings : DataFrame
-        ``tables.BUILDING``.
-    shares : mapping of str to (N,) ndarray of float64
-        By extractor (``tables.EXTRACTOR_SHARES``), only those that were heard: the share of each footprint that its
-        regions cover.
-    """
-    speaking = np.zeros(len(buildings), dtype=np.int64)
-    for covered in shares.values():
-        speaking += covered >= CONFIRMING_COVER
-    confirmed = (buildings["state"] == "confirmed") & (2 * speaking >= len(shares))
-    columns = {EXTRACTOR_SHARES[name]: covered for name, covered in shares.items()}
-    return buildings.assign(**columns, state=np.where(confirmed, "confirmed", "unsure"))
-
-
-def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, table: Table) -> pd.DataFrame:
-    """Count the cells that regions of two images share: rows ``one, other, cells, one_cells``."""
-    if one_labels.shape != other_labels.shape:
-        msg = (
-            f"The regions of {table.name} must lie on one lattice; their labels have the shapes {one_labels.shape} and "
-            f"{other_labels.shape}. Take both from one build."
-        )
-        raise GridMismatchError(msg)
-    _require_ids(one_labels, one_ids, table.names[0])
-    first, second, cells = shared_cells(one_labels, other_labels)
-    one, other = first - 1, second - 1
-    one_cells = sizes(one_labels, len(one_ids))[one]
-    return pd.DataFrame({"one": one, "other": other, "cells": cells, "one_cells": one_cells})
-
-
-def _require_ids(labels: Labels, ids: Ids, what: str) -> None:
-    """Refuse labels beyond the ids."""
-    highest = int(labels.max(initial=0))
-    if highest > len(ids):
-        msg = f"The label {highest} has no {what}: there are {len(ids)} ids. Take labels and ids from one extraction."
-        raise TableError(msg)
 
 
 def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int32], ndsm: Grid) -> "gpd.GeoDataFrame":
@@ -223,4 +94,130 @@ def _require_roots(root_labels: NDArray[np.int32], is_root: NDArray[np.bool_]) -
             f"The labels must show the {np.count_nonzero(is_root)} roots of the {len(is_root)} parts and nothing "
             f"else; they show {np.count_nonzero(shown)} regions. Take both from one extraction."
         )
+        raise TableError(msg)
+
+
+def witnessed(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]]) -> pd.DataFrame:
+    """Return buildings with the other extractors' word: what each covers, and the state that follows.
+
+    A building that the classes confirm stays confirmed when at least half of the extractors that were heard cover at
+    least ``CONFIRMING_COVER`` of it each, and is unsure otherwise. Where none was heard, the classes' word stands.
+
+    Parameters
+    ----------
+    buildings : DataFrame
+        ``tables.BUILDING``.
+    shares : mapping of str to (N,) ndarray of float64
+        By extractor (``tables.EXTRACTOR_SHARES``), only those that were heard: the share of each footprint that its
+        regions cover.
+    """
+    speaking = np.zeros(len(buildings), dtype=np.int64)
+    for covered in shares.values():
+        speaking += covered >= CONFIRMING_COVER
+    confirmed = (buildings["state"] == "confirmed") & (2 * speaking >= len(shares))
+    columns = {EXTRACTOR_SHARES[name]: covered for name, covered in shares.items()}
+    return buildings.assign(**columns, state=np.where(confirmed, "confirmed", "unsure"))
+
+
+def covered_shares(part_ids: Ids, links: pd.DataFrame) -> NDArray[np.float64]:
+    """Return the share of each part's area that the regions of one image cover, from 0 to 1.
+
+    A building's is that of its root, whose cells are the building's footprint.
+
+    Parameters
+    ----------
+    part_ids : (N,) ndarray of int64
+        Ids of the parts, or of the roots.
+    links : DataFrame
+        ``tables.PART_FLAT_REGION``, or ``tables.PART_CANDIDATE`` of one extractor.
+    """
+    shares = links.groupby("part_id")["part_share"].sum().reindex(part_ids, fill_value=0.0)
+    # Shares of disjoint regions may exceed 1 by the rounding of their sum.
+    return np.asarray(np.minimum(shares.to_numpy(dtype=np.float64), 1.0))
+
+
+def link_labels(
+    one_labels: Sequence[Labels],
+    one_ids: Ids,
+    other_labels: Labels,
+    other_ids: Ids,
+    *,
+    table: Table,
+    cell_area_m2: float,
+) -> pd.DataFrame:
+    """Link regions of two kinds that share cells.
+
+    Parameters
+    ----------
+    one_labels : sequence of (H, W) ndarray of int32
+        Images of the one kind, such as one a scale (``Forest.labels``): 0 for none, otherwise index + 1 in
+        ``one_ids``.
+    one_ids : (N,) ndarray of int64
+        Ids of the regions of all these images.
+    other_labels : (H, W) ndarray of int32
+        0 for none, otherwise index + 1 in ``other_ids``.
+    other_ids : (M,) ndarray of int64
+        Ids of the regions of the other kind.
+    table : Table
+        The declaration of the links: the one id, the other id, the shared area, and its shares of both.
+    cell_area_m2 : float
+        Area of a cell.
+
+    Returns
+    -------
+    DataFrame
+        The declared table, in order of the one kind, and of the other within it.
+
+    Raises
+    ------
+    GridMismatchError
+        When the images differ in shape.
+    TableError
+        When a label has no id.
+
+    Notes
+    -----
+    Regions of one image are disjoint: the shares of a region add up to what the other image covers of it. Linear in
+    the cells for each image.
+    """
+    one, other, overlap, one_share, other_share = table.names
+    _require_ids(other_labels, other_ids, other)
+    counted = [_overlaps(labels, one_ids, other_labels, table) for labels in one_labels]
+    # A row without cells gives the columns where there is no image.
+    found = pd.concat([pd.DataFrame(columns=["one", "other", "cells", "one_cells"], dtype=np.int64), *counted])
+    found = found.sort_values(["one", "other"], ignore_index=True)
+    other_cells = sizes(other_labels, len(other_ids))
+    left, right, cells = (found[name].to_numpy() for name in ("one", "other", "cells"))
+    frame = pd.DataFrame(
+        {
+            one: one_ids[left],
+            other: other_ids[right],
+            overlap: cells * cell_area_m2,
+            one_share: cells / found["one_cells"].to_numpy(),
+            other_share: cells / other_cells[right],
+        }
+    )
+    return table.typed(frame)
+
+
+def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, table: Table) -> pd.DataFrame:
+    """Count the cells that regions of two images share: rows ``one, other, cells, one_cells``."""
+    if one_labels.shape != other_labels.shape:
+        msg = (
+            f"The regions of {table.name} must lie on one lattice; their labels have the shapes {one_labels.shape} and "
+            f"{other_labels.shape}. Take both from one build."
+        )
+        raise GridMismatchError(msg)
+    _require_ids(one_labels, one_ids, table.names[0])
+    first, second, cells = shared_cells(one_labels, other_labels)
+    one, other = first - 1, second - 1
+    one_cells = sizes(one_labels, len(one_ids))[one]
+    return pd.DataFrame({"one": one, "other": other, "cells": cells, "one_cells": one_cells})
+
+
+def _require_ids(labels: Labels, ids: Ids, what: str) -> None:
+    """Refuse labels beyond the ids."""
+    highest = int(labels.max(initial=0))
+    if highest > len(ids):
+        msg = f"The label {highest} has no {what}: there are {len(ids)} ids. Take labels and ids from one extraction."
         raise TableError(msg)

@@ -19,7 +19,6 @@ from msbdb.params import FuseParams, Params
 from msbdb.parts.forest import Forest
 
 Mask = NDArray[np.bool_]
-
 Field = NDArray[np.floating]
 
 
@@ -40,6 +39,40 @@ class RoofEvidence:
     heights: Grid
     roughness_m: Field
     roof_probability: Field
+
+
+def fuse(forest: Forest, flat: Regions | None, scene: Scene, params: Params) -> Labels | None:
+    """Fuse the footprints of the parts and the flat regions of a scene.
+
+    Parameters
+    ----------
+    forest : Forest
+        The parts.
+    flat : Regions, optional
+        The flat regions; None where they were not asked for.
+    scene : Scene
+        Heights, and the evidence of each cell.
+    params : Params
+        Section ``fuse``, and what `fuse_footprints` reads beside it.
+
+    Returns
+    -------
+    (H, W) ndarray of int32 or None
+        0 for none, otherwise row number + 1 in the buildings in order of their ids. A building may have no cell left.
+        None where one of the two detectors was not run.
+    """
+    if scene.evidence is None or flat is None:
+        return None
+    evidence = RoofEvidence(
+        scene.heights,
+        scene.evidence.roughness_mm.astype(np.float32) / np.float32(1000),
+        scene.evidence.roof_probability.astype(np.float32) / np.float32(CERTAIN),
+    )
+    labels = fuse_footprints(forest.root_labels, flat.firm_labels, evidence, params)
+    parts = forest.parts
+    roots = np.flatnonzero((parts["supid"] == 0).to_numpy())
+    roots = roots[np.argsort(parts["part_id"].to_numpy()[roots])]
+    return reorder(labels, roots, len(parts))
 
 
 def fuse_footprints(root_labels: Labels, region_labels: Labels, evidence: RoofEvidence, params: Params) -> Labels:
@@ -200,37 +233,3 @@ def _label_annexes(fused: Labels, annexes: Mask) -> Labels:
         if beside.any():
             fused[around][annex] = np.bincount(beside[beside > 0]).argmax()
     return fused
-
-
-def fuse(forest: Forest, flat: Regions | None, scene: Scene, params: Params) -> Labels | None:
-    """Fuse the footprints of the parts and the flat regions of a scene.
-
-    Parameters
-    ----------
-    forest : Forest
-        The parts.
-    flat : Regions, optional
-        The flat regions; None where they were not asked for.
-    scene : Scene
-        Heights, and the evidence of each cell.
-    params : Params
-        Section ``fuse``, and what `fuse_footprints` reads beside it.
-
-    Returns
-    -------
-    (H, W) ndarray of int32 or None
-        0 for none, otherwise row number + 1 in the buildings in order of their ids. A building may have no cell left.
-        None where one of the two detectors was not run.
-    """
-    if scene.evidence is None or flat is None:
-        return None
-    evidence = RoofEvidence(
-        scene.heights,
-        scene.evidence.roughness_mm.astype(np.float32) / np.float32(1000),
-        scene.evidence.roof_probability.astype(np.float32) / np.float32(CERTAIN),
-    )
-    labels = fuse_footprints(forest.root_labels, flat.firm_labels, evidence, params)
-    parts = forest.parts
-    roots = np.flatnonzero((parts["supid"] == 0).to_numpy())
-    roots = roots[np.argsort(parts["part_id"].to_numpy()[roots])]
-    return reorder(labels, roots, len(parts))

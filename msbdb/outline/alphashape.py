@@ -13,7 +13,6 @@ from msbdb.outline.thinning import pack, thinned
 from msbdb.threads import in_threads
 
 Floats = NDArray[np.float64]
-
 Mask = NDArray[np.bool_]
 
 GAP_CELLS = 2

@@ -14,7 +14,6 @@ from msbdb.outline.polygons import Geometries
 from msbdb.params import VectorParams
 
 Floats = NDArray[np.float64]
-
 Method = Literal["alpha", "hull"]
 
 METHODS = ("alpha", "hull")

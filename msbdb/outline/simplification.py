@@ -1,4 +1,4 @@
-"""Removal of the zig-zag of raster outlines, with shared edges kept shared."""
+"""Simplification: outlines of cells without their stairs, by Douglas-Peucker, with shared edges kept shared."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,6 @@ from msbdb.errors import InputError, ParameterError
 from msbdb.outline.polygons import Geometries
 
 Ints = NDArray[np.int64]
-
 Floats = NDArray[np.float64]
 
 LEVELS = 3

@@ -1,7 +1,4 @@
-"""Cells that hold points, numbered without the emptiness between islands that lie far apart.
-
-Which points can matter to alpha shapes: those near the rim of their region, and enough of the others.
-"""
+"""Thinning: only the points that matter to alpha shapes, those near the rim of a region and some around them."""
 
 from dataclasses import dataclass
 
@@ -13,8 +10,26 @@ from msbdb.order import order_of, ranks
 from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
-
 Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+REACH = 2
+"""The centre of a disc that touches a point lies at most so many cells (of half a radius) from the point's."""
+
+COARSE = 2 * REACH
+"""So many cells are twice the radius, the diameter of a disc."""
+
+GAP_CELLS = COARSE
+"""Wider empty bands are narrowed to it; a point covers the next cell at most, so one between stays uncovered."""
+
+WINDOW = 2 * REACH + 1
+"""Cells across the square in which the centre of a disc can lie."""
+
+SLACK = 1e-6
+"""A disc's radius, squared, in cells, is taken smaller by it, for coordinates are rounded."""
+
+NONE = np.iinfo(np.int32).max
+"""No point covers a cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,27 +64,6 @@ def pack(values: Floats, side_m: float, gap: int) -> Axis:
     occupied, place = ranks(np.floor(values / side_m).astype(np.int64))
     number = np.cumsum(np.minimum(np.diff(occupied, prepend=occupied[:1]), gap))
     return Axis(number[place], occupied, number)
-
-
-Mask = NDArray[np.bool_]
-
-REACH = 2
-"""The centre of a disc that touches a point lies at most so many cells (of half a radius) from the point's."""
-
-COARSE = 2 * REACH
-"""So many cells are twice the radius, the diameter of a disc."""
-
-GAP_CELLS = COARSE
-"""Wider empty bands are narrowed to it; a point covers the next cell at most, so one between stays uncovered."""
-
-WINDOW = 2 * REACH + 1
-"""Cells across the square in which the centre of a disc can lie."""
-
-SLACK = 1e-6
-"""A disc's radius, squared, in cells, is taken smaller by it, for coordinates are rounded."""
-
-NONE = np.iinfo(np.int32).max
-"""No point covers a cell."""
 
 
 def thinned(x: Floats, y: Floats, labels: Labels, radius_m: float) -> tuple[NDArray[np.intp], Mask]:

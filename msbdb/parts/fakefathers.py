@@ -18,46 +18,7 @@ from msbdb.parts.reshaping import as_rows, joined
 logger = logging.getLogger(__name__)
 
 FAKE = "fake father"
-
 GAP = "gap between the children of a fake father"
-
-
-def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: float) -> pd.DataFrame:
-    """Measure how the direct children of every cluster lie in it.
-
-    Parameters
-    ----------
-    clusters : Clusters
-        Clusters with their centroids.
-    father : (N,) ndarray of int64
-        Row number of each cluster's father, -1 for none.
-    cell_m : float
-        Side of a cell, metres.
-
-    Returns
-    -------
-    DataFrame
-        One row a cluster: ``children``, their number; ``stddis``, the population standard deviation of the distances
-        from their centroids to the father's, metres (V46), NaN without children; ``covered``, their area over the
-        father's.
-    """
-    rows = clusters.rows
-    count = len(rows)
-    area = rows["area"].to_numpy().astype(np.float64)
-    width = clusters.labels[0].shape[1]
-    row, col = np.divmod(rows["first"].to_numpy(), width)
-    down, right = offsets(rows, width)
-    child = np.flatnonzero(father != NONE)
-    of = father[child]
-    along_rows = (row[child] - row[of]) + (down[child] - down[of])
-    along_cols = (col[child] - col[of]) + (right[child] - right[of])
-    distance = np.hypot(along_rows, along_cols) * cell_m
-    children = np.bincount(of, minlength=count)
-    divisor = np.where(children > 0, children, np.nan)
-    mean = np.bincount(of, distance, count) / divisor
-    variance = np.bincount(of, (distance - mean[of]) ** 2, count) / divisor
-    covered = np.bincount(of, area[child], count) / area
-    return pd.DataFrame({"children": children, "stddis": np.sqrt(variance), "covered": covered})
 
 
 def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, smallest_px: int) -> Step:
@@ -114,6 +75,44 @@ def _find_fakes(clusters: Clusters, father: NDArray[np.int64], scale: ScaleParam
     many = spread["children"].to_numpy() >= scale.fake_father_min_children
     covered = spread["covered"].to_numpy() >= scale.fake_father_coverage
     return np.flatnonzero(root & many & covered & dispersed)
+
+
+def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: float) -> pd.DataFrame:
+    """Measure how the direct children of every cluster lie in it.
+
+    Parameters
+    ----------
+    clusters : Clusters
+        Clusters with their centroids.
+    father : (N,) ndarray of int64
+        Row number of each cluster's father, -1 for none.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    DataFrame
+        One row a cluster: ``children``, their number; ``stddis``, the population standard deviation of the distances
+        from their centroids to the father's, metres (V46), NaN without children; ``covered``, their area over the
+        father's.
+    """
+    rows = clusters.rows
+    count = len(rows)
+    area = rows["area"].to_numpy().astype(np.float64)
+    width = clusters.labels[0].shape[1]
+    row, col = np.divmod(rows["first"].to_numpy(), width)
+    down, right = offsets(rows, width)
+    child = np.flatnonzero(father != NONE)
+    of = father[child]
+    along_rows = (row[child] - row[of]) + (down[child] - down[of])
+    along_cols = (col[child] - col[of]) + (right[child] - right[of])
+    distance = np.hypot(along_rows, along_cols) * cell_m
+    children = np.bincount(of, minlength=count)
+    divisor = np.where(children > 0, children, np.nan)
+    mean = np.bincount(of, distance, count) / divisor
+    variance = np.bincount(of, (distance - mean[of]) ** 2, count) / divisor
+    covered = np.bincount(of, area[child], count) / area
+    return pd.DataFrame({"children": children, "stddis": np.sqrt(variance), "covered": covered})
 
 
 def _keep_remainders(clusters: Clusters, fake: NDArray[np.int64], father: NDArray[np.int64], smallest_px: int) -> Step:

@@ -1,7 +1,4 @@
-"""Links between fathers and children over all scales (V32, V33).
-
-Elimination of duplicates: one thing that shows on several scales stays on the coarsest (V27-V31).
-"""
+"""Links from each child to its father, and the duplicates that links reveal (V27 to V33)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +7,9 @@ from msbdb.parts.clusters import Clusters, Step
 
 NONE = -1
 """The father of a root."""
+
+SAME_STOREYS = "same storeys as its coarser cluster"
+SAME_AREA = "nearly the area of its coarser cluster"
 
 
 def link(clusters: Clusters) -> NDArray[np.int64]:
@@ -51,11 +51,6 @@ def find_roots(father: NDArray[np.int64]) -> NDArray[np.int64]:
     while (root != root[root]).any():
         root = root[root]
     return root
-
-
-SAME_STOREYS = "same storeys as its coarser cluster"
-
-SAME_AREA = "nearly the area of its coarser cluster"
 
 
 def drop_duplicates(clusters: Clusters, share: float, *, by_storeys: bool = True) -> Step:

@@ -12,7 +12,6 @@ from msbdb.parts.clusters import Clusters, Step
 from msbdb.parts.reshaping import cut, joined
 
 TOO_FEW = "too few cells of building classes"
-
 SPLIT = "split with its father into pieces smaller than the finest scale"
 
 

@@ -1,4 +1,4 @@
-"""The multi-scale extraction from end to end (Vu et al. 2009, section 3.2)."""
+"""The tree of parts, from heights and classes to a forest: all steps in their order (Vu et al. 2009, section 3.2)."""
 
 import logging
 from typing import Any
@@ -24,7 +24,6 @@ from msbdb.tables import SCALE
 logger = logging.getLogger(__name__)
 
 TOO_SMALL = "smaller than the finest scale"
-
 VEGETATION = "vegetation by its structure"
 
 

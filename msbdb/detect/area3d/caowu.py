@@ -1,4 +1,4 @@
-"""The extraction of building regions among the points from end to end (Cao & Wu, section 2.2)."""
+"""The area3d detector: building regions among the points, by 3-D area morphology at several heights (Cao & Wu, 2.2)."""
 
 import logging
 from dataclasses import replace
@@ -29,6 +29,33 @@ ORIGIN_M = 1000.0
 
 BLOCK_M = 16.0
 """Side of the blocks by which points are sorted: what a few thousand points take fits into the processor's cache."""
+
+
+def detect_area3d(scene: Scene, params: Params) -> Regions:
+    """Detect candidate regions among the points of a scene (C19): the detector ``area3d``.
+
+    Parameters
+    ----------
+    scene : Scene
+        With points and a surface.
+    params : Params
+        Sections ``area3d``, ``surface``, ``ground`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
+    """
+    cloud = scene.require_cloud()
+    found = extract_area3d(
+        cloud,
+        point_heights(scene, params),
+        spec=scene.heights.spec,
+        survey=scene.survey.name,
+        params=params,
+        ndvi=point_ndvi(scene.bands, cloud),
+    )
+    return outlined(found, scene, params)
 
 
 def extract_area3d(
@@ -233,30 +260,3 @@ def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.in
     found[order] = reorder(labels, by_id, len(by_id))
     rows = regions.iloc[by_id].reset_index(drop=True)
     return Candidates(METHOD, found, rows, books.rejections(), books.counts)
-
-
-def detect_area3d(scene: Scene, params: Params) -> Regions:
-    """Detect candidate regions among the points of a scene (C19): the detector ``area3d``.
-
-    Parameters
-    ----------
-    scene : Scene
-        With points and a surface.
-    params : Params
-        Sections ``area3d``, ``surface``, ``ground`` and ``vector``.
-
-    Returns
-    -------
-    Regions
-        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
-    """
-    cloud = scene.require_cloud()
-    found = extract_area3d(
-        cloud,
-        point_heights(scene, params),
-        spec=scene.heights.spec,
-        survey=scene.survey.name,
-        params=params,
-        ndvi=point_ndvi(scene.bands, cloud),
-    )
-    return outlined(found, scene, params)

@@ -1,6 +1,6 @@
-"""Change of curvature: what tells crowns from roofs among the points (Cao & Wu, Eq. 7).
+"""Change of curvature, which separates crowns from roofs, and the points that return to regions (Cao & Wu, Eq. 7).
 
-Points that return to a region: what the change of curvature took from its edges, and its walls (ours).
+The change of curvature also takes the edges and walls of a roof; `grow_regions` gives these points back (ours).
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,9 @@ from msbdb.threads import cores, in_threads
 
 BATCH = 1 << 13
 """Points worked on at once: their neighbours' coordinates stay in the processor's cache."""
+
+NEAREST = 3
+"""So many points of regions tell how high the roof is beside a point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,10 +142,6 @@ def smallest_share(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     ratio = np.clip(determinant / np.where(cube > 0, cube, 1.0), -1, 1)
     smallest = 1 / 3 + 2 * p * np.cos(np.arccos(ratio) / 3 + 2 * np.pi / 3)
     return np.where(trace > 0, np.maximum(smallest, 0), 0.0)
-
-
-NEAREST = 3
-"""So many points of regions tell how high the roof is beside a point."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""Height scales h_j: local minima of the histogram of the heights above ground (Cao & Wu, sections 2.2 and 3.2).
+"""Building regions at each height scale h_j, and their union over all heights (Cao & Wu, sections 2.2 and 3.2).
 
-Regions at the height scales, from the on-sets to the accepted ones, and their fusion (Cao & Wu, section 2.2).
+The height scales are local minima of the histogram of heights above ground.
 """
 
 import logging
@@ -19,11 +19,26 @@ from msbdb.params import Area3dParams
 from msbdb.points.graph import PointGraph, connect
 from msbdb.points.pointarea import components
 
+logger = logging.getLogger(__name__)
+
+Mask = NDArray[np.bool_]
+
 BINS = 100
 """Bars of the histogram (C14)."""
 
 BESIDE = 3
 """Bars to the left and to the right that a local minimum is compared with (C14)."""
+
+WITHIN = "within a region accepted at a lower height"
+SMALL = "smaller than T_a"
+LOOSE = "loose points, fewer than three connected"
+LEAVES = "change of curvature or echoes of a crown"
+REST = "smaller than T_a beside its crowns"
+CROWN = "a crown by its curvature and echoes"
+GREEN = "a crown by its NDVI"
+
+LEAST_POINTS = 3
+"""Fewer points span no area; those that lie near each other in plan share a row of the ledger."""
 
 
 def height_scales(heights: NDArray[np.float64], params: Area3dParams, *, mask_m: float) -> tuple[float, ...]:
@@ -82,28 +97,6 @@ def histogram_minima(heights: NDArray[np.float64], tail_percent: float = 0.0) ->
         for begin, end in zip(begins, ends, strict=True)
         if below[begin + 1 : end + 1].any()
     ]
-
-
-logger = logging.getLogger(__name__)
-
-WITHIN = "within a region accepted at a lower height"
-
-SMALL = "smaller than T_a"
-
-LOOSE = "loose points, fewer than three connected"
-
-LEAVES = "change of curvature or echoes of a crown"
-
-REST = "smaller than T_a beside its crowns"
-
-CROWN = "a crown by its curvature and echoes"
-
-GREEN = "a crown by its NDVI"
-
-LEAST_POINTS = 3
-"""Fewer points span no area; those that lie near each other in plan share a row of the ledger."""
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

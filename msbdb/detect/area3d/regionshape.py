@@ -1,8 +1,6 @@
-"""Shape of regions by their edge points (Cao & Wu, sections 2.1 and 2.2).
+"""The shape of regions of points, measured at their edge points, and the rules that accept a shape (Cao & Wu, 2.1, 2.2).
 
-Edge points of regions by the 8-directional neighbourhood (Cao & Wu, definitions 6 and 7).
-
-The rules that tell building regions by their shape (Cao & Wu, Eq. 8 and 9).
+Edge points come from the 8-directional neighbourhood (definitions 6 and 7), the rules from Eq. 8 and 9.
 """
 
 from dataclasses import dataclass
@@ -26,6 +24,12 @@ BATCH = 1 << 13
 
 APART = 3
 """The second main direction lies at least so many bars off the first."""
+
+ALL_SECTORS = 255
+"""A bit for each of the eight sectors."""
+
+WIDER = 1 + 1e-6
+"""Cells are this much wider than the reach, so that rounding puts no neighbour beyond the next cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +114,39 @@ def measure_shapes(
         linearity=np.bincount(member, linearity, count) / np.maximum(perimeter, 1),
         directions=main_directions(direction, member, count),
     )
+
+
+def judge(shapes: Shapes, params: Area3dParams) -> NDArray[np.int8]:
+    """Return (M,) the rule that accepts each region, 1 or 2; 0 for none (C18).
+
+    Notes
+    -----
+    Rule 1: rectangularity ≥ T_rect^1 and compactness ≥ T_comp. Rule 2, asked where rule 1 does not hold:
+    rectangularity ≥ T_rect^2 and compactness ≥ T_comp, and either the linearity ≥ T_line or the main directions are
+    perpendicular.
+    """
+    compact = shapes.compactness >= params.compactness
+    first = (shapes.rectangularity >= params.rectangularity_1) & compact
+    straight = shapes.linearity >= params.linearity
+    straight |= perpendicular(shapes.directions, params.perpendicular_deg)
+    second = (shapes.rectangularity >= params.rectangularity_2) & compact & straight
+    return np.where(first, 1, np.where(second, 2, 0)).astype(np.int8)
+
+
+def reasons_against(shapes: Shapes, rule: NDArray[np.int8], params: Area3dParams) -> NDArray[np.object_]:
+    """Return (M,) why each region is rejected, the first condition of rule 2 that fails; empty where it is accepted."""
+    found = np.full(len(rule), "neither straight nor perpendicular", dtype=object)
+    found[shapes.rectangularity < params.rectangularity_2] = "not rectangular enough"
+    found[shapes.compactness < params.compactness] = "not compact enough"
+    found[rule > 0] = ""
+    return found
+
+
+def perpendicular(directions: NDArray[np.float64], tolerance_deg: float) -> NDArray[np.bool_]:
+    """Return (M,) whether the two main directions of (M, 2) are at a right angle, within a tolerance; NaN never is."""
+    between = np.abs(directions[:, 0] - directions[:, 1])
+    square: NDArray[np.bool_] = np.abs(np.minimum(between, 180 - between) - 90) <= tolerance_deg
+    return square
 
 
 def bounding_rectangles(
@@ -266,13 +303,6 @@ def _mean_angles(
     return (middle + total) % 180
 
 
-ALL_SECTORS = 255
-"""A bit for each of the eight sectors."""
-
-WIDER = 1 + 1e-6
-"""Cells are this much wider than the reach, so that rounding puts no neighbour beyond the next cell."""
-
-
 def find_edges(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -364,36 +394,3 @@ def _sector(east: float, north: float) -> int:
     if east <= 0:  # turned back by a quarter into the first one
         east, north, sector = north, -east, sector + 2
     return sector + 1 if north >= east else sector
-
-
-def perpendicular(directions: NDArray[np.float64], tolerance_deg: float) -> NDArray[np.bool_]:
-    """Return (M,) whether the two main directions of (M, 2) are at a right angle, within a tolerance; NaN never is."""
-    between = np.abs(directions[:, 0] - directions[:, 1])
-    square: NDArray[np.bool_] = np.abs(np.minimum(between, 180 - between) - 90) <= tolerance_deg
-    return square
-
-
-def judge(shapes: Shapes, params: Area3dParams) -> NDArray[np.int8]:
-    """Return (M,) the rule that accepts each region, 1 or 2; 0 for none (C18).
-
-    Notes
-    -----
-    Rule 1: rectangularity ≥ T_rect^1 and compactness ≥ T_comp. Rule 2, asked where rule 1 does not hold:
-    rectangularity ≥ T_rect^2 and compactness ≥ T_comp, and either the linearity ≥ T_line or the main directions are
-    perpendicular.
-    """
-    compact = shapes.compactness >= params.compactness
-    first = (shapes.rectangularity >= params.rectangularity_1) & compact
-    straight = shapes.linearity >= params.linearity
-    straight |= perpendicular(shapes.directions, params.perpendicular_deg)
-    second = (shapes.rectangularity >= params.rectangularity_2) & compact & straight
-    return np.where(first, 1, np.where(second, 2, 0)).astype(np.int8)
-
-
-def reasons_against(shapes: Shapes, rule: NDArray[np.int8], params: Area3dParams) -> NDArray[np.object_]:
-    """Return (M,) why each region is rejected, the first condition of rule 2 that fails; empty where it is accepted."""
-    found = np.full(len(rule), "neither straight nor perpendicular", dtype=object)
-    found[shapes.rectangularity < params.rectangularity_2] = "not rectangular enough"
-    found[shapes.compactness < params.compactness] = "not compact enough"
-    found[rule > 0] = ""
-    return found

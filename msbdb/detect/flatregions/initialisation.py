@@ -1,8 +1,7 @@
-"""From metres to the cells of a square window.
+"""The surface without gaps and outliers, in which flat regions are detected (Mongus et al. 2013, sections 3.1 and 3.2).
 
-Initialisation: the lowest point of each cell, and inverse distance weighting between them (Mongus et al., §3.1).
-
-Removal of outliers: levelling by differential morphological profiles (Mongus et al. 2013, §3.2).
+Initialisation takes the lowest point of each cell and fills the other cells by inverse distance weighting. Levelling
+removes sharp peaks and steep valleys, found by differential morphological profiles.
 """
 
 import logging
@@ -20,18 +19,7 @@ from msbdb.params import FlatRegionParams
 from msbdb.points.cloud import PointCloud
 from msbdb.threads import kernel
 
-
-def window_px(size_m: float, cell_m: float) -> int:
-    """Return the side of the window w_S: S in whole cells, and one more where that is even; at least one cell (M11).
-
-    Examples
-    --------
-    >>> window_px(3.0, 0.3), window_px(3.0, 0.5), window_px(0.2, 0.5)
-    (11, 7, 1)
-    """
-    cells = int(size_m / cell_m + 0.5)
-    return max(1, cells + (cells + 1) % 2)
-
+logger = logging.getLogger(__name__)
 
 NEAREST = 3
 """No fewer than the three nearest points (M8)."""
@@ -47,6 +35,35 @@ REACH = 6
 
 BATCH = 1 << 17
 """Cells filled at once, which bounds the memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Denoised:
+    """A surface without outliers.
+
+    Parameters
+    ----------
+    grid : Grid
+        The surface with outliers interpolated, float32 metres.
+    peaks, valleys : (H, W) ndarray of bool
+        The outliers T_o: sharp peaks and steep valleys.
+    """
+
+    grid: Grid
+    peaks: NDArray[np.bool_]
+    valleys: NDArray[np.bool_]
+
+
+def window_px(size_m: float, cell_m: float) -> int:
+    """Return the side of the window w_S: S in whole cells, and one more where that is even; at least one cell (M11).
+
+    Examples
+    --------
+    >>> window_px(3.0, 0.3), window_px(3.0, 0.5), window_px(0.2, 0.5)
+    (11, 7, 1)
+    """
+    cells = int(size_m / cell_m + 0.5)
+    return max(1, cells + (cells + 1) % 2)
 
 
 def initialise(points: PointCloud, spec: GridSpec, *, max_gap_m: float = 0.0) -> Grid:
@@ -86,136 +103,6 @@ def initialise(points: PointCloud, spec: GridSpec, *, max_gap_m: float = 0.0) ->
         wanted &= distance_transform_edt(wanted) <= max(max_gap_m / spec.cell_m, 2.0)
     values = fill_by_idw(np.where(known, lowest, 0.0), known, wanted)
     return Grid(values.astype(np.float32), known | wanted, spec)
-
-
-def fill_by_idw(
-    values: NDArray[np.float64], known: NDArray[np.bool_], wanted: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Interpolate cells from the nearest known ones by inverse distance weighting (Eq. 6; M8).
-
-    Parameters
-    ----------
-    values : (H, W) ndarray of float64
-        Heights where known. Not modified.
-    known : (H, W) ndarray of bool
-        The cells p_n of the neighbourhoods.
-    wanted : (H, W) ndarray of bool
-        The cells p* to interpolate; none of them known.
-
-    Returns
-    -------
-    (H, W) ndarray of float64
-        Interpolated where wanted, the values elsewhere.
-
-    Raises
-    ------
-    NodataError
-        When cells are wanted but none is known.
-
-    Notes
-    -----
-    g[p*] = Σ g[p] d^-2 / Σ d^-2 over the three nearest known cells and all that are as near as the third; so no
-    direction is preferred, and the order in which cells are found does not count. With fewer known cells, over all of
-    them. Distances are between centres. Cells with three known ones within ``REACH`` are filled by a search from near
-    to far; the others, O(n log n), by a KD-tree.
-    """
-    if not wanted.any():
-        return values.copy()
-    if not known.any():
-        msg = "No cell has a value from which others could be interpolated."
-        raise NodataError(msg)
-    filled, far = fill_near(values, known, wanted, _offsets(REACH))
-    return _fill_far(filled, known, far) if far.any() else filled
-
-
-def _fill_far(values: NDArray[np.float64], known: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Interpolate cells that are far from the known ones, by a KD-tree."""
-    targets = np.argwhere(wanted)
-    sources = np.argwhere(known)
-    tree = cKDTree(sources, balanced_tree=False, compact_nodes=False)
-    heights = values[known]
-    filled = values.copy()
-    found = np.empty(len(targets))
-    for start in range(0, len(targets), BATCH):
-        batch = targets[start : start + BATCH]
-        found[start : start + BATCH] = _weighted(tree, heights, sources, batch)
-    filled[wanted] = found
-    return filled
-
-
-def _offsets(reach: int) -> NDArray[np.int64]:
-    """Return (N, 3) row offset, column offset and squared distance, from near to far and then in row order."""
-    row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
-    squared = row**2 + col**2
-    order = np.argsort(squared, kind="stable")
-    order = order[(squared[order] > 0) & (squared[order] <= reach**2)]
-    return np.stack([row[order], col[order], squared[order]], axis=1)
-
-
-@kernel
-def fill_near(
-    values: NDArray[np.float64],
-    known: NDArray[np.bool_],
-    wanted: NDArray[np.bool_],
-    offsets: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Fill the wanted cells that have three known ones among the offsets; return the values, and the other cells."""
-    height, width = values.shape
-    filled, far = values.copy(), np.zeros(values.shape, dtype=np.bool_)
-    for row in range(height):
-        for col in range(width):
-            if not wanted[row, col]:
-                continue
-            found, limit, total, weights = 0, 0, 0.0, 0.0
-            for i in range(len(offsets)):
-                squared = offsets[i, 2]
-                if found >= NEAREST and squared > limit:
-                    break
-                r, c = row + offsets[i, 0], col + offsets[i, 1]
-                if r < 0 or c < 0 or r >= height or c >= width or not known[r, c]:
-                    continue
-                found, limit = found + 1, squared
-                total += values[r, c] / squared
-                weights += 1.0 / squared
-            if found < NEAREST:
-                far[row, col] = True
-            else:
-                filled[row, col] = total / weights
-    return filled, far
-
-
-def _weighted(
-    tree: cKDTree, heights: NDArray[np.float64], sources: NDArray[np.int64], targets: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the weighted mean of the nearest known cells of each target."""
-    most = min(MOST, len(sources))
-    _, near = tree.query(targets, k=np.arange(1, most + 1), workers=-1)
-    near.sort(axis=1)  # sums in row-major order of the cells, whatever the order of equally near ones
-    squared = ((sources[near] - targets[:, None, :]) ** 2).sum(axis=2)
-    limit = np.partition(squared, min(NEAREST, most) - 1, axis=1)[:, min(NEAREST, most) - 1]
-    weight = np.where(squared <= limit[:, None], squared.astype(np.float64) ** (-POWER / 2), 0.0)
-    mean: NDArray[np.float64] = (weight * heights[near]).sum(axis=1) / weight.sum(axis=1)
-    return mean
-
-
-logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Denoised:
-    """A surface without outliers.
-
-    Parameters
-    ----------
-    grid : Grid
-        The surface with outliers interpolated, float32 metres.
-    peaks, valleys : (H, W) ndarray of bool
-        The outliers T_o: sharp peaks and steep valleys.
-    """
-
-    grid: Grid
-    peaks: NDArray[np.bool_]
-    valleys: NDArray[np.bool_]
 
 
 def denoise(g: Grid, params: FlatRegionParams) -> Denoised:
@@ -275,3 +162,113 @@ def _exceeding(own: NDArray[np.float64], other: NDArray[np.float64], threshold: 
         return np.zeros(own.shape, dtype=np.bool_)
     # Heights are float32 beside R_g in float64: a response of just t must not miss it by rounding.
     return (own > other) & (own >= threshold - 1e-6)
+
+
+def fill_by_idw(
+    values: NDArray[np.float64], known: NDArray[np.bool_], wanted: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Interpolate cells from the nearest known ones by inverse distance weighting (Eq. 6; M8).
+
+    Parameters
+    ----------
+    values : (H, W) ndarray of float64
+        Heights where known. Not modified.
+    known : (H, W) ndarray of bool
+        The cells p_n of the neighbourhoods.
+    wanted : (H, W) ndarray of bool
+        The cells p* to interpolate; none of them known.
+
+    Returns
+    -------
+    (H, W) ndarray of float64
+        Interpolated where wanted, the values elsewhere.
+
+    Raises
+    ------
+    NodataError
+        When cells are wanted but none is known.
+
+    Notes
+    -----
+    g[p*] = Σ g[p] d^-2 / Σ d^-2 over the three nearest known cells and all that are as near as the third; so no
+    direction is preferred, and the order in which cells are found does not count. With fewer known cells, over all of
+    them. Distances are between centres. Cells with three known ones within ``REACH`` are filled by a search from near
+    to far; the others, O(n log n), by a KD-tree.
+    """
+    if not wanted.any():
+        return values.copy()
+    if not known.any():
+        msg = "No cell has a value from which others could be interpolated."
+        raise NodataError(msg)
+    filled, far = fill_near(values, known, wanted, _offsets(REACH))
+    return _fill_far(filled, known, far) if far.any() else filled
+
+
+def _offsets(reach: int) -> NDArray[np.int64]:
+    """Return (N, 3) row offset, column offset and squared distance, from near to far and then in row order."""
+    row, col = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    squared = row**2 + col**2
+    order = np.argsort(squared, kind="stable")
+    order = order[(squared[order] > 0) & (squared[order] <= reach**2)]
+    return np.stack([row[order], col[order], squared[order]], axis=1)
+
+
+@kernel
+def fill_near(
+    values: NDArray[np.float64],
+    known: NDArray[np.bool_],
+    wanted: NDArray[np.bool_],
+    offsets: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Fill the wanted cells that have three known ones among the offsets; return the values, and the other cells."""
+    height, width = values.shape
+    filled, far = values.copy(), np.zeros(values.shape, dtype=np.bool_)
+    for row in range(height):
+        for col in range(width):
+            if not wanted[row, col]:
+                continue
+            found, limit, total, weights = 0, 0, 0.0, 0.0
+            for i in range(len(offsets)):
+                squared = offsets[i, 2]
+                if found >= NEAREST and squared > limit:
+                    break
+                r, c = row + offsets[i, 0], col + offsets[i, 1]
+                if r < 0 or c < 0 or r >= height or c >= width or not known[r, c]:
+                    continue
+                found, limit = found + 1, squared
+                total += values[r, c] / squared
+                weights += 1.0 / squared
+            if found < NEAREST:
+                far[row, col] = True
+            else:
+                filled[row, col] = total / weights
+    return filled, far
+
+
+def _fill_far(values: NDArray[np.float64], known: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Interpolate cells that are far from the known ones, by a KD-tree."""
+    targets = np.argwhere(wanted)
+    sources = np.argwhere(known)
+    tree = cKDTree(sources, balanced_tree=False, compact_nodes=False)
+    heights = values[known]
+    filled = values.copy()
+    found = np.empty(len(targets))
+    for start in range(0, len(targets), BATCH):
+        batch = targets[start : start + BATCH]
+        found[start : start + BATCH] = _weighted(tree, heights, sources, batch)
+    filled[wanted] = found
+    return filled
+
+
+def _weighted(
+    tree: cKDTree, heights: NDArray[np.float64], sources: NDArray[np.int64], targets: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the weighted mean of the nearest known cells of each target."""
+    most = min(MOST, len(sources))
+    _, near = tree.query(targets, k=np.arange(1, most + 1), workers=-1)
+    near.sort(axis=1)  # sums in row-major order of the cells, whatever the order of equally near ones
+    squared = ((sources[near] - targets[:, None, :]) ** 2).sum(axis=2)
+    limit = np.partition(squared, min(NEAREST, most) - 1, axis=1)[:, min(NEAREST, most) - 1]
+    weight = np.where(squared <= limit[:, None], squared.astype(np.float64) ** (-POWER / 2), 0.0)
+    mean: NDArray[np.float64] = (weight * heights[near]).sum(axis=1) / weight.sum(axis=1)
+    return mean

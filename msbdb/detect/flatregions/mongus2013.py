@@ -1,4 +1,4 @@
-"""The extraction of flat regions from end to end (Mongus et al. 2013, section 3)."""
+"""The detector of flat regions, from a surface to regions of compact shape (Mongus et al. 2013, section 3)."""
 
 import logging
 from dataclasses import dataclass
@@ -23,13 +23,9 @@ from msbdb.tables import FLAT_REGION
 logger = logging.getLogger(__name__)
 
 PEAK = "sharp peak"
-
 VALLEY = "steep valley"
-
 ROUGH = "too rough for its size in every zone"
-
 THIN = "thinner than the opening"
-
 LONG = "too long and thin"
 
 
@@ -63,6 +59,55 @@ class FlatRegions:
     firm: NDArray[np.bool_]
     zones: NDArray[np.int32]
     denoised: Grid
+
+
+def detect_flat_regions(scene: Scene, params: Params) -> Regions:
+    """Detect flat regions in a scene (M22): the detector ``flatregions``.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of points, the lowest echo of each cell counts (M8); of rasters, the surface as it is.
+    params : Params
+        Sections ``flatregions``, ``surface`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.FLAT_REGION`` and outlines.
+    """
+    spec = scene.heights.spec
+    found = extract_flat_regions(
+        lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
+    )
+    order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
+    labels = reorder(found.labels, order, len(order))
+    traced = polygonise(labels, spec, len(order))
+    outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
+    regions = found.regions.iloc[order].reset_index(drop=True)
+    table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]
+    firm = None if found.firm[found.labels > 0].all() else found.firm
+    return Regions("flatregions", labels, table, found.rejections, found.counts, firm=firm)
+
+
+def lowest_surface(scene: Scene, params: Params) -> Grid:
+    """Return the surface in which flat regions are sought (M7, M8), metres.
+
+    The terrain is subtracted with ``flatregions.on`` 'ndsm'. Valid where both surfaces are.
+    """
+    surface, cloud = scene.require_surface(), scene.cloud
+    lowest = surface.dsm
+    if cloud is not None:
+        max_gap_m = params.surface.max_gap_m if params.flatregions.gaps == "near" else 0.0
+        lowest = initialise(cloud, scene.heights.spec, max_gap_m=max_gap_m)
+    return above_ground(lowest, surface.dtm) if params.flatregions.on == "ndsm" else lowest
+
+
+def above_ground(surface: Grid, dtm: Grid) -> Grid:
+    """Subtract the terrain from another surface than the DSM; valid where both are, 0 elsewhere."""
+    valid = surface.valid & dtm.valid
+    height = np.asarray(surface.values, dtype=np.float32) - np.asarray(dtm.values, dtype=np.float32)
+    return Grid(np.where(valid, height, np.float32(0)), valid, surface.spec)
 
 
 def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params) -> FlatRegions:
@@ -127,13 +172,11 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     return FlatRegions(labels, regions, books.rejections(), books.counts, firm, found.zones, denoised.grid)
 
 
-def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_]:
-    """Return (H, W) bool, the cells of regions without those that R as it is given would not leave.
-
-    A region of which it would leave less than half of the flat cells is gone as a whole, with its edges.
-    """
-    flat, firm = (sizes(labels[mask], count) for mask in (found.flat, found.firm))
-    return chosen_cells(labels, 2 * firm >= flat) & (found.firm | ~found.flat)
+def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
+    """Write peaks and valleys into the ledger."""
+    dropped = books.reject("denoising", PEAK, denoised.peaks)
+    dropped += books.reject("denoising", VALLEY, denoised.valleys)
+    books.count("denoising", dropped, 0, dropped)
 
 
 def level_ground(heights: Grid, mask_m: float) -> Grid:
@@ -171,57 +214,10 @@ def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float,
     return kept
 
 
-def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
-    """Write peaks and valleys into the ledger."""
-    dropped = books.reject("denoising", PEAK, denoised.peaks)
-    dropped += books.reject("denoising", VALLEY, denoised.valleys)
-    books.count("denoising", dropped, 0, dropped)
+def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_]:
+    """Return (H, W) bool, the cells of regions without those that R as it is given would not leave.
 
-
-def detect_flat_regions(scene: Scene, params: Params) -> Regions:
-    """Detect flat regions in a scene (M22): the detector ``flatregions``.
-
-    Parameters
-    ----------
-    scene : Scene
-        Of points, the lowest echo of each cell counts (M8); of rasters, the surface as it is.
-    params : Params
-        Sections ``flatregions``, ``surface`` and ``vector``.
-
-    Returns
-    -------
-    Regions
-        The table has the columns of ``tables.FLAT_REGION`` and outlines.
+    A region of which it would leave less than half of the flat cells is gone as a whole, with its edges.
     """
-    spec = scene.heights.spec
-    found = extract_flat_regions(
-        lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
-    )
-    order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
-    labels = reorder(found.labels, order, len(order))
-    traced = polygonise(labels, spec, len(order))
-    outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
-    regions = found.regions.iloc[order].reset_index(drop=True)
-    table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]
-    firm = None if found.firm[found.labels > 0].all() else found.firm
-    return Regions("flatregions", labels, table, found.rejections, found.counts, firm=firm)
-
-
-def lowest_surface(scene: Scene, params: Params) -> Grid:
-    """Return the surface in which flat regions are sought (M7, M8), metres.
-
-    The terrain is subtracted with ``flatregions.on`` 'ndsm'. Valid where both surfaces are.
-    """
-    surface, cloud = scene.require_surface(), scene.cloud
-    lowest = surface.dsm
-    if cloud is not None:
-        max_gap_m = params.surface.max_gap_m if params.flatregions.gaps == "near" else 0.0
-        lowest = initialise(cloud, scene.heights.spec, max_gap_m=max_gap_m)
-    return above_ground(lowest, surface.dtm) if params.flatregions.on == "ndsm" else lowest
-
-
-def above_ground(surface: Grid, dtm: Grid) -> Grid:
-    """Subtract the terrain from another surface than the DSM; valid where both are, 0 elsewhere."""
-    valid = surface.valid & dtm.valid
-    height = np.asarray(surface.values, dtype=np.float32) - np.asarray(dtm.values, dtype=np.float32)
-    return Grid(np.where(valid, height, np.float32(0)), valid, surface.spec)
+    flat, firm = (sizes(labels[mask], count) for mask in (found.flat, found.firm))
+    return chosen_cells(labels, 2 * firm >= flat) & (found.firm | ~found.flat)

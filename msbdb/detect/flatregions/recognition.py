@@ -1,7 +1,4 @@
-"""Recognition of buildings: the flat regions' outlines decide (Mongus et al. 2013, §3.4).
-
-Flat regions as rows: ids, attributes, and the ledger of what was rejected.
-"""
+"""Recognition: which flat regions have the shape of a building, and their rows and ledger (Mongus et al. 2013, section 3.4)."""
 
 import numpy as np
 import pandas as pd
@@ -18,8 +15,44 @@ from msbdb.morphology.windows import opening
 from msbdb.tables import FLAT_REGION, REJECTION
 
 SIDES = ((-1, 0), (0, -1), (0, 1), (1, 0))
-
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+
+KIND = "\0flat region"
+"""Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
+
+METHOD = "flatregions"
+
+STAGES = ("denoising", "ratio", "opening", "compactness")
+"""The stages that reject regions, in order."""
+
+
+class FlatBooks(Books):
+    """The books of the flat regions: lost regions of cells become ``tables.REJECTION``."""
+
+    def __init__(self, spec: GridSpec, survey: str) -> None:
+        super().__init__(METHOD)
+        self.spec, self.survey = spec, survey
+
+    def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
+        """Write the 8-connected regions of a mask, or those of labels, into the ledger, a row each; return how many."""
+        labels, count = label_zones(regions)
+        table = measure(labels, count)
+        xcen, ycen = centroids(table, self.spec)
+        rows = pd.DataFrame(
+            {
+                "region_id": region_ids(table, self.spec, self.survey, stage=1 + STAGES.index(stage)),
+                "reason": reason,
+                "scale": 0,
+                "area_m2": table["area"] * self.spec.cell_area_m2,
+                "xcen": xcen,
+                "ycen": ycen,
+            }
+        )
+        return self.write(stage, rows)
+
+    def rejections(self) -> pd.DataFrame:
+        """Return all lost regions in the order of the stages."""
+        return REJECTION.typed(self.lost(REJECTION.empty()))
 
 
 def clean(flat: NDArray[np.bool_], size_m: float, cell_m: float) -> NDArray[np.bool_]:
@@ -105,44 +138,6 @@ def measure_shapes(labels: Labels, cell_m: float) -> pd.DataFrame:
     table = pd.DataFrame({"area_m2": area, "perimeter_m": perimeter})
     table["compactness"] = perimeter**2 / (4 * np.pi * area)
     return table
-
-
-KIND = "\0flat region"
-"""Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
-
-METHOD = "flatregions"
-
-STAGES = ("denoising", "ratio", "opening", "compactness")
-"""The stages that reject regions, in order."""
-
-
-class FlatBooks(Books):
-    """The books of the flat regions: lost regions of cells become ``tables.REJECTION``."""
-
-    def __init__(self, spec: GridSpec, survey: str) -> None:
-        super().__init__(METHOD)
-        self.spec, self.survey = spec, survey
-
-    def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
-        """Write the 8-connected regions of a mask, or those of labels, into the ledger, a row each; return how many."""
-        labels, count = label_zones(regions)
-        table = measure(labels, count)
-        xcen, ycen = centroids(table, self.spec)
-        rows = pd.DataFrame(
-            {
-                "region_id": region_ids(table, self.spec, self.survey, stage=1 + STAGES.index(stage)),
-                "reason": reason,
-                "scale": 0,
-                "area_m2": table["area"] * self.spec.cell_area_m2,
-                "xcen": xcen,
-                "ycen": ycen,
-            }
-        )
-        return self.write(stage, rows)
-
-    def rejections(self) -> pd.DataFrame:
-        """Return all lost regions in the order of the stages."""
-        return REJECTION.typed(self.lost(REJECTION.empty()))
 
 
 def describe(labels: Labels, binarised: Binarised, heights: Grid, survey: str) -> pd.DataFrame:
