@@ -1,11 +1,11 @@
-"""The books of an extraction: what each stage took in, kept and dropped, so that nothing vanishes silently."""
+"""The ledger of an extraction: what each stage took in, kept and dropped, so that nothing vanishes silently."""
 
 import pandas as pd
 
 from msbdb.errors import TableError
 
 
-class Books:
+class Ledger:
     """Counts by stage, checked to balance, and the regions that were lost, a row each.
 
     Parameters

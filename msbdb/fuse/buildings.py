@@ -50,7 +50,7 @@ def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int3
       'refuted' takes a reference or an operator, so none is here.
     - ``storeys`` are those of the tallest part; heights are of all valid cells in the footprint. The volume is
       exact for a surface above flat ground: the sum of height times cell area, in which heights below 0 count as 0.
-    - The shares that other extractors cover are null, as nothing is known of them here; `evidence.witnessed` adds
+    - The shares that other extractors cover are null, as nothing is known of them here; `evidence.with_support` adds
       their word.
     """
     is_root = (parts["supid"] == 0).to_numpy()
@@ -97,7 +97,7 @@ def _require_roots(root_labels: NDArray[np.int32], is_root: NDArray[np.bool_]) -
         raise TableError(msg)
 
 
-def witnessed(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]]) -> pd.DataFrame:
+def with_support(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]]) -> pd.DataFrame:
     """Return buildings with the other extractors' word: what each covers, and the state that follows.
 
     A building that the classes confirm stays confirmed when at least half of the extractors that were heard cover at

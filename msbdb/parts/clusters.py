@@ -1,4 +1,4 @@
-"""Clusters: the flat zones of sliced heights on every scale, their rows, and the ledger of dropped ones (V17 to V26)."""
+"""Clusters: the flat zones of sliced heights on every scale, as rows, with the ledger of dropped ones (V17 to V26)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, measure, sizes
-from msbdb.ledger import Books
+from msbdb.ledger import Ledger
 from msbdb.params import SurfaceParams
 from msbdb.parts.adjacency import grow
 
@@ -70,10 +70,10 @@ class Step:
     pieces: int = 0
 
 
-class Ledger(Books):
+class ClusterLedger(Ledger):
     """Counts by stage, checked to balance, and the clusters that were lost; ``level`` is -1 where no scale applies."""
 
-    def book(self, stage: str, before: Clusters, step: Step, *, lost: bool = True) -> Clusters:
+    def record(self, stage: str, before: Clusters, step: Step, *, lost: bool = True) -> Clusters:
         """Book a stage and return the clusters that it leaves.
 
         Parameters

@@ -11,7 +11,7 @@ from msbdb.identity import part_ids
 from msbdb.labels import Labels, central_cells, centroids, height_statistics, order_heights, reorder
 from msbdb.landcover import ClassMap
 from msbdb.params import SurfaceParams
-from msbdb.parts.clusters import Clusters, Ledger, storeys
+from msbdb.parts.clusters import ClusterLedger, Clusters, storeys
 from msbdb.parts.fakefathers import spread_of_children
 from msbdb.parts.links import NONE, find_roots, link
 from msbdb.parts.spectrum import measure_spectrum
@@ -63,7 +63,7 @@ class Context:
     surface: SurfaceParams
 
 
-def grow_forest(clusters: Clusters, context: Context, ledger: Ledger) -> Forest:
+def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> Forest:
     """Give the clusters that are left their ids, fathers and attributes, and check the forest.
 
     Parameters
@@ -72,8 +72,8 @@ def grow_forest(clusters: Clusters, context: Context, ledger: Ledger) -> Forest:
         What the last stage left.
     context : Context
         Heights, classes (without them SPE is 0 and the building share null), scales, survey and storeys.
-    ledger : Ledger
-        The books of the stages.
+    ledger : ClusterLedger
+        The ledger of the stages.
 
     Raises
     ------

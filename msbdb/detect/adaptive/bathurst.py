@@ -1,4 +1,4 @@
-"""The adaptive detector: off-ground points without vegetation, clustered step by step (slides on adaptive filtering, S6).
+"""The adaptive detector: off-ground points without vegetation, clustered step by step (slides, S6).
 
 The clusters are those of single linkage, cut at shorter and shorter distances. At each step clusters that fail harder
 thresholds are dropped.
@@ -18,19 +18,26 @@ from msbdb.detect.adaptive.offground import (
     SCATTERED,
     OffGround,
     SurfaceEvidence,
+    classify_vegetation,
     off_ground,
     structure,
-    tell_vegetation,
 )
-from msbdb.detect.pointregions import Candidates, PlacedPoints, PointBooks, outlined, point_heights, point_ndvi
+from msbdb.detect.pointregions import (
+    Candidates,
+    PlacedPoints,
+    PointLedger,
+    describe_candidates,
+    detect_on_points,
+    in_order_of_ids,
+    strings_of_points,
+)
 from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import GridSpec
-from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, renumber, reorder, sizes
+from msbdb.labels import Labels, renumber
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams, Params
 from msbdb.points.cloud import PointCloud
 from msbdb.points.graph import linked
-from msbdb.tables import CANDIDATE_REGION
 from msbdb.threads import cores
 
 logger = logging.getLogger(__name__)
@@ -78,16 +85,7 @@ def detect_adaptive(scene: Scene, params: Params) -> Regions:
     Regions
         The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
     """
-    cloud = scene.require_cloud()
-    found = extract_adaptive(
-        cloud,
-        point_heights(scene, params),
-        spec=scene.heights.spec,
-        survey=scene.survey.name,
-        params=params,
-        ndvi=point_ndvi(scene.bands, cloud),
-    )
-    return outlined(found, scene, params)
+    return detect_on_points(extract_adaptive, scene, params)
 
 
 def extract_adaptive(
@@ -142,32 +140,29 @@ def extract_adaptive(
     own = params.adaptive
     points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
     placed = points.placed(spec, survey)
-    books = PointBooks(METHOD, placed)
+    ledger = PointLedger(METHOD, placed)
     found = structure(points, own)
     steps = ladder(own, points.spacing_m)
-    labels, count = _without_vegetation(points, found, own, steps[0], books)
+    labels, count = _without_vegetation(points, found, own, steps[0], ledger)
     for number, step in enumerate(steps, start=1):
-        labels, count = _tightened(points, found, (labels, count), (number, step), books)
+        labels, count = _tightened(points, found, (labels, count), (number, step), ledger)
     labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
     regions = describe(points, labels, count, placed)
-    order = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
-    full = np.zeros(len(cloud), dtype=np.int32)
-    full[points.index] = reorder(labels, order, count)
     logger.info("Adaptive: %d regions of %d off-ground points, spacing %.2f m", count, len(points), points.spacing_m)
-    return Candidates(METHOD, full, regions.iloc[order].reset_index(drop=True), books.rejections(), books.counts)
+    return in_order_of_ids(labels, regions, points.index, len(cloud), ledger)
 
 
 def _without_vegetation(
-    points: OffGround, found: SurfaceEvidence, params: AdaptiveParams, step: ClusterStep, books: PointBooks
+    points: OffGround, found: SurfaceEvidence, params: AdaptiveParams, step: ClusterStep, ledger: PointLedger
 ) -> tuple[Labels, int]:
-    """Cluster what is no vegetation, and book the clusters of what is."""
-    kind = tell_vegetation(points, found, params)
+    """Cluster what is no vegetation, and record the clusters of what is."""
+    kind = classify_vegetation(points, found, params)
     dropped = 0
     for number, reason in KINDS.items():
         lost, lost_count = cluster(points, kind == number, step.distance_m)
-        dropped += books.reject(VEGETATION, np.full(lost_count, reason, dtype=object), lost, number)
+        dropped += ledger.reject(VEGETATION, np.full(lost_count, reason, dtype=object), lost, number)
     labels, count = cluster(points, kind == 0, step.distance_m)
-    books.count(VEGETATION, count + dropped, count, dropped)
+    ledger.count(VEGETATION, count + dropped, count, dropped)
     return labels, count
 
 
@@ -176,7 +171,7 @@ def _tightened(
     found: SurfaceEvidence,
     clusters: tuple[Labels, int],
     step: tuple[int, ClusterStep],
-    books: PointBooks,
+    ledger: PointLedger,
 ) -> tuple[Labels, int]:
     """Cut the clusters, which are labels and their number, at the step's distance, and drop those that fail."""
     (labels, count), (number, values) = clusters, step
@@ -187,9 +182,9 @@ def _tightened(
     reasons = judge(points, found, *pieces, values)
     lost = reasons != ""
     rejected, _ = renumber(pieces[0], lost)
-    dropped = books.reject(stage, reasons[lost], rejected, len(KINDS) + number)
+    dropped = ledger.reject(stage, reasons[lost], rejected, len(KINDS) + number)
     kept, left = renumber(pieces[0], ~lost)
-    books.count(stage, count, left, dropped, pieces=pieces[1] - count)
+    ledger.count(stage, count, left, dropped, pieces=pieces[1] - count)
     return kept, left
 
 
@@ -291,37 +286,18 @@ def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) 
 def describe(points: OffGround, labels: Labels, count: int, placed: PlacedPoints) -> pd.DataFrame:
     """Return the rows of labelled regions (``tables.CANDIDATE_REGION``, without geometry), in the labels' order.
 
-    No edge points are sought: the perimeter is 0, and compactness, linearity and directions are not known.
+    The detector has no edge points: the perimeter is 0, and compactness, linearity and directions are not known.
     """
-    inside = np.flatnonzero(labels)
-    order = inside[np.argsort(points.heights[inside], kind="stable")]
-    statistics = height_statistics(labels, slice(0, count), HeightOrder(order.astype(np.int32), points.heights[order]))
-    area = placed.areas(labels, count)
     mbr = bounding_rectangles(points, labels, count)
-    xcen, ycen = placed.centroids(labels, count)
-    unknown = np.full(count, np.nan)
-    rows = pd.DataFrame(
-        {
-            "candidate_id": placed.ids(labels, count),
-            "method": METHOD,
-            "rule": RULE,
-            "height_scale_m": unknown,
-            "points": sizes(labels, count),
-            "area_m2": area,
-            "perimeter": 0,
-            "mbr_m2": mbr,
-            "rectangularity": area / mbr,
-            "compactness": unknown,
-            "linearity": unknown,
-            "direction_1": unknown,
-            "direction_2": unknown,
-            "ndvi": unknown if points.ndvi is None else region_means(points.ndvi, labels, count),
-            **{name: statistics[name].to_numpy() for name in statistics.columns},
-            "xcen": xcen,
-            "ycen": ycen,
-        }
-    )
-    return CANDIDATE_REGION.typed(rows)
+    unknown = ("height_scale_m", "compactness", "linearity", "direction_1", "direction_2")
+    shape = {
+        "rule": RULE,
+        "perimeter": 0,
+        "mbr_m2": mbr,
+        "rectangularity": placed.areas(labels, count) / mbr,
+        **dict.fromkeys(unknown, np.nan),
+    }
+    return describe_candidates(placed, labels, points.heights, points.ndvi, shape, method=METHOD)
 
 
 def bounding_rectangles(points: OffGround, labels: Labels, count: int) -> Floats:
@@ -332,10 +308,6 @@ def bounding_rectangles(points: OffGround, labels: Labels, count: int) -> Floats
     if not count:
         return np.zeros(0)
     inside = np.flatnonzero(labels)
-    order = inside[np.argsort(labels[inside], kind="stable")]
-    # As lines, which shapely builds faster than points; each begins with its first point twice, for it needs two.
-    first = np.flatnonzero(np.diff(labels[order], prepend=0))
-    order = np.insert(order, first, order[first])
-    lines = shapely.linestrings(np.column_stack((points.x[order], points.y[order])), indices=labels[order] - 1)
+    lines = strings_of_points(points.x[inside], points.y[inside], labels[inside] - 1)
     hulls = shapely.buffer(shapely.convex_hull(lines), points.spacing_m / 2, join_style="mitre", cap_style="square")
     return np.asarray(shapely.area(shapely.minimum_rotated_rectangle(hulls)))

@@ -168,7 +168,7 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
     return SurfaceEvidence(around[:, 0], around[:, 1])
 
 
-def tell_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:
+def classify_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:
     """Return for each point `GREEN`, `SCATTERED`, or 0 for what may be a roof.
 
     Green points are vegetation, unless their surroundings are as level as only a planted roof is. Of the others those

@@ -75,10 +75,10 @@ def initialise(points: PointCloud, spec: GridSpec, *, max_gap_m: float = 0.0) ->
         All echoes; outliers beyond reason are gone.
     spec : GridSpec
         The survey's lattice. Its cell is the mean spacing 1/sqrt(density) on a ladder of round values, our reading of
-        R_g (A10); so all extractors share one lattice.
+        R_g (A10); so all detectors share one lattice.
     max_gap_m : float
         Cells farther than this from one with a point, and than two cells, stay invalid. 0 fills all, as the paper
-        does: over water, too, where the surface would slope from quay to quay and be flat.
+        does. Then water is filled, too, as a flat slope from quay to quay.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def denoise(g: Grid, params: FlatRegionParams) -> Denoised:
     g : Grid
         The surface, metres.
     params : FlatRegionParams
-        ``s_max_m``, ``valley_factor`` and ``peak_factor``; a factor of 0 leaves that kind as it is.
+        ``s_max_m``, ``valley_factor`` and ``peak_factor``; with a factor of 0 that kind stays.
 
     Notes
     -----
@@ -138,8 +138,8 @@ def find_outliers(g: Grid, params: FlatRegionParams) -> tuple[NDArray[np.bool_],
     -----
     A cell is a peak where r(g) > r(-g), a valley where r(g) < r(-g), neither where they are equal (Eq. 7). Its response
     r̄ is the larger of the two (Eq. 8, read as a maximum: A11), and it is an outlier when r̄ ≥ t, with t = 2 R_g in
-    valleys and 4 R_g on peaks (Eq. 9, 10). Which threshold counts is told by the branch that was taken, not by
-    comparing scales (M10).
+    valleys and 4 R_g on peaks (Eq. 9, 10). The branch that was taken decides which threshold counts, not a comparison
+    of scales (M10).
     """
     cell_m = g.spec.cell_m
     none = np.zeros(g.spec.shape, dtype=np.bool_)
@@ -194,6 +194,15 @@ def fill_by_idw(
     direction is preferred, and the order in which cells are found does not count. With fewer known cells, over all of
     them. Distances are between centres. Cells with three known ones within ``REACH`` are filled by a search from near
     to far; the others, O(n log n), by a KD-tree.
+
+    Examples
+    --------
+    With d = 1, 1 and 2 the empty cell takes (2 + 4 + 4/4) / (1 + 1 + 1/4) = 3.11:
+
+    >>> lowest = np.array([[2.0, 0.0, 4.0, 4.0]])
+    >>> empty = np.array([[False, True, False, False]])
+    >>> fill_by_idw(lowest, ~empty, empty).round(2)
+    array([[2.  , 3.11, 4.  , 4.  ]])
     """
     if not wanted.any():
         return values.copy()
@@ -221,6 +230,7 @@ def fill_near(
     offsets: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Fill the wanted cells that have three known ones among the offsets; return the values, and the other cells."""
+    # Only known cells are read and only wanted ones written, so the order of the cells has no effect.
     height, width = values.shape
     filled, far = values.copy(), np.zeros(values.shape, dtype=np.bool_)
     for row in range(height):
@@ -230,11 +240,13 @@ def fill_near(
             found, limit, total, weights = 0, 0, 0.0, 0.0
             for i in range(len(offsets)):
                 squared = offsets[i, 2]
+                # Offsets rise in distance: beyond that of the third known cell none is nearer or as near.
                 if found >= NEAREST and squared > limit:
                     break
                 r, c = row + offsets[i, 0], col + offsets[i, 1]
                 if r < 0 or c < 0 or r >= height or c >= width or not known[r, c]:
                     continue
+                # `limit` is the distance of the last known cell, so ties with the third one still count.
                 found, limit = found + 1, squared
                 total += values[r, c] / squared
                 weights += 1.0 / squared
