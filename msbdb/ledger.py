@@ -1,4 +1,4 @@
-"""The ledger of an extraction: what each stage took in, kept and dropped, so that nothing vanishes silently."""
+"""The ledger of a detector: how many regions each stage takes, keeps and drops, and the dropped ones as rows."""
 
 import pandas as pd
 
@@ -11,7 +11,7 @@ class Ledger:
     Parameters
     ----------
     method : str
-        Name of the extractor.
+        Name of the detector.
 
     Attributes
     ----------

@@ -20,21 +20,26 @@ from msbdb.params import ChangeParams
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """What a survey did to the inventory.
+    """The changes that a survey shows in the inventory.
 
     Parameters
     ----------
     offset : Offset
-        How the survey lies to the inventory.
+        The systematic offset of the survey to the inventory.
     changes : DataFrame
-        A row a building, or a pair of buildings for ``merged`` and ``split``: ``kind``; ``before`` and ``after``, row
-        numbers of the two frames or -1; ``version``, row number of the building's new state in ``versions`` or -1; what
-        was modified (``outline``, ``height``, ``parts``); ``overlap_m2`` and
-        ``iou`` of the pair; ``dh_m``, median change of height where both stand; ``darea_m2``; ``note``.
+        A row a building, or a pair of buildings for ``merged`` and ``split``:
+
+        - ``kind``; ``before`` and ``after``, row numbers of the two frames or -1;
+        - ``version``, row number of the building's new state in ``versions`` or -1;
+        - ``outline``, ``height``, ``parts``: which of these were modified;
+        - ``overlap_m2`` and ``iou`` of the pair; ``dh_m``, median change of height on the footprint; ``darea_m2``;
+        - ``note``.
     versions : GeoDataFrame
-        The new state of every building that changed: ``before`` (row whose identity it continues, or -1 for a new
-        one), ``after`` (row whose attributes it has), ``adopted`` (its outline is that row's own, not one put together
-        here), and its geometry, in the survey's place.
+        The new state of every building that changed, with its geometry in the survey's place:
+
+        - ``before``: row whose identity it continues, or -1 for a new one;
+        - ``after``: row whose attributes it has;
+        - ``adopted``: whether its outline is that of this row, not one made here.
     """
 
     offset: Offset
@@ -67,7 +72,7 @@ def compare(
     surveyed : (H, W) ndarray of bool, optional
         The area of interest on the survey's lattice; all of it by default.
     params : ChangeParams, optional
-        What counts as change.
+        Thresholds of change.
 
     Returns
     -------
@@ -76,10 +81,9 @@ def compare(
 
     Notes
     -----
-    Buildings are compared by the pieces of ground that were built or are gone (`find_pieces`), not by how either
-    extraction cut a block into buildings: a row of houses that one survey sees as one building is unchanged while
-    nothing was built or pulled down. A piece belongs to the buildings that it touches within the thickness that
-    counts.
+    Buildings are compared by the pieces of ground that were built or are gone (`find_pieces`), not by how each build
+    divides a block into buildings. A row of houses that is one building in one survey is unchanged while nothing was
+    built or pulled down. A piece belongs to the buildings that it touches within the thickness that counts.
     """
     params = params or ChangeParams()
     offset = estimate_offset(before, after, least_pairs=params.offset_pairs)

@@ -63,7 +63,7 @@ class Clusters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """What a stage leaves: the clusters, the regions that it dropped (as rows with a ``reason``), new pieces."""
+    """The result of a stage: clusters, dropped regions (as rows with a ``reason``), and the number of new pieces."""
 
     clusters: Clusters
     dropped: pd.DataFrame
@@ -74,19 +74,19 @@ class ClusterLedger(Ledger):
     """Counts by stage, checked to balance, and the clusters that were lost; ``level`` is -1 where no scale applies."""
 
     def record(self, stage: str, before: Clusters, step: Step, *, lost: bool = True) -> Clusters:
-        """Book a stage and return the clusters that it leaves.
+        """Record a stage and return the clusters that it leaves.
 
         Parameters
         ----------
         stage : str
             Name of the stage.
         before : Clusters
-            What went in.
+            The clusters before the stage.
         step : Step
-            What the stage left.
+            The result of the stage.
         lost : bool
             Whether the dropped regions are lost and go to the ledger. Duplicates are only counted, as the coarser
-            cluster stands for them.
+            cluster covers them.
         """
         if lost:
             self.write(stage, step.dropped)
@@ -124,7 +124,13 @@ def slice_heights(ndsm: Grid, surface: SurfaceParams) -> NDArray[np.uint16]:
 
 
 def storeys(heights: NDArray[np.floating], surface: SurfaceParams) -> NDArray[np.int64]:
-    """Return the storeys (V18) of building heights in metres; at least 1, as a part is above ground by its zone."""
+    """Return the storeys H = 1 + floor((h - mask) / storey) of building heights in metres, at least 1 (V18).
+
+    Examples
+    --------
+    >>> storeys(np.array([2.0, 4.9, 5.0, 9.0]), SurfaceParams())
+    array([1, 1, 2, 3])
+    """
     return _slice(heights, surface.mask_m, surface.storey_m)
 
 
@@ -182,8 +188,8 @@ def merge_slivers(level: NDArray[Any], smallest_px: int, *, connectivity: int) -
 
     Notes
     -----
-    Ours. Opening and closing take away small extrema, but not the narrow zones between them, such as mixed cells
-    along a high wall. As parts these would be buildings of a few cells. Zones only merge, so V11 holds on.
+    Ours. Opening and closing remove small extrema, but not the narrow zones between them, such as mixed cells along a
+    high wall. As parts these would be buildings of a few cells. Zones only merge, so V11 still holds.
     """
     labels, count = label_zones(level, connectivity=connectivity)
     small = sizes(labels, count) < smallest_px

@@ -1,4 +1,4 @@
-"""Fake fathers: roots that only join what stands too near to each other (V46)."""
+"""Fake fathers: roots that only join neighbouring buildings, with children dispersed in them (V46)."""
 
 import logging
 from collections.abc import Iterator
@@ -30,8 +30,8 @@ def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, 
         Nested clusters.
     scale : ScaleParams
         A root is fake when it has at least ``fake_father_min_children`` direct children, they cover at least
-        ``fake_father_coverage`` of it, and StdDis / sqrt(area / pi) exceeds ``fake_father_ratio`` or StdDis exceeds
-        ``fake_father_m`` (where this is above 0).
+        ``fake_father_coverage`` of it, and they are dispersed. They are when StdDis / sqrt(area / pi) exceeds
+        ``fake_father_ratio``, or StdDis exceeds ``fake_father_m`` (where this is above 0).
     cell_m : float
         Side of a cell, metres.
     smallest_px : int
@@ -40,15 +40,15 @@ def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, 
     Returns
     -------
     Step
-        The children are as they were. Of the cells that only the father held, connected areas of at least
+        The children do not change. The cells that only the father held fall into connected areas. Areas of at least
         ``smallest_px`` that are mostly wider than two cells become roots on the father's scale, with ids of their own:
-        houses of the row that had been dropped as duplicates of it. The rest are gaps and go to the ledger.
+        houses of the row that were dropped as duplicates of it. The others are gaps and go to the ledger.
 
     Notes
     -----
     The paper states neither the threshold nor the action (A7). StdDis of children spread evenly over a disc is 0.24
-    of its radius, whatever the size; hence the ratio. StdDis cannot tell a row of houses from a large roof with a few
-    small parts far apart, but the share that the children cover can.
+    of its radius, whatever the size; hence the ratio. StdDis alone does not separate a row of houses from a large roof
+    with a few small parts far apart; the share that the children cover does.
     """
     before, father = clusters, link(clusters)
     fake: list[int] = []
@@ -95,6 +95,20 @@ def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: fl
         One row a cluster: ``children``, their number; ``stddis``, the population standard deviation of the distances
         from their centroids to the father's, metres (V46), NaN without children; ``covered``, their area over the
         father's.
+
+    Notes
+    -----
+    StdDis = √(1/n Σ (d_j - mean d)²) over the distances d_j of the n children.
+
+    Examples
+    --------
+    Three houses of 1, 3 and 1 cells in a row of 7: d = 3, 0 and 3 m, and StdDis = √((1 + 4 + 1) / 3) = 1.41 m:
+
+    >>> from msbdb.parts.clusters import label_clusters
+    >>> houses = np.array([[2, 1, 2, 2, 2, 1, 2]])
+    >>> clusters = label_clusters([np.where(houses > 1, houses, 0), np.ones_like(houses)], connectivity=8)
+    >>> spread_of_children(clusters, link(clusters), cell_m=1.0).round(2).loc[3].tolist()
+    [3.0, 1.41, 0.71]
     """
     rows = clusters.rows
     count = len(rows)
@@ -159,7 +173,7 @@ def _remainders(
 
 
 def _wide(pieces: NDArray[np.int32], count: int, smallest_px: int) -> NDArray[np.bool_]:
-    """Tell for each piece whether it is large, and at least half of it lies in squares of 3 by 3 cells within it."""
+    """Return which pieces are large, with at least half of their cells in squares of 3 by 3 cells within them."""
     area = sizes(pieces, count)
     inside = ndimage.binary_opening(pieces > 0, EIGHT)
     core = sizes(pieces[inside], count)

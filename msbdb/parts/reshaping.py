@@ -36,12 +36,12 @@ def cut_vegetation(clusters: Clusters, vegetation: NDArray[np.bool_], *, smalles
     Notes
     -----
     The band of a cluster is the dilation of its boundary cells by 3 by 3 (A6): three cells wide, on both sides of the
-    outline. A blob that meets the band gets mark 0 when it lies in the band wholly (a fringe of mixed cells: the roof
-    stays) and mark 1 otherwise (a tree that reaches in): its cells are taken from the cluster. A blob in the middle
-    of a roof meets no band and stays (a green roof).
+    outline. A blob that lies in the band wholly gets mark 0: a fringe of mixed cells, and the roof stays. A blob that
+    meets the band and leaves it gets mark 1: a tree that reaches in, whose cells are taken from the cluster. A blob in
+    the middle of a roof meets no band and stays (a green roof).
 
-    Scales go from coarse to fine: what is cut from a father is cut from all in it as well, so that children stay
-    inside of their fathers.
+    Scales go from coarse to fine. The cells cut from a father are cut from all clusters in it as well, so that children
+    stay inside of their fathers.
     """
     if not vegetation.any():
         return joined(clusters, [])
@@ -95,12 +95,12 @@ def cut(
     Parameters
     ----------
     clusters : Clusters
-        What was there before.
+        The clusters before.
     level : int
         The scale, 0 = finest.
     zones : (H, W) ndarray of int
-        0 outside of the touched clusters and where they lose cells; elsewhere a value of which every connected flat
-        zone is a piece. A zone lies in one cluster.
+        0 outside of the touched clusters and where they lose cells. Elsewhere every connected flat zone is a piece.
+        A zone lies in one cluster.
     touched : (M,) ndarray of int
         Row numbers of the clusters to cut, all of this scale.
     smallest_px : int
@@ -108,13 +108,13 @@ def cut(
     connectivity : int
         4 or 8.
     reason : str
-        Why a cluster of which nothing large enough is left is dropped.
+        Why a cluster without a piece that is large enough is dropped.
 
     Returns
     -------
     Step
         The largest piece of a cluster (of equal ones the first in row order) keeps its row and its id, the others
-        get rows of their own. A cluster without a piece that is large enough is dropped as it was before.
+        get rows of their own. A cluster without a piece that is large enough is dropped with all of its cells.
     """
     before = clusters.labels[level]
     labels, count = label_zones(zones, connectivity=connectivity)
@@ -143,7 +143,7 @@ def cut(
 
 
 def _heirs(source: NDArray[np.integer], pieces: pd.DataFrame) -> NDArray[np.bool_]:
-    """Tell for each piece whether it is the largest of its source; of equal ones the first in row order."""
+    """Return which pieces are the largest of their source; of equal ones the first in row order."""
     order = np.lexsort((pieces["first"], -pieces["area"], source))
     ranked = source[order]
     heir = np.zeros(len(pieces), dtype=np.bool_)
@@ -159,7 +159,7 @@ def as_rows(clusters: Clusters, source: NDArray[np.integer], pieces: pd.DataFram
 
 
 def joined(clusters: Clusters, steps: list[Step]) -> Step:
-    """Return the steps over several scales as one, which leaves the clusters given."""
+    """Return the steps over several scales as one, with the clusters that are left after all of them."""
     none = clusters.rows.iloc[:0].assign(reason="")
     dropped = [step.dropped for step in steps if len(step.dropped)]
     return Step(clusters, pd.concat(dropped) if dropped else none, sum(step.pieces for step in steps))

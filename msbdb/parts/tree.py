@@ -28,19 +28,18 @@ VEGETATION = "vegetation by its structure"
 
 
 def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: Params) -> Forest:
-    """Extract the forest of building parts from heights above ground and land-cover classes.
+    """Grow the forest of building parts from heights above ground and land-cover classes.
 
     Parameters
     ----------
     ndsm : Grid
         Heights above ground, metres.
     classes : ClassMap or None
-        Classes on the same lattice. Without them nothing is known of vegetation or roofs, and the stages that need
-        them are left out.
+        Classes on the same lattice. Without them the stages that need vegetation or roof classes are left out.
     survey : str
         Name of the survey; part of the ids.
     params : Params
-        Of which ``surface``, ``scale`` and ``spectral`` count here.
+        Sections ``surface``, ``scale``, ``granulometry`` and ``spectral``.
 
     Returns
     -------
@@ -54,8 +53,8 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
 
     Notes
     -----
-    Slices, scale-space, clusters, duplicates, vegetation, spectrum, fake fathers, links: the order of the paper, but
-    that fathers are looked up anew after each stage instead of once, which re-attaches children by itself (V45).
+    Slices, scale-space, clusters, duplicates, vegetation, spectrum, fake fathers, links: the order of the paper. Other
+    than there, fathers are looked up anew after each stage, which re-attaches children by itself (V45).
     Complexity: linear in the cells for each scale, after one sort of the heights.
     """
     if classes is not None and not classes.spec.same_lattice(ndsm.spec):
@@ -79,7 +78,7 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
     step = drop_fake_fathers(clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0])
     clusters = ledger.record("fake fathers", clusters, step)
     forest = grow_forest(clusters, Context(ndsm, classes, scales, survey, params.surface), ledger)
-    logger.info("Multi-scale extraction: %d parts, %d regions rejected", len(forest.parts), len(forest.rejections))
+    logger.info("Parts: %d, rejected regions: %d", len(forest.parts), len(forest.rejections))
     return forest
 
 
@@ -135,7 +134,7 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
     scale : ScaleParams
         Connectivity, and what is done about slivers and courtyards.
     ledger : ClusterLedger
-        Gets the islands that the finest opening takes away, and fragments.
+        Gets the islands that the finest opening removes, and fragments.
 
     Notes
     -----
@@ -165,10 +164,10 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
 def _mask_vegetation(
     sliced: NDArray[Any], vegetation: NDArray[np.bool_], scale: ScaleParams, ledger: ClusterLedger
 ) -> NDArray[Any]:
-    """Take vegetation away with the ground, before the scale-space; each blob goes to the ledger.
+    """Remove vegetation with the ground, before the scale-space; each blob goes to the ledger.
 
-    The paper cuts vegetation out of clusters after the scale-space (V37), because colours tell it there. Where the
-    structure tells it, crowns need not flatten the roofs beside them first.
+    The paper cuts vegetation out of clusters after the scale-space (V37), as its classes come from colours. Where they
+    come from the structure, crowns need not flatten the roofs beside them first.
     """
     blobs, count = label_zones((sliced > 0) & vegetation, connectivity=scale.connectivity)
     lost = measure(blobs, count)
@@ -178,7 +177,7 @@ def _mask_vegetation(
 
 
 def _record_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, ledger: ClusterLedger) -> None:
-    """Book the connected areas above the mask that are too small for the finest scale."""
+    """Record the connected areas above the mask that are too small for the finest scale."""
     islands, count = label_zones(sliced > 0, connectivity=connectivity)
     table = measure(islands, count)
     lost = table[table["area"] < smallest_px]
@@ -194,7 +193,7 @@ def _without_scale(measured: pd.DataFrame, reason: str) -> pd.DataFrame:
 def _apply_classes(
     clusters: Clusters, classes: ClassMap, smallest_px: int, params: Params, ledger: ClusterLedger
 ) -> Clusters:
-    """Reshape, split and drop clusters by their classes (V37-V45), and drop what thereby became a duplicate."""
+    """Reshape, split and drop clusters by their classes (V37-V45), and drop the duplicates that this makes."""
     scale, spectral = params.scale, params.spectral
     step = cut_vegetation(
         clusters, classes.labelled("vegetation"), smallest_px=smallest_px, connectivity=scale.connectivity

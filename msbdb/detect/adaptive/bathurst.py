@@ -54,7 +54,7 @@ VEGETATION = "vegetation"
 KINDS = {GREEN: "NDVI of vegetation", SCATTERED: "scattered surface or split echoes, as of crowns"}
 
 NEAREST = 4
-"""So many of the nearest points of regions are asked for one of like height when points are regained."""
+"""A point returns to one of so many nearest points of regions, the nearest of like height."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def extract_adaptive(
     params: Params,
     ndvi: NDArray[np.float32] | None = None,
 ) -> Candidates:
-    """Extract the clusters of off-ground points that may be buildings.
+    """Detect the clusters of off-ground points that may be buildings.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def extract_adaptive(
     heights : (N,) ndarray of float64, metres
         Above ground, by any ground filter; that of the slides is ``ground_filter = adaptive`` (S3 to S5).
     spec : GridSpec
-        The survey's lattice, on which the ids stand; points may lie outside of it.
+        The survey's lattice, from which regions take their ids; points may lie outside of it.
     survey : str
         Name of the survey; part of the ids.
     params : Params
@@ -127,11 +127,11 @@ def extract_adaptive(
     Notes
     -----
     1. Points at or above the mask are off-ground.
-    2. Vegetation is taken out point by point: by NDVI where there is one, and by surface and echoes (S6; the second
-       is ours, since NDVI alone is not reliable, and most surveys have no colours).
-    3. What is left is clustered by Euclidean distance, step by step at shorter distances, and clusters that fail
-       harder thresholds on number of points, area, height and surface are dropped (S6). The slides give no values;
-       ours follow from the spacing.
+    2. Vegetation is removed point by point: by NDVI where there is one (S6), and by surface and echoes. The second
+       is ours, since NDVI alone is not reliable, and most surveys have no colours.
+    3. The other points are clustered by Euclidean distance, step by step at shorter distances. Each step drops the
+       clusters that fail its thresholds on number of points, area, height and surface (S6). The slides give no
+       values; ours follow from the spacing.
     4. Off-ground points at the edge of a region become its points again: eaves split pulses as crowns do.
 
     The result does not depend on the order of the points. Border: what lies outside of the cloud does not exist.
@@ -189,7 +189,14 @@ def _tightened(
 
 
 def ladder(params: AdaptiveParams, spacing_m: float) -> list[ClusterStep]:
-    """Return the steps; each value goes evenly from the first one given to the last."""
+    """Return the steps; each value goes evenly from the first one given to the last.
+
+    Examples
+    --------
+    >>> steps = ladder(AdaptiveParams(steps=3, link_factors=(3.0, 2.0), points=(10.0, 30.0)), spacing_m=1.0)
+    >>> [(step.distance_m, step.points) for step in steps]
+    [(3.0, 10.0), (2.5, 20.0), (2.0, 30.0)]
+    """
     shares = np.linspace(0, 1, params.steps) if params.steps > 1 else np.ones(1)
 
     def at(values: tuple[float, ...], share: float) -> float:
@@ -257,7 +264,16 @@ def upper_heights(heights: Floats, member: NDArray[np.int32], size: NDArray[np.i
 
 
 def widths(x: Floats, y: Floats, member: NDArray[np.int32], size: NDArray[np.int64]) -> Floats:
-    """Return the shorter side of the rectangle with the same second moments as each cluster's points, metres."""
+    """Return the shorter side of the rectangle with the same second moments as each cluster's points, metres.
+
+    Examples
+    --------
+    A wall of 101 by 3 points at 0.1 m, whose points reach half a spacing beyond their places:
+
+    >>> y, x = np.mgrid[0:3, 0:101].reshape(2, -1) / 10
+    >>> widths(x, y, np.zeros(303, dtype=np.int32), np.array([303])).round(2)
+    array([0.28])
+    """
     count, number = len(size), np.maximum(size, 1)
     dx = x - (np.bincount(member, x, count) / number)[member]
     dy = y - (np.bincount(member, y, count) / number)[member]
@@ -267,7 +283,7 @@ def widths(x: Floats, y: Floats, member: NDArray[np.int32], size: NDArray[np.int
 
 
 def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) -> Labels:
-    """Give points at the edges back to regions: those near to one in plan, and of like elevation."""
+    """Return labels in which points at the edges belong to the region near them in plan and of like elevation."""
     inside, outside = np.flatnonzero(labels), np.flatnonzero(labels == 0)
     if not inside.size or not outside.size or reach_m == 0:
         return labels

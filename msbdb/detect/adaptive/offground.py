@@ -28,7 +28,7 @@ KIND = "\0adaptive"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
 LEAST_POINTS = 5
-"""Through fewer points a plane fits always, or nearly."""
+"""A plane always fits fewer points, or nearly."""
 
 SPLITS = 2
 """Cells to the radius of a sphere: finer ones than the radius let the window fit the disc better."""
@@ -37,7 +37,7 @@ SHARING = 4
 """Cells to the radius of means: the points of one cell share theirs."""
 
 PARTS = 16
-"""Work is cut into so many parts; their borders change nothing."""
+"""The work is cut into so many parts; their borders have no effect on the result."""
 
 GREEN = 1
 SCATTERED = 2
@@ -45,7 +45,7 @@ SCATTERED = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffGround:
-    """The points of at least the mask's height, sorted by x, y and z, then by all else that is known of them.
+    """The points of at least the mask's height, sorted by x, y and z, then by all their other values.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ class OffGround:
     heights : (N,) ndarray of float64, metres
         Above ground.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for, of all points of the cloud: one over the local density (A17).
+        Area of each point: one over the local density of the cloud (A17).
     split : (N,) ndarray of bool, optional
-        Which points are of pulses with several echoes; None where the source knows no echoes.
+        Which points are of pulses with several echoes; None where the source has no echoes.
     ndvi : (N,) ndarray of float32, optional
         NaN where a point has none.
     place : (N,) ndarray of int64
@@ -99,7 +99,7 @@ class SurfaceEvidence:
     level : ndarray
         Mean degree to which the points around lie on planes.
     split : ndarray
-        Share of the points around that are of pulses with several echoes; 0 where the source knows none.
+        Share of the points around that are of pulses with several echoes; 0 where the source has no echoes.
     """
 
     level: NDArray[np.float32]
@@ -171,9 +171,9 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
 def classify_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:
     """Return for each point `GREEN`, `SCATTERED`, or 0 for what may be a roof.
 
-    Green points are vegetation, unless their surroundings are as level as only a planted roof is. Of the others those
-    are, whose surroundings scatter: by log-odds of the level share and the share of split echoes (ours: the slides
-    have colours; their sensor gave up to four echoes, S8).
+    Green points are vegetation, unless their surroundings are as level as only a planted roof is. Other points are
+    vegetation where their surroundings scatter: by log-odds of the level share and the share of split echoes (ours;
+    the slides have colours, and a sensor of up to four echoes, S8).
     """
     if points.split is None:
         odds = params.blind_bias + params.blind_level_weight * found.level
@@ -196,7 +196,15 @@ def ndvi_threshold(ndvi: NDArray[np.float32], params: AdaptiveParams) -> float:
 
 
 def _degree(residual_m: NDArray[np.float32], level_m: float) -> NDArray[np.float32]:
-    """Return 1 for residuals up to half of what tells nothing, 0 from twice of it on, evenly in the logarithm."""
+    """Return the degree to which residuals are level: 1 up to half of ``level_m``, 0 from twice of it.
+
+    Examples
+    --------
+    In between the degree falls evenly in the logarithm:
+
+    >>> _degree(np.array([0.05, 0.1, 0.2, 0.4], dtype=np.float32), 0.1)
+    array([1. , 0.5, 0. , 0. ], dtype=float32)
+    """
     with np.errstate(divide="ignore"):
         octaves = np.log2(residual_m / np.float32(level_m))
     return np.asarray(np.clip((1 - octaves) / 2, 0, 1), dtype=np.float32)
@@ -245,8 +253,8 @@ def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: fl
 
     Notes
     -----
-    The means vary little over a quarter of the radius. So points in a cell of that side share the mean over the disc
-    about the middle of them, which takes a fraction of the time where points are dense.
+    The means vary little over a quarter of the radius. So the points of a cell of that side share one mean, over the
+    disc around their own mean place. Where points are dense this takes a fraction of the time.
     """
     index = index_cells(x, y, radius_m / SHARING)
     found = np.empty(values.shape, dtype=np.float32)
@@ -275,12 +283,15 @@ class Sorted(NamedTuple):
 @kernel
 def _residuals(points: Sorted, z: Floats, part: tuple[int, int], found: NDArray[np.float32]) -> None:
     """Fill in the residuals of the points of a part of the cells; z comes in the order of the cells."""
+    # Each part writes only the points of its own cells, so threads share nothing and the parts have no effect.
     index, x, y, radius_m = points
     limit = radius_m * radius_m
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
+        # Cells are 1 / SPLITS of the radius wide: these rows hold all neighbours of all points of the cell.
         strips = [strip(index, other, col - SPLITS, col + SPLITS) for other in range(row - SPLITS, row + SPLITS + 1)]
         for point in range(index.starts[cell], index.starts[cell + 1]):
+            # Sums of offsets from the point itself, which are small, so that their squares keep their digits.
             n, sx, sy, sz = 0, 0.0, 0.0, 0.0
             xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for first, stop in strips:
@@ -306,12 +317,14 @@ def _least_eigenvalue(squares: tuple[float, float, float], products: tuple[float
     """Return the smallest eigenvalue of a symmetric matrix of xx, yy, zz and xy, xz, yz (Smith 1961)."""
     xx, yy, zz = squares
     xy, xz, yz = products
+    # Without the mean of its diagonal the matrix has trace 0, and its eigenvalues are 2 spread cos(angle + 2πk/3).
     mean = (xx + yy + zz) / 3
     ax, ay, az = xx - mean, yy - mean, zz - mean
     spread = math.sqrt((ax * ax + ay * ay + az * az + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
     if spread <= 0:
         return mean
     determinant = ax * (ay * az - yz * yz) - xy * (xy * az - yz * xz) + xz * (xy * yz - ay * xz)
+    # Rounding may bring the cosine just beyond -1 or 1. The angle plus 2π/3 gives the smallest eigenvalue.
     cosine = min(1.0, max(-1.0, determinant / (2 * spread * spread * spread)))
     return mean + 2 * spread * math.cos(math.acos(cosine) / 3 + 2 * math.pi / 3)
 
