@@ -1,4 +1,4 @@
-"""A map of land-cover classes on a lattice: what the classifiers write and the extractors read."""
+"""Class maps: land-cover classes on a lattice, which classifiers write and detectors read."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -58,12 +58,12 @@ class ClassMap:
 def overlay(
     structure: ClassMap, spectral: ClassMap | None, *, operator: Mapping[int, str], green_decides: bool = False
 ) -> ClassMap:
-    """Put the structural cover and the spectral classes into one map: structure says what, colour says which.
+    """Put the structural cover and the spectral classes into one map.
 
-    Spectral classes keep their numbers 1 to K. A cell that the structure holds for roof keeps its spectral class
-    where that class is labelled building, and is of class K + 1 (roof by structure) otherwise; a cell that it holds
-    for vegetation is of class K + 2. Where the operator has labelled a spectral class, its cells keep that class:
-    the operator's word is above the structure's.
+    The structure separates roofs from vegetation, the colours give the class of a roof. Spectral classes keep their
+    numbers 1 to K. A roof by structure keeps its spectral class where that is labelled building, and gets class K + 1
+    otherwise. Vegetation by structure gets class K + 2. Where the operator has labelled a spectral class, its roofs
+    and vegetation keep that class: the operator's label is above the structure.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def overlay(
     operator : mapping of int to str
         Labels by the operator, of any class up to K + 2.
     green_decides : bool
-        Let spectral vegetation be vegetation even where the structure sees a roof.
+        Let spectral vegetation be vegetation even where there is a roof by structure.
 
     Returns
     -------
@@ -92,6 +92,6 @@ def overlay(
         if green_decides:
             kept |= {k for k, label in labels.items() if k <= count and label == "vegetation"}
         colour = np.isin(spectral.index, sorted(kept))
-        told = np.isin(spectral.index, sorted(k for k in operator if k <= count))
-        index = np.where((is_roof & colour) | ((is_roof | is_crown) & told), spectral.index, index)
+        labelled = np.isin(spectral.index, sorted(k for k in operator if k <= count))
+        index = np.where((is_roof & colour) | ((is_roof | is_crown) & labelled), spectral.index, index)
     return ClassMap(index, labels, structure.spec)

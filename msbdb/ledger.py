@@ -1,17 +1,17 @@
-"""The books of an extraction: what each stage took in, kept and dropped, so that nothing vanishes silently."""
+"""The ledger of a detector: how many regions each stage takes, keeps and drops, and the dropped ones as rows."""
 
 import pandas as pd
 
 from msbdb.errors import TableError
 
 
-class Books:
+class Ledger:
     """Counts by stage, checked to balance, and the regions that were lost, a row each.
 
     Parameters
     ----------
     method : str
-        Name of the extractor.
+        Name of the detector.
 
     Attributes
     ----------

@@ -1,7 +1,4 @@
-"""What stands in an outline: its area, heights and volume, where no building of a survey has just this outline.
-
-What a survey did to each building of the inventory.
-"""
+"""Comparison of a survey with the inventory: what happened to each building, and the new states."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +16,101 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
 from msbdb.params import ChangeParams
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """The changes that a survey shows in the inventory.
+
+    Parameters
+    ----------
+    offset : Offset
+        The systematic offset of the survey to the inventory.
+    changes : DataFrame
+        A row a building, or a pair of buildings for ``merged`` and ``split``:
+
+        - ``kind``; ``before`` and ``after``, row numbers of the two frames or -1;
+        - ``version``, row number of the building's new state in ``versions`` or -1;
+        - ``outline``, ``height``, ``parts``: which of these were modified;
+        - ``overlap_m2`` and ``iou`` of the pair; ``dh_m``, median change of height on the footprint; ``darea_m2``;
+        - ``note``.
+    versions : GeoDataFrame
+        The new state of every building that changed, with its geometry in the survey's place:
+
+        - ``before``: row whose identity it continues, or -1 for a new one;
+        - ``after``: row whose attributes it has;
+        - ``adopted``: whether its outline is that of this row, not one made here.
+    """
+
+    offset: Offset
+    changes: pd.DataFrame
+    versions: gpd.GeoDataFrame
+
+
+def compare(
+    before: gpd.GeoDataFrame,
+    after: gpd.GeoDataFrame,
+    *,
+    heights: Grid,
+    earlier: Sequence[Grid] = (),
+    surveyed: Mask | None = None,
+    params: ChangeParams | None = None,
+) -> Comparison:
+    """Compare the buildings of a survey with those of the inventory.
+
+    Parameters
+    ----------
+    before : GeoDataFrame
+        Current buildings of the inventory that may lie in the survey, with ``h_p90`` (NaN where unknown).
+    after : GeoDataFrame
+        Buildings of the survey, with ``h_p90``.
+    heights : Grid
+        Heights above ground of the survey, metres.
+    earlier : sequence of Grid
+        Heights above ground that the inventory has of the place, the latest first; none where it began from
+        footprints alone.
+    surveyed : (H, W) ndarray of bool, optional
+        The area of interest on the survey's lattice; all of it by default.
+    params : ChangeParams, optional
+        Thresholds of change.
+
+    Returns
+    -------
+    Comparison
+        The order of its rows is that of the frames.
+
+    Notes
+    -----
+    Buildings are compared by the pieces of ground that were built or are gone (`find_pieces`), not by how each build
+    divides a block into buildings. A row of houses that is one building in one survey is unchanged while nothing was
+    built or pulled down. A piece belongs to the buildings that it touches within the thickness that counts.
+    """
+    params = params or ChangeParams()
+    offset = estimate_offset(before, after, least_pairs=params.offset_pairs)
+    spec = heights.spec
+    known = earlier_heights(earlier, spec, offset)
+    rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values) - np.float32(offset.dz_m)
+    inside = heights.valid if surveyed is None else heights.valid & surveyed
+    shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
+    epochs = Epochs(
+        _painted(shifted, spec),
+        _painted(after.geometry.to_numpy(), spec),
+        inside,
+        Grid(rise, known.valid & heights.valid, spec),
+        heights,
+        known,
+    )
+    links = Links(before, after, shifted, epochs, find_pieces(epochs, params), params)
+    decisions = Decisions(links, offset)
+    decisions.decide()
+    return Comparison(offset, decisions.changes(), decisions.new_versions())
+
+
+def _painted(shapes: NDArray[np.object_], spec: GridSpec) -> Labels:
+    """Return the cells of footprints by row number + 1; of two that overlap the smaller lies on top."""
+    order = np.argsort(-shapely.area(shapes), kind="stable")
+    number = np.concatenate([[0], order + 1]).astype(np.int32)
+    return np.asarray(number[rasterise(shapes[order], spec)])
 
 
 def measure(shape: shapely.MultiPolygon, heights: Grid) -> dict[str, float]:
@@ -63,94 +155,3 @@ def _box(shape: shapely.MultiPolygon, spec: GridSpec) -> tuple[slice, slice]:
     limits = zip((row, col), spec.shape, strict=True)
     top, left = (slice(max(int(first), 0), min(int(last) + 1, size)) for (first, last), size in limits)
     return top, left
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """What a survey did to the inventory.
-
-    Parameters
-    ----------
-    offset : Offset
-        How the survey lies to the inventory.
-    changes : DataFrame
-        A row a building, or a pair of buildings for ``merged`` and ``split``: ``kind``; ``before`` and ``after``, row
-        numbers of the two frames or -1; ``version``, row number of the building's new state in ``versions`` or -1; what
-        was modified (``outline``, ``height``, ``parts``); ``overlap_m2`` and
-        ``iou`` of the pair; ``dh_m``, median change of height where both stand; ``darea_m2``; ``note``.
-    versions : GeoDataFrame
-        The new state of every building that changed: ``before`` (row whose identity it continues, or -1 for a new
-        one), ``after`` (row whose attributes it has), ``adopted`` (its outline is that row's own, not one put together
-        here), and its geometry, in the survey's place.
-    """
-
-    offset: Offset
-    changes: pd.DataFrame
-    versions: gpd.GeoDataFrame
-
-
-def compare(
-    before: gpd.GeoDataFrame,
-    after: gpd.GeoDataFrame,
-    *,
-    heights: Grid,
-    earlier: Sequence[Grid] = (),
-    surveyed: Mask | None = None,
-    params: ChangeParams | None = None,
-) -> Comparison:
-    """Compare the buildings of a survey with those of the inventory.
-
-    Parameters
-    ----------
-    before : GeoDataFrame
-        Current buildings of the inventory that may lie in the survey, with ``h_p90`` (NaN where unknown).
-    after : GeoDataFrame
-        Buildings of the survey, with ``h_p90``.
-    heights : Grid
-        Heights above ground of the survey, metres.
-    earlier : sequence of Grid
-        Heights above ground that the inventory has of the place, the latest first; none where it began from
-        footprints alone.
-    surveyed : (H, W) ndarray of bool, optional
-        The area of interest on the survey's lattice; all of it by default.
-    params : ChangeParams, optional
-        What counts as change.
-
-    Returns
-    -------
-    Comparison
-        The order of its rows is that of the frames.
-
-    Notes
-    -----
-    Buildings are compared by the pieces of ground that were built or are gone (`find_pieces`), not by how either
-    extraction cut a block into buildings: a row of houses that one survey sees as one building is unchanged while
-    nothing was built or pulled down. A piece belongs to the buildings that it touches within the thickness that
-    counts.
-    """
-    params = params or ChangeParams()
-    offset = estimate_offset(before, after, least_pairs=params.offset_pairs)
-    spec = heights.spec
-    known = earlier_heights(earlier, spec, offset)
-    rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values) - np.float32(offset.dz_m)
-    inside = heights.valid if surveyed is None else heights.valid & surveyed
-    shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
-    epochs = Epochs(
-        _painted(shifted, spec),
-        _painted(after.geometry.to_numpy(), spec),
-        inside,
-        Grid(rise, known.valid & heights.valid, spec),
-        heights,
-        known,
-    )
-    links = Links(before, after, shifted, epochs, find_pieces(epochs, params), params)
-    decisions = Decisions(links, offset)
-    decisions.decide()
-    return Comparison(offset, decisions.changes(), decisions.new_versions())
-
-
-def _painted(shapes: NDArray[np.object_], spec: GridSpec) -> Labels:
-    """Return the cells of footprints by row number + 1; of two that overlap the smaller lies on top."""
-    order = np.argsort(-shapely.area(shapes), kind="stable")
-    number = np.concatenate([[0], order + 1]).astype(np.int32)
-    return np.asarray(number[rasterise(shapes[order], spec)])

@@ -1,4 +1,4 @@
-"""The decisions of a comparison: what became of each building, and which new states that makes."""
+"""Decisions of a comparison: the kind of change of each building, and its new state."""
 
 from dataclasses import dataclass, field
 
@@ -15,7 +15,7 @@ from msbdb.outline.polygons import polygonise
 from msbdb.params import ChangeParams
 
 KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
-"""What can become of a building that was surveyed; one that was not has no row."""
+"""The kinds of change of a surveyed building; a building outside of the survey has no row."""
 
 NO_FOOTPRINT = "not told from its surroundings this time, but its heights stand"
 
@@ -80,7 +80,7 @@ class Decisions:
 
     @property
     def params(self) -> ChangeParams:
-        """What counts as change."""
+        """The thresholds of change."""
         return self.links.params
 
     @property
@@ -118,7 +118,7 @@ class Decisions:
         own = self.links.own.get(i, [])
         box = self.box_before[i]
         stood = self.epochs.before[box] == i
-        # A slender building leaves no thick piece; where no footprint is left of it, its cells tell.
+        # A slender building leaves no thick piece; without any later footprint its cells decide.
         gone = np.count_nonzero((self.pieces.loss[box] if own else self.pieces.fallen[box])[stood])
         lost = self._own(self.pieces.loss, i)
         if gone >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1):
@@ -151,7 +151,7 @@ class Decisions:
     def _lifted(self, i: int) -> int:
         """Count the cells of a building that rose or sank: in thick pieces, or of a slender building as a whole.
 
-        What grew over its roof is no part of it: of a piece that counts the later footprints hold a share.
+        A crown that grew over its roof is no part of it: a piece counts where later footprints cover a share of it.
         """
         box, least = self.box_before[i], self.params.link_share
         stood, under = self.epochs.before[box] == i, self.epochs.after[box] > 0
@@ -166,7 +166,7 @@ class Decisions:
         return count if is_whole and is_large and np.count_nonzero(whole & under) >= least * count else 0
 
     def _is_beyond(self, i: int, piece: int) -> bool:
-        """Tell whether a piece of gain lies where no earlier survey was, though one has measured the building."""
+        """Return whether a piece of gain lies beyond the earlier surveys, though one has measured the building."""
         known, least = self.epochs.earlier.valid, self.params.surveyed_share
         place, box = self.box_before[i], self.box_gain[piece]
         measured = known[place][self.epochs.before[place] == i].mean()
@@ -175,7 +175,7 @@ class Decisions:
     def _own(self, pieces: Labels, i: int) -> dict[int, int]:
         """Count the cells of each piece inside a building, where they are thick and many in it alone.
 
-        What happens to its neighbour reaches a strip along the wall that both share.
+        A change of its neighbour reaches a strip along the wall that both share.
         """
         box = self.box_before[i]
         inside = np.where(self.epochs.before[box] == i, pieces[box], 0)
@@ -185,15 +185,15 @@ class Decisions:
         return {int(n): int(count) for n, count in zip(numbers, cells, strict=True)}
 
     def _split(self, i: int, parted: list[int]) -> None:
-        """Part a building into several, of which the one that shares most keeps its identity."""
+        """Split a building into several; the one with the largest share keeps its identity."""
         height = self._lifted(i) > 0
         for n, a in enumerate(parted):
-            # Of several parts each has the survey's own outline, as the old one would take them all in.
+            # Each part takes the survey's own outline, because the old one holds them all.
             version = self._enter(i if n == 0 else 0, a, self.after.geometry.iloc[a - 1], adopted=True)
             self._note("split", i, a, version=version, outline=True, height=height)
 
     def _rose_by_attributes(self, i: int, a: int) -> bool:
-        """Tell by the buildings' own heights where the earlier lattice has none."""
+        """Return whether a building rose by its attributes, where the earlier lattice has no heights."""
         box = self.box_before[i]
         both = (self.epochs.before[box] == i) & (self.epochs.after[box] == a)
         if not both.any() or self.epochs.rise.valid[box][both].mean() >= self.params.surveyed_share:
@@ -269,7 +269,7 @@ class Decisions:
         area_a = float(self.after.geometry.iloc[a - 1].area) if a else 0.0
         box = self.box_before[i] if i else self.box_after[a]
         stands = self.epochs.before[box] == i if i else self.epochs.after[box] == a
-        told = self.rise[box][stands & self.epochs.rise.valid[box] & self.epochs.surveyed[box]]
+        known = self.rise[box][stands & self.epochs.rise.valid[box] & self.epochs.surveyed[box]]
         self.rows.append(
             {
                 "kind": kind,
@@ -281,8 +281,8 @@ class Decisions:
                 "parts": parts,
                 "overlap_m2": overlap,
                 "iou": overlap / (area_b + area_a - overlap) if i and a else 0.0,
-                "dh_m": float(np.median(told)) if told.size else float("nan"),
-                # A footprint may be of several buildings, of which the version has this one's part.
+                "dh_m": float(np.median(known)) if known.size else float("nan"),
+                # A footprint may cover several buildings; the version has the part of this one.
                 "darea_m2": (float(shapely.area(self.versions[version][3])) if version >= 0 else area_a) - area_b,
                 "note": note,
             }

@@ -1,7 +1,4 @@
-"""The systematic offset of a survey to the inventory: estimated and reported, never mistaken for change.
-
-Where two surveys differ: pieces of the lattice that were built, are gone, or rose or sank.
-"""
+"""Differences between two surveys: the systematic offset, and the pieces of ground that were built or are gone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +13,8 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.labels import Labels, boxes, chosen_cells, label_zones, renumber, sizes
 from msbdb.params import ChangeParams
 
+Mask = NDArray[np.bool_]
+
 LIKE_OVERLAP = 0.6
 """Two footprints are taken for one building, to measure the offset, when they share this much of both."""
 
@@ -28,9 +27,9 @@ MEDIAN_FACTOR = 1.4826
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """How a survey lies to the inventory: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) there.
+    """The offset of a survey: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) there.
 
-    ``dx_m``, ``dy_m`` and ``dz_m`` are 0 where too few pairs tell them; ``pairs`` counts the pairs of like buildings;
+    ``dx_m``, ``dy_m`` and ``dz_m`` are 0 where there are too few pairs; ``pairs`` counts the pairs of like buildings;
     ``spread_m`` is the robust standard deviation of a single pair's shift, NaN without pairs.
     """
 
@@ -39,73 +38,6 @@ class Offset:
     dz_m: float
     pairs: int
     spread_m: float
-
-
-def estimate_offset(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, *, least_pairs: int) -> Offset:
-    """Estimate the offset of a survey by the buildings that both sides have.
-
-    Parameters
-    ----------
-    before, after : GeoDataFrame
-        Footprints with their heights ``h_p90`` (metres), in one CRS; NaN heights tell no vertical offset.
-    least_pairs : int
-        Fewer pairs tell no offset: then it is zero.
-
-    Returns
-    -------
-    Offset
-
-    Notes
-    -----
-    The median, over pairs of footprints that share most of both, of the differences of the centres of their bounds: a
-    building that changed moves no median. Bounds follow a shift even where the offset itself keeps footprints from
-    lying on each other; so the pairs are sought again after a first shift. Heights change by storeys, so that half of
-    a few buildings may have risen as one: theirs is the difference on which most pairs agree.
-    """
-    dx = dy = 0.0
-    pairs = np.zeros((2, 0), dtype=np.int64)
-    shift = np.zeros((0, 2))
-    for _ in range(2):
-        pairs = _like(before.geometry.to_numpy(), after.geometry.to_numpy(), dx, dy)
-        if pairs.shape[1] < least_pairs:
-            return Offset(0.0, 0.0, 0.0, pairs.shape[1], float("nan"))
-        shift = _middles(after.geometry.to_numpy()[pairs[1]]) - _middles(before.geometry.to_numpy()[pairs[0]])
-        dx, dy = (float(middle) for middle in np.median(shift, axis=0))
-    rise = after["h_p90"].to_numpy(dtype=np.float64)[pairs[1]] - before["h_p90"].to_numpy(dtype=np.float64)[pairs[0]]
-    known = rise[np.isfinite(rise)]
-    dz = _agreed(known) if len(known) >= least_pairs else 0.0
-    spread = MEDIAN_FACTOR * float(np.median(np.abs(shift - (dx, dy))))
-    return Offset(dx, dy, dz, pairs.shape[1], spread)
-
-
-def _agreed(rise: NDArray[np.float64]) -> float:
-    """Return the median of the largest group of differences that lie close together, of equal groups the lowest."""
-    near = np.abs(rise[:, None] - rise[None, :]) <= AGREEMENT_M
-    first = np.lexsort((np.abs(rise), -near.sum(axis=1)))[0]
-    return float(np.median(rise[near[first]]))
-
-
-def moved(shapes: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.object_]:
-    """Return geometries shifted in plan."""
-    return np.asarray(shapely.transform(shapes, lambda xy: xy + np.array([dx, dy])))
-
-
-def _middles(shapes: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Return the centres of the geometries' bounds, (N, 2)."""
-    bounds = shapely.bounds(shapes)
-    return np.asarray((bounds[:, :2] + bounds[:, 2:]) / 2)
-
-
-def _like(before: NDArray[np.object_], after: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.int64]:
-    """Return the pairs (2, N) of footprints that share most of both, once the inventory is shifted."""
-    shifted = moved(before, dx, dy)
-    found = shapely.STRtree(after).query(shifted, predicate="intersects")
-    shared = shapely.area(shapely.intersection(shifted[found[0]], after[found[1]]))
-    larger = np.maximum(shapely.area(shifted[found[0]]), shapely.area(after[found[1]]))
-    return np.asarray(found[:, shared >= LIKE_OVERLAP * larger])
-
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,9 +67,9 @@ class Epochs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """Labelled pieces of change, each of ``least_m2`` and thick: ``gain``, ``loss`` and ``lift``, 0 for none.
+    """Labelled pieces of change, each thick and of at least ``least_m2``: ``gain``, ``loss`` and ``lift``, 0 for none.
 
-    ``fallen`` has all cells of the earlier footprints whose heights are gone, ``rose`` and ``sank`` those that stand
+    ``fallen`` has all cells of the earlier footprints whose heights are gone, ``rose`` and ``sank`` those that are
     higher or lower than before, thick or not.
     """
 
@@ -149,17 +81,92 @@ class Pieces:
     sank: Mask
 
 
+def estimate_offset(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, *, least_pairs: int) -> Offset:
+    """Estimate the offset of a survey by the buildings that both sides have.
+
+    Parameters
+    ----------
+    before, after : GeoDataFrame
+        Footprints with their heights ``h_p90`` (metres), in one CRS; NaN heights do not count.
+    least_pairs : int
+        With fewer pairs the offset is zero.
+
+    Returns
+    -------
+    Offset
+
+    Notes
+    -----
+    The offset is the median shift of the centres of bounds, over pairs of footprints that share most of both. A few
+    changed buildings do not move a median. The pairs are formed again after a first shift, because the offset itself
+    keeps some footprints apart. Heights change by whole storeys, and half of a few buildings may have risen. So the
+    vertical offset is the difference on which most pairs agree.
+
+    Examples
+    --------
+    Three houses lie 0.3 m farther east and 0.1 m higher; the third one has a storey more:
+
+    >>> houses = shapely.box([0, 20, 40], [0, 0, 0], [10, 30, 50], [10, 10, 10])
+    >>> before = gpd.GeoDataFrame({"h_p90": [6.0, 6.0, 6.0]}, geometry=houses)
+    >>> after = gpd.GeoDataFrame({"h_p90": [6.1, 6.1, 9.1]}, geometry=moved(houses, 0.3, 0))
+    >>> offset = estimate_offset(before, after, least_pairs=3)
+    >>> round(offset.dx_m, 2), round(offset.dy_m, 2), round(offset.dz_m, 2), offset.pairs
+    (0.3, 0.0, 0.1, 3)
+    """
+    dx = dy = 0.0
+    pairs = np.zeros((2, 0), dtype=np.int64)
+    shift = np.zeros((0, 2))
+    for _ in range(2):
+        pairs = _like(before.geometry.to_numpy(), after.geometry.to_numpy(), dx, dy)
+        if pairs.shape[1] < least_pairs:
+            return Offset(0.0, 0.0, 0.0, pairs.shape[1], float("nan"))
+        shift = _middles(after.geometry.to_numpy()[pairs[1]]) - _middles(before.geometry.to_numpy()[pairs[0]])
+        dx, dy = (float(middle) for middle in np.median(shift, axis=0))
+    rise = after["h_p90"].to_numpy(dtype=np.float64)[pairs[1]] - before["h_p90"].to_numpy(dtype=np.float64)[pairs[0]]
+    known = rise[np.isfinite(rise)]
+    dz = _agreed(known) if len(known) >= least_pairs else 0.0
+    spread = MEDIAN_FACTOR * float(np.median(np.abs(shift - (dx, dy))))
+    return Offset(dx, dy, dz, pairs.shape[1], spread)
+
+
+def _agreed(rise: NDArray[np.float64]) -> float:
+    """Return the median of the largest group of differences that lie close together, of equal groups the lowest."""
+    near = np.abs(rise[:, None] - rise[None, :]) <= AGREEMENT_M
+    first = np.lexsort((np.abs(rise), -near.sum(axis=1)))[0]
+    return float(np.median(rise[near[first]]))
+
+
+def _like(before: NDArray[np.object_], after: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.int64]:
+    """Return the pairs (2, N) of footprints that share most of both, once the inventory is shifted."""
+    shifted = moved(before, dx, dy)
+    found = shapely.STRtree(after).query(shifted, predicate="intersects")
+    shared = shapely.area(shapely.intersection(shifted[found[0]], after[found[1]]))
+    larger = np.maximum(shapely.area(shifted[found[0]]), shapely.area(after[found[1]]))
+    return np.asarray(found[:, shared >= LIKE_OVERLAP * larger])
+
+
+def _middles(shapes: NDArray[np.object_]) -> NDArray[np.float64]:
+    """Return the centres of the geometries' bounds, (N, 2)."""
+    bounds = shapely.bounds(shapes)
+    return np.asarray((bounds[:, :2] + bounds[:, 2:]) / 2)
+
+
+def moved(shapes: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.object_]:
+    """Return geometries shifted in plan by metres."""
+    return np.asarray(shapely.transform(shapes, lambda xy: xy + np.array([dx, dy])))
+
+
 def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Grid:
     """Return the heights above ground that the inventory knows, on another lattice, by the nearest cell.
 
     Parameters
     ----------
     grids : sequence of Grid
-        Heights of earlier surveys in the same CRS; the first one that is valid at a place tells.
+        Heights of earlier surveys in the same CRS; at each place the first valid one counts.
     spec : GridSpec
         The later survey's lattice.
     offset : Offset
-        How the later survey lies to them.
+        The offset of the later survey to them.
     """
     values = np.zeros(spec.shape, dtype=np.float32)
     valid = np.zeros(spec.shape, dtype=np.bool_)
@@ -175,22 +182,22 @@ def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Gr
 def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     """Find the pieces of change.
 
-    A cell of one footprint alone counts where its height changed as well; where the earlier height is not known, what
-    is open now is gone, and what stands in the later footprint alone was built.
-    What two extractions merely saw otherwise (a crown that leans on a roof, a courtyard) is no change, and neither is
-    a sliver along an outline.
+    A cell of one footprint alone counts where its height changed as well. Where the earlier height is not known, an
+    earlier footprint is gone where its place is open now, and a later footprint alone was built. A difference between
+    two builds without a change of height (a crown beside a roof, a courtyard) is no change, and neither is a sliver
+    along an outline.
     """
     in_before, in_after, rise = epochs.before > 0, epochs.after > 0, epochs.rise
     values = np.asarray(rise.values)
     rose = ~rise.valid | (values >= params.rise_m)
     # Where the earlier height is not known, a building is gone only where its place is open now.
     fell = np.where(rise.valid, values <= -params.rise_m, np.asarray(epochs.heights.values) < params.rise_m)
-    # A courtyard that an extraction closed over carries no roof.
+    # A courtyard that the area closing filled has no roof.
     stood = in_before & ~(epochs.earlier.valid & (np.asarray(epochs.earlier.values) < params.rise_m))
     stands = in_after & (np.asarray(epochs.heights.values) >= params.rise_m)
     gain = stands & ~stood & epochs.surveyed & rose
     loss = in_before & ~stands & epochs.surveyed & fell
-    # A roof that was raised rises as a whole, also where the later extraction overlooked a part of it.
+    # A roof that was raised rises as a whole, also where the later footprint lacks a part of it.
     still = np.asarray(epochs.heights.values) >= params.rise_m
     lift = still & stood & epochs.surveyed & rise.valid & (np.abs(values) >= params.rise_m)
     # Raised and sunken parts may touch, but are not one piece.
@@ -202,9 +209,9 @@ def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
 
 
 def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dict[int, set[int]]:
-    """Return, for each piece, the other labels within reach of it, but for those that it touches with a corner.
+    """Return, for each piece, the other labels within reach of it, except those that it touches only by a corner.
 
-    A label counts with a third or more of the cells within reach that the label with most of them has.
+    A label counts when it has at least a third as many cells within reach as the label with most of them.
     """
     count = int(piece.max(initial=0))
     found: dict[int, set[int]] = {number: set() for number in range(1, count + 1)}
@@ -223,12 +230,12 @@ def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dic
 
 def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     """Label the 8-connected pieces of a mask that a disc fits into and that are large enough, in row order."""
-    # Beyond the lattice nothing is known, which must not make a piece thin.
+    # The lattice ends where nothing is known; its border must not make a piece thin.
     margin = int(np.ceil(params.thickness_m / spec.cell_m)) + 1
     padded = np.pad(mask, margin, mode="edge")
     reach = params.thickness_m / spec.cell_m
     opened = isotropic_opening(padded, reach)  # type: ignore[no-untyped-call]
-    # The disc rounds corners off, which are given back.
+    # The disc rounds corners off; dilation inside of the mask gives them back.
     whole = isotropic_dilation(opened, reach)[margin:-margin, margin:-margin] & mask  # type: ignore[no-untyped-call]
     pieces, count = label_zones(whole)
     return renumber(pieces, sizes(pieces, count) * spec.cell_area_m2 >= params.least_m2)[0]
@@ -237,7 +244,7 @@ def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
 def without_crumbs(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
     """Return a footprint without its pieces that no disc fits into, unless none else is left.
 
-    Of a part that was pulled down, what is too thin to be a change stays along the old outline.
+    After a part was pulled down, strips too thin to be a change can be left along the old outline.
     """
     reach = params.thickness_m / spec.cell_m
     core = isotropic_opening(np.pad(cells, int(np.ceil(reach)) + 1), reach)  # type: ignore[no-untyped-call]

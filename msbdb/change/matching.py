@@ -1,4 +1,4 @@
-"""Which footprints of two surveys are one building's, and what was built onto or off each."""
+"""Links between the footprints of two surveys that are one building, and the pieces built onto each."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class Links:
     """The buildings of both sides, numbered by row + 1, and what links them.
 
     ``cells`` and ``seen`` count the cells of each building of the inventory, all and surveyed; ``shared`` has the area
-    that each pair shares; ``own`` the survey's footprints of each building, the one that shares most first;
+    that each pair shares; ``own`` the survey's footprints of each building, the one with the largest share first;
     ``loss_by`` the survey's footprints that each piece of loss touches, ``gain_after`` those that each piece of gain
     lies in; ``gains`` the pieces of gain that were built onto each building.
     """
@@ -49,12 +49,12 @@ class Links:
         return self.epochs.rise.spec
 
     def is_surveyed(self, i: int) -> bool:
-        """Tell whether most of a building lies in the surveyed area, seen from its whole footprint."""
+        """Return whether most of a building's whole footprint lies in the surveyed area."""
         whole = float(shapely.area(self.shifted[i - 1]))
         return bool(self.seen[i - 1] * self.spec.cell_area_m2 >= self.params.surveyed_share * whole > 0)
 
     def _linked(self) -> dict[int, list[int]]:
-        """Return the survey's footprints of each building, the one that shares most first."""
+        """Return the survey's footprints of each building, the one with the largest share first."""
         area_b, area_a = self.before.geometry.area.to_numpy(), self.after.geometry.area.to_numpy()
         links: dict[int, list[int]] = {}
         for (i, a), overlap in sorted(self.shared.items(), key=lambda item: (-item[1], item[0])):

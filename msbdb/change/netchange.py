@@ -1,4 +1,4 @@
-"""The net change between two dates: what many surveys did to a building, told as one change."""
+"""The net change between two dates: the changes of a building by several surveys, as one change."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -13,11 +13,11 @@ import shapely
 from msbdb.change.differences import moved
 
 KIN_SHARE = 0.3
-"""Of buildings that were merged or split on the way, those are kin at the end that share this much of the smaller; a
+"""Buildings that were merged or split on the way are related at the end when they share this much of the smaller; a
 strip along a common wall is less."""
 
 STATES = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
-"""What is told of a building before and after."""
+"""Attributes of a building before and after."""
 
 COLUMNS = (
     "kind", "uid_before", "uid_after", "version_before", "version_after", "outline", "height", "parts", "times",
@@ -46,7 +46,7 @@ class Net:
 
 @dataclass(frozen=True, slots=True)
 class _Trail:
-    """What surveys did to a building on its way: what they modified, how often, when last, and what they noted."""
+    """The changes of a building through the surveys of the period: what changed, how often, when last, and the notes."""
 
     outline: bool = False
     height: bool = False
@@ -81,9 +81,9 @@ Origins = dict[int, _Trail]
 class _Chains:
     """The buildings followed through the surveys.
 
-    ``standing`` has the origins of each building that stands, and ``born`` its trail should none of them be left;
-    ``begins`` the version of each building of the beginning, ``latest`` its trail, whatever became of it; ``current``
-    the version of each building now, and ``passing`` the last versions of those that came and went.
+    ``standing`` has the origins of each building that exists now, and ``born`` its trail in case no origin is left.
+    ``begins`` has the version of each building of the beginning, and ``latest`` its trail, even if it is gone.
+    ``current`` has the version of each building now, and ``passing`` the last versions of those that came and went.
     """
 
     standing: dict[int, Origins] = field(default_factory=dict)
@@ -121,7 +121,7 @@ class _Chains:
         """Return the origins of a row's building, and the row's own trail, each with the row behind it."""
         before, after = row["uid_before"], row["uid_after"]
         if before is None and row["kind"] == "unchanged":
-            # It stood before, and is told for the first time.
+            # It is older than this survey, which detects it for the first time.
             self.begins[after] = row["version_after"]
             return {after: _Trail().after(row)}, _Trail().after(row)
         if before is None:
@@ -139,11 +139,11 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
     Parameters
     ----------
     rows : DataFrame
-        What the surveys of the period did, as `msbdb.database.read_changes` gives it: survey by survey in their order.
+        The changes of the surveys of the period from `msbdb.database.read_changes`, survey by survey in their order.
     versions : GeoDataFrame
         The versions that the rows name: ``version_id``, ``survey_id``, `STATES`, and outlines in metres.
     offsets : DataFrame
-        How each survey lies to the inventory: ``survey_id``, ``dx_m``, ``dy_m``, ``dz_m``.
+        The offset of each survey to the inventory: ``survey_id``, ``dx_m``, ``dy_m``, ``dz_m``.
 
     Returns
     -------
@@ -155,11 +155,11 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
     - A building that surveys modified twice is modified once: in all that either of them modified. ``dh_m`` is the
       difference of ``h_p90``, and ``darea_m2`` that of the area, between its first and its last state; ``overlap_m2``
       and ``iou`` are of both outlines. Surveys' offsets are taken out of heights and outlines.
-    - Buildings that were merged and split are followed through all of their identities. Such pairs are told that share
-      `KIN_SHARE` of the smaller at the end: what was joined and parted again is no pair, and of what was joined and
-      then pulled down in part, that part was demolished.
-    - What stands at the beginning is what the first row of a building says; so an import within the period counts as
-      what was there before, and so does a building that stood before and is told for the first time.
+    - Buildings that were merged and split are followed through all of their identities. A pair is reported when both
+      share `KIN_SHARE` of the smaller at the end. Buildings that were joined and divided again are no pair. A part that
+      was joined and then pulled down was demolished.
+    - The first row of a building gives its state at the beginning. So an import within the period counts as older than
+      the period, and so does an older building that is detected for the first time.
     """
     chains = _Chains()
     plain = pd.DataFrame(rows).drop(columns="geometry", errors="ignore").astype(object)
@@ -168,14 +168,14 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
         chains.follow(list(group))
     known = _Versions(versions, offsets)
     # Ids beyond 2^53 must not become floats.
-    frame = pd.DataFrame(list(_told(chains, known)), columns=[*COLUMNS, *known.columns()], dtype=object)
+    frame = pd.DataFrame(list(_rows(chains, known)), columns=[*COLUMNS, *known.columns()], dtype=object)
     shapes = known.outlines(frame["version_after"].where(frame["version_after"].notna(), frame["version_before"]))
     table = gpd.GeoDataFrame(_typed(frame), geometry=shapes, crs=versions.crs)
     passing = versions[versions["version_id"].isin(chains.passing)]
     return Net(table, passing.sort_values("version_id", ignore_index=True))
 
 
-def _told(chains: _Chains, known: "_Versions") -> Iterator[dict[str, Any]]:
+def _rows(chains: _Chains, known: "_Versions") -> Iterator[dict[str, Any]]:
     """Yield the rows of the table."""
     pairs = _kin(chains, known)
     heirs: dict[int, list[int]] = {}
@@ -223,8 +223,8 @@ class _Versions:
     def __post_init__(self) -> None:
         """Find each version's row and offset."""
         self.place = {int(version): row for row, version in enumerate(self.versions["version_id"])}
-        told = self.offsets.set_index("survey_id")[["dx_m", "dy_m", "dz_m"]]
-        self.shifts = told.reindex(self.versions["survey_id"].astype("float64")).fillna(0.0).to_numpy()
+        shift = self.offsets.set_index("survey_id")[["dx_m", "dy_m", "dz_m"]]
+        self.shifts = shift.reindex(self.versions["survey_id"].astype("float64")).fillna(0.0).to_numpy()
         self.shapes = self.versions.geometry.to_numpy()
         self.states = {name: self.versions[name].tolist() for name in STATES}
 
@@ -259,7 +259,7 @@ class _Versions:
         return row | {"overlap_m2": shared, "iou": iou, "darea_m2": area, "dh_m": height}
 
     def _height(self, version: int | None) -> float:
-        """Return a version's height; where no building stands it is zero."""
+        """Return a version's height; zero without a building."""
         if version is None:
             return 0.0
         at = self.place[version]

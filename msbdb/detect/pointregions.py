@@ -1,14 +1,15 @@
-"""Candidate regions of points: what the two detectors on the points share.
+"""Candidate regions of points: what both detectors on points share.
 
-Heights and NDVI of the points; labelled points on the lattice with means, centroids and ids; the ledger of rejected
-regions; and the outlines that make them regions of the lattice.
+They take heights and NDVI of the points, give their regions ids and rows on the lattice, and outline them.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import NDArray
 
 from msbdb.bands import Bands
@@ -16,19 +17,24 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import GridSpec
 from msbdb.ground.quadratic import ground_heights
 from msbdb.identity import part_ids
-from msbdb.labels import Labels, region_means, sums
-from msbdb.ledger import Books
+from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, reorder, sizes, sums
+from msbdb.ledger import Ledger
 from msbdb.outline.pointoutlines import outline_regions
-from msbdb.outline.polygons import rasterise
+from msbdb.outline.polygons import Geometries, rasterise
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface import heights_above
-from msbdb.tables import REJECTION
+from msbdb.tables import CANDIDATE_REGION, REJECTION
+
+Floats = NDArray[np.float64]
+
+PLACES = 2**31
+"""Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """The candidate regions of one extractor.
+    """The candidate regions of one detector.
 
     Parameters
     ----------
@@ -52,16 +58,71 @@ class Candidates:
     counts: dict[str, dict[str, int]]
 
 
-Floats = NDArray[np.float64]
+def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: Params) -> Regions:
+    """Detect candidate regions among the points of a scene, and outline them on the lattice (S7).
 
-PLACES = 2**31
-"""Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
+    Parameters
+    ----------
+    extract : callable
+        `extract_area3d` or `extract_adaptive`: from points and their heights to candidate regions.
+    scene : Scene
+        With points and a surface.
+    params : Params
+        The detector's own section, ``surface``, ``ground`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines; the labels are the cells within these.
+    """
+    cloud, surface, spec = scene.require_cloud(), scene.require_surface(), scene.heights.spec
+    heights, ndvi = point_heights(scene, params), point_ndvi(scene.bands, cloud)
+    found = extract(cloud, heights, spec=spec, survey=scene.survey.name, params=params, ndvi=ndvi)
+    spacing_m = 1 / surface.density**0.5
+    outlines = outline_regions(
+        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=spacing_m, params=params.vector
+    )
+    table = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
+    return Regions(
+        found.method, rasterise(outlines, spec), table, found.rejections, found.counts, of_points=found.labels
+    )
 
 
-def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
-    """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
-    row, col = spec.rowcol(easting, northing)
-    return (row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2)
+def point_heights(scene: Scene, params: Params) -> Floats:
+    """Return the points' heights above ground, metres.
+
+    The quadratic ground filter gives them itself (C13, Eq. 6); any other filter gives a terrain to subtract.
+    """
+    surface, cloud = scene.require_surface(), scene.require_cloud()
+    if surface.ground_filter == "quadratic":
+        return np.asarray(cloud.z - ground_heights(cloud, params.ground))
+    return heights_above(cloud, surface.dtm)
+
+
+def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | None:
+    """Return the vegetation index (nir - red) / (nir + red) of each point's cell.
+
+    Parameters
+    ----------
+    bands : Bands, optional
+        Of an orthophoto, or gridded from the points.
+    cloud : PointCloud
+        N points in the bands' CRS.
+
+    Returns
+    -------
+    (N,) ndarray of float32 or None
+        From -1 to 1; NaN where the cell has no colours or is black, or there is no cell. None without the bands
+        ``red`` and ``nir``.
+    """
+    red, nir = (None, None) if bands is None else (bands.band("red"), bands.band("nir"))
+    if bands is None or red is None or nir is None:
+        return None
+    total = red + nir
+    usable = bands.valid & (total > 0)
+    index: NDArray[np.float32] = np.full(red.shape, np.nan, dtype=np.float32)
+    np.divide(nir - red, total, out=index, where=usable)
+    return bands.spec.sample(index, cloud.x, cloud.y, outside=np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +171,7 @@ class PlacedPoints:
     def ids(self, labels: Labels, count: int, *, stage: int = 0) -> NDArray[np.int64]:
         """Return ids of regions from their first cells; those that a stage, counted from 1, rejected have their own.
 
-        Every label from 1 to ``count`` has a point. Regions that share their first cell are told apart by the order of
+        Every label from 1 to ``count`` has a point. Regions that share their first cell are numbered in the order of
         their labels.
         """
         first = np.full(count + 1, np.iinfo(np.int64).max)
@@ -125,8 +186,14 @@ class PlacedPoints:
         return part_ids(self.key, self.spec.cell_m, threshold_px=stage, row=row, col=col, piece=piece)
 
 
-class PointBooks(Books):
-    """The books of an extractor on points: labelled regions of points become ``tables.REJECTION``."""
+def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
+    """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
+    row, col = spec.rowcol(easting, northing)
+    return (row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2)
+
+
+class PointLedger(Ledger):
+    """The ledger of a detector on points: labelled regions of points become ``tables.REJECTION``."""
 
     def __init__(self, method: str, points: PlacedPoints) -> None:
         super().__init__(method)
@@ -169,51 +236,86 @@ class PointBooks(Books):
         return REJECTION.typed(self.lost(REJECTION.empty()))
 
 
-def point_heights(scene: Scene, params: Params) -> Floats:
-    """Return the points' heights above ground, metres.
-
-    The quadratic ground filter gives them itself (C13, Eq. 6); any other filter gives a terrain to subtract.
-    """
-    surface, cloud = scene.require_surface(), scene.require_cloud()
-    if surface.ground_filter == "quadratic":
-        return np.asarray(cloud.z - ground_heights(cloud, params.ground))
-    return heights_above(cloud, surface.dtm)
-
-
-def point_ndvi(bands: Bands | None, cloud: PointCloud) -> NDArray[np.float32] | None:
-    """Return the vegetation index (nir - red) / (nir + red) of each point's cell.
+def describe_candidates(
+    points: PlacedPoints,
+    labels: Labels,
+    heights: Floats,
+    ndvi: NDArray[np.floating] | None,
+    shape: Mapping[str, NDArray[np.generic] | str | float],
+    *,
+    method: str,
+) -> pd.DataFrame:
+    """Return the rows of labelled regions (``tables.CANDIDATE_REGION``, without geometry), in the labels' order.
 
     Parameters
     ----------
-    bands : Bands, optional
-        Of an orthophoto, or gridded from the points.
-    cloud : PointCloud
-        N points in the bands' CRS.
-
-    Returns
-    -------
-    (N,) ndarray of float32 or None
-        From -1 to 1; NaN where the cell has no colours or is black, or there is no cell. None without the bands
-        ``red`` and ``nir``.
+    points : PlacedPoints
+        N points.
+    labels : (N,) ndarray of int32
+        1 to M without a gap; 0 for none.
+    heights : (N,) ndarray of float64, metres
+        Above ground.
+    ndvi : (N,) ndarray of float, optional
+        NaN where a point has none.
+    shape : mapping
+        The columns that the detector measures itself, each (M,) or one value: the rule, the height scale and the shape.
+    method : str
+        Name of the detector.
     """
-    red, nir = (None, None) if bands is None else (bands.band("red"), bands.band("nir"))
-    if bands is None or red is None or nir is None:
-        return None
-    total = red + nir
-    usable = bands.valid & (total > 0)
-    index: NDArray[np.float32] = np.full(red.shape, np.nan, dtype=np.float32)
-    np.divide(nir - red, total, out=index, where=usable)
-    return bands.spec.sample(index, cloud.x, cloud.y, outside=np.nan)
+    count = int(labels.max(initial=0))
+    inside = np.flatnonzero(labels)
+    order = inside[np.argsort(heights[inside], kind="stable")]
+    statistics = height_statistics(labels, slice(0, count), HeightOrder(order.astype(np.int32), heights[order]))
+    xcen, ycen = points.centroids(labels, count)
+    rows = pd.DataFrame(
+        {
+            "candidate_id": points.ids(labels, count),
+            "method": method,
+            "points": sizes(labels, count),
+            "area_m2": points.areas(labels, count),
+            **shape,
+            "ndvi": np.nan if ndvi is None else region_means(ndvi, labels, count),
+            **{name: statistics[name].to_numpy() for name in statistics.columns},
+            "xcen": xcen,
+            "ycen": ycen,
+        }
+    )
+    return CANDIDATE_REGION.typed(rows)
 
 
-def outlined(found: Candidates, scene: Scene, params: Params) -> Regions:
-    """Return candidate regions of points as regions of the lattice: the cells within their outlines (S7)."""
-    surface, cloud, spec = scene.require_surface(), scene.require_cloud(), scene.heights.spec
-    spacing_m = 1 / surface.density**0.5
-    outlines = outline_regions(
-        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=spacing_m, params=params.vector
-    )
-    table = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
-    return Regions(
-        found.method, rasterise(outlines, spec), table, found.rejections, found.counts, of_points=found.labels
-    )
+def in_order_of_ids(
+    labels: Labels, regions: pd.DataFrame, index: NDArray[np.integer], number: int, ledger: PointLedger
+) -> Candidates:
+    """Put described regions in the order of their ids, and the labels in that of the cloud.
+
+    Parameters
+    ----------
+    labels : (N,) ndarray of int32
+        Labels of some points of the cloud.
+    regions : DataFrame
+        Their rows, in the labels' order.
+    index : (N,) ndarray of int
+        The places of these points in the cloud.
+    number : int
+        How many points the cloud has; those without a label get 0.
+    ledger : PointLedger
+        The rejected regions and the counts.
+    """
+    order = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
+    found = np.zeros(number, dtype=np.int32)
+    found[index] = reorder(labels, order, len(order))
+    rows = regions.iloc[order].reset_index(drop=True)
+    return Candidates(ledger.method, found, rows, ledger.rejections(), ledger.counts)
+
+
+def strings_of_points(x: Floats, y: Floats, member: NDArray[np.integer]) -> Geometries:
+    """Return (M,) a line through the points of each group 0 to M - 1, in any order, for hulls and rectangles.
+
+    Shapely builds lines faster than collections of points. Each line begins with its first point twice, because a
+    line needs two.
+    """
+    order = np.argsort(member, kind="stable")
+    begins = np.flatnonzero(np.diff(member[order], prepend=-1))
+    order = np.insert(order, begins, order[begins])
+    lines = shapely.linestrings(np.column_stack((x[order], y[order])), indices=member[order])
+    return np.asarray(lines, dtype=np.object_)

@@ -1,4 +1,4 @@
-"""The detectors that there are: a fifth is one module and one line here."""
+"""The list of detectors; a fifth one is one module and one line here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from msbdb.params import Params
 
 @dataclass(frozen=True, slots=True)
 class Detector:
-    """A way to detect buildings that knows nothing of the others.
+    """A way to detect buildings, independent of the others.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class Detector:
     detect : callable
         From a scene and parameters to regions.
     takes_points : bool
-        Whether it needs the points themselves; the others do with rasters.
+        Whether it needs the points; the others take rasters.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What passes between the steps: the scene that every detector starts from, and the regions that it returns."""
+"""The values between the steps: the scene that every detector takes, and the regions that it returns."""
 
 from dataclasses import dataclass, replace
 
@@ -83,7 +83,10 @@ class Scene:
             When the scene was read back from a database, which keeps no surface.
         """
         if self.surface is None:
-            msg = f"The survey '{self.survey.name}' was read from a database; detect in it from its source files."
+            msg = (
+                f"The survey '{self.survey.name}' was read from a database, which keeps no surface. "
+                "Detect buildings from its source files."
+            )
             raise InputError(msg)
         return self.surface
 
@@ -96,7 +99,7 @@ class Scene:
             When the scene has none.
         """
         if self.cloud is None:
-            msg = f"The survey '{self.survey.name}' has no points in hand; give its LAS or LAZ files."
+            msg = f"The survey '{self.survey.name}' has no points; give its LAS or LAZ files."
             raise InputError(msg)
         return self.cloud
 

@@ -1,7 +1,7 @@
-"""Footprints of parts and flat regions together: where both agree they stand, and what one alone found is judged anew.
+"""Fused footprints: parts and flat regions together, with a decision on each piece that only one of them has.
 
-The classes are smoothed over metres, so that a roof lends its evidence to the crown that leans on it; the flat regions
-see no roof below their least area. Where the two differ they cut out a piece, and the piece speaks for itself.
+The classes are smoothed over metres, so a crown beside a roof may count as roof. The flat regions have no roof below
+their least area. So the cells of the piece itself decide: their heights, roughness and probability of roof.
 """
 
 from dataclasses import dataclass
@@ -19,18 +19,17 @@ from msbdb.params import FuseParams, Params
 from msbdb.parts.forest import Forest
 
 Mask = NDArray[np.bool_]
-
 Field = NDArray[np.floating]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoofEvidence:
-    """What is known of each cell, apart from both systems' outlines.
+    """The evidence of roof of each cell, independent of parts and flat regions.
 
     Parameters
     ----------
     heights : Grid
-        Heights above ground, metres. Invalid cells tell nothing.
+        Heights above ground, metres. Invalid cells do not count.
     roughness_m : (H, W) ndarray of float
         Residual of the best plane in the small window, metres (`msbdb.surface.texture.roughness`).
     roof_probability : (H, W) ndarray of float
@@ -42,15 +41,49 @@ class RoofEvidence:
     roof_probability: Field
 
 
+def fuse(forest: Forest, flat: Regions | None, scene: Scene, params: Params) -> Labels | None:
+    """Fuse the footprints of the parts and the flat regions of a scene.
+
+    Parameters
+    ----------
+    forest : Forest
+        The parts.
+    flat : Regions, optional
+        The flat regions; None where that detector was not run.
+    scene : Scene
+        Heights, and the evidence of each cell.
+    params : Params
+        As `fuse_footprints` takes them.
+
+    Returns
+    -------
+    (H, W) ndarray of int32 or None
+        0 for none, otherwise row number + 1 in the buildings in order of their ids. A building may have no cell left.
+        None where one of the two detectors was not run.
+    """
+    if scene.evidence is None or flat is None:
+        return None
+    evidence = RoofEvidence(
+        scene.heights,
+        scene.evidence.roughness_mm.astype(np.float32) / np.float32(1000),
+        scene.evidence.roof_probability.astype(np.float32) / np.float32(CERTAIN),
+    )
+    labels = fuse_footprints(forest.root_labels, flat.firm_labels, evidence, params)
+    parts = forest.parts
+    roots = np.flatnonzero((parts["supid"] == 0).to_numpy())
+    roots = roots[np.argsort(parts["part_id"].to_numpy()[roots])]
+    return reorder(labels, roots, len(parts))
+
+
 def fuse_footprints(root_labels: Labels, region_labels: Labels, evidence: RoofEvidence, params: Params) -> Labels:
-    """Return the footprints that parts and flat regions give together.
+    """Return the fused footprints of parts and flat regions.
 
     Parameters
     ----------
     root_labels : (H, W) ndarray of int32
         Label of the root that covers a cell, 0 for none (``Forest.root_labels``). Not modified.
     region_labels : (H, W) ndarray of int32
-        Flat regions, 0 for none, of a build that sought them; those that R leaves as it is given, in cells of any size.
+        Flat regions, 0 for none: their firm cells, which are left with R as given.
     evidence : RoofEvidence
         On the same lattice.
     params : Params
@@ -68,24 +101,25 @@ def fuse_footprints(root_labels: Labels, region_labels: Labels, evidence: RoofEv
 
     Notes
     -----
-    The disputed cells are those that one system alone takes for building. Their pieces are the 8-connected components
-    after an opening with a square of twice ``edge_m``, so that differing edges neither count nor join pieces.
+    The disputed cells are those that one detector alone takes for building. Their pieces are the 8-connected
+    components after an opening with a square of twice ``edge_m``, so that differing edges neither count nor join
+    pieces.
 
     A piece of the parts alone is dropped when it is smaller than R λ_min, the least area that a flat region can have,
     and
 
-    - lies below the mask, in a building that flat regions see: a light well that the area closing filled; or
-    - is rough, and mostly no roof by its own cells, in a building that flat regions see: a crown that leans on it; or
+    - lies below the mask, in a building that flat regions cover: a light well that the area closing filled; or
+    - is rough, and mostly no roof by its own cells, in a building that flat regions cover: a crown beside it; or
     - is rough and in a building without any flat region: a crown. So small a roof is one plane or two.
 
     A piece of a flat region alone is added when it lies above the mask, is smooth, is roof by its own cells, and
-    touches a building: an annex, which gets the label of the building that it shares most of its rim with (of equals,
-    the smaller label). What touches none stays an unexplained flat region.
+    touches a building: an annex. It gets the label of the building with most cells beside it (of equals, the smaller
+    label). A piece that touches no building is not added.
 
-    Rims that the opening took follow their piece, but a rim between two pieces of unlike fate stays as the parts say.
-    Edges that a dropped piece leaves behind, joined to nothing else, go with it.
-    Border: the disputed cells go on beyond it. Nodata: invalid cells have no say in a piece's medians and means; a
-    piece without a valid cell stays as the parts say. Linear in the cells, but for one sort of the disputed ones.
+    The rims that the opening removed follow their piece. A rim between a dropped and a kept piece stays as in the
+    parts. Edges that a dropped piece leaves, joined to nothing else, are dropped with it.
+    Border: the disputed cells continue beyond it. Nodata: invalid cells do not count in a piece's medians and means; a
+    piece without a valid cell stays as in the parts. Linear in the cells, except for one sort of the disputed ones.
     """
     own = params.fuse
     _require_one_shape(root_labels, region_labels, evidence)
@@ -123,18 +157,18 @@ def _require_one_shape(root_labels: Labels, region_labels: Labels, evidence: Roo
 
 
 def _pieces(disputed: Mask, steps: int, evidence: RoofEvidence) -> tuple[Labels, pd.DataFrame]:
-    """Label the pieces of the disputed cells, and measure them: row i is piece i, row 0 stands for no piece."""
+    """Label the pieces of the disputed cells, and measure them: row i is piece i, row 0 is for no piece."""
     size = 2 * steps + 1
     framed = np.pad(disputed, steps, mode="edge")
     opened = ndimage.binary_opening(framed, np.ones((size, size), dtype=np.bool_))
     labels, count = label_zones(opened[steps:-steps, steps:-steps])
-    told = (labels > 0) & evidence.heights.valid
+    measured = (labels > 0) & evidence.heights.valid
     cells = pd.DataFrame(
         {
-            "piece": labels[told],
-            "height": np.asarray(evidence.heights.values)[told],
-            "roughness": evidence.roughness_m[told],
-            "probability": evidence.roof_probability[told],
+            "piece": labels[measured],
+            "height": np.asarray(evidence.heights.values)[measured],
+            "roughness": evidence.roughness_m[measured],
+            "probability": evidence.roof_probability[measured],
         }
     ).groupby("piece")
     measures = cells[["height", "roughness"]].median().join(cells[["probability"]].mean())
@@ -184,7 +218,7 @@ def _with_rims(pieces: Labels, chosen: Mask, disputed: Mask, steps: int) -> Mask
 
 
 def _crumbs(left: Mask, firm: Mask, gone: Mask) -> Mask:
-    """Return what is left of a building beside a piece that is gone, and holds no more than edges."""
+    """Return the remains of buildings beside a dropped piece that have no firm cell, only edges."""
     blocks, count = label_zones(left)
     bereft = sizes(blocks[ndimage.binary_dilation(gone, EIGHT)], count) > 0
     return chosen_cells(blocks, bereft & (sizes(blocks[firm], count) == 0))
@@ -200,37 +234,3 @@ def _label_annexes(fused: Labels, annexes: Mask) -> Labels:
         if beside.any():
             fused[around][annex] = np.bincount(beside[beside > 0]).argmax()
     return fused
-
-
-def fuse(forest: Forest, flat: Regions | None, scene: Scene, params: Params) -> Labels | None:
-    """Fuse the footprints of the parts and the flat regions of a scene.
-
-    Parameters
-    ----------
-    forest : Forest
-        The parts.
-    flat : Regions, optional
-        The flat regions; None where they were not asked for.
-    scene : Scene
-        Heights, and the evidence of each cell.
-    params : Params
-        Section ``fuse``, and what `fuse_footprints` reads beside it.
-
-    Returns
-    -------
-    (H, W) ndarray of int32 or None
-        0 for none, otherwise row number + 1 in the buildings in order of their ids. A building may have no cell left.
-        None where one of the two detectors was not run.
-    """
-    if scene.evidence is None or flat is None:
-        return None
-    evidence = RoofEvidence(
-        scene.heights,
-        scene.evidence.roughness_mm.astype(np.float32) / np.float32(1000),
-        scene.evidence.roof_probability.astype(np.float32) / np.float32(CERTAIN),
-    )
-    labels = fuse_footprints(forest.root_labels, flat.firm_labels, evidence, params)
-    parts = forest.parts
-    roots = np.flatnonzero((parts["supid"] == 0).to_numpy())
-    roots = roots[np.argsort(parts["part_id"].to_numpy()[roots])]
-    return reorder(labels, roots, len(parts))

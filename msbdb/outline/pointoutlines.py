@@ -14,7 +14,6 @@ from msbdb.outline.polygons import Geometries
 from msbdb.params import VectorParams
 
 Floats = NDArray[np.float64]
-
 Method = Literal["alpha", "hull"]
 
 METHODS = ("alpha", "hull")
@@ -35,8 +34,8 @@ SLIVER = 1e-6
 """Common area of two outlines that counts as rounding, as a share of the squared spacing."""
 
 SPARSE = 4.0
-"""Outlines of more area than so many squares a point are given up: of the alpha radius's double, or of the spacing
-where a convex hull stands in."""
+"""Outlines with more area than so many squares a point are rejected. A square is as wide as the double alpha radius, or
+as the spacing for a convex hull."""
 
 
 def outline_regions(
@@ -108,9 +107,9 @@ def outline_points(
     Notes
     -----
     A region whose points span no shape (too few, on one line, too sparse) becomes its convex hull, grown by half of
-    the spacing. Outlines do not overlap by more than rounding: alpha shapes of different regions are disjoint
-    as they are made, and what growth, simplification and hulls make common stays with the smaller outline
-    (of equal ones, the lower label), for it may lie in a bay of the larger. Nothing depends on the points' order.
+    the spacing. Outlines do not overlap by more than rounding. Alpha shapes of different regions are disjoint;
+    overlaps that growth, simplification and hulls make stay with the smaller outline (of equal ones, the lower label),
+    which may lie in a bay of the larger. The order of the points has no effect.
 
     References
     ----------
@@ -159,7 +158,7 @@ def without_residuals(shapes: Geometries, residual_m2: float) -> Geometries:
 
 
 def simplified(shapes: Geometries, tolerance_m: float) -> Geometries:
-    """Simplify by Douglas-Peucker with the rings kept; what would become invalid stays as it was."""
+    """Simplify by Douglas-Peucker with the rings kept; a shape that would become invalid does not change."""
     if tolerance_m == 0:
         return shapes
     found = shapely.simplify(shapes, tolerance_m, preserve_topology=True)

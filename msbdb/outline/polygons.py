@@ -45,6 +45,18 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
     Cells that touch only at a corner are polygons of their own within the MultiPolygon, so that every outline is
     valid; holes are kept. A vertex lies at each corner, and wherever three labels meet (0 counts as one), so that
     neighbours share whole edges. Cells at the border of the array are outlined along the border.
+
+    Examples
+    --------
+    Two cells of 1 m side by side share the edge from (1, 0) to (1, 1):
+
+    >>> from affine import Affine
+    >>> from pyproj import CRS
+    >>> spec = GridSpec((1, 2), Affine(1, 0, 0, 0, -1, 1), CRS.from_epsg(25832))
+    >>> for outline in polygonise(np.array([[1, 2]], dtype=np.int32), spec, 2):
+    ...     print(outline)
+    MULTIPOLYGON (((0 1, 0 0, 1 0, 1 1, 0 1)))
+    MULTIPOLYGON (((1 1, 1 0, 2 0, 2 1, 1 1)))
     """
     if labels.shape != spec.shape:
         msg = f"The labels have the shape {labels.shape}; the lattice has {spec.shape}."
@@ -121,7 +133,7 @@ def _with_nodes(
     ring = np.repeat(np.arange(len(sizes)), sizes)
     step = np.zeros_like(corners)
     step[:-1] = np.where((ring[1:] == ring[:-1])[:, None], corners[1:] - corners[:-1], 0)
-    # The last vertex of a ring has no step; it still stands for itself.
+    # The last vertex of a ring has no step; it still counts once.
     length = np.maximum(np.abs(step).sum(axis=1), 1)
     index = np.repeat(np.arange(len(corners)), length)
     along = np.arange(len(index)) - np.repeat(np.cumsum(length) - length, length)

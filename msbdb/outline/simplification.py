@@ -1,4 +1,4 @@
-"""Removal of the zig-zag of raster outlines, with shared edges kept shared."""
+"""Simplification: outlines of cells without their stairs, by Douglas-Peucker, with shared edges kept shared."""
 
 from dataclasses import dataclass
 
@@ -10,11 +10,10 @@ from msbdb.errors import InputError, ParameterError
 from msbdb.outline.polygons import Geometries
 
 Ints = NDArray[np.int64]
-
 Floats = NDArray[np.float64]
 
 LEVELS = 3
-"""How often an arc at fault is redrawn: by half of the tolerance, by a quarter, and as it was given."""
+"""How often an arc at fault is redrawn: by half of the tolerance, by a quarter, and not at all."""
 
 LENGTH_TOLERANCE = 1e-6
 """Relative excess at which an edge still counts as no longer than the tolerance, for coordinates are rounded."""
@@ -29,8 +28,8 @@ def simplify_coverage(geometries: Geometries, tolerance_m: float) -> Geometries:
         They do not overlap, and neighbours share whole edges, vertex by vertex, as `polygonise` returns them. Empty
         ones stay empty.
     tolerance_m : float
-        No vertex that is left out lies farther than this from the new outline, metres; 0 changes nothing. One cell
-        is the least that removes the stairs of oblique walls.
+        Largest distance of a removed vertex from the new outline, metres; 0 changes nothing. One cell is the least
+        that removes the stairs of oblique walls.
 
     Returns
     -------
@@ -47,17 +46,27 @@ def simplify_coverage(geometries: Geometries, tolerance_m: float) -> Geometries:
     Notes
     -----
     The outlines are cut into arcs at the vertices where three edges or more meet, and each arc is simplified on its
-    own with its ends kept; a ring without such a vertex starts at its westernmost one. First, a stair (an edge no
-    longer than the tolerance between opposite turns) becomes its midpoint, since Douglas-Peucker alone runs along
-    the tips of the stairs on one side and shifts the wall; then Douglas-Peucker takes half of the tolerance.
-    Where this breaks a polygon (it collapses, crosses itself or a neighbour), the arcs at fault are simplified by
-    half of the tolerance, then by a quarter, then not at all, the same for the neighbours, until nothing is broken.
+    own with its ends kept; a ring without such a vertex starts at its westernmost one. First, each stair becomes its
+    midpoint: an edge no longer than the tolerance between opposite turns. Without this step Douglas-Peucker runs along
+    the tips of the stairs on one side and shifts the wall. Then Douglas-Peucker takes half of the tolerance.
+
+    A polygon is broken when it collapses, or crosses itself or a neighbour. Its arcs at fault are simplified by half of
+    the tolerance, then by a quarter, then not at all. Neighbours get the same arc.
 
     On 200 rectangles and L-shapes of 8 to 60 cells at all angles, a third with frayed edges, with a tolerance of
     one cell: 15 vertices an outline (raster: 97), IoU with the truth 0.947 (raster: 0.944), mean change of the
     area 0.9 % in size and 0.1 % in sum, largest distance to the raster outline 1 cell. Douglas-Peucker alone gives
     16 vertices and IoU 0.937; the coverage simplification of GEOS (by areas of triangles) 29 vertices and IoU 0.942,
     or 13 and 0.938 at a tolerance of two cells, with distances of up to 2.8 cells.
+
+    Examples
+    --------
+    A wall with stairs of 1 m, from (0, 0) to (8, 3), becomes straight:
+
+    >>> stairs = [(0, 0), (2, 0), (2, 1), (4, 1), (4, 2), (6, 2), (6, 3), (8, 3), (8, 10), (0, 10)]
+    >>> outline = np.array([shapely.MultiPolygon([shapely.Polygon(stairs)])])
+    >>> print(simplify_coverage(outline, 1.0)[0])
+    MULTIPOLYGON (((0 0, 8 3, 8 10, 0 10, 0 0)))
     """
     if not tolerance_m >= 0:
         msg = f"The tolerance must be 0 or more metres; got {tolerance_m}."

@@ -1,7 +1,4 @@
-"""Cells that hold points, numbered without the emptiness between islands that lie far apart.
-
-Which points can matter to alpha shapes: those near the rim of their region, and enough of the others.
-"""
+"""Thinning: only the points that matter to alpha shapes, those near the rim of a region and some around them."""
 
 from dataclasses import dataclass
 
@@ -13,8 +10,26 @@ from msbdb.order import order_of, ranks
 from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
-
 Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+REACH = 2
+"""The centre of a disc that touches a point lies at most so many cells (of half a radius) from the point's."""
+
+COARSE = 2 * REACH
+"""So many cells are twice the radius, the diameter of a disc."""
+
+GAP_CELLS = COARSE
+"""Wider empty bands are narrowed to it; a point covers the next cell at most, so one between stays uncovered."""
+
+WINDOW = 2 * REACH + 1
+"""Cells across the square in which the centre of a disc can lie."""
+
+SLACK = 1e-6
+"""A disc's radius, squared, in cells, is taken smaller by it, for coordinates are rounded."""
+
+NONE = np.iinfo(np.int32).max
+"""No point covers a cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,27 +66,6 @@ def pack(values: Floats, side_m: float, gap: int) -> Axis:
     return Axis(number[place], occupied, number)
 
 
-Mask = NDArray[np.bool_]
-
-REACH = 2
-"""The centre of a disc that touches a point lies at most so many cells (of half a radius) from the point's."""
-
-COARSE = 2 * REACH
-"""So many cells are twice the radius, the diameter of a disc."""
-
-GAP_CELLS = COARSE
-"""Wider empty bands are narrowed to it; a point covers the next cell at most, so one between stays uncovered."""
-
-WINDOW = 2 * REACH + 1
-"""Cells across the square in which the centre of a disc can lie."""
-
-SLACK = 1e-6
-"""A disc's radius, squared, in cells, is taken smaller by it, for coordinates are rounded."""
-
-NONE = np.iinfo(np.int32).max
-"""No point covers a cell."""
-
-
 def thinned(x: Floats, y: Floats, labels: Labels, radius_m: float) -> tuple[NDArray[np.intp], Mask]:
     """Return the points that can matter to alpha shapes, and which of all points are deep inside of a region.
 
@@ -95,10 +89,10 @@ def thinned(x: Floats, y: Floats, labels: Labels, radius_m: float) -> tuple[NDAr
     -----
     A cell of half the radius is covered when some point is nearer than the radius to all of it: a disc whose centre
     lies in it is not empty. A point is deep when all cells around it that can hold the centre of a disc on it are
-    covered. A disc with its centre in a cell that is not covered holds no deep point; so it is enough to keep a point
-    that covers for each covered cell around the points that are not deep.
+    covered. A disc with its centre in a cell that is not covered holds no deep point. So for each covered cell around
+    the points that are not deep, it is enough to keep one point that covers it.
 
-    The cells are gone through in row-major order, and what lies around them is found by places that move along: after
+    The kernels walk the cells in row-major order, with a place in each row around that moves along with them. After
     two sorts by cells, the time is linear in the points.
     """
     if not np.isfinite(radius_m) or len(x) == 0:
@@ -123,10 +117,10 @@ def thinned(x: Floats, y: Floats, labels: Labels, radius_m: float) -> tuple[NDAr
 
 
 def _pure(labels: Labels, starts: Ints, place: tuple[Ints, Ints]) -> Mask:
-    """Return the cells within a disc's diameter of which all points are of one region.
+    """Return which cells have points of one region alone within a disc's diameter.
 
-    The labels come in the order of the cells, whose rows and columns are given; they are told by cells as wide as the
-    diameter.
+    The labels come in the order of the cells, whose rows and columns are given. They are compared over cells as wide as
+    the diameter.
     """
     lowest, highest = np.minimum.reduceat(labels, starts[:-1]), np.maximum.reduceat(labels, starts[:-1])
     row, col = (number // COARSE for number in place)
@@ -148,11 +142,14 @@ def _pure(labels: Labels, starts: Ints, place: tuple[Ints, Ints]) -> Mask:
 @kernel
 def _around(cells: Ints, width: int) -> Ints:
     """Return the cells and all that touch them, ascending."""
+    # A merge of three sorted lists: the cells themselves, and those shifted one row up and down. `at` is the place in
+    # each of the lists, and `last` the latest cell written; all three places only move forward.
     found = np.empty(9 * cells.size, dtype=np.int64)
     count = 0
     last = -1
     at = np.zeros(3, dtype=np.int64)
     while True:
+        # The smallest cell above `last` that touches the next cell of one of the lists.
         following = -1
         for row in range(3):
             shift = (row - 1) * width
@@ -174,7 +171,7 @@ def _coverers(
 ) -> NDArray[np.int32]:
     """Return for each cell around the first point nearer than two sides to all of the cell; `NONE` without one.
 
-    ``places`` are those of all points in their cells, 0 to 1; ``points`` tell which points each cell has.
+    ``places`` are those of all points in their cells, 0 to 1; ``points`` has the points of each cell.
     """
     right, up = places
     order, starts, cells = points
@@ -183,24 +180,36 @@ def _coverers(
     at = np.zeros(3, dtype=np.int64)
     across, along = np.empty(3), np.empty(3)
     for cell in range(cells.size):
+        # The cell and its eight neighbours are all in `around`, so this search needs no bound.
         for row in range(3):
             while around[at[row]] < cells[cell] + (row - 1) * width - 1:
                 at[row] += 1
         for point in order[starts[cell] : starts[cell + 1]]:
             east, north = right[point], up[point]
+            # Squared distance along each axis from the point to the far side of the three columns and rows around.
             across[0], across[1], across[2] = (east + 1) ** 2, max(east, 1 - east) ** 2, (2 - east) ** 2
             along[0], along[1], along[2] = (north + 1) ** 2, max(north, 1 - north) ** 2, (2 - north) ** 2
             for row in range(3):
                 for col in range(3):
                     if across[col] + along[row] < limit:
+                        # The lowest index wins, so the order of the points in a cell has no effect.
                         place = at[row] + col
                         found[place] = min(found[place], point)
     return found
 
 
 @kernel
+def _advanced(around: Ints, place: int, cell: int) -> int:
+    """Return the first place from the given one on that holds a cell or a later one; the cells rise."""
+    while place < around.size and around[place] < cell:
+        place += 1
+    return place
+
+
+@kernel
 def _deep(cells: Ints, around: Ints, coverer: NDArray[np.int32], width: int) -> Mask:
     """Return the cells around which all cells that can hold the centre of a disc are covered."""
+    # run[place]: how many covered cells follow each other in the row from this place on.
     run = np.zeros(around.size + 1, dtype=np.int64)
     for place in range(around.size - 1, -1, -1):
         if coverer[place] != NONE:
@@ -211,9 +220,9 @@ def _deep(cells: Ints, around: Ints, coverer: NDArray[np.int32], width: int) -> 
     for cell in range(cells.size):
         for row in range(WINDOW):
             first = cells[cell] + (row - REACH) * width - REACH
-            while at[row] < around.size and around[at[row]] < first:
-                at[row] += 1
+            at[row] = _advanced(around, at[row], first)
             place = at[row]
+            # Covered across the whole window: the row's first cell is there, and a run of its width begins at it.
             deep[cell] &= place < around.size and around[place] == first and run[place] >= WINDOW
     return deep
 
@@ -226,8 +235,7 @@ def _near(rim: Ints, around: Ints, width: int) -> Mask:
     for cell in range(rim.size):
         for row in range(WINDOW):
             first = rim[cell] + (row - REACH) * width - REACH
-            while at[row] < around.size and around[at[row]] < first:
-                at[row] += 1
+            at[row] = _advanced(around, at[row], first)
             place = at[row]
             while place < around.size and around[place] < first + WINDOW:
                 near[place] = True

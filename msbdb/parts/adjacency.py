@@ -1,4 +1,4 @@
-"""The loops of this room that numpy cannot do in linear time and memory."""
+"""Kernels on cells and their neighbours: growth of seeds, boundaries, vegetation that reaches in, counts of classes."""
 
 from typing import Any
 
@@ -31,6 +31,8 @@ def grow(seeds: NDArray[np.int32], domain: NDArray[Any], connectivity: int) -> N
     grown = seeds.copy()
     flat = grown.ravel()
     area = domain.ravel()
+    # A cell enters the queue once, when it gets its value, so the queue never exceeds the image. It starts with the
+    # seeds in row order and stays in order of distance: the first value that reaches a cell is the nearest one.
     queue = np.empty(flat.size, dtype=np.int32)
     head = tail = 0
     for cell in range(flat.size):
@@ -44,6 +46,7 @@ def grow(seeds: NDArray[np.int32], domain: NDArray[Any], connectivity: int) -> N
         for r in range(max(row - 1, 0), min(row + 2, rows)):
             for c in range(max(col - 1, 0), min(col + 2, cols)):
                 near = r * cols + c
+                # With 4-connectivity a neighbour in another row and another column does not touch.
                 if connectivity == 4 and r != row and c != col:
                     continue
                 if flat[near] == 0 and area[near] != 0 and area[near] == area[cell]:
@@ -107,6 +110,8 @@ def reaching_in(
     (H, W) ndarray of bool
         The cells of objects under their blobs of mark 1.
     """
+    # `inside` counts the cells of a blob in each object's band. `last` holds the latest cell counted for an object, so
+    # that a cell beside several boundary cells of one object counts once.
     rows, cols = labels.shape
     reached = np.zeros((rows, cols), dtype=np.bool_)
     inside = np.zeros(count + 1, dtype=np.int32)
@@ -121,10 +126,12 @@ def reaching_in(
                     if edge[r, c] and last[label] != cell:
                         last[label] = cell
                         inside[label] += 1
+        # Mark 1: the blob meets the band (above 0) and does not lie in it wholly (below its own size).
         for cell in blob_cells:
             row, col = cell // cols, cell % cols
             label = labels[row, col]
             reached[row, col] = label != 0 and 0 < inside[label] < blob_cells.size
+        # Only the counts that this blob raised go back to 0, so the time is linear in the cells of the blobs.
         for cell in blob_cells:
             row, col = cell // cols, cell % cols
             for r in range(max(row - 1, 0), min(row + 2, rows)):

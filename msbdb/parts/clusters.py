@@ -1,9 +1,4 @@
-"""Slicing of heights into storeys or metric steps (V17-V19).
-
-Clusters: the flat zones of every scale, their attributes (V22-V26).
-
-The books of the multi-scale extraction: lost regions as rows of clusters, until they get their ids.
-"""
+"""Clusters: the flat zones of sliced heights on every scale, as rows, with the ledger of dropped ones (V17 to V26)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,52 +10,12 @@ from numpy.typing import NDArray
 
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, measure, sizes
-from msbdb.ledger import Books
+from msbdb.ledger import Ledger
 from msbdb.params import SurfaceParams
 from msbdb.parts.adjacency import grow
 
 MAX_SLICE = 2**16 - 1
 """Slices are counted in 16 bits; higher ones are cut off."""
-
-
-def slice_heights(ndsm: Grid, surface: SurfaceParams) -> NDArray[np.uint16]:
-    """Slice an nDSM into storeys, or into steps of ``surface.step_m`` when ``surface.slicing`` is 'step'.
-
-    Parameters
-    ----------
-    ndsm : Grid
-        Heights above ground, metres.
-    surface : SurfaceParams
-        The mask, the way of slicing, and the height of a storey or step.
-
-    Returns
-    -------
-    (H, W) ndarray of uint16
-        H = 1 + floor((h - mask) / height) where h is valid and at least the mask (V17, V18, A8); otherwise 0.
-
-    Notes
-    -----
-    The paper slices by "an elevation slicing with the height of a story" without a rule for rounding; floor(h / 3)
-    would take houses of 2 to 3 m for ground. Nodata: cells that are not valid are background.
-    """
-    height = surface.storey_m if surface.slicing == "storey" else surface.step_m
-    heights = np.asarray(ndsm.values, dtype=np.float32)
-    above = ndsm.valid & (heights >= surface.mask_m)
-    slices = np.zeros(ndsm.spec.shape, dtype=np.uint16)
-    slices[above] = _slice(heights[above], surface.mask_m, height)
-    return slices
-
-
-def storeys(heights: NDArray[np.floating], surface: SurfaceParams) -> NDArray[np.int64]:
-    """Return the storeys (V18) of building heights in metres; at least 1, as a part is above ground by its zone."""
-    return _slice(heights, surface.mask_m, surface.storey_m)
-
-
-def _slice(heights: NDArray[np.floating], mask_m: float, height_m: float) -> NDArray[np.int64]:
-    """Count the slices from the mask up; float64, so that a height on a border falls into the upper slice."""
-    count = 1 + np.floor((heights.astype(np.float64) - mask_m) / height_m)
-    slices: NDArray[np.int64] = np.clip(count, 1, MAX_SLICE).astype(np.int64)
-    return slices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,11 +63,82 @@ class Clusters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """What a stage leaves: the clusters, the regions that it dropped (as rows with a ``reason``), new pieces."""
+    """The result of a stage: clusters, dropped regions (as rows with a ``reason``), and the number of new pieces."""
 
     clusters: Clusters
     dropped: pd.DataFrame
     pieces: int = 0
+
+
+class ClusterLedger(Ledger):
+    """Counts by stage, checked to balance, and the clusters that were lost; ``level`` is -1 where no scale applies."""
+
+    def record(self, stage: str, before: Clusters, step: Step, *, lost: bool = True) -> Clusters:
+        """Record a stage and return the clusters that it leaves.
+
+        Parameters
+        ----------
+        stage : str
+            Name of the stage.
+        before : Clusters
+            The clusters before the stage.
+        step : Step
+            The result of the stage.
+        lost : bool
+            Whether the dropped regions are lost and go to the ledger. Duplicates are only counted, as the coarser
+            cluster covers them.
+        """
+        if lost:
+            self.write(stage, step.dropped)
+        entered, kept = int(before.alive.sum()), int(step.clusters.alive.sum())
+        self.count(stage, entered, kept, len(step.dropped), pieces=step.pieces, written=lost)
+        return step.clusters
+
+
+def slice_heights(ndsm: Grid, surface: SurfaceParams) -> NDArray[np.uint16]:
+    """Slice an nDSM into storeys, or into steps of ``surface.step_m`` when ``surface.slicing`` is 'step'.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    surface : SurfaceParams
+        The mask, the way of slicing, and the height of a storey or step.
+
+    Returns
+    -------
+    (H, W) ndarray of uint16
+        H = 1 + floor((h - mask) / height) where h is valid and at least the mask (V17, V18, A8); otherwise 0.
+
+    Notes
+    -----
+    The paper slices by "an elevation slicing with the height of a story" without a rule for rounding; floor(h / 3)
+    would take houses of 2 to 3 m for ground. Nodata: cells that are not valid are background.
+    """
+    height = surface.storey_m if surface.slicing == "storey" else surface.step_m
+    heights = np.asarray(ndsm.values, dtype=np.float32)
+    above = ndsm.valid & (heights >= surface.mask_m)
+    slices = np.zeros(ndsm.spec.shape, dtype=np.uint16)
+    slices[above] = _slice(heights[above], surface.mask_m, height)
+    return slices
+
+
+def storeys(heights: NDArray[np.floating], surface: SurfaceParams) -> NDArray[np.int64]:
+    """Return the storeys H = 1 + floor((h - mask) / storey) of building heights in metres, at least 1 (V18).
+
+    Examples
+    --------
+    >>> storeys(np.array([2.0, 4.9, 5.0, 9.0]), SurfaceParams())
+    array([1, 1, 2, 3])
+    """
+    return _slice(heights, surface.mask_m, surface.storey_m)
+
+
+def _slice(heights: NDArray[np.floating], mask_m: float, height_m: float) -> NDArray[np.int64]:
+    """Count the slices from the mask up; float64, so that a height on a border falls into the upper slice."""
+    count = 1 + np.floor((heights.astype(np.float64) - mask_m) / height_m)
+    slices: NDArray[np.int64] = np.clip(count, 1, MAX_SLICE).astype(np.int64)
+    return slices
 
 
 def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int) -> Clusters:
@@ -162,8 +188,8 @@ def merge_slivers(level: NDArray[Any], smallest_px: int, *, connectivity: int) -
 
     Notes
     -----
-    Ours. Opening and closing take away small extrema, but not the narrow zones between them, such as mixed cells
-    along a high wall. As parts these would be buildings of a few cells. Zones only merge, so V11 holds on.
+    Ours. Opening and closing remove small extrema, but not the narrow zones between them, such as mixed cells along a
+    high wall. As parts these would be buildings of a few cells. Zones only merge, so V11 still holds.
     """
     labels, count = label_zones(level, connectivity=connectivity)
     small = sizes(labels, count) < smallest_px
@@ -172,28 +198,3 @@ def merge_slivers(level: NDArray[Any], smallest_px: int, *, connectivity: int) -
     seeds = np.where(chosen_cells(labels, small), 0, level).astype(np.int32)
     grown = grow(seeds, (level > 0).astype(np.uint8), connectivity)
     return np.where(grown > 0, grown, level).astype(level.dtype)
-
-
-class Ledger(Books):
-    """Counts by stage, checked to balance, and the clusters that were lost; ``level`` is -1 where no scale applies."""
-
-    def book(self, stage: str, before: Clusters, step: Step, *, lost: bool = True) -> Clusters:
-        """Book a stage and return the clusters that it leaves.
-
-        Parameters
-        ----------
-        stage : str
-            Name of the stage.
-        before : Clusters
-            What went in.
-        step : Step
-            What the stage left.
-        lost : bool
-            Whether the dropped regions are lost and go to the ledger. Duplicates are only counted, as the coarser
-            cluster stands for them.
-        """
-        if lost:
-            self.write(stage, step.dropped)
-        entered, kept = int(before.alive.sum()), int(step.clusters.alive.sum())
-        self.count(stage, entered, kept, len(step.dropped), pieces=step.pieces, written=lost)
-        return step.clusters

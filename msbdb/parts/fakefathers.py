@@ -1,4 +1,4 @@
-"""Fake fathers: roots that only join what stands too near to each other (V46)."""
+"""Fake fathers: roots that only join neighbouring buildings, with children dispersed in them (V46)."""
 
 import logging
 from collections.abc import Iterator
@@ -18,46 +18,7 @@ from msbdb.parts.reshaping import as_rows, joined
 logger = logging.getLogger(__name__)
 
 FAKE = "fake father"
-
 GAP = "gap between the children of a fake father"
-
-
-def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: float) -> pd.DataFrame:
-    """Measure how the direct children of every cluster lie in it.
-
-    Parameters
-    ----------
-    clusters : Clusters
-        Clusters with their centroids.
-    father : (N,) ndarray of int64
-        Row number of each cluster's father, -1 for none.
-    cell_m : float
-        Side of a cell, metres.
-
-    Returns
-    -------
-    DataFrame
-        One row a cluster: ``children``, their number; ``stddis``, the population standard deviation of the distances
-        from their centroids to the father's, metres (V46), NaN without children; ``covered``, their area over the
-        father's.
-    """
-    rows = clusters.rows
-    count = len(rows)
-    area = rows["area"].to_numpy().astype(np.float64)
-    width = clusters.labels[0].shape[1]
-    row, col = np.divmod(rows["first"].to_numpy(), width)
-    down, right = offsets(rows, width)
-    child = np.flatnonzero(father != NONE)
-    of = father[child]
-    along_rows = (row[child] - row[of]) + (down[child] - down[of])
-    along_cols = (col[child] - col[of]) + (right[child] - right[of])
-    distance = np.hypot(along_rows, along_cols) * cell_m
-    children = np.bincount(of, minlength=count)
-    divisor = np.where(children > 0, children, np.nan)
-    mean = np.bincount(of, distance, count) / divisor
-    variance = np.bincount(of, (distance - mean[of]) ** 2, count) / divisor
-    covered = np.bincount(of, area[child], count) / area
-    return pd.DataFrame({"children": children, "stddis": np.sqrt(variance), "covered": covered})
 
 
 def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, smallest_px: int) -> Step:
@@ -69,8 +30,8 @@ def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, 
         Nested clusters.
     scale : ScaleParams
         A root is fake when it has at least ``fake_father_min_children`` direct children, they cover at least
-        ``fake_father_coverage`` of it, and StdDis / sqrt(area / pi) exceeds ``fake_father_ratio`` or StdDis exceeds
-        ``fake_father_m`` (where this is above 0).
+        ``fake_father_coverage`` of it, and they are dispersed. They are when StdDis / sqrt(area / pi) exceeds
+        ``fake_father_ratio``, or StdDis exceeds ``fake_father_m`` (where this is above 0).
     cell_m : float
         Side of a cell, metres.
     smallest_px : int
@@ -79,15 +40,15 @@ def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, 
     Returns
     -------
     Step
-        The children are as they were. Of the cells that only the father held, connected areas of at least
+        The children do not change. The cells that only the father held fall into connected areas. Areas of at least
         ``smallest_px`` that are mostly wider than two cells become roots on the father's scale, with ids of their own:
-        houses of the row that had been dropped as duplicates of it. The rest are gaps and go to the ledger.
+        houses of the row that were dropped as duplicates of it. The others are gaps and go to the ledger.
 
     Notes
     -----
     The paper states neither the threshold nor the action (A7). StdDis of children spread evenly over a disc is 0.24
-    of its radius, whatever the size; hence the ratio. StdDis cannot tell a row of houses from a large roof with a few
-    small parts far apart, but the share that the children cover can.
+    of its radius, whatever the size; hence the ratio. StdDis alone does not separate a row of houses from a large roof
+    with a few small parts far apart; the share that the children cover does.
     """
     before, father = clusters, link(clusters)
     fake: list[int] = []
@@ -114,6 +75,58 @@ def _find_fakes(clusters: Clusters, father: NDArray[np.int64], scale: ScaleParam
     many = spread["children"].to_numpy() >= scale.fake_father_min_children
     covered = spread["covered"].to_numpy() >= scale.fake_father_coverage
     return np.flatnonzero(root & many & covered & dispersed)
+
+
+def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: float) -> pd.DataFrame:
+    """Measure how the direct children of every cluster lie in it.
+
+    Parameters
+    ----------
+    clusters : Clusters
+        Clusters with their centroids.
+    father : (N,) ndarray of int64
+        Row number of each cluster's father, -1 for none.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    DataFrame
+        One row a cluster: ``children``, their number; ``stddis``, the population standard deviation of the distances
+        from their centroids to the father's, metres (V46), NaN without children; ``covered``, their area over the
+        father's.
+
+    Notes
+    -----
+    StdDis = √(1/n Σ (d_j - mean d)²) over the distances d_j of the n children.
+
+    Examples
+    --------
+    Three houses of 1, 3 and 1 cells in a row of 7: d = 3, 0 and 3 m, and StdDis = √((1 + 4 + 1) / 3) = 1.41 m:
+
+    >>> from msbdb.parts.clusters import label_clusters
+    >>> houses = np.array([[2, 1, 2, 2, 2, 1, 2]])
+    >>> clusters = label_clusters([np.where(houses > 1, houses, 0), np.ones_like(houses)], connectivity=8)
+    >>> spread_of_children(clusters, link(clusters), cell_m=1.0).round(2).loc[3].tolist()
+    [3.0, 1.41, 0.71]
+    """
+    rows = clusters.rows
+    count = len(rows)
+    area = rows["area"].to_numpy().astype(np.float64)
+    width = clusters.labels[0].shape[1]
+    row, col = np.divmod(rows["first"].to_numpy(), width)
+    down, right = offsets(rows, width)
+    child = np.flatnonzero(father != NONE)
+    of = father[child]
+    along_rows = (row[child] - row[of]) + (down[child] - down[of])
+    along_cols = (col[child] - col[of]) + (right[child] - right[of])
+    distance = np.hypot(along_rows, along_cols) * cell_m
+    children = np.bincount(of, minlength=count)
+    divisor = np.where(children > 0, children, np.nan)
+    mean = np.bincount(of, distance, count) / divisor
+    variance = np.bincount(of, (distance - mean[of]) ** 2, count) / divisor
+    covered = np.bincount(of, area[child], count) / area
+    return pd.DataFrame({"children": children, "stddis": np.sqrt(variance), "covered": covered})
 
 
 def _keep_remainders(clusters: Clusters, fake: NDArray[np.int64], father: NDArray[np.int64], smallest_px: int) -> Step:
@@ -160,7 +173,7 @@ def _remainders(
 
 
 def _wide(pieces: NDArray[np.int32], count: int, smallest_px: int) -> NDArray[np.bool_]:
-    """Tell for each piece whether it is large, and at least half of it lies in squares of 3 by 3 cells within it."""
+    """Return which pieces are large, with at least half of their cells in squares of 3 by 3 cells within them."""
     area = sizes(pieces, count)
     inside = ndimage.binary_opening(pieces > 0, EIGHT)
     core = sizes(pieces[inside], count)

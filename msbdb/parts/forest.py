@@ -1,4 +1,4 @@
-"""The forest of parts: what the multi-scale extraction gives, with ids, attributes and the ledger (V22-V26, V33)."""
+"""The forest of parts: clusters with ids, fathers and attributes, and the ledger (V22 to V26, V33)."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from msbdb.identity import part_ids
 from msbdb.labels import Labels, central_cells, centroids, height_statistics, order_heights, reorder
 from msbdb.landcover import ClassMap
 from msbdb.params import SurfaceParams
-from msbdb.parts.clusters import Clusters, Ledger, storeys
+from msbdb.parts.clusters import ClusterLedger, Clusters, storeys
 from msbdb.parts.fakefathers import spread_of_children
 from msbdb.parts.links import NONE, find_roots, link
 from msbdb.parts.spectrum import measure_spectrum
@@ -54,7 +54,7 @@ class Forest:
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What the attributes of a part depend on beside its cells."""
+    """The data beside its own cells on which the attributes of a part depend."""
 
     ndsm: Grid
     classes: ClassMap | None
@@ -63,17 +63,17 @@ class Context:
     surface: SurfaceParams
 
 
-def grow_forest(clusters: Clusters, context: Context, ledger: Ledger) -> Forest:
-    """Give the clusters that are left their ids, fathers and attributes, and check the forest.
+def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> Forest:
+    """Return the forest of the living clusters: with ids, fathers and attributes, checked.
 
     Parameters
     ----------
     clusters : Clusters
-        What the last stage left.
+        The clusters after the last stage.
     context : Context
         Heights, classes (without them SPE is 0 and the building share null), scales, survey and storeys.
-    ledger : Ledger
-        The books of the stages.
+    ledger : ClusterLedger
+        The ledger of the stages.
 
     Raises
     ------
@@ -163,10 +163,10 @@ def _span(clusters: Clusters, level: int) -> slice:
 
 
 def _heights(clusters: Clusters, father: NDArray[np.int64], context: Context) -> dict[str, NDArray[np.generic]]:
-    """Return height statistics of every cluster, from the nDSM inside of it, and its storeys, from there or as written.
+    """Return height statistics of every cluster, from the nDSM inside of it, and its storeys.
 
-    As written (V30), H is the value of the flat zone, which the opening lowers where a tower is about as large as the
-    podium under it.
+    In the paper (V30) H is the value of the flat zone. The opening lowers it where a tower is about as large as the
+    podium under it, so by default the storeys come from the nDSM.
     """
     order = order_heights(context.ndsm, _cover(clusters.labels, father == NONE) > 0)
     tables = [height_statistics(labels, _span(clusters, level), order) for level, labels in enumerate(clusters.labels)]

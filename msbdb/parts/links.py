@@ -1,7 +1,4 @@
-"""Links between fathers and children over all scales (V32, V33).
-
-Elimination of duplicates: one thing that shows on several scales stays on the coarsest (V27-V31).
-"""
+"""Links from each child to its father, and the duplicates that links reveal (V27 to V33)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +7,9 @@ from msbdb.parts.clusters import Clusters, Step
 
 NONE = -1
 """The father of a root."""
+
+SAME_STOREYS = "same storeys as its coarser cluster"
+SAME_AREA = "nearly the area of its coarser cluster"
 
 
 def link(clusters: Clusters) -> NDArray[np.int64]:
@@ -28,7 +28,16 @@ def link(clusters: Clusters) -> NDArray[np.int64]:
     Notes
     -----
     Flat zones only merge as s rises (V11), and the stages that reshape keep the clusters nested. Hence the label at
-    one cell of the child, its first, tells the father.
+    one cell of the child, its first, is that of the father.
+
+    Examples
+    --------
+    An upper part of two storeys (row 1) and both ends of the house beside it (rows 0 and 2) lie in the house (row 3):
+
+    >>> from msbdb.parts.clusters import label_clusters
+    >>> clusters = label_clusters([np.array([[1, 1, 2, 2, 1]]), np.array([[1, 1, 1, 1, 1]])], connectivity=8)
+    >>> link(clusters).tolist()
+    [3, 3, 3, -1]
     """
     rows = clusters.rows
     level, first, alive = rows["level"].to_numpy(), rows["first"].to_numpy(), clusters.alive
@@ -53,13 +62,8 @@ def find_roots(father: NDArray[np.int64]) -> NDArray[np.int64]:
     return root
 
 
-SAME_STOREYS = "same storeys as its coarser cluster"
-
-SAME_AREA = "nearly the area of its coarser cluster"
-
-
 def drop_duplicates(clusters: Clusters, share: float, *, by_storeys: bool = True) -> Step:
-    """Drop each finer cluster F that says nothing beside the next coarser one C that holds it.
+    """Drop each finer cluster F that adds nothing to the next coarser one C that holds it.
 
     Parameters
     ----------
@@ -74,14 +78,23 @@ def drop_duplicates(clusters: Clusters, share: float, *, by_storeys: bool = True
     Returns
     -------
     Step
-        Nothing is lost with a duplicate: C stands for it. The heights of C come from the nDSM and not from its zone,
+        Nothing is lost with a duplicate, as C covers it. The heights of C come from the nDSM and not from its zone,
         which the opening has lowered (A4).
 
     Notes
     -----
-    The scan goes from fine to coarse, so F is compared with the next coarser cluster that exists when it begins, even
-    if that one turns out to be a duplicate itself (V29). An F of its C's very area is always dropped, hence a child
-    is smaller than its father (V33).
+    The scan goes from fine to coarse. So F is compared with the next coarser cluster that exists when the scan begins,
+    even if that one is a duplicate itself (V29). An F with the area of its C is always dropped, so a child is smaller
+    than its father (V33).
+
+    Examples
+    --------
+    Both ends have as many storeys as the house and go; the upper part with 2 of 5 cells stays:
+
+    >>> from msbdb.parts.clusters import label_clusters
+    >>> clusters = label_clusters([np.array([[1, 1, 2, 2, 1]]), np.array([[1, 1, 1, 1, 1]])], connectivity=8)
+    >>> drop_duplicates(clusters, 0.85).clusters.alive.tolist()
+    [False, True, False, True]
     """
     father = link(clusters)
     rows = clusters.rows

@@ -1,7 +1,4 @@
-"""Cutting clusters into pieces, for every stage that reshapes them (V38).
-
-Reshaping by vegetation: trees that reach into a building are cut off it (V37-V39).
-"""
+"""Reshaping: clusters are cut into pieces, and lose the vegetation that reaches into them (V37 to V39)."""
 
 import numpy as np
 import pandas as pd
@@ -13,95 +10,7 @@ from msbdb.parts.adjacency import edges, reaching_in
 from msbdb.parts.clusters import Clusters, Step
 
 FRAGMENT = "piece smaller than the finest scale"
-
 MEASURED = ["first", "area", "row_sum", "col_sum"]
-
-
-def cut(
-    clusters: Clusters,
-    level: int,
-    zones: NDArray[np.integer],
-    touched: NDArray[np.integer],
-    *,
-    smallest_px: int,
-    connectivity: int,
-    reason: str,
-) -> Step:
-    """Cut clusters of one scale into pieces.
-
-    Parameters
-    ----------
-    clusters : Clusters
-        What was there before.
-    level : int
-        The scale, 0 = finest.
-    zones : (H, W) ndarray of int
-        0 outside of the touched clusters and where they lose cells; elsewhere a value of which every connected flat
-        zone is a piece. A zone lies in one cluster.
-    touched : (M,) ndarray of int
-        Row numbers of the clusters to cut, all of this scale.
-    smallest_px : int
-        Smaller pieces are dropped, unless they are a whole cluster.
-    connectivity : int
-        4 or 8.
-    reason : str
-        Why a cluster of which nothing large enough is left is dropped.
-
-    Returns
-    -------
-    Step
-        The largest piece of a cluster (of equal ones the first in row order) keeps its row and its id, the others
-        get rows of their own. A cluster without a piece that is large enough is dropped as it was before.
-    """
-    before = clusters.labels[level]
-    labels, count = label_zones(zones, connectivity=connectivity)
-    pieces = measure(labels, count)
-    source = before.ravel()[pieces["first"]].astype(np.int64) - 1
-    heir = _heirs(source, pieces)
-    area = pieces["area"].to_numpy()
-    large = (area >= smallest_px) | (area == clusters.rows["area"].to_numpy()[source])
-
-    rows = clusters.rows.copy()
-    rows.loc[source[heir & large], MEASURED] = pieces.loc[heir & large, MEASURED].to_numpy()
-    lost = np.setdiff1d(touched, source[heir & large])
-    rows.loc[lost, "alive"] = False
-    new = as_rows(clusters, source[~heir & large], pieces[~heir & large])
-    small = as_rows(clusters, source[~heir & ~large], pieces[~heir & ~large])
-    dropped = pd.concat([clusters.rows.loc[lost].assign(reason=reason), small.assign(reason=FRAGMENT)])
-
-    target = np.zeros(count + 1, dtype=np.int32)
-    target[1:][heir & large] = source[heir & large] + 1
-    target[1:][~heir & large] = len(rows) + 1 + np.arange(len(new))
-    after = before.copy()
-    cells = np.flatnonzero(clusters.flags(touched)[before])
-    after.ravel()[cells] = target[labels.ravel()[cells]]
-    images = (*clusters.labels[:level], after, *clusters.labels[level + 1 :])
-    return Step(Clusters(images, pd.concat([rows, new], ignore_index=True)), dropped, int((~heir).sum()))
-
-
-def as_rows(clusters: Clusters, source: NDArray[np.integer], pieces: pd.DataFrame) -> pd.DataFrame:
-    """Return rows for measured pieces that are cut off the source rows."""
-    rows = clusters.rows.iloc[source].reset_index(drop=True)
-    rows[MEASURED] = pieces[MEASURED].to_numpy()
-    return rows.assign(origin=rows["first"], piece=rows["piece"] + 1)
-
-
-def _heirs(source: NDArray[np.integer], pieces: pd.DataFrame) -> NDArray[np.bool_]:
-    """Tell for each piece whether it is the largest of its source; of equal ones the first in row order."""
-    order = np.lexsort((pieces["first"], -pieces["area"], source))
-    ranked = source[order]
-    heir = np.zeros(len(pieces), dtype=np.bool_)
-    heir[order[np.flatnonzero(np.diff(ranked, prepend=-1))]] = True
-    return heir
-
-
-def joined(clusters: Clusters, steps: list[Step]) -> Step:
-    """Return the steps over several scales as one, which leaves the clusters given."""
-    none = clusters.rows.iloc[:0].assign(reason="")
-    dropped = [step.dropped for step in steps if len(step.dropped)]
-    return Step(clusters, pd.concat(dropped) if dropped else none, sum(step.pieces for step in steps))
-
-
 VEGETATION = "vegetation"
 
 
@@ -127,12 +36,12 @@ def cut_vegetation(clusters: Clusters, vegetation: NDArray[np.bool_], *, smalles
     Notes
     -----
     The band of a cluster is the dilation of its boundary cells by 3 by 3 (A6): three cells wide, on both sides of the
-    outline. A blob that meets the band gets mark 0 when it lies in the band wholly (a fringe of mixed cells: the roof
-    stays) and mark 1 otherwise (a tree that reaches in): its cells are taken from the cluster. A blob in the middle
-    of a roof meets no band and stays (a green roof).
+    outline. A blob that lies in the band wholly gets mark 0: a fringe of mixed cells, and the roof stays. A blob that
+    meets the band and leaves it gets mark 1: a tree that reaches in, whose cells are taken from the cluster. A blob in
+    the middle of a roof meets no band and stays (a green roof).
 
-    Scales go from coarse to fine: what is cut from a father is cut from all in it as well, so that children stay
-    inside of their fathers.
+    Scales go from coarse to fine. The cells cut from a father are cut from all clusters in it as well, so that children
+    stay inside of their fathers.
     """
     if not vegetation.any():
         return joined(clusters, [])
@@ -169,3 +78,88 @@ def _labels_in(objects: Labels, cells: NDArray[np.bool_], count: int) -> NDArray
     found = np.zeros(count + 1, dtype=np.bool_)
     found[objects[cells]] = True
     return np.flatnonzero(found[1:])
+
+
+def cut(
+    clusters: Clusters,
+    level: int,
+    zones: NDArray[np.integer],
+    touched: NDArray[np.integer],
+    *,
+    smallest_px: int,
+    connectivity: int,
+    reason: str,
+) -> Step:
+    """Cut clusters of one scale into pieces.
+
+    Parameters
+    ----------
+    clusters : Clusters
+        The clusters before.
+    level : int
+        The scale, 0 = finest.
+    zones : (H, W) ndarray of int
+        0 outside of the touched clusters and where they lose cells. Elsewhere every connected flat zone is a piece.
+        A zone lies in one cluster.
+    touched : (M,) ndarray of int
+        Row numbers of the clusters to cut, all of this scale.
+    smallest_px : int
+        Smaller pieces are dropped, unless they are a whole cluster.
+    connectivity : int
+        4 or 8.
+    reason : str
+        Why a cluster without a piece that is large enough is dropped.
+
+    Returns
+    -------
+    Step
+        The largest piece of a cluster (of equal ones the first in row order) keeps its row and its id, the others
+        get rows of their own. A cluster without a piece that is large enough is dropped with all of its cells.
+    """
+    before = clusters.labels[level]
+    labels, count = label_zones(zones, connectivity=connectivity)
+    pieces = measure(labels, count)
+    source = before.ravel()[pieces["first"]].astype(np.int64) - 1
+    heir = _heirs(source, pieces)
+    area = pieces["area"].to_numpy()
+    large = (area >= smallest_px) | (area == clusters.rows["area"].to_numpy()[source])
+
+    rows = clusters.rows.copy()
+    rows.loc[source[heir & large], MEASURED] = pieces.loc[heir & large, MEASURED].to_numpy()
+    lost = np.setdiff1d(touched, source[heir & large])
+    rows.loc[lost, "alive"] = False
+    new = as_rows(clusters, source[~heir & large], pieces[~heir & large])
+    small = as_rows(clusters, source[~heir & ~large], pieces[~heir & ~large])
+    dropped = pd.concat([clusters.rows.loc[lost].assign(reason=reason), small.assign(reason=FRAGMENT)])
+
+    target = np.zeros(count + 1, dtype=np.int32)
+    target[1:][heir & large] = source[heir & large] + 1
+    target[1:][~heir & large] = len(rows) + 1 + np.arange(len(new))
+    after = before.copy()
+    cells = np.flatnonzero(clusters.flags(touched)[before])
+    after.ravel()[cells] = target[labels.ravel()[cells]]
+    images = (*clusters.labels[:level], after, *clusters.labels[level + 1 :])
+    return Step(Clusters(images, pd.concat([rows, new], ignore_index=True)), dropped, int((~heir).sum()))
+
+
+def _heirs(source: NDArray[np.integer], pieces: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return which pieces are the largest of their source; of equal ones the first in row order."""
+    order = np.lexsort((pieces["first"], -pieces["area"], source))
+    ranked = source[order]
+    heir = np.zeros(len(pieces), dtype=np.bool_)
+    heir[order[np.flatnonzero(np.diff(ranked, prepend=-1))]] = True
+    return heir
+
+
+def as_rows(clusters: Clusters, source: NDArray[np.integer], pieces: pd.DataFrame) -> pd.DataFrame:
+    """Return rows for measured pieces that are cut off the source rows."""
+    rows = clusters.rows.iloc[source].reset_index(drop=True)
+    rows[MEASURED] = pieces[MEASURED].to_numpy()
+    return rows.assign(origin=rows["first"], piece=rows["piece"] + 1)
+
+
+def joined(clusters: Clusters, steps: list[Step]) -> Step:
+    """Return the steps over several scales as one, with the clusters that are left after all of them."""
+    none = clusters.rows.iloc[:0].assign(reason="")
+    dropped = [step.dropped for step in steps if len(step.dropped)]
+    return Step(clusters, pd.concat(dropped) if dropped else none, sum(step.pieces for step in steps))

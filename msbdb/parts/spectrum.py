@@ -1,4 +1,4 @@
-"""Spectral classes of clusters: splitting by two dominant ones, removal without any, and SPE (V40-V45)."""
+"""Spectral classes of clusters: splitting by two dominant ones, removal without any, and SPE (V40 to V45)."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,6 @@ from msbdb.parts.clusters import Clusters, Step
 from msbdb.parts.reshaping import cut, joined
 
 TOO_FEW = "too few cells of building classes"
-
 SPLIT = "split with its father into pieces smaller than the finest scale"
 
 
@@ -104,7 +103,7 @@ def split_by_classes(
         A cluster is split when its second building class has at least this share of its building cells, so that the
         first one has at most 1 - share; 0 never splits.
     min_share : float
-        Clusters with a smaller share of building cells will be dropped anyhow and are left alone.
+        Clusters with a smaller share of building cells are not split, as `drop_unlike` drops them.
     smallest_px : int
         s of the finest scale, cells: smaller areas of a class do not found a piece.
     connectivity : int
@@ -121,8 +120,8 @@ def split_by_classes(
     nearest, and components of one class that meet become one piece. Without a large component of both classes there
     is no split.
 
-    Scales go from coarse to fine: a line that splits a father splits all in it as well. So each piece of a child lies
-    in one piece of the father, to which it is linked (V45), and no child straddles two buildings.
+    Scales go from coarse to fine: a line that splits a father splits all clusters in it as well. So each piece of a
+    child lies in one piece of the father, to which it is linked (V45), and no child lies in two buildings.
     """
     if split_share <= 0:
         return joined(clusters, [])

@@ -1,4 +1,4 @@
-"""The multi-scale extraction from end to end (Vu et al. 2009, section 3.2)."""
+"""The tree of parts, from heights and classes to a forest: all steps in their order (Vu et al. 2009, section 3.2)."""
 
 import logging
 from typing import Any
@@ -13,7 +13,7 @@ from msbdb.labels import label_zones, measure
 from msbdb.landcover import ClassMap
 from msbdb.morphology.scalespace import build_scale_space, find_scales
 from msbdb.params import Params, ScaleParams, with_values
-from msbdb.parts.clusters import Clusters, Ledger, Step, label_clusters, merge_slivers, slice_heights
+from msbdb.parts.clusters import ClusterLedger, Clusters, Step, label_clusters, merge_slivers, slice_heights
 from msbdb.parts.fakefathers import drop_fake_fathers
 from msbdb.parts.forest import Context, Forest, grow_forest
 from msbdb.parts.links import drop_duplicates
@@ -24,24 +24,22 @@ from msbdb.tables import SCALE
 logger = logging.getLogger(__name__)
 
 TOO_SMALL = "smaller than the finest scale"
-
 VEGETATION = "vegetation by its structure"
 
 
 def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: Params) -> Forest:
-    """Extract the forest of building parts from heights above ground and land-cover classes.
+    """Grow the forest of building parts from heights above ground and land-cover classes.
 
     Parameters
     ----------
     ndsm : Grid
         Heights above ground, metres.
     classes : ClassMap or None
-        Classes on the same lattice. Without them nothing is known of vegetation or roofs, and the stages that need
-        them are left out.
+        Classes on the same lattice. Without them the stages that need vegetation or roof classes are left out.
     survey : str
         Name of the survey; part of the ids.
     params : Params
-        Of which ``surface``, ``scale`` and ``spectral`` count here.
+        Sections ``surface``, ``scale``, ``granulometry`` and ``spectral``.
 
     Returns
     -------
@@ -55,8 +53,8 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
 
     Notes
     -----
-    Slices, scale-space, clusters, duplicates, vegetation, spectrum, fake fathers, links: the order of the paper, but
-    that fathers are looked up anew after each stage instead of once, which re-attaches children by itself (V45).
+    Slices, scale-space, clusters, duplicates, vegetation, spectrum, fake fathers, links: the order of the paper. Other
+    than there, fathers are looked up anew after each stage, which re-attaches children by itself (V45).
     Complexity: linear in the cells for each scale, after one sort of the heights.
     """
     if classes is not None and not classes.spec.same_lattice(ndsm.spec):
@@ -65,7 +63,7 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
             f"{ndsm.spec.shape} at {ndsm.spec.bounds}. Classify on the nDSM's lattice."
         )
         raise GridMismatchError(msg)
-    ledger = Ledger("multiscale")
+    ledger = ClusterLedger("multiscale")
     params = choose_scales(ndsm, classes, params)
     sliced = slice_heights(ndsm, params.surface)
     if classes is not None and params.spectral.decides == "structure":
@@ -74,13 +72,13 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
     thresholds = scales["threshold_px"].tolist()[::-1]
     clusters = form_clusters(sliced, thresholds, params.scale, ledger)
     step = drop_duplicates(clusters, params.scale.duplicate_share)
-    clusters = ledger.book("duplicates", clusters, step, lost=False)
+    clusters = ledger.record("duplicates", clusters, step, lost=False)
     if classes is not None:
         clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
     step = drop_fake_fathers(clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0])
-    clusters = ledger.book("fake fathers", clusters, step)
+    clusters = ledger.record("fake fathers", clusters, step)
     forest = grow_forest(clusters, Context(ndsm, classes, scales, survey, params.surface), ledger)
-    logger.info("Multi-scale extraction: %d parts, %d regions rejected", len(forest.parts), len(forest.rejections))
+    logger.info("Parts: %d, rejected regions: %d", len(forest.parts), len(forest.rejections))
     return forest
 
 
@@ -124,7 +122,7 @@ def number_scales(scales_m2: tuple[float, ...], cell_area_m2: float) -> pd.DataF
     return SCALE.typed(frame)
 
 
-def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams, ledger: Ledger) -> Clusters:
+def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams, ledger: ClusterLedger) -> Clusters:
     """Build the scale-space of sliced heights, and label its clusters.
 
     Parameters
@@ -135,8 +133,8 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
         s of the scales, cells, ascending.
     scale : ScaleParams
         Connectivity, and what is done about slivers and courtyards.
-    ledger : Ledger
-        Gets the islands that the finest opening takes away, and fragments.
+    ledger : ClusterLedger
+        Gets the islands that the finest opening removes, and fragments.
 
     Notes
     -----
@@ -146,7 +144,7 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
     dropped where slivers are merged as well.
     """
     connectivity = scale.connectivity
-    _book_islands(sliced, thresholds[0], connectivity, ledger)
+    _record_islands(sliced, thresholds[0], connectivity, ledger)
     finest = build_scale_space(sliced, thresholds[:1], connectivity=connectivity).levels[0]
     if scale.merge_slivers:
         finest = merge_slivers(finest, thresholds[0], connectivity=connectivity)
@@ -158,18 +156,18 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
     clusters = label_clusters(levels, connectivity=connectivity)
     tiny = clusters.rows["area"].to_numpy() < thresholds[0]
     small = np.flatnonzero(tiny & scale.merge_slivers)
-    return ledger.book(
+    return ledger.record(
         "clusters", clusters, Step(clusters.without(small), clusters.rows.iloc[small].assign(reason=TOO_SMALL))
     )
 
 
 def _mask_vegetation(
-    sliced: NDArray[Any], vegetation: NDArray[np.bool_], scale: ScaleParams, ledger: Ledger
+    sliced: NDArray[Any], vegetation: NDArray[np.bool_], scale: ScaleParams, ledger: ClusterLedger
 ) -> NDArray[Any]:
-    """Take vegetation away with the ground, before the scale-space; each blob goes to the ledger.
+    """Remove vegetation with the ground, before the scale-space; each blob goes to the ledger.
 
-    The paper cuts vegetation out of clusters after the scale-space (V37), because colours tell it there. Where the
-    structure tells it, crowns need not flatten the roofs beside them first.
+    The paper cuts vegetation out of clusters after the scale-space (V37), as its classes come from colours. Where they
+    come from the structure, crowns need not flatten the roofs beside them first.
     """
     blobs, count = label_zones((sliced > 0) & vegetation, connectivity=scale.connectivity)
     lost = measure(blobs, count)
@@ -178,8 +176,8 @@ def _mask_vegetation(
     return np.where(vegetation, 0, sliced).astype(sliced.dtype)
 
 
-def _book_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, ledger: Ledger) -> None:
-    """Book the connected areas above the mask that are too small for the finest scale."""
+def _record_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, ledger: ClusterLedger) -> None:
+    """Record the connected areas above the mask that are too small for the finest scale."""
     islands, count = label_zones(sliced > 0, connectivity=connectivity)
     table = measure(islands, count)
     lost = table[table["area"] < smallest_px]
@@ -192,15 +190,17 @@ def _without_scale(measured: pd.DataFrame, reason: str) -> pd.DataFrame:
     return measured.assign(level=-1, hzone=0, origin=measured["first"], piece=0, alive=False, reason=reason)
 
 
-def _apply_classes(clusters: Clusters, classes: ClassMap, smallest_px: int, params: Params, ledger: Ledger) -> Clusters:
-    """Reshape, split and drop clusters by their classes (V37-V45), and drop what thereby became a duplicate."""
+def _apply_classes(
+    clusters: Clusters, classes: ClassMap, smallest_px: int, params: Params, ledger: ClusterLedger
+) -> Clusters:
+    """Reshape, split and drop clusters by their classes (V37-V45), and drop the duplicates that this makes."""
     scale, spectral = params.scale, params.spectral
     step = cut_vegetation(
         clusters, classes.labelled("vegetation"), smallest_px=smallest_px, connectivity=scale.connectivity
     )
-    clusters = ledger.book("vegetation", clusters, step)
+    clusters = ledger.record("vegetation", clusters, step)
     step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
-    clusters = ledger.book("duplicates after vegetation", clusters, step, lost=False)
+    clusters = ledger.record("duplicates after vegetation", clusters, step, lost=False)
     step = split_by_classes(
         clusters,
         classes,
@@ -209,7 +209,7 @@ def _apply_classes(clusters: Clusters, classes: ClassMap, smallest_px: int, para
         smallest_px=smallest_px,
         connectivity=scale.connectivity,
     )
-    clusters = ledger.book("split", clusters, step)
+    clusters = ledger.record("split", clusters, step)
     step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
-    clusters = ledger.book("duplicates after split", clusters, step, lost=False)
-    return ledger.book("spectrum", clusters, drop_unlike(clusters, classes, spectral.min_building_share))
+    clusters = ledger.record("duplicates after split", clusters, step, lost=False)
+    return ledger.record("spectrum", clusters, drop_unlike(clusters, classes, spectral.min_building_share))

@@ -9,7 +9,7 @@ import pandas as pd
 import shapely
 
 from msbdb.detect.scene import Regions, Scene
-from msbdb.fuse.buildings import buildings_from_parts, covered_shares, link_labels, witnessed
+from msbdb.fuse.buildings import buildings_from_parts, covered_shares, link_labels, with_support
 from msbdb.grid import Grid, GridSpec
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
@@ -82,7 +82,7 @@ def make_frames(
         between.append(link([flat.labels], flat_ids, found.labels, ids, table=FLAT_REGION_CANDIDATE))
     buildings = buildings_from_parts(parts, forest.root_labels, scene.heights)
     roots = buildings["root_id"].to_numpy()
-    buildings = witnessed(buildings, {name: covered_shares(roots, found) for name, found in links.items()})
+    buildings = with_support(buildings, {name: covered_shares(roots, found) for name, found in links.items()})
     rejections = _joined(forest.rejections, [flat.ledger, *(found.ledger for found in candidates)])
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     none = no_regions("area3d", CANDIDATE_REGION, spec)

@@ -92,5 +92,5 @@ def test_another_forest_is_refused():
     """Roots that are not the parts' are an error, not a silent zero."""
     parts, _, ndsm = build()
     _, other, _ = build(0.0)
-    with pytest.raises(TableError, match="one extraction"):
+    with pytest.raises(TableError, match="Take both from one build"):
         buildings_from_parts(parts, other, ndsm)

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from msbdb.errors import GridMismatchError, TableError
-from msbdb.fuse.buildings import covered_shares, link_labels, witnessed
+from msbdb.fuse.buildings import covered_shares, link_labels, with_support
 from msbdb.tables import FLAT_REGION_CANDIDATE, PART_CANDIDATE, PART_FLAT_REGION
 
 PARTS = np.array([501, 502, 503])
@@ -120,7 +120,7 @@ def heard(**shares):
     """Return three buildings, of which the classes confirm two, after the extractors were heard."""
     none = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share"), np.nan)
     buildings = pd.DataFrame({"state": STATES, **none})
-    return witnessed(buildings, {name: np.array(values) for name, values in shares.items()})
+    return with_support(buildings, {name: np.array(values) for name, values in shares.items()})
 
 
 def test_one_extractor_must_speak_for_the_building():

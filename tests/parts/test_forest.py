@@ -1,4 +1,4 @@
-"""The whole multi-scale extraction: invariants of the forest, ids, books, and what moves with the scene."""
+"""The whole multi-scale extraction: invariants of the forest, ids, ledger, and what moves with the scene."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -200,7 +200,7 @@ def test_a_courtyard_is_filled_as_the_paper_has_it():
 
 
 def test_vegetation_and_classes_together():
-    """A tree beside the house is cut off, a tree apart vanishes, and both are in the books."""
+    """A tree beside the house is cut off, a tree apart vanishes, and both are in the ledger."""
     image, index = np.zeros((40, 40), dtype=int), np.zeros((40, 40), dtype=int)
     image[5:20, 5:20], index[5:20, 5:20] = 2, 2
     image[8:16, 18:26], index[8:16, 18:26] = 2, 1
@@ -212,7 +212,7 @@ def test_vegetation_and_classes_together():
 
 
 def test_vegetation_told_by_structure_is_masked_with_the_ground():
-    """It takes no part in the scale-space, and its blobs are in the books."""
+    """It takes no part in the scale-space, and its blobs are in the ledger."""
     image, index = np.zeros((40, 40), dtype=int), np.zeros((40, 40), dtype=int)
     image[5:20, 5:20], index[5:20, 5:20] = 2, 2
     image[8:16, 20:28], index[8:16, 20:28] = 4, 1
@@ -252,7 +252,7 @@ def options():
 @settings(max_examples=60, deadline=None)
 @given(scenes(), options())
 def test_the_forest_holds_its_invariants(scene, chosen):
-    """V33 on any scene: acyclic, coarser and larger fathers, children inside, roots disjoint, books balanced."""
+    """V33 on any scene: acyclic, coarser and larger fathers, children inside, roots disjoint, ledger balanced."""
     image, index = scene
     forest = extract(image, 4, 12, 40, index=index if chosen.pop("classes") else None, fake_father_ratio=0.2, **chosen)
     validate_parts(forest.parts.assign(geometry=None))

@@ -14,7 +14,7 @@ from msbdb.labels import central_cells, height_statistics, measure, order_height
 from msbdb.landcover import ClassMap
 from msbdb.params import ScaleParams, SurfaceParams
 from msbdb.parts.adjacency import grow
-from msbdb.parts.clusters import Clusters, Ledger, label_clusters, merge_slivers, slice_heights, storeys
+from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters, merge_slivers, slice_heights, storeys
 from msbdb.parts.fakefathers import FAKE, GAP, drop_fake_fathers, spread_of_children
 from msbdb.parts.links import SAME_AREA, SAME_STOREYS, drop_duplicates, find_roots, link
 from msbdb.parts.reshaping import FRAGMENT, cut, cut_vegetation
@@ -492,7 +492,7 @@ def test_scales_that_fall_together_become_one():
     assert scales.to_numpy().tolist() == [[1, 2, 52.0], [2, 1, 20.0]]
 
 
-def test_books_that_do_not_balance_are_refused():
+def test_ledgers_that_do_not_balance_are_refused():
     """What goes in is kept or dropped, at each stage."""
     with pytest.raises(TableError, match="does not balance"):
-        Ledger("multiscale").count("stage", 5, 3, 1)
+        ClusterLedger("multiscale").count("stage", 5, 3, 1)

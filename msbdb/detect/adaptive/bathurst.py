@@ -1,8 +1,7 @@
-"""Stepwise clustering: the tree of single linkage cut at shorter and shorter distances, by harder thresholds (S6).
+"""The adaptive detector: off-ground points without vegetation, clustered step by step (slides, S6).
 
-Clusters as rows: ids, attributes, and the ledger of what was rejected.
-
-The extraction of buildings from off-ground points, from end to end (slides on adaptive filtering, S6 to S8).
+The clusters are those of single linkage, cut at shorter and shorter distances. At each step clusters that fail harder
+thresholds are dropped.
 """
 
 import logging
@@ -19,27 +18,43 @@ from msbdb.detect.adaptive.offground import (
     SCATTERED,
     OffGround,
     SurfaceEvidence,
+    classify_vegetation,
     off_ground,
     structure,
-    tell_vegetation,
 )
-from msbdb.detect.pointregions import Candidates, PlacedPoints, PointBooks, outlined, point_heights, point_ndvi
+from msbdb.detect.pointregions import (
+    Candidates,
+    PlacedPoints,
+    PointLedger,
+    describe_candidates,
+    detect_on_points,
+    in_order_of_ids,
+    strings_of_points,
+)
 from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import GridSpec
-from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, renumber, reorder, sizes
+from msbdb.labels import Labels, renumber
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams, Params
 from msbdb.points.cloud import PointCloud
 from msbdb.points.graph import linked
-from msbdb.tables import CANDIDATE_REGION
 from msbdb.threads import cores
 
-Floats = NDArray[np.float64]
+logger = logging.getLogger(__name__)
 
+Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 UPPER = 0.9
 """Share of a cluster's points below the height that is compared with the threshold."""
+
+METHOD = "adaptive"
+RULE = "clustering"
+VEGETATION = "vegetation"
+KINDS = {GREEN: "NDVI of vegetation", SCATTERED: "scattered surface or split echoes, as of crowns"}
+
+NEAREST = 4
+"""A point returns to one of so many nearest points of regions, the nearest of like height."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +70,133 @@ class ClusterStep:
     level_per_split: float
 
 
+def detect_adaptive(scene: Scene, params: Params) -> Regions:
+    """Detect candidate regions among the points of a scene (S6): the detector ``adaptive``.
+
+    Parameters
+    ----------
+    scene : Scene
+        With points and a surface.
+    params : Params
+        Sections ``adaptive``, ``surface``, ``ground`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
+    """
+    return detect_on_points(extract_adaptive, scene, params)
+
+
+def extract_adaptive(
+    cloud: PointCloud,
+    heights: NDArray[np.float64],
+    *,
+    spec: GridSpec,
+    survey: str,
+    params: Params,
+    ndvi: NDArray[np.float32] | None = None,
+) -> Candidates:
+    """Detect the clusters of off-ground points that may be buildings.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        All echoes, N points.
+    heights : (N,) ndarray of float64, metres
+        Above ground, by any ground filter; that of the slides is ``ground_filter = adaptive`` (S3 to S5).
+    spec : GridSpec
+        The survey's lattice, from which regions take their ids; points may lie outside of it.
+    survey : str
+        Name of the survey; part of the ids.
+    params : Params
+        Sections ``adaptive`` and, of ``surface``, the mask.
+    ndvi : (N,) ndarray of float32, optional
+        NDVI of each point, NaN where it has none.
+
+    Returns
+    -------
+    Candidates
+        Possibly without regions.
+
+    Raises
+    ------
+    InputError
+        When an array does not fit the points, or a coordinate or height is not finite.
+
+    Notes
+    -----
+    1. Points at or above the mask are off-ground.
+    2. Vegetation is removed point by point: by NDVI where there is one (S6), and by surface and echoes. The second
+       is ours, since NDVI alone is not reliable, and most surveys have no colours.
+    3. The other points are clustered by Euclidean distance, step by step at shorter distances. Each step drops the
+       clusters that fail its thresholds on number of points, area, height and surface (S6). The slides give no
+       values; ours follow from the spacing.
+    4. Off-ground points at the edge of a region become its points again: eaves split pulses as crowns do.
+
+    The result does not depend on the order of the points. Border: what lies outside of the cloud does not exist.
+    O(N) in time at a given density, but for sorting.
+    """
+    own = params.adaptive
+    points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
+    placed = points.placed(spec, survey)
+    ledger = PointLedger(METHOD, placed)
+    found = structure(points, own)
+    steps = ladder(own, points.spacing_m)
+    labels, count = _without_vegetation(points, found, own, steps[0], ledger)
+    for number, step in enumerate(steps, start=1):
+        labels, count = _tightened(points, found, (labels, count), (number, step), ledger)
+    labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
+    regions = describe(points, labels, count, placed)
+    logger.info("Adaptive: %d regions of %d off-ground points, spacing %.2f m", count, len(points), points.spacing_m)
+    return in_order_of_ids(labels, regions, points.index, len(cloud), ledger)
+
+
+def _without_vegetation(
+    points: OffGround, found: SurfaceEvidence, params: AdaptiveParams, step: ClusterStep, ledger: PointLedger
+) -> tuple[Labels, int]:
+    """Cluster what is no vegetation, and record the clusters of what is."""
+    kind = classify_vegetation(points, found, params)
+    dropped = 0
+    for number, reason in KINDS.items():
+        lost, lost_count = cluster(points, kind == number, step.distance_m)
+        dropped += ledger.reject(VEGETATION, np.full(lost_count, reason, dtype=object), lost, number)
+    labels, count = cluster(points, kind == 0, step.distance_m)
+    ledger.count(VEGETATION, count + dropped, count, dropped)
+    return labels, count
+
+
+def _tightened(
+    points: OffGround,
+    found: SurfaceEvidence,
+    clusters: tuple[Labels, int],
+    step: tuple[int, ClusterStep],
+    ledger: PointLedger,
+) -> tuple[Labels, int]:
+    """Cut the clusters, which are labels and their number, at the step's distance, and drop those that fail."""
+    (labels, count), (number, values) = clusters, step
+    stage = f"step {number}"
+    pieces = labels, count
+    if number > 1:
+        pieces = cluster(points, labels > 0, values.distance_m)
+    reasons = judge(points, found, *pieces, values)
+    lost = reasons != ""
+    rejected, _ = renumber(pieces[0], lost)
+    dropped = ledger.reject(stage, reasons[lost], rejected, len(KINDS) + number)
+    kept, left = renumber(pieces[0], ~lost)
+    ledger.count(stage, count, left, dropped, pieces=pieces[1] - count)
+    return kept, left
+
+
 def ladder(params: AdaptiveParams, spacing_m: float) -> list[ClusterStep]:
-    """Return the steps; each value goes evenly from the first one given to the last."""
+    """Return the steps; each value goes evenly from the first one given to the last.
+
+    Examples
+    --------
+    >>> steps = ladder(AdaptiveParams(steps=3, link_factors=(3.0, 2.0), points=(10.0, 30.0)), spacing_m=1.0)
+    >>> [(step.distance_m, step.points) for step in steps]
+    [(3.0, 10.0), (2.5, 20.0), (2.0, 30.0)]
+    """
     shares = np.linspace(0, 1, params.steps) if params.steps > 1 else np.ones(1)
 
     def at(values: tuple[float, ...], share: float) -> float:
@@ -124,7 +264,16 @@ def upper_heights(heights: Floats, member: NDArray[np.int32], size: NDArray[np.i
 
 
 def widths(x: Floats, y: Floats, member: NDArray[np.int32], size: NDArray[np.int64]) -> Floats:
-    """Return the shorter side of the rectangle with the same second moments as each cluster's points, metres."""
+    """Return the shorter side of the rectangle with the same second moments as each cluster's points, metres.
+
+    Examples
+    --------
+    A wall of 101 by 3 points at 0.1 m, whose points reach half a spacing beyond their places:
+
+    >>> y, x = np.mgrid[0:3, 0:101].reshape(2, -1) / 10
+    >>> widths(x, y, np.zeros(303, dtype=np.int32), np.array([303])).round(2)
+    array([0.28])
+    """
     count, number = len(size), np.maximum(size, 1)
     dx = x - (np.bincount(member, x, count) / number)[member]
     dy = y - (np.bincount(member, y, count) / number)[member]
@@ -133,143 +282,8 @@ def widths(x: Floats, y: Floats, member: NDArray[np.int32], size: NDArray[np.int
     return np.asarray(np.sqrt(12 * np.maximum(least, 0)))
 
 
-METHOD = "adaptive"
-
-RULE = "clustering"
-
-
-def describe(points: OffGround, labels: Labels, count: int, placed: PlacedPoints) -> pd.DataFrame:
-    """Return the rows of labelled regions (``tables.CANDIDATE_REGION``, without geometry), in the labels' order.
-
-    No edge points are sought: the perimeter is 0, and compactness, linearity and directions are not known.
-    """
-    inside = np.flatnonzero(labels)
-    order = inside[np.argsort(points.heights[inside], kind="stable")]
-    statistics = height_statistics(labels, slice(0, count), HeightOrder(order.astype(np.int32), points.heights[order]))
-    area = placed.areas(labels, count)
-    mbr = bounding_rectangles(points, labels, count)
-    xcen, ycen = placed.centroids(labels, count)
-    unknown = np.full(count, np.nan)
-    rows = pd.DataFrame(
-        {
-            "candidate_id": placed.ids(labels, count),
-            "method": METHOD,
-            "rule": RULE,
-            "height_scale_m": unknown,
-            "points": sizes(labels, count),
-            "area_m2": area,
-            "perimeter": 0,
-            "mbr_m2": mbr,
-            "rectangularity": area / mbr,
-            "compactness": unknown,
-            "linearity": unknown,
-            "direction_1": unknown,
-            "direction_2": unknown,
-            "ndvi": unknown if points.ndvi is None else region_means(points.ndvi, labels, count),
-            **{name: statistics[name].to_numpy() for name in statistics.columns},
-            "xcen": xcen,
-            "ycen": ycen,
-        }
-    )
-    return CANDIDATE_REGION.typed(rows)
-
-
-def bounding_rectangles(points: OffGround, labels: Labels, count: int) -> Floats:
-    """Return the areas of the minimum bounding rectangles, m2.
-
-    Rectangles reach half a spacing beyond the points, as the areas do, so that points in a row have one.
-    """
-    if not count:
-        return np.zeros(0)
-    inside = np.flatnonzero(labels)
-    order = inside[np.argsort(labels[inside], kind="stable")]
-    # As lines, which shapely builds faster than points; each begins with its first point twice, for it needs two.
-    first = np.flatnonzero(np.diff(labels[order], prepend=0))
-    order = np.insert(order, first, order[first])
-    lines = shapely.linestrings(np.column_stack((points.x[order], points.y[order])), indices=labels[order] - 1)
-    hulls = shapely.buffer(shapely.convex_hull(lines), points.spacing_m / 2, join_style="mitre", cap_style="square")
-    return np.asarray(shapely.area(shapely.minimum_rotated_rectangle(hulls)))
-
-
-logger = logging.getLogger(__name__)
-
-VEGETATION = "vegetation"
-
-KINDS = {GREEN: "NDVI of vegetation", SCATTERED: "scattered surface or split echoes, as of crowns"}
-
-NEAREST = 4
-"""So many of the nearest points of regions are asked for one of like height when points are regained."""
-
-
-def extract_adaptive(
-    cloud: PointCloud,
-    heights: NDArray[np.float64],
-    *,
-    spec: GridSpec,
-    survey: str,
-    params: Params,
-    ndvi: NDArray[np.float32] | None = None,
-) -> Candidates:
-    """Extract the clusters of off-ground points that may be buildings.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        All echoes, N points.
-    heights : (N,) ndarray of float64, metres
-        Above ground, by any ground filter; that of the slides is ``ground_filter = adaptive`` (S3 to S5).
-    spec : GridSpec
-        The survey's lattice, on which the ids stand; points may lie outside of it.
-    survey : str
-        Name of the survey; part of the ids.
-    params : Params
-        Sections ``adaptive`` and, of ``surface``, the mask.
-    ndvi : (N,) ndarray of float32, optional
-        NDVI of each point, NaN where it has none.
-
-    Returns
-    -------
-    Candidates
-        Possibly without regions.
-
-    Raises
-    ------
-    InputError
-        When an array does not fit the points, or a coordinate or height is not finite.
-
-    Notes
-    -----
-    1. Points at or above the mask are off-ground.
-    2. Vegetation is taken out point by point: by NDVI where there is one, and by surface and echoes (S6; the second
-       is ours, since NDVI alone is not reliable, and most surveys have no colours).
-    3. What is left is clustered by Euclidean distance, step by step at shorter distances, and clusters that fail
-       harder thresholds on number of points, area, height and surface are dropped (S6). The slides give no values;
-       ours follow from the spacing.
-    4. Off-ground points at the edge of a region become its points again: eaves split pulses as crowns do.
-
-    The result does not depend on the order of the points. Border: what lies outside of the cloud does not exist.
-    O(N) in time at a given density, but for sorting.
-    """
-    own = params.adaptive
-    points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
-    placed = points.placed(spec, survey)
-    books = PointBooks(METHOD, placed)
-    found = structure(points, own)
-    steps = ladder(own, points.spacing_m)
-    labels, count = _without_vegetation(points, found, own, steps[0], books)
-    for number, step in enumerate(steps, start=1):
-        labels, count = _tightened(points, found, (labels, count), (number, step), books)
-    labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
-    regions = describe(points, labels, count, placed)
-    order = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
-    full = np.zeros(len(cloud), dtype=np.int32)
-    full[points.index] = reorder(labels, order, count)
-    logger.info("Adaptive: %d regions of %d off-ground points, spacing %.2f m", count, len(points), points.spacing_m)
-    return Candidates(METHOD, full, regions.iloc[order].reset_index(drop=True), books.rejections(), books.counts)
-
-
 def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) -> Labels:
-    """Give points at the edges back to regions: those near to one in plan, and of like elevation."""
+    """Return labels in which points at the edges belong to the region near them in plan and of like elevation."""
     inside, outside = np.flatnonzero(labels), np.flatnonzero(labels == 0)
     if not inside.size or not outside.size or reach_m == 0:
         return labels
@@ -285,64 +299,31 @@ def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) 
     return result
 
 
-def _without_vegetation(
-    points: OffGround, found: SurfaceEvidence, params: AdaptiveParams, step: ClusterStep, books: PointBooks
-) -> tuple[Labels, int]:
-    """Cluster what is no vegetation, and book the clusters of what is."""
-    kind = tell_vegetation(points, found, params)
-    dropped = 0
-    for number, reason in KINDS.items():
-        lost, lost_count = cluster(points, kind == number, step.distance_m)
-        dropped += books.reject(VEGETATION, np.full(lost_count, reason, dtype=object), lost, number)
-    labels, count = cluster(points, kind == 0, step.distance_m)
-    books.count(VEGETATION, count + dropped, count, dropped)
-    return labels, count
+def describe(points: OffGround, labels: Labels, count: int, placed: PlacedPoints) -> pd.DataFrame:
+    """Return the rows of labelled regions (``tables.CANDIDATE_REGION``, without geometry), in the labels' order.
 
-
-def _tightened(
-    points: OffGround,
-    found: SurfaceEvidence,
-    clusters: tuple[Labels, int],
-    step: tuple[int, ClusterStep],
-    books: PointBooks,
-) -> tuple[Labels, int]:
-    """Cut the clusters, which are labels and their number, at the step's distance, and drop those that fail."""
-    (labels, count), (number, values) = clusters, step
-    stage = f"step {number}"
-    pieces = labels, count
-    if number > 1:
-        pieces = cluster(points, labels > 0, values.distance_m)
-    reasons = judge(points, found, *pieces, values)
-    lost = reasons != ""
-    rejected, _ = renumber(pieces[0], lost)
-    dropped = books.reject(stage, reasons[lost], rejected, len(KINDS) + number)
-    kept, left = renumber(pieces[0], ~lost)
-    books.count(stage, count, left, dropped, pieces=pieces[1] - count)
-    return kept, left
-
-
-def detect_adaptive(scene: Scene, params: Params) -> Regions:
-    """Detect candidate regions among the points of a scene (S6): the detector ``adaptive``.
-
-    Parameters
-    ----------
-    scene : Scene
-        With points and a surface.
-    params : Params
-        Sections ``adaptive``, ``surface``, ``ground`` and ``vector``.
-
-    Returns
-    -------
-    Regions
-        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
+    The detector has no edge points: the perimeter is 0, and compactness, linearity and directions are not known.
     """
-    cloud = scene.require_cloud()
-    found = extract_adaptive(
-        cloud,
-        point_heights(scene, params),
-        spec=scene.heights.spec,
-        survey=scene.survey.name,
-        params=params,
-        ndvi=point_ndvi(scene.bands, cloud),
-    )
-    return outlined(found, scene, params)
+    mbr = bounding_rectangles(points, labels, count)
+    unknown = ("height_scale_m", "compactness", "linearity", "direction_1", "direction_2")
+    shape = {
+        "rule": RULE,
+        "perimeter": 0,
+        "mbr_m2": mbr,
+        "rectangularity": placed.areas(labels, count) / mbr,
+        **dict.fromkeys(unknown, np.nan),
+    }
+    return describe_candidates(placed, labels, points.heights, points.ndvi, shape, method=METHOD)
+
+
+def bounding_rectangles(points: OffGround, labels: Labels, count: int) -> Floats:
+    """Return the areas of the minimum bounding rectangles, m2.
+
+    Rectangles reach half a spacing beyond the points, as the areas do, so that points in a row have one.
+    """
+    if not count:
+        return np.zeros(0)
+    inside = np.flatnonzero(labels)
+    lines = strings_of_points(points.x[inside], points.y[inside], labels[inside] - 1)
+    hulls = shapely.buffer(shapely.convex_hull(lines), points.spacing_m / 2, join_style="mitre", cap_style="square")
+    return np.asarray(shapely.area(shapely.minimum_rotated_rectangle(hulls)))

@@ -1,8 +1,6 @@
-"""The off-ground points in canonical order, with what the steps ask of them.
+"""Off-ground points and the vegetation among them, by the surface around each point, its echoes and its NDVI (S6).
 
-What lies about a point: the residual of the plane through its neighbours, and means over them.
-
-Vegetation among off-ground points: by NDVI where there are colours, and by surface and echoes (S6).
+The surface is measured by the residual of the plane through the neighbours, and by means over a wider disc.
 """
 
 import math
@@ -29,10 +27,25 @@ Floats = NDArray[np.float64]
 KIND = "\0adaptive"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
+LEAST_POINTS = 5
+"""A plane always fits fewer points, or nearly."""
+
+SPLITS = 2
+"""Cells to the radius of a sphere: finer ones than the radius let the window fit the disc better."""
+
+SHARING = 4
+"""Cells to the radius of means: the points of one cell share theirs."""
+
+PARTS = 16
+"""The work is cut into so many parts; their borders have no effect on the result."""
+
+GREEN = 1
+SCATTERED = 2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffGround:
-    """The points of at least the mask's height, sorted by x, y and z, then by all else that is known of them.
+    """The points of at least the mask's height, sorted by x, y and z, then by all their other values.
 
     Parameters
     ----------
@@ -45,9 +58,9 @@ class OffGround:
     heights : (N,) ndarray of float64, metres
         Above ground.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for, of all points of the cloud: one over the local density (A17).
+        Area of each point: one over the local density of the cloud (A17).
     split : (N,) ndarray of bool, optional
-        Which points are of pulses with several echoes; None where the source knows no echoes.
+        Which points are of pulses with several echoes; None where the source has no echoes.
     ndvi : (N,) ndarray of float32, optional
         NaN where a point has none.
     place : (N,) ndarray of int64
@@ -75,6 +88,22 @@ class OffGround:
     def placed(self, spec: GridSpec, survey: str) -> PlacedPoints:
         """Return the points on a survey's lattice."""
         return PlacedPoints(self.x, self.y, self.origin, self.area_m2, self.place, spec, survey + KIND)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceEvidence:
+    """How the surface about each point looks; (N,) ndarrays of float32 from 0 to 1.
+
+    Parameters
+    ----------
+    level : ndarray
+        Mean degree to which the points around lie on planes.
+    split : ndarray
+        Share of the points around that are of pulses with several echoes; 0 where the source has no echoes.
+    """
+
+    level: NDArray[np.float32]
+    split: NDArray[np.float32]
 
 
 def off_ground(
@@ -127,26 +156,58 @@ def _canonical(
     return np.asarray(order_of_points(cloud.x[chosen], cloud.y[chosen], ties), dtype=np.int64)
 
 
-LEAST_POINTS = 5
-"""Through fewer points a plane fits always, or nearly."""
+def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
+    """Measure planes in a small sphere about each point, and take their mean and that of the echoes in a wider disc."""
+    small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m)
+    wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
+    values = np.zeros((len(points), 2), dtype=np.float32)
+    values[:, 0] = _degree(plane_residuals(points.x, points.y, points.z, small_m), params.level_m)
+    if points.split is not None:
+        values[:, 1] = points.split
+    around = means_around(points.x, points.y, values, wide_m)
+    return SurfaceEvidence(around[:, 0], around[:, 1])
 
-SPLITS = 2
-"""Cells to the radius of a sphere: finer ones than the radius let the window fit the disc better."""
 
-SHARING = 4
-"""Cells to the radius of means: the points of one cell share theirs."""
+def classify_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:
+    """Return for each point `GREEN`, `SCATTERED`, or 0 for what may be a roof.
 
-PARTS = 16
-"""Work is cut into so many parts; their borders change nothing."""
+    Green points are vegetation, unless their surroundings are as level as only a planted roof is. Other points are
+    vegetation where their surroundings scatter: by log-odds of the level share and the share of split echoes (ours;
+    the slides have colours, and a sensor of up to four echoes, S8).
+    """
+    if points.split is None:
+        odds = params.blind_bias + params.blind_level_weight * found.level
+    else:
+        odds = params.bias + params.level_weight * found.level - params.split_weight * found.split
+    kind = np.where(odds < params.least_odds, SCATTERED, 0).astype(np.int8)
+    if points.ndvi is not None and np.isfinite(points.ndvi).any():
+        green = points.ndvi > ndvi_threshold(points.ndvi, params)
+        kind[green & (found.level < params.ndvi_smooth)] = GREEN
+    return kind
 
 
-class Sorted(NamedTuple):
-    """Points in the order of their cells, and the radius within which others are neighbours; for kernels."""
+def ndvi_threshold(ndvi: NDArray[np.float32], params: AdaptiveParams) -> float:
+    """Return Otsu's threshold of the points that have colours, within the bounds."""
+    known = ndvi[np.isfinite(ndvi)]
+    low, high = min(params.ndvi_bounds), max(params.ndvi_bounds)
+    if known.min() == known.max():
+        return high
+    return float(np.clip(threshold_otsu(known), low, high))  # type: ignore[no-untyped-call]  # scikit-image is untyped
 
-    cells: CellIndex
-    x: Floats
-    y: Floats
-    radius_m: float
+
+def _degree(residual_m: NDArray[np.float32], level_m: float) -> NDArray[np.float32]:
+    """Return the degree to which residuals are level: 1 up to half of ``level_m``, 0 from twice of it.
+
+    Examples
+    --------
+    In between the degree falls evenly in the logarithm:
+
+    >>> _degree(np.array([0.05, 0.1, 0.2, 0.4], dtype=np.float32), 0.1)
+    array([1. , 0.5, 0. , 0. ], dtype=float32)
+    """
+    with np.errstate(divide="ignore"):
+        octaves = np.log2(residual_m / np.float32(level_m))
+    return np.asarray(np.clip((1 - octaves) / 2, 0, 1), dtype=np.float32)
 
 
 def plane_residuals(x: Floats, y: Floats, z: Floats, radius_m: float) -> NDArray[np.float32]:
@@ -192,8 +253,8 @@ def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: fl
 
     Notes
     -----
-    The means vary little over a quarter of the radius. So points in a cell of that side share the mean over the disc
-    about the middle of them, which takes a fraction of the time where points are dense.
+    The means vary little over a quarter of the radius. So the points of a cell of that side share one mean, over the
+    disc around their own mean place. Where points are dense this takes a fraction of the time.
     """
     index = index_cells(x, y, radius_m / SHARING)
     found = np.empty(values.shape, dtype=np.float32)
@@ -210,15 +271,27 @@ def _parts(index: CellIndex) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(edges)]
 
 
+class Sorted(NamedTuple):
+    """Points in the order of their cells, and the radius within which others are neighbours; for kernels."""
+
+    cells: CellIndex
+    x: Floats
+    y: Floats
+    radius_m: float
+
+
 @kernel
 def _residuals(points: Sorted, z: Floats, part: tuple[int, int], found: NDArray[np.float32]) -> None:
     """Fill in the residuals of the points of a part of the cells; z comes in the order of the cells."""
+    # Each part writes only the points of its own cells, so threads share nothing and the parts have no effect.
     index, x, y, radius_m = points
     limit = radius_m * radius_m
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
+        # Cells are 1 / SPLITS of the radius wide: these rows hold all neighbours of all points of the cell.
         strips = [strip(index, other, col - SPLITS, col + SPLITS) for other in range(row - SPLITS, row + SPLITS + 1)]
         for point in range(index.starts[cell], index.starts[cell + 1]):
+            # Sums of offsets from the point itself, which are small, so that their squares keep their digits.
             n, sx, sy, sz = 0, 0.0, 0.0, 0.0
             xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for first, stop in strips:
@@ -244,12 +317,14 @@ def _least_eigenvalue(squares: tuple[float, float, float], products: tuple[float
     """Return the smallest eigenvalue of a symmetric matrix of xx, yy, zz and xy, xz, yz (Smith 1961)."""
     xx, yy, zz = squares
     xy, xz, yz = products
+    # Without the mean of its diagonal the matrix has trace 0, and its eigenvalues are 2 spread cos(angle + 2πk/3).
     mean = (xx + yy + zz) / 3
     ax, ay, az = xx - mean, yy - mean, zz - mean
     spread = math.sqrt((ax * ax + ay * ay + az * az + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
     if spread <= 0:
         return mean
     determinant = ax * (ay * az - yz * yz) - xy * (xy * az - yz * xz) + xz * (xy * yz - ay * xz)
+    # Rounding may bring the cosine just beyond -1 or 1. The angle plus 2π/3 gives the smallest eigenvalue.
     cosine = min(1.0, max(-1.0, determinant / (2 * spread * spread * spread)))
     return mean + 2 * spread * math.cos(math.acos(cosine) / 3 + 2 * math.pi / 3)
 
@@ -278,70 +353,3 @@ def _means(points: Sorted, values: NDArray[np.float32], part: tuple[int, int], f
         for point in range(begin, end):
             for k in range(width):
                 found[index.order[point], k] = sums[k] / n
-
-
-GREEN = 1
-
-SCATTERED = 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceEvidence:
-    """How the surface about each point looks; (N,) ndarrays of float32 from 0 to 1.
-
-    Parameters
-    ----------
-    level : ndarray
-        Mean degree to which the points around lie on planes.
-    split : ndarray
-        Share of the points around that are of pulses with several echoes; 0 where the source knows none.
-    """
-
-    level: NDArray[np.float32]
-    split: NDArray[np.float32]
-
-
-def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
-    """Measure planes in a small sphere about each point, and take their mean and that of the echoes in a wider disc."""
-    small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m)
-    wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
-    values = np.zeros((len(points), 2), dtype=np.float32)
-    values[:, 0] = _degree(plane_residuals(points.x, points.y, points.z, small_m), params.level_m)
-    if points.split is not None:
-        values[:, 1] = points.split
-    around = means_around(points.x, points.y, values, wide_m)
-    return SurfaceEvidence(around[:, 0], around[:, 1])
-
-
-def tell_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:
-    """Return for each point `GREEN`, `SCATTERED`, or 0 for what may be a roof.
-
-    Green points are vegetation, unless their surroundings are as level as only a planted roof is. Of the others those
-    are, whose surroundings scatter: by log-odds of the level share and the share of split echoes (ours: the slides
-    have colours; their sensor gave up to four echoes, S8).
-    """
-    if points.split is None:
-        odds = params.blind_bias + params.blind_level_weight * found.level
-    else:
-        odds = params.bias + params.level_weight * found.level - params.split_weight * found.split
-    kind = np.where(odds < params.least_odds, SCATTERED, 0).astype(np.int8)
-    if points.ndvi is not None and np.isfinite(points.ndvi).any():
-        green = points.ndvi > ndvi_threshold(points.ndvi, params)
-        kind[green & (found.level < params.ndvi_smooth)] = GREEN
-    return kind
-
-
-def ndvi_threshold(ndvi: NDArray[np.float32], params: AdaptiveParams) -> float:
-    """Return Otsu's threshold of the points that have colours, within the bounds."""
-    known = ndvi[np.isfinite(ndvi)]
-    low, high = min(params.ndvi_bounds), max(params.ndvi_bounds)
-    if known.min() == known.max():
-        return high
-    return float(np.clip(threshold_otsu(known), low, high))  # type: ignore[no-untyped-call]  # scikit-image is untyped
-
-
-def _degree(residual_m: NDArray[np.float32], level_m: float) -> NDArray[np.float32]:
-    """Return 1 for residuals up to half of what tells nothing, 0 from twice of it on, evenly in the logarithm."""
-    with np.errstate(divide="ignore"):
-        octaves = np.log2(residual_m / np.float32(level_m))
-    return np.asarray(np.clip((1 - octaves) / 2, 0, 1), dtype=np.float32)

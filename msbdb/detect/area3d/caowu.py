@@ -1,20 +1,25 @@
-"""The extraction of building regions among the points from end to end (Cao & Wu, section 2.2)."""
+"""The area3d detector: building regions among the points, by 3-D area morphology at several heights (Cao & Wu, 2.2)."""
 
 import logging
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.detect.area3d.candidates import METHOD, NormalisedCloud, describe_candidates
 from msbdb.detect.area3d.curvature import PointStructure, measure_structure
-from msbdb.detect.area3d.heightscales import OnSets, fuse_over_scales, height_scales
-from msbdb.detect.pointregions import Candidates, PointBooks, outlined, places, point_heights, point_ndvi
+from msbdb.detect.area3d.heightscales import NormalisedCloud, OnSets, fuse_over_scales, height_scales
+from msbdb.detect.pointregions import (
+    Candidates,
+    PointLedger,
+    describe_candidates,
+    detect_on_points,
+    in_order_of_ids,
+    places,
+)
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import InputError, NodataError
 from msbdb.grid import GridSpec
-from msbdb.labels import Labels, chosen_cells, reorder, sums
+from msbdb.labels import chosen_cells, sums
 from msbdb.order import order_of_points, ranks
 from msbdb.params import Area3dParams, Params
 from msbdb.points.cloud import PointCloud
@@ -24,11 +29,31 @@ from msbdb.points.pointarea import build_point_scale_space, components, open_clo
 
 logger = logging.getLogger(__name__)
 
+METHOD = "area3d"
+
 ORIGIN_M = 1000.0
 """Coordinates are counted from a multiple of this, so that their squares keep their digits."""
 
 BLOCK_M = 16.0
 """Side of the blocks by which points are sorted: what a few thousand points take fits into the processor's cache."""
+
+
+def detect_area3d(scene: Scene, params: Params) -> Regions:
+    """Detect candidate regions among the points of a scene (C19): the detector ``area3d``.
+
+    Parameters
+    ----------
+    scene : Scene
+        With points and a surface.
+    params : Params
+        Sections ``area3d``, ``surface``, ``ground`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
+    """
+    return detect_on_points(extract_area3d, scene, params)
 
 
 def extract_area3d(
@@ -40,14 +65,14 @@ def extract_area3d(
     params: Params,
     ndvi: NDArray[np.float32] | None = None,
 ) -> Candidates:
-    """Extract the regions of points that may be buildings.
+    """Detect the regions of points that may be buildings.
 
     Parameters
     ----------
     cloud : PointCloud
         All echoes, outliers gone. Classes are not looked at.
     heights : (N,) ndarray of float64, metres
-        The normalised cloud's third coordinate: heights above ground of the points, finite.
+        Heights above ground of the points, finite: the third coordinate of the normalised cloud.
     spec : GridSpec
         The survey's lattice, from which regions take their ids.
     survey : str
@@ -71,11 +96,12 @@ def extract_area3d(
 
     Notes
     -----
-    At each height scale h_j (C14) the connected components of the opened and closed on-set (C1 to C7) lose their
-    crowns (C16), and those of the components left that are as large as T_a are judged by their shape (C8 to C12, C17,
-    C18). The fusion over heights is the union (C19): as AOC filters one function, components at a higher h_j lie
-    within those at a lower one; so a region is accepted at the lowest height that accepts it, and what lies within it
-    higher up is absorbed. Higher scales thus add regions that are joined to something else lower down.
+    At each height scale h_j (C14) the on-set is opened and closed by area, and its connected components (C1 to C7)
+    lose their crowns (C16). Components that are still as large as T_a are judged by their shape (C8 to C12, C17, C18).
+
+    The fusion over heights is the union (C19). AOC filters one function, so components at a higher h_j lie within those
+    at a lower one. A region is accepted at the lowest height that accepts it, and absorbs the regions within it higher
+    up. Higher scales thus add regions that are joined to something else lower down.
 
     The change of curvature is measured once, among the points of the lowest on-set, so that the components without
     crowns are nested too.
@@ -89,25 +115,23 @@ def extract_area3d(
     scenes, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
-    books = PointBooks(METHOD, placed)
-    accepted = fuse_over_scales(scenes, scales, books)
-    regions = describe_candidates(
-        scene.cloud,
-        accepted.labels,
-        scene.shapes(accepted.labels, len(accepted.rule)),
-        rule=accepted.rule,
-        height_scale_m=accepted.height_m,
-        placed=placed,
-    )
+    ledger = PointLedger(METHOD, placed)
+    accepted = fuse_over_scales(scenes, scales, ledger)
+    shape = {
+        "rule": np.array(["", "rule 1", "rule 2"], dtype=object)[accepted.rule],
+        "height_scale_m": accepted.height_m,
+        **scene.shapes(accepted.labels, len(accepted.rule)).columns(),
+    }
+    regions = describe_candidates(placed, accepted.labels, scene.cloud.heights, scene.cloud.ndvi, shape, method=METHOD)
     logger.info("area3d: %d regions at the heights %s m", len(regions), scales)
-    return _in_order_of_ids(accepted.labels, regions, order, books)
+    return in_order_of_ids(accepted.labels, regions, order, len(cloud), ledger)
 
 
 def _require(cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.float32] | None) -> None:
-    """Refuse clouds without points, arrays of another length, and numbers that are none."""
+    """Refuse clouds without points, arrays of another length, NaN and infinity."""
     if len(cloud) == 0:
         msg = (
-            "There is no point among which buildings could be sought; check the extent and the classes that were read."
+            "The cloud has no points, so no building can be detected; check the extent and the classes that were read."
         )
         raise NodataError(msg)
     for name, values in (("heights", heights), ("ndvi", ndvi)):
@@ -143,7 +167,7 @@ def _prepare(
 ) -> tuple[tuple[OnSets, ...], tuple[float, ...]]:
     """Build what all height scales share from the points in canonical order, for each area; choose the heights."""
     own, mask_m = params.area3d, params.surface.mask_m
-    points = np.empty((len(cloud), 3), order="F")  # by columns, each of which the steps take as it is
+    points = np.empty((len(cloud), 3), order="F")  # by columns, as the steps take single columns without a copy
     x, y, z = points.T
     for column, values in zip((x, y, z), (cloud.x, cloud.y, cloud.z), strict=True):
         column[:] = values
@@ -224,39 +248,3 @@ def _structure(
     spread = PointStructure(np.zeros(len(on)), np.zeros(len(on)))
     spread.curvature[on], spread.echo_share[on] = found.curvature, found.echo_share
     return spread
-
-
-def _in_order_of_ids(labels: Labels, regions: pd.DataFrame, order: NDArray[np.intp], books: PointBooks) -> Candidates:
-    """Put the regions in the order of their ids, and the labels in that of the cloud."""
-    by_id = np.argsort(regions["candidate_id"].to_numpy(), kind="stable")
-    found = np.empty(len(labels), dtype=np.int32)
-    found[order] = reorder(labels, by_id, len(by_id))
-    rows = regions.iloc[by_id].reset_index(drop=True)
-    return Candidates(METHOD, found, rows, books.rejections(), books.counts)
-
-
-def detect_area3d(scene: Scene, params: Params) -> Regions:
-    """Detect candidate regions among the points of a scene (C19): the detector ``area3d``.
-
-    Parameters
-    ----------
-    scene : Scene
-        With points and a surface.
-    params : Params
-        Sections ``area3d``, ``surface``, ``ground`` and ``vector``.
-
-    Returns
-    -------
-    Regions
-        The table has the columns of ``tables.CANDIDATE_REGION`` and outlines.
-    """
-    cloud = scene.require_cloud()
-    found = extract_area3d(
-        cloud,
-        point_heights(scene, params),
-        spec=scene.heights.spec,
-        survey=scene.survey.name,
-        params=params,
-        ndvi=point_ndvi(scene.bands, cloud),
-    )
-    return outlined(found, scene, params)

@@ -1,6 +1,6 @@
-"""Height scales h_j: local minima of the histogram of the heights above ground (Cao & Wu, sections 2.2 and 3.2).
+"""Building regions at each height scale h_j, and their union over all heights (Cao & Wu, sections 2.2 and 3.2).
 
-Regions at the height scales, from the on-sets to the accepted ones, and their fusion (Cao & Wu, section 2.2).
+The height scales are local minima of the histogram of heights above ground.
 """
 
 import logging
@@ -10,14 +10,24 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.detect.area3d.candidates import STAGES, NormalisedCloud
 from msbdb.detect.area3d.curvature import PointStructure, Reach, grow_regions
 from msbdb.detect.area3d.regionshape import Shapes, judge, measure_shapes, reasons_against
-from msbdb.detect.pointregions import PointBooks
+from msbdb.detect.pointregions import PlacedPoints, PointLedger
+from msbdb.grid import GridSpec
 from msbdb.labels import Labels, chosen_cells, region_means, renumber, sizes, sums
 from msbdb.params import Area3dParams
 from msbdb.points.graph import PointGraph, connect
 from msbdb.points.pointarea import components
+
+logger = logging.getLogger(__name__)
+
+Mask = NDArray[np.bool_]
+
+KIND = "\0area3d"
+"""Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
+
+STAGES = ("fusion", "opening", "curvature", "crowns", "rules")
+"""The stages that reject regions, in order."""
 
 BINS = 100
 """Bars of the histogram (C14)."""
@@ -25,9 +35,20 @@ BINS = 100
 BESIDE = 3
 """Bars to the left and to the right that a local minimum is compared with (C14)."""
 
+WITHIN = "within a region accepted at a lower height"
+SMALL = "smaller than T_a"
+LOOSE = "loose points, fewer than three connected"
+LEAVES = "change of curvature or echoes of a crown"
+REST = "smaller than T_a beside its crowns"
+CROWN = "a crown by its curvature and echoes"
+GREEN = "a crown by its NDVI"
+
+LEAST_POINTS = 3
+"""Fewer points span no area; those that lie near each other in plan share a row of the ledger."""
+
 
 def height_scales(heights: NDArray[np.float64], params: Area3dParams, *, mask_m: float) -> tuple[float, ...]:
-    """Choose the heights at which regions are sought (C14).
+    """Choose the heights h_j at which regions are detected (C14).
 
     Parameters
     ----------
@@ -45,10 +66,8 @@ def height_scales(heights: NDArray[np.float64], params: Area3dParams, *, mask_m:
 
     Notes
     -----
-    A bar of the histogram is a local minimum when none of the three bars on either side is lower; bars without three
-    others on both sides are none. Adjoining local minima are equal bars, a plateau, and count once, by their middle,
-    unless no bar beside them is higher either. Of more than are wanted the lowest stay, as in the paper, whose first
-    is SS's. Where there is no local minimum above the mask, the mask is the only scale.
+    The scales are `histogram_minima` above the mask. If there are more than ``most_heights``, the lowest stay, as in
+    the paper, where SS uses the first. Where there is no local minimum above the mask, the mask is the only scale.
     """
     if params.heights_m:
         return tuple(sorted(set(params.heights_m)))[: params.most_heights]
@@ -66,6 +85,21 @@ def histogram_minima(heights: NDArray[np.float64], tail_percent: float = 0.0) ->
         Not modified.
     tail_percent : float
         Share of the heights left out at either end, per cent.
+
+    Notes
+    -----
+    A bar of the histogram is a local minimum when none of the three bars on either side is lower (C14). Bars without
+    three others on both sides are none. Adjoining local minima are equal bars, a plateau. A plateau counts once, by its
+    middle, unless no bar beside it is higher.
+
+    Examples
+    --------
+    A hundred heights from 0 to 9.9 m, of which each occurs |h - 4 m| / 0.1 m + 1 times, have their minimum at 4 m:
+
+    >>> bars = np.arange(100)
+    >>> heights = np.repeat(bars / 10, 1 + np.abs(bars - 40))
+    >>> [round(h, 1) for h in histogram_minima(heights)]
+    [4.0]
     """
     low, high = np.percentile(heights, (tail_percent, 100 - tail_percent), method="closest_observation")
     if not high > low:
@@ -84,26 +118,40 @@ def histogram_minima(heights: NDArray[np.float64], tail_percent: float = 0.0) ->
     ]
 
 
-logger = logging.getLogger(__name__)
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalisedCloud:
+    """The points in canonical order, as the steps take them.
 
-WITHIN = "within a region accepted at a lower height"
+    Parameters
+    ----------
+    points : (N, 3) ndarray of float64, metres
+        From an origin at a whole kilometre nearby.
+    heights : (N,) ndarray of float64, metres
+        Above ground.
+    area_m2 : (N,) ndarray of float64
+        Area that each point stands for.
+    several : (N,) ndarray of bool, optional
+        Which points are of pulses with several echoes; None where nothing is known of echoes.
+    ndvi : (N,) ndarray of float64, optional
+        NaN where a point has none.
+    place : (N,) ndarray of int64
+        Row-major number of the point's cell on the lattice.
+    origin : (2,) ndarray of float64
+        Easting and northing of the points' origin.
+    """
 
-SMALL = "smaller than T_a"
+    points: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    area_m2: NDArray[np.float64]
+    several: NDArray[np.bool_] | None
+    ndvi: NDArray[np.float64] | None
+    place: NDArray[np.int64]
+    origin: NDArray[np.float64]
 
-LOOSE = "loose points, fewer than three connected"
-
-LEAVES = "change of curvature or echoes of a crown"
-
-REST = "smaller than T_a beside its crowns"
-
-CROWN = "a crown by its curvature and echoes"
-
-GREEN = "a crown by its NDVI"
-
-LEAST_POINTS = 3
-"""Fewer points span no area; those that lie near each other in plan share a row of the ledger."""
-
-Mask = NDArray[np.bool_]
+    def placed(self, spec: GridSpec, survey: str) -> PlacedPoints:
+        """Return the points on a survey's lattice."""
+        x, y = self.points[:, 0], self.points[:, 1]
+        return PlacedPoints(x, y, self.origin, self.area_m2, self.place, spec, survey + KIND)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,8 +165,8 @@ class OnSets:
     graph : PointGraph
         Which points are connected (C2).
     filtered : (N,) ndarray of float64, metres
-        The highest h_j at which each point is on after opening and closing by area: the on-set of h_j is where it is
-        no lower (C6, C7). Minus infinity where there is none.
+        The highest h_j at which each point is on after opening and closing by area (C6, C7). A point is in the on-set
+        of h_j when this is h_j or more. Minus infinity where there is none.
     spacing_m : float
         Mean point spacing.
     link_m : float
@@ -126,7 +174,7 @@ class OnSets:
     structure : PointStructure
         Of all points; measured on the lowest on-set, 0 elsewhere.
     params : Area3dParams
-        The section of this extractor.
+        The section of this detector.
     mask_m : float
         Lower points are no building, but for the feet of its walls.
     """
@@ -188,7 +236,7 @@ class Accepted:
     height_m: NDArray[np.float64]
 
 
-def fuse_over_scales(scenes: tuple[OnSets, ...], scales: tuple[float, ...], books: PointBooks) -> Accepted:
+def fuse_over_scales(scenes: tuple[OnSets, ...], scales: tuple[float, ...], ledger: PointLedger) -> Accepted:
     """Judge the regions at each area and height scale, and take the union of the accepted ones (C7, C19).
 
     Parameters
@@ -197,20 +245,20 @@ def fuse_over_scales(scenes: tuple[OnSets, ...], scales: tuple[float, ...], book
         One for each area scale Ta_k, ascending.
     scales : tuple of float
         Height scales h_j, metres, ascending.
-    books : PointBooks
+    ledger : PointLedger
         Gets what is lost.
 
     Notes
     -----
-    Of one area scale, regions of a higher h_j lie within those of a lower one. So each place is taken by the lowest
-    height that accepts it, and higher ones look only at what is left. Larger area scales follow in the same way; their
-    union with the smaller ones is ours.
+    Within one area scale, regions of a higher h_j lie within those of a lower one. So each place is taken by the lowest
+    height that accepts it, and higher ones look only at the points left. Larger area scales follow in the same way;
+    their union with the smaller ones is ours.
     """
     labels = np.zeros(len(scenes[0].cloud.heights), dtype=np.int32)
-    booked = np.zeros(len(labels), dtype=np.bool_)
+    recorded = np.zeros(len(labels), dtype=np.bool_)
     rules, heights = [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
     for number, (scene, height_m) in enumerate(product(scenes, scales), 1):
-        found, rule = _Level(scene, books, number, height_m, labels > 0, booked).regions()
+        found, rule = _Level(scene, ledger, number, height_m, labels > 0, recorded).regions()
         before = sum(len(values) for values in rules)
         labels += np.where(found > 0, found + np.int32(before), np.int32(0))
         rules.append(rule)
@@ -221,18 +269,18 @@ def fuse_over_scales(scenes: tuple[OnSets, ...], scales: tuple[float, ...], book
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """One height scale of an area scale: its steps, in their order, and what they write into the books.
+    """One height scale of an area scale: its steps, in their order, and what they write into the ledger.
 
-    ``taken`` are the points of regions that lower scales accepted, ``booked`` those in regions that the opening took
-    away; each scale adds its own to these. What lies within one of them higher up stands in the ledger already.
+    ``taken`` are the points of regions that lower scales accepted, ``recorded`` the points of regions that the opening
+    removed. Each scale adds its own points to the latter, because the ledger has a region once, at its lowest height.
     """
 
     scene: OnSets
-    books: PointBooks
+    ledger: PointLedger
     number: int
     height_m: float
     taken: Mask
-    booked: Mask
+    recorded: Mask
 
     def regions(self) -> tuple[Labels, NDArray[np.int8]]:
         """Return the regions accepted at this height, and the rule that accepted each."""
@@ -260,30 +308,30 @@ class _Level:
         )
 
     def without_absorbed(self) -> int:
-        """Book what lies within accepted regions; return how many components of the on-set are left (C19)."""
+        """Record what lies within accepted regions; return how many components of the on-set are left (C19)."""
         stage, graph, on = "fusion", self.scene.graph, self.scene.cloud.heights >= self.height_m
         _, left = components(on & ~self.taken, graph)
         if not self.taken.any():
-            self.books.count(stage, left, left, 0)
+            self.ledger.count(stage, left, left, 0)
             return left
         _, entered = components(on, graph)
         labels, absorbed = components(on & self.taken, graph)
-        self.book(stage, labels, np.ones(absorbed, dtype=np.bool_), WITHIN)
-        self.books.count(stage, entered, left, absorbed, pieces=left + absorbed - entered)
+        self.record(stage, labels, np.ones(absorbed, dtype=np.bool_), WITHIN)
+        self.ledger.count(stage, entered, left, absorbed, pieces=left + absorbed - entered)
         return left
 
     def without_small(self, on: Mask, entered: int) -> int:
-        """Book what the opening took from the on-set; return how many components AOC left (C4 to C6)."""
+        """Record what the opening took from the on-set; return how many components AOC left (C4 to C6)."""
         stage, graph = "opening", self.scene.graph
         labels, count = components((self.scene.cloud.heights >= self.height_m) & ~self.taken, graph)
         _, opened = components(on, graph)
         lost = sums(labels, on, count) == 0
-        lost &= sums(labels, self.booked, count) == 0
+        lost &= sums(labels, self.recorded, count) == 0
         spans = sizes(labels, count) >= LEAST_POINTS
-        dropped = self.book(stage, labels, lost & spans, SMALL)
-        dropped += self.book_loose(stage, chosen_cells(labels, lost & ~spans))
-        self.booked[chosen_cells(labels, lost)] = True
-        self.books.count(stage, entered, opened, dropped, pieces=opened + dropped - entered)
+        dropped = self.record(stage, labels, lost & spans, SMALL)
+        dropped += self.record_loose(stage, chosen_cells(labels, lost & ~spans))
+        self.recorded[chosen_cells(labels, lost)] = True
+        self.ledger.count(stage, entered, opened, dropped, pieces=opened + dropped - entered)
         return opened
 
     def without_leaves(self, on: Mask, entered: int) -> tuple[Labels, int]:
@@ -291,12 +339,12 @@ class _Level:
         stage, scene, smooth = "curvature", self.scene, self.scene.smooth
         labels, count = components(on & smooth, scene.graph)
         large = scene.areas(labels, count) >= scene.params.smallest_m2
-        dropped = self.book(stage, labels, ~large, REST)
+        dropped = self.record(stage, labels, ~large, REST)
         if self.number == 1:  # those of higher scales lie within
             leaves, number = components(on & ~smooth, scene.graph)
-            dropped += self.book(stage, leaves, np.ones(number, dtype=np.bool_), LEAVES)
+            dropped += self.record(stage, leaves, np.ones(number, dtype=np.bool_), LEAVES)
         labels, kept = renumber(labels, large)
-        self.books.count(stage, entered, kept, dropped, pieces=kept + dropped - entered)
+        self.ledger.count(stage, entered, kept, dropped, pieces=kept + dropped - entered)
         return labels, kept
 
     def without_crowns(self, labels: Labels, count: int) -> tuple[Labels, int]:
@@ -318,15 +366,15 @@ class _Level:
         rejected, dropped = renumber(labels, lost)
         self.reject(stage, reasons[lost], rejected)
         kept, left = renumber(labels, ~lost)
-        self.books.count(stage, len(reasons), left, dropped)
+        self.ledger.count(stage, len(reasons), left, dropped)
         return kept, left
 
-    def book(self, stage: str, labels: Labels, chosen: Mask, reason: str) -> int:
+    def record(self, stage: str, labels: Labels, chosen: Mask, reason: str) -> int:
         """Write the chosen regions into the ledger with one reason; return how many."""
         rejected, dropped = renumber(labels, chosen)
         return self.reject(stage, np.full(dropped, reason, dtype=object), rejected)
 
-    def book_loose(self, stage: str, loose: Mask) -> int:
+    def record_loose(self, stage: str, loose: Mask) -> int:
         """Write loose points into the ledger, a row for those that are no farther than T_c apart in plan."""
         index = np.flatnonzero(loose)
         x, y = (np.ascontiguousarray(self.scene.cloud.points[index, axis]) for axis in range(2))
@@ -334,9 +382,9 @@ class _Level:
         found, count = components(np.ones(len(index), dtype=np.bool_), near)
         labels = np.zeros(len(loose), dtype=np.int32)
         labels[index] = found
-        return self.book(stage, labels, np.ones(count, dtype=np.bool_), LOOSE)
+        return self.record(stage, labels, np.ones(count, dtype=np.bool_), LOOSE)
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels) -> int:
         """Write labelled regions into the ledger; return how many."""
         number = len(STAGES) * self.number + STAGES.index(stage) + 1
-        return self.books.reject(stage, reasons, labels, number, scale=self.number)
+        return self.ledger.reject(stage, reasons, labels, number, scale=self.number)

@@ -1,8 +1,6 @@
-"""Shape of regions by their edge points (Cao & Wu, sections 2.1 and 2.2).
+"""The shape of regions of points, measured at their edge points, and the rules that accept a shape (Cao & Wu).
 
-Edge points of regions by the 8-directional neighbourhood (Cao & Wu, definitions 6 and 7).
-
-The rules that tell building regions by their shape (Cao & Wu, Eq. 8 and 9).
+Edge points come from the 8-directional neighbourhood (definitions 6 and 7), the rules from Eq. 8 and 9.
 """
 
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from msbdb.detect.pointregions import strings_of_points
 from msbdb.labels import sizes, sums
 from msbdb.params import Area3dParams
 from msbdb.points.cellindex import CellIndex, cell_place, index_cells, parts_of, strip
@@ -26,6 +25,12 @@ BATCH = 1 << 13
 
 APART = 3
 """The second main direction lies at least so many bars off the first."""
+
+ALL_SECTORS = 255
+"""A bit for each of the eight sectors."""
+
+WIDER = 1 + 1e-6
+"""Cells are this much wider than the reach, so that rounding puts no neighbour beyond the next cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +58,18 @@ class Shapes:
     linearity: NDArray[np.float64]
     directions: NDArray[np.float64]
 
+    def columns(self) -> dict[str, NDArray[np.generic]]:
+        """Return the columns of ``tables.CANDIDATE_REGION`` that describe the shape."""
+        return {
+            "perimeter": self.perimeter,
+            "mbr_m2": self.mbr_m2,
+            "rectangularity": self.rectangularity,
+            "compactness": self.compactness,
+            "linearity": self.linearity,
+            "direction_1": self.directions[:, 0],
+            "direction_2": self.directions[:, 1],
+        }
+
 
 def measure_shapes(
     x: NDArray[np.float64],
@@ -79,10 +96,10 @@ def measure_shapes(
 
     Notes
     -----
-    Rectangularity is the area in m2 over that of the minimum bounding rectangle, whose sides are taken no shorter than
-    a spacing, so that points in a row have one. Compactness is the number of points over that of edge points. The
-    first grows with the density d and the second with its root, so the ratio of one roof grows with sqrt(d); at a
-    ``compactness_density`` D it is multiplied by sqrt(D / d), and T_comp means the same at any density (C17).
+    Rectangularity is the area in m2 over that of the minimum bounding rectangle. The rectangle's sides are at least a
+    spacing, so that points in a row have one. Compactness is the number of points over the number of edge points. The
+    points grow with the density d and the edge points with its root, so the ratio of one roof grows with sqrt(d). With
+    a ``compactness_density`` D it is multiplied by sqrt(D / d), and T_comp means the same at any density (C17).
     """
     edge = find_edges(x, y, labels, radius_m=params.sector_spacings * spacing_m, gap_m=params.gap_spacings * spacing_m)
     at = np.flatnonzero(edge)
@@ -112,6 +129,39 @@ def measure_shapes(
     )
 
 
+def judge(shapes: Shapes, params: Area3dParams) -> NDArray[np.int8]:
+    """Return (M,) the rule that accepts each region, 1 or 2; 0 for none (Eq. 8 and 9; C18).
+
+    Notes
+    -----
+    Rule 1: rectangularity ≥ T_rect^1 and compactness ≥ T_comp. Rule 2, asked where rule 1 does not hold:
+    rectangularity ≥ T_rect^2 and compactness ≥ T_comp, and either the linearity ≥ T_line or the main directions are
+    perpendicular.
+    """
+    compact = shapes.compactness >= params.compactness
+    first = (shapes.rectangularity >= params.rectangularity_1) & compact
+    straight = shapes.linearity >= params.linearity
+    straight |= perpendicular(shapes.directions, params.perpendicular_deg)
+    second = (shapes.rectangularity >= params.rectangularity_2) & compact & straight
+    return np.where(first, 1, np.where(second, 2, 0)).astype(np.int8)
+
+
+def reasons_against(shapes: Shapes, rule: NDArray[np.int8], params: Area3dParams) -> NDArray[np.object_]:
+    """Return (M,) why each region is rejected, the first condition of rule 2 that fails; empty where it is accepted."""
+    found = np.full(len(rule), "neither straight nor perpendicular", dtype=object)
+    found[shapes.rectangularity < params.rectangularity_2] = "not rectangular enough"
+    found[shapes.compactness < params.compactness] = "not compact enough"
+    found[rule > 0] = ""
+    return found
+
+
+def perpendicular(directions: NDArray[np.float64], tolerance_deg: float) -> NDArray[np.bool_]:
+    """Return (M,) whether the two main directions of (M, 2) are at a right angle, within a tolerance; NaN never is."""
+    between = np.abs(directions[:, 0] - directions[:, 1])
+    square: NDArray[np.bool_] = np.abs(np.minimum(between, 180 - between) - 90) <= tolerance_deg
+    return square
+
+
 def bounding_rectangles(
     x: NDArray[np.float64], y: NDArray[np.float64], member: NDArray[np.int32], *, least_m: float
 ) -> NDArray[np.float64]:
@@ -119,12 +169,7 @@ def bounding_rectangles(
 
     Groups are 0 to M - 1, each with a point; sides shorter than ``least_m`` count as that.
     """
-    order = np.argsort(member, kind="stable")
-    # As lines, which shapely builds faster than points; each begins with its first point twice, for it needs two.
-    begins = np.flatnonzero(np.diff(member[order], prepend=-1))
-    order = np.insert(order, begins, order[begins])
-    corners = shapely.linestrings(np.column_stack((x[order], y[order])), indices=member[order])
-    rectangle = shapely.minimum_rotated_rectangle(corners)
+    rectangle = shapely.minimum_rotated_rectangle(strings_of_points(x, y, member))
     half_perimeter, area = shapely.length(rectangle) / 2, shapely.area(rectangle)
     # A rectangle of no width comes back as a line, whose length is one side and not two.
     half_perimeter = np.where(shapely.get_dimensions(rectangle) < 2, shapely.length(rectangle), half_perimeter)
@@ -166,11 +211,11 @@ def measure_lines(
 
     Notes
     -----
-    The paper says neither what adjoins nor when to stop. Here the n points nearest to any edge point, of its region
-    and itself included, are a window of n adjoining ones; for n from n_b down to n_s, all windows that hold u are
-    compared, so that a corner finds the lines of its two walls beside it; after n_s L(u) = 0. The line is that of
-    total least squares, which may be vertical, and ε the root of the mean squared distance to it. Of equal errors the
-    window of the first edge point counts.
+    The paper says neither which points adjoin nor when to stop. Here a window has the n points of a region nearest to
+    one of its edge points, which is one of them. For n from n_b down to n_s, all windows that hold u are compared. So a
+    corner finds the lines of both walls beside it. After n_s, L(u) = 0. The line is that of total least squares, which
+    may be vertical, and ε is the root of the mean squared distance to it. Of equal errors the window of the first edge
+    point counts.
     """
     count = len(x)
     linearity, direction = np.zeros(count), np.full(count, np.nan)
@@ -234,9 +279,18 @@ def main_directions(direction: NDArray[np.float64], member: NDArray[np.int32], c
 
     Notes
     -----
-    The histogram has bars of 5 degrees on the half circle, and each bar takes half of its neighbours along, so that a
-    direction on a border counts. The second peak lies 15 degrees or more off the first. A peak's direction is the
-    mean of the angles in its three bars. NaN where no edge point is left.
+    The histogram has bars of 5 degrees on the half circle. Half of the neighbours' counts are added to each bar, so
+    that a direction on a border counts. The second peak lies 15 degrees or more off the first. A peak's direction is
+    the mean of the angles in its three bars. NaN where no edge point is left.
+
+    Examples
+    --------
+    The edges of a house run at 30 and 120 degrees; 178 and 4 degrees are near each other on the half circle:
+
+    >>> angles = np.array([29.0, 30.0, 31.0, 119.0, 121.0, 178.0, 4.0])
+    >>> main_directions(angles, np.array([0, 0, 0, 0, 0, 1, 1], dtype=np.int32), 2).round(0)
+    array([[ 30., 120.],
+           [  1.,  nan]])
     """
     known = np.flatnonzero(np.isfinite(direction))
     angle, of = direction[known], member[known]
@@ -266,13 +320,6 @@ def _mean_angles(
     return (middle + total) % 180
 
 
-ALL_SECTORS = 255
-"""A bit for each of the eight sectors."""
-
-WIDER = 1 + 1e-6
-"""Cells are this much wider than the reach, so that rounding puts no neighbour beyond the next cell."""
-
-
 def find_edges(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -297,13 +344,24 @@ def find_edges(
     Returns
     -------
     (N,) ndarray of bool
-        True for a point of a region that has (1) a sector without any point of the same region, or (2) a sector
-        whose nearest such point is farther than E_s. Points at the very same place lie in no sector.
+        True for a point of a region with (1) a sector without any point of the same region, or (2) a sector whose
+        nearest such point is farther than E_s. Points at the very same place lie in no sector.
 
     Notes
     -----
     A sector holds its first side, counter-clockwise, and not its second. Both conditions together ask for a point in
     each sector no farther than the smaller of R and E_s. O(n) at a bounded density.
+
+    Examples
+    --------
+    Of a roof of 4 by 4 points the inner four are no edge points:
+
+    >>> y, x = np.mgrid[:4, :4].reshape(2, -1).astype(float)
+    >>> find_edges(x, y, np.ones(16, dtype=np.int32), radius_m=2.0, gap_m=2.0).reshape(4, 4).astype(int)
+    array([[1, 1, 1, 1],
+           [1, 0, 0, 1],
+           [1, 0, 0, 1],
+           [1, 1, 1, 1]])
     """
     reach = min(radius_m, gap_m)
     edge = np.zeros(len(x), dtype=np.bool_)
@@ -330,6 +388,8 @@ class Members(NamedTuple):
 @kernel
 def _open_sector(points: Members, part: tuple[int, int], found: NDArray[np.bool_]) -> None:
     """Write which points of a range of cells have a sector without a point of their region within reach."""
+    # Cells are a little wider than the reach, so all points within it lie in the 3 by 3 cells around. Each part
+    # writes only the points of its own cells, so threads share nothing.
     index, x, y, labels, reach_squared = points
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
@@ -340,6 +400,7 @@ def _open_sector(points: Members, part: tuple[int, int], found: NDArray[np.bool_
             strip(index, row - 1, col - 1, col + 1),
         )
         for point in range(index.starts[cell], index.starts[cell + 1]):
+            # One bit for each sector with a point of the region within reach; a point is inner once all are set.
             seen = 0
             for first, stop in near:
                 for other in range(first, stop):
@@ -364,36 +425,3 @@ def _sector(east: float, north: float) -> int:
     if east <= 0:  # turned back by a quarter into the first one
         east, north, sector = north, -east, sector + 2
     return sector + 1 if north >= east else sector
-
-
-def perpendicular(directions: NDArray[np.float64], tolerance_deg: float) -> NDArray[np.bool_]:
-    """Return (M,) whether the two main directions of (M, 2) are at a right angle, within a tolerance; NaN never is."""
-    between = np.abs(directions[:, 0] - directions[:, 1])
-    square: NDArray[np.bool_] = np.abs(np.minimum(between, 180 - between) - 90) <= tolerance_deg
-    return square
-
-
-def judge(shapes: Shapes, params: Area3dParams) -> NDArray[np.int8]:
-    """Return (M,) the rule that accepts each region, 1 or 2; 0 for none (C18).
-
-    Notes
-    -----
-    Rule 1: rectangularity ≥ T_rect^1 and compactness ≥ T_comp. Rule 2, asked where rule 1 does not hold:
-    rectangularity ≥ T_rect^2 and compactness ≥ T_comp, and either the linearity ≥ T_line or the main directions are
-    perpendicular.
-    """
-    compact = shapes.compactness >= params.compactness
-    first = (shapes.rectangularity >= params.rectangularity_1) & compact
-    straight = shapes.linearity >= params.linearity
-    straight |= perpendicular(shapes.directions, params.perpendicular_deg)
-    second = (shapes.rectangularity >= params.rectangularity_2) & compact & straight
-    return np.where(first, 1, np.where(second, 2, 0)).astype(np.int8)
-
-
-def reasons_against(shapes: Shapes, rule: NDArray[np.int8], params: Area3dParams) -> NDArray[np.object_]:
-    """Return (M,) why each region is rejected, the first condition of rule 2 that fails; empty where it is accepted."""
-    found = np.full(len(rule), "neither straight nor perpendicular", dtype=object)
-    found[shapes.rectangularity < params.rectangularity_2] = "not rectangular enough"
-    found[shapes.compactness < params.compactness] = "not compact enough"
-    found[rule > 0] = ""
-    return found

@@ -1,4 +1,4 @@
-"""Binarisation: flat regions by the attribute profile of second-order gradients (Mongus et al. 2013, §3.3)."""
+"""Binarisation: flat regions by the attribute profile of second-order gradients (Mongus et al. 2013, section 3.3)."""
 
 import math
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Binarised:
     zones : (H, W) ndarray of int32
         i of the largest flat component that holds a cell; 0 outside of G.
     firm : (H, W) ndarray of bool
-        The part of G that R as it is given would leave, see `ratio_at`.
+        The part of G that is left with R as given, see `ratio_at`.
     risen : (H, W) ndarray of bool
         The cells that were to be judged: all that are above the lowest level of their connected area.
     gradient : (H, W) ndarray
@@ -69,21 +69,38 @@ def binarise(g: Grid, initial: Grid, params: FlatRegionParams) -> Binarised:
     Notes
     -----
     Λ(C) is the sum of second-order gradients over C times the cell's area (A13), or over its cells with ``lambda_unit``
-    'px'. A component C of the support
-    {δ_i > 0} of zone i stays when its area is at least R λ_i (A12): when its mean gradient is below about 1/R, by the
-    zone's upper threshold. All zones are read from one component tree of 8-connected cells; its nodes that leave
-    their zone are these components. Ours: components larger than ``largest_m2`` are terrain.
+    'px'. A component C of the support {δ_i > 0} of zone i stays when its area is at least R λ_i (A12). Then its mean
+    gradient is below about 1/R, by the zone's upper threshold. All zones are read from one component tree of
+    8-connected cells; its nodes that leave their zone are these components. Ours: components larger than
+    ``largest_m2`` are terrain.
 
     Heights count in steps of a centimetre, finer than any scanner, so that equal roofs are plateaus. On heights above
     ground, what is invalid or beyond the border counts as ground, so that a roof beside it rises from something; on
     the raw surface the lowest level of a connected area of valid cells is never a region.
+
+    Examples
+    --------
+    A flat roof of 8 by 8 cells stays. A crown of as many cells, 3 m high with peaks of 6 m, does not:
+
+    >>> from affine import Affine
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import GridSpec
+    >>> from msbdb.params import FlatRegionParams
+    >>> heights = np.zeros((12, 24), dtype=np.float32)
+    >>> heights[2:10, 2:10] = 5
+    >>> heights[2:10, 14:22] = 3 + 3 * (np.indices((8, 8)) % 2).prod(axis=0)
+    >>> spec = GridSpec((12, 24), Affine(1, 0, 0, 0, -1, 12), CRS.from_epsg(25832))
+    >>> surface = Grid(heights, np.ones((12, 24), dtype=bool), spec)
+    >>> binarise(surface, surface, FlatRegionParams()).flat[5].astype(int)
+    array([0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+           0, 0])
     """
     thresholds = zone_thresholds(params.lambda_min_m2, params.lambda_max_m2, params.lambda_step_m2)
     if params.lambda_unit == "px":
         # A λ of cells is as many cell areas of m2: Λ and A in cells, or both in m2, compare alike.
         thresholds = thresholds * g.spec.cell_area_m2
     if not g.valid.any():
-        msg = "The surface has no valid cell in which flat regions could be sought."
+        msg = "The surface has no valid cell in which flat regions could lie. Check its extent and nodata value."
         raise NodataError(msg)
     gradient = gradient_of(initial if params.gradients == "initial" else g, params)
     margin = 1 if params.on == "ndsm" else 0
@@ -118,12 +135,20 @@ def _framed(g: Grid, margin: int) -> tuple[NDArray[np.float32], NDArray[np.bool_
 
 
 def ratio_at(cell_m: float, params: FlatRegionParams) -> float:
-    """Return R at a cell size: less where the window of the gradients is wider than was asked for (ours).
+    """Return R at a cell size: less where the window of the gradients is wider than ``gradient_window_m`` (ours).
 
-    With few points the least window, of three cells, is several times ``gradient_window_m``. Every edge and ridge then
-    has a band of gradients as much wider, and R as it is would leave no roof. It falls with the square root of the
-    width: in proportion to it, crowns would become roofs, too. With ``gradient_window_m`` at 0, as the paper has
-    cells alone, R is the same everywhere.
+    With few points the least window, of three cells, is several times ``gradient_window_m``. The gradients of every
+    edge and ridge then cover a wider band, and the given R would leave no roof. So R falls with the square root of
+    the width; in proportion to it, crowns would become roofs, too. With ``gradient_window_m`` at 0, as in the paper, R
+    is the same everywhere.
+
+    Examples
+    --------
+    At cells of 2 m the window is 6 m wide, and R = 2 falls to 2 √(1.05 / 6):
+
+    >>> from msbdb.params import FlatRegionParams
+    >>> ratio_at(0.3, FlatRegionParams()), round(ratio_at(2.0, FlatRegionParams()), 2)
+    (2.0, 0.84)
     """
     if not params.gradient_window_m:
         return params.ratio
@@ -139,8 +164,8 @@ def _gradient_window(cell_m: float, params: FlatRegionParams) -> int:
 def gradient_of(surface: Grid, params: FlatRegionParams) -> NDArray[np.floating]:
     """Return the second-order gradient ϱ_in(ϱ_ex(g)) of a surface, metres; 0 in invalid cells (M13).
 
-    Ours: it is cut at ``gradient_cap_m``, so that the foot of a high wall on a roof weighs as much as many cells of a
-    crown but not as all of the roof. Λ stays increasing, as no gradient becomes negative.
+    Ours: it is at most ``gradient_cap_m``. So the foot of a high wall on a roof counts as much as many cells of a
+    crown, but not as much as the whole roof. Λ stays increasing, as no gradient becomes negative.
     """
     window = _gradient_window(surface.spec.cell_m, params)
     gradient = second_order_gradient(np.asarray(surface.values), np.asarray(surface.valid), window_px=window)

@@ -1,4 +1,4 @@
-"""The extraction of flat regions from end to end (Mongus et al. 2013, section 3)."""
+"""The detector of flat regions, from a surface to regions of compact shape (Mongus et al. 2013, section 3)."""
 
 import logging
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from msbdb.detect.flatregions.binarisation import Binarised, binarise
 from msbdb.detect.flatregions.initialisation import Denoised, denoise, initialise
-from msbdb.detect.flatregions.recognition import FlatBooks, clean, describe, grow, measure_shapes
+from msbdb.detect.flatregions.recognition import FlatRegionLedger, clean, describe, grow, measure_shapes
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import GridMismatchError, NodataError
 from msbdb.grid import Grid
@@ -23,19 +23,15 @@ from msbdb.tables import FLAT_REGION
 logger = logging.getLogger(__name__)
 
 PEAK = "sharp peak"
-
 VALLEY = "steep valley"
-
 ROUGH = "too rough for its size in every zone"
-
 THIN = "thinner than the opening"
-
 LONG = "too long and thin"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlatRegions:
-    """What the extraction of flat regions gives.
+    """The flat regions of a surface, and the grids that lead to them.
 
     Parameters
     ----------
@@ -49,7 +45,7 @@ class FlatRegions:
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
         ``dropped``.
     firm : (H, W) ndarray of bool
-        The cells of regions without those that R as it is given would not leave (`firm_cells`).
+        The cells of regions that are left with R as given (`firm_cells`).
     zones : (H, W) ndarray of int32
         i of the largest flat component that holds a cell, 0 for none: the set G of Eq. 14, as in the paper's Fig. 2.
     denoised : Grid
@@ -65,8 +61,57 @@ class FlatRegions:
     denoised: Grid
 
 
+def detect_flat_regions(scene: Scene, params: Params) -> Regions:
+    """Detect flat regions in a scene (M22): the detector ``flatregions``.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of points, the lowest echo of each cell counts (M8); of rasters, the surface as it is.
+    params : Params
+        Sections ``flatregions``, ``surface`` and ``vector``.
+
+    Returns
+    -------
+    Regions
+        The table has the columns of ``tables.FLAT_REGION`` and outlines.
+    """
+    spec = scene.heights.spec
+    found = extract_flat_regions(
+        lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
+    )
+    order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
+    labels = reorder(found.labels, order, len(order))
+    traced = polygonise(labels, spec, len(order))
+    outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
+    regions = found.regions.iloc[order].reset_index(drop=True)
+    table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]
+    firm = None if found.firm[found.labels > 0].all() else found.firm
+    return Regions("flatregions", labels, table, found.rejections, found.counts, firm=firm)
+
+
+def lowest_surface(scene: Scene, params: Params) -> Grid:
+    """Return the surface in which flat regions are detected (M7, M8), metres.
+
+    The terrain is subtracted with ``flatregions.on`` 'ndsm'. Valid where both surfaces are.
+    """
+    surface, cloud = scene.require_surface(), scene.cloud
+    lowest = surface.dsm
+    if cloud is not None:
+        max_gap_m = params.surface.max_gap_m if params.flatregions.gaps == "near" else 0.0
+        lowest = initialise(cloud, scene.heights.spec, max_gap_m=max_gap_m)
+    return above_ground(lowest, surface.dtm) if params.flatregions.on == "ndsm" else lowest
+
+
+def above_ground(surface: Grid, dtm: Grid) -> Grid:
+    """Subtract the terrain from another surface than the DSM; valid where both are, 0 elsewhere."""
+    valid = surface.valid & dtm.valid
+    height = np.asarray(surface.values, dtype=np.float32) - np.asarray(dtm.values, dtype=np.float32)
+    return Grid(np.where(valid, height, np.float32(0)), valid, surface.spec)
+
+
 def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params) -> FlatRegions:
-    """Extract the flat regions that may be buildings.
+    """Detect the flat regions of a surface that may be buildings.
 
     Parameters
     ----------
@@ -107,33 +152,31 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
         )
         raise GridMismatchError(msg)
     if not g.valid.any():
-        msg = "The surface has no valid cell in which flat regions could be sought."
+        msg = "The surface has no valid cell in which flat regions could lie. Check its extent and nodata value."
         raise NodataError(msg)
     own, mask_m = params.flatregions, params.surface.mask_m
-    books = FlatBooks(g.spec, survey)
+    ledger = FlatRegionLedger(g.spec, survey)
     denoised = denoise(g, own)
-    _book_outliers(denoised, books)
+    _record_outliers(denoised, ledger)
     if own.on == "ndsm":
         found = binarise(level_ground(denoised.grid, mask_m), level_ground(g, mask_m), own)
     else:
         found = binarise(denoised.grid, g, own)
-    rough = books.reject("ratio", ROUGH, found.risen & ~found.flat)
+    rough = ledger.reject("ratio", ROUGH, found.risen & ~found.flat)
     _, candidates = label_zones(found.flat)
-    books.count("ratio", candidates + rough, candidates, rough)
-    labels = recognise(found, candidates, heights, params, books)
+    ledger.count("ratio", candidates + rough, candidates, rough)
+    labels = recognise(found, candidates, heights, params, ledger)
     regions = describe(labels, found, heights, survey)
     logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
     firm = firm_cells(labels, found, len(regions))
-    return FlatRegions(labels, regions, books.rejections(), books.counts, firm, found.zones, denoised.grid)
+    return FlatRegions(labels, regions, ledger.rejections(), ledger.counts, firm, found.zones, denoised.grid)
 
 
-def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_]:
-    """Return (H, W) bool, the cells of regions without those that R as it is given would not leave.
-
-    A region of which it would leave less than half of the flat cells is gone as a whole, with its edges.
-    """
-    flat, firm = (sizes(labels[mask], count) for mask in (found.flat, found.firm))
-    return chosen_cells(labels, 2 * firm >= flat) & (found.firm | ~found.flat)
+def _record_outliers(denoised: Denoised, ledger: FlatRegionLedger) -> None:
+    """Write peaks and valleys into the ledger."""
+    dropped = ledger.reject("denoising", PEAK, denoised.peaks)
+    dropped += ledger.reject("denoising", VALLEY, denoised.valleys)
+    ledger.count("denoising", dropped, 0, dropped)
 
 
 def level_ground(heights: Grid, mask_m: float) -> Grid:
@@ -142,22 +185,22 @@ def level_ground(heights: Grid, mask_m: float) -> Grid:
     return heights.with_values(np.where(values < mask_m, 0, values).astype(np.float32))
 
 
-def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, books: FlatBooks) -> Labels:
+def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, ledger: FlatRegionLedger) -> Labels:
     """Turn the set G into labelled regions: G_B = Γ^Ψ(Φ_w(Γ_w(G))) (Eq. 17; M22)."""
     own, cell_m = params.flatregions, heights.spec.cell_m
     cleaned = clean(found.flat, own.opening_m, cell_m)
     labels, count = label_zones(cleaned)
     before, number = label_zones(found.flat)
     vanished = chosen_cells(before, sizes(before[cleaned], number) == 0)
-    thin = books.reject("opening", THIN, vanished)
-    books.count("opening", candidates, count, thin, pieces=count + thin - candidates)
+    thin = ledger.reject("opening", THIN, vanished)
+    ledger.count("opening", candidates, count, thin, pieces=count + thin - candidates)
     if own.on == "ndsm":
         steps = int(own.grow_m / cell_m + 0.5)
         labels = grow(labels, heights, steps=steps, step_m=own.grow_step_m, least_m=params.surface.mask_m)
-    return _drop_long(labels, count, own, cell_m, books)
+    return _drop_long(labels, count, own, cell_m, ledger)
 
 
-def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, books: FlatBooks) -> Labels:
+def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, ledger: FlatRegionLedger) -> Labels:
     """Keep the regions of Ψ < ψ (Eq. 16) and number them again, by their first cells.
 
     Ψ is P²/(4πA) (A9), or its inverse as printed (M20).
@@ -165,63 +208,16 @@ def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float,
     psi = measure_shapes(labels, cell_m)["compactness"].to_numpy()
     compact = (1 / psi if own.compactness == "literal" else psi) < own.max_compactness
     inside = chosen_cells(labels, compact)
-    long = books.reject("compactness", LONG, np.where(inside, 0, labels))
+    long = ledger.reject("compactness", LONG, np.where(inside, 0, labels))
     kept, left = label_zones(np.where(inside, labels, 0))
-    books.count("compactness", count, left, long)
+    ledger.count("compactness", count, left, long)
     return kept
 
 
-def _book_outliers(denoised: Denoised, books: FlatBooks) -> None:
-    """Write peaks and valleys into the ledger."""
-    dropped = books.reject("denoising", PEAK, denoised.peaks)
-    dropped += books.reject("denoising", VALLEY, denoised.valleys)
-    books.count("denoising", dropped, 0, dropped)
+def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_]:
+    """Return (H, W) bool, the cells of regions that are left with R as given.
 
-
-def detect_flat_regions(scene: Scene, params: Params) -> Regions:
-    """Detect flat regions in a scene (M22): the detector ``flatregions``.
-
-    Parameters
-    ----------
-    scene : Scene
-        Of points, the lowest echo of each cell counts (M8); of rasters, the surface as it is.
-    params : Params
-        Sections ``flatregions``, ``surface`` and ``vector``.
-
-    Returns
-    -------
-    Regions
-        The table has the columns of ``tables.FLAT_REGION`` and outlines.
+    A region that keeps less than half of its flat cells loses all of its cells, edges included.
     """
-    spec = scene.heights.spec
-    found = extract_flat_regions(
-        lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
-    )
-    order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
-    labels = reorder(found.labels, order, len(order))
-    traced = polygonise(labels, spec, len(order))
-    outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
-    regions = found.regions.iloc[order].reset_index(drop=True)
-    table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]
-    firm = None if found.firm[found.labels > 0].all() else found.firm
-    return Regions("flatregions", labels, table, found.rejections, found.counts, firm=firm)
-
-
-def lowest_surface(scene: Scene, params: Params) -> Grid:
-    """Return the surface in which flat regions are sought (M7, M8), metres.
-
-    The terrain is subtracted with ``flatregions.on`` 'ndsm'. Valid where both surfaces are.
-    """
-    surface, cloud = scene.require_surface(), scene.cloud
-    lowest = surface.dsm
-    if cloud is not None:
-        max_gap_m = params.surface.max_gap_m if params.flatregions.gaps == "near" else 0.0
-        lowest = initialise(cloud, scene.heights.spec, max_gap_m=max_gap_m)
-    return above_ground(lowest, surface.dtm) if params.flatregions.on == "ndsm" else lowest
-
-
-def above_ground(surface: Grid, dtm: Grid) -> Grid:
-    """Subtract the terrain from another surface than the DSM; valid where both are, 0 elsewhere."""
-    valid = surface.valid & dtm.valid
-    height = np.asarray(surface.values, dtype=np.float32) - np.asarray(dtm.values, dtype=np.float32)
-    return Grid(np.where(valid, height, np.float32(0)), valid, surface.spec)
+    flat, firm = (sizes(labels[mask], count) for mask in (found.flat, found.firm))
+    return chosen_cells(labels, 2 * firm >= flat) & (found.firm | ~found.flat)

@@ -83,7 +83,7 @@ def outlines_of(cloud, found, params=None):
 
 
 def check(cloud, found):
-    """Check what holds of every result: declared tables, labels that fit the rows, and books that balance."""
+    """Check what holds of every result: declared tables, labels that fit the rows, and ledger that balance."""
     for frame, table in ((found.regions, CANDIDATE_REGION), (found.rejections, REJECTION)):
         assert list(frame.columns) == table.names
         assert {c.name: c.dtype for c in table.columns if c.dtype != "str"}.items() <= {
@@ -188,7 +188,7 @@ def test_each_step_is_at_least_as_hard_as_the_one_before():
     ],
 )
 def test_the_ledger_says_which_step_and_threshold(changes, reason):
-    """A roof that fails a threshold is booked under its step, with the threshold in words."""
+    """A roof that fails a threshold is recorded under its step, with the threshold in words."""
     cloud = cloud_of([HOUSE])
     found = extract(cloud, with_values(Params(), {"adaptive": changes}))
     check(cloud, found)
@@ -262,7 +262,7 @@ def test_two_far_islands_are_extracted_as_each_alone():
     ids=["one point", "one point 50 times", "on a line", "ground alone", "sparse"],
 )
 def test_clouds_without_a_building_give_an_empty_table(points):
-    """Whatever is too little for a building is booked, and never an error."""
+    """Whatever is too little for a building is recorded, and never an error."""
     x, y, z = np.array(points, dtype=np.float64).T
     cloud = PointCloud(x + WEST, y + SOUTH, z, UTM)
     found = extract(cloud)

@@ -163,7 +163,7 @@ def test_buildings_farther_apart_than_t_c_are_two_regions():
 
 @pytest.mark.parametrize("params", [Params(), PAPER], ids=["default", "cao-wu"])
 def test_crowns_are_no_regions_and_are_in_the_ledger(params):
-    """Of balls of leaves none remains, and each of them is booked."""
+    """Of balls of leaves none remains, and each of them is recorded."""
     crowns = [ball(15 + 15 * i, 15 + 15 * j, 8.0, 900, seed=3 * i + j) for i in range(3) for j in range(3)]
     found = extract(np.concatenate([scan(), *crowns]), params)
     assert len(found.regions) == 0
@@ -225,7 +225,7 @@ def test_a_higher_scale_finds_what_is_joined_lower_down():
     assert (multi.labels[points[:, 2] > 9] == 1).all()
 
 
-def test_sheds_below_t_a_are_booked_with_their_area():
+def test_sheds_below_t_a_are_recorded_with_their_area():
     """A roof of 6 m2 is smaller than the smallest building, one of 25 m2 is not."""
     points = scan(box((10, 10), (2.4, 2.4), 3.0), box((30, 30), (5, 5), 3.0))
     found = extract(points, with_area3d(grow_m=0.0, grow_spacings=0.0))
@@ -234,7 +234,7 @@ def test_sheds_below_t_a_are_booked_with_their_area():
     assert small["area_m2"].max() == pytest.approx(5.8, rel=0.4)
 
 
-def test_what_the_opening_takes_away_is_booked_at_one_height_only():
+def test_what_the_opening_takes_away_is_recorded_at_one_height_only():
     """A mast of 6 m2 and 12 m reaches three height scales; the ledger has it once, at the lowest."""
     found = extract(scan(box((20, 20), (2.4, 2.4), 12.0)), with_area3d(heights_m=[2.5, 5.0, 9.0]))
     small = found.rejections[found.rejections["stage"] == "opening"]

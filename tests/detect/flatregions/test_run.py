@@ -130,7 +130,7 @@ def test_nothing_vanishes_in_silence():
     ],
 )
 def test_recognition_rejects_a_wall(changes, stage):
-    """A flat wall of 6 m by 60 m falls to an opening of 8 m, or to a strict compactness, and is booked there."""
+    """A flat wall of 6 m by 60 m falls to an opening of 8 m, or to a strict compactness, and is recorded there."""
     heights = np.zeros((60, 160), dtype=np.float32)
     heights[5:17, 10:130] = 4.0
     heights[25:55, 20:60] = 7.0

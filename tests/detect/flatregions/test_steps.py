@@ -15,7 +15,7 @@ from skimage.measure import perimeter_crofton
 from msbdb.detect.flatregions.binarisation import binarise, gradient_of, ratio_at
 from msbdb.detect.flatregions.initialisation import denoise, fill_by_idw, find_outliers, initialise, window_px
 from msbdb.detect.flatregions.mongus2013 import firm_cells
-from msbdb.detect.flatregions.recognition import FlatBooks, clean, grow, measure_shapes, most_frequent_zone
+from msbdb.detect.flatregions.recognition import FlatRegionLedger, clean, grow, measure_shapes, most_frequent_zone
 from msbdb.errors import NodataError, ParameterError, TableError
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import FlatRegionParams, profile
@@ -399,12 +399,12 @@ def test_the_zone_of_a_region_is_that_of_most_of_its_cells():
     assert most_frequent_zone(labels, zones, 3).tolist() == [2, 4, 0]
 
 
-def test_books_must_balance():
+def test_ledgers_must_balance():
     """A stage whose numbers do not add up, or that dropped a region without a row, is an error of ours."""
-    books = FlatBooks(spec_of((3, 3)), "test")
-    assert books.reject("ratio", "rough", np.eye(3, dtype=bool)) == 1
-    books.count("ratio", 3, 2, 1)
+    ledger = FlatRegionLedger(spec_of((3, 3)), "test")
+    assert ledger.reject("ratio", "rough", np.eye(3, dtype=bool)) == 1
+    ledger.count("ratio", 3, 2, 1)
     with pytest.raises(TableError, match="does not balance"):
-        books.count("ratio", 3, 2, 2)
+        ledger.count("ratio", 3, 2, 2)
     with pytest.raises(TableError, match="dropped 3 regions, but wrote 1 rows"):
-        books.count("ratio", 4, 2, 2)
+        ledger.count("ratio", 4, 2, 2)
