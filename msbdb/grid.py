@@ -1,4 +1,4 @@
-"""Georeferenced grids: a frozen lattice description, and values with their validity on it."""
+"""Georeferenced grids: the lattice, with shape, place and CRS, and values with their validity on it."""
 
 import math
 from dataclasses import dataclass, replace
@@ -133,8 +133,8 @@ class GridSpec:
     def tiles(self, size: int) -> list[tuple[int, int]]:
         """Return the numbers (row, column) of the tiles of ``size`` by ``size`` cells that the grid has cells of.
 
-        Tile (i, j) has the rows ``i * size`` to ``(i + 1) * size`` of the absolute lattice, and likewise the columns,
-        so that neighbouring grids share their tiles. The order is row-major.
+        Tile (i, j) has the rows ``i * size`` to ``(i + 1) * size`` of the absolute lattice, and the columns by ``j`` in
+        the same way, so that neighbouring grids share their tiles. The order is row-major.
 
         Raises
         ------
@@ -272,6 +272,12 @@ def lattice(bounds: Bounds, cell_m: float, crs: CRS) -> GridSpec:
         Side of a cell, metres.
     crs : CRS
         A projected CRS in metres.
+
+    Examples
+    --------
+    >>> spec = lattice((100.3, 200.2, 101.9, 200.9), 0.5, CRS.from_epsg(2154))
+    >>> spec.shape, spec.bounds
+    ((2, 4), (100.0, 200.0, 102.0, 201.0))
     """
     west, south, east, north = bounds
     col0, col1 = math.floor(west / cell_m), math.floor(east / cell_m) + 1

@@ -1,4 +1,4 @@
-"""Stable ids of parts: from where a part lies, never from a running counter."""
+"""Stable ids of parts and regions: from the absolute place, never from a running counter."""
 
 import hashlib
 import logging
@@ -20,7 +20,6 @@ def part_ids(
     row: ArrayLike,
     col: ArrayLike,
     piece: ArrayLike,
-    bits: int = ID_BITS,
 ) -> NDArray[np.int64]:
     """Return the ids of parts, from the survey and the parts' absolute places.
 
@@ -37,34 +36,32 @@ def part_ids(
         the array. Hence the ids do not depend on the tile.
     piece : (N,) array_like of int
         0 for a cluster as found, n + 1 for a piece split off a region of number n.
-    bits : int
-        Size of the ids.
 
     Returns
     -------
     (N,) ndarray of int64
-        From 1 to 2**bits - 1.
+        From 1 to 2**59 - 1.
 
     Notes
     -----
-    An id is a BLAKE2b digest of its key. Two keys that meet in one id (one case in about a million builds of a
-    million parts) are told apart: the larger key, in the order of (threshold, row, col, piece), is digested again
-    with a count. One key given twice gets one id.
+    An id is a BLAKE2b digest of its key. Two keys may get one id, in about one of a million builds of a million parts.
+    Then the larger key, in the order of (threshold, row, col, piece), is digested again with a count. One key given
+    twice gets one id.
     """
     keys = np.stack(
         np.broadcast_arrays(*(np.asarray(x, dtype=np.int64) for x in (threshold_px, row, col, piece))), axis=-1
     ).reshape(-1, 4)
     start = hashlib.blake2b(f"{round(cell_m * 1000)}\0{survey}".encode(), digest_size=8)
-    ids = _digests(start, keys, 0, bits)
+    ids = _digests(start, keys, 0)
     salt = 0
     while (late := _colliding(keys, ids)).size:
         salt += 1
         logger.info("%d part ids met another one; digested again", late.size)
-        ids[late] = _digests(start, keys[late], salt, bits)
+        ids[late] = _digests(start, keys[late], salt)
     return ids
 
 
-def _digests(start: "hashlib.blake2b", keys: NDArray[np.int64], salt: int, bits: int) -> NDArray[np.int64]:
+def _digests(start: "hashlib.blake2b", keys: NDArray[np.int64], salt: int) -> NDArray[np.int64]:
     """Digest each key after the common start; 0 is no id and becomes 1."""
     salted = np.column_stack([keys, np.full(len(keys), salt)]).astype("<i8")
     width = salted.shape[1] * 8
@@ -74,7 +71,7 @@ def _digests(start: "hashlib.blake2b", keys: NDArray[np.int64], salt: int, bits:
         digest = start.copy()
         digest.update(packed[at : at + width])
         digests += digest.digest()
-    found = np.frombuffer(bytes(digests), dtype="<u8") >> np.uint64(64 - bits)
+    found = np.frombuffer(bytes(digests), dtype="<u8") >> np.uint64(64 - ID_BITS)
     return np.maximum(found.astype(np.int64), 1)
 
 

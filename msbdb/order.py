@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_MARKS = 1_000_000
-"""Over so many numbers those that occur are marked, over more they are sorted."""
+"""Up to this span of numbers, those that occur are marked; beyond, they are sorted."""
 
 KEY_BITS = 64
 """Bits of the numbers by which points are sorted: group first, then about as many for x as for y."""
@@ -25,9 +25,14 @@ def order_of(values: NDArray[Any], *, descending: bool) -> NDArray[np.int32]:
 
     Notes
     -----
-    Floats of up to 32 bits and integers of a range below 2^32 share one number of 64 bits with their place, and these
-    numbers are sorted: several times as fast as `numpy.argsort`, and equal values keep their order. Other values are
-    sorted by `numpy.argsort`, where equal values come in any order.
+    Floats of up to 32 bits and integers of a range below 2^32 are packed with their place into one number of 64 bits.
+    Sorting these numbers is several times as fast as `numpy.argsort`, and equal values keep their order. Other values
+    are sorted by `numpy.argsort`, where equal values come in any order.
+
+    Examples
+    --------
+    >>> order_of(np.array([3, -1, 3, 7]), descending=True)
+    array([3, 0, 2, 1], dtype=int32)
     """
     keys = _keys(values)
     if keys is None:
@@ -60,8 +65,8 @@ def order_of_points(
     Notes
     -----
     ``np.lexsort((*reversed(ties), y, x, group))`` gives the same, but sorts once for each of them. Here points are
-    sorted by one number of 64 bits, of the group and the leading digits of x and y; and the few whose number or digits
-    do not tell them apart are sorted by all.
+    sorted by one number of 64 bits, of the group and the leading digits of x and y. The few points that this number
+    does not separate are sorted by all keys.
 
     Examples
     --------
@@ -76,7 +81,7 @@ def order_of_points(
     key = column << np.uint64(bits) | _leading(y, bits)
     del column
     order = np.argsort(key)
-    some = _untold(key[order], x[order], bits)
+    some = _undecided(key[order], x[order], bits)
     if some.any():
         few = np.sort(order[some])
         keys = [values[few] for values in (*reversed(ties), y, x)]
@@ -114,8 +119,8 @@ def _leading(values: NDArray[np.float64], bits: int) -> NDArray[np.uint64]:
     return ((values - low) * scale).astype(np.uint64)
 
 
-def _untold(key: NDArray[np.uint64], x: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
-    """Return which points, in the order of the keys, are not told apart: equal keys, or several x of equal digits."""
+def _undecided(key: NDArray[np.uint64], x: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
+    """Return which points, in the order of the keys, the keys do not separate: equal keys, or x of equal digits."""
     same = np.diff(key) == 0
     column = key >> np.uint64(bits)
     alike = np.diff(column) == 0
@@ -125,10 +130,10 @@ def _untold(key: NDArray[np.uint64], x: NDArray[np.float64], bits: int) -> NDArr
         wrong = np.zeros(int(number[-1]) + 1, dtype=np.bool_)
         wrong[number[:-1][mixed]] = True
         same |= alike & wrong[number[1:]]
-    untold = np.zeros(len(key), dtype=np.bool_)
-    untold[1:] |= same
-    untold[:-1] |= same
-    return untold
+    undecided = np.zeros(len(key), dtype=np.bool_)
+    undecided[1:] |= same
+    undecided[:-1] |= same
+    return undecided
 
 
 def _keys(values: NDArray[Any]) -> NDArray[np.uint32] | None:
@@ -148,7 +153,7 @@ def _keys(values: NDArray[Any]) -> NDArray[np.uint32] | None:
 
 
 def _float_keys(values: NDArray[np.floating]) -> NDArray[np.uint32]:
-    """Return the bits of floats, with the order of the negative ones turned round (IEEE 754)."""
+    """Return the bits of floats, with the order of the negative ones reversed (IEEE 754)."""
     # Adding zero makes negative zeros positive.
     bits = (values.astype(np.float32) + np.float32(0)).view(np.uint32)
     negative = (bits >> np.uint32(31)).astype(np.bool_)

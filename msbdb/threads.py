@@ -1,4 +1,4 @@
-"""Compiled kernels, and work on several cores that gives the same results as on one."""
+"""Compiled kernels, and work on several cores with the same results as on one."""
 
 import os
 from collections.abc import Callable, Iterable

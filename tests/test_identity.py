@@ -36,12 +36,13 @@ def test_an_id_is_pinned():
     assert ids() == 415937913775108376
 
 
-def test_colliding_keys_are_told_apart_whatever_their_order():
+def test_colliding_keys_get_different_ids_in_any_order(monkeypatch):
     """With ids of 6 bits 40 keys meet, and each still gets its own, the same in any order."""
+    monkeypatch.setattr("msbdb.identity.ID_BITS", 6)
     rows = np.arange(40)
-    forward = part_ids("survey", 0.5, threshold_px=80, row=rows, col=0, piece=0, bits=6)
-    backward = part_ids("survey", 0.5, threshold_px=80, row=rows[::-1], col=0, piece=0, bits=6)
-    plain = [int(part_ids("survey", 0.5, threshold_px=80, row=row, col=0, piece=0, bits=6)[0]) for row in rows]
+    forward = part_ids("survey", 0.5, threshold_px=80, row=rows, col=0, piece=0)
+    backward = part_ids("survey", 0.5, threshold_px=80, row=rows[::-1], col=0, piece=0)
+    plain = [int(part_ids("survey", 0.5, threshold_px=80, row=row, col=0, piece=0)[0]) for row in rows]
     assert np.unique(forward).size == 40
     assert (forward == backward[::-1]).all()
     assert len(set(plain)) < 40

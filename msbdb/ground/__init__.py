@@ -1,1 +1,1 @@
-"""Ground filters: from points to the terrain; one module a filter behind one of two Protocols."""
+"""Ground filters: from points to the terrain. `choice` is their one interface; each filter has a module."""

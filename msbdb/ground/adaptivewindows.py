@@ -18,9 +18,7 @@ from msbdb.threads import in_threads, kernel
 logger = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
-
 Index = NDArray[np.int64]
-
 Mask = NDArray[np.bool_]
 
 DEFAULT_CELLS = 3.0
@@ -38,12 +36,12 @@ CHUNK = 1 << 17
 
 @dataclass(frozen=True, slots=True)
 class AdaptiveWindows:
-    """What the filter takes from the density (S12: all of it automatic).
+    """Sizes that the filter takes from the density, automatically (S12).
 
     Parameters
     ----------
     cell_m : float
-        Side of the cells of which the lowest point counts, metres.
+        Side of the cells; the lowest point of each counts, metres.
     default_m : float
         Half-width of the default window, metres.
     """
@@ -53,7 +51,7 @@ class AdaptiveWindows:
 
 
 def adaptive_ground(points: PointCloud, params: GroundParams) -> Mask:
-    """Tell ground points by openings whose windows follow the size of what each point stands on.
+    """Detect ground points by openings whose windows follow the size of the feature under each point.
 
     Parameters
     ----------
@@ -76,16 +74,20 @@ def adaptive_ground(points: PointCloud, params: GroundParams) -> Mask:
 
     Notes
     -----
-    Only the lowest point of a small cell can be ground, so these points are what is opened; nothing is rasterised,
-    the cells only find neighbours. An iteration measures for each of them the feature that it stands on by the rise
-    and fall of profiles (S4, S5), takes for its window what reaches the foot of this feature, or the default window
-    where there is none, and opens (S3). The opened heights are those of the next iteration: so a tower sinks to its
-    podium, and both to the ground. It ends when less than a thousandth of the points sink, or after
-    ``adaptive_iterations``. Ground is what lies at most ``height_m`` above the opened heights, more on slopes by the
-    way to the cell's lowest point. How the indicator changes the window is ours: the slide does not tell.
+    Only the lowest point of a small cell can be ground, so these points are opened; nothing is rasterised, the cells
+    only find neighbours. One iteration has three steps:
 
-    Border: the default window shrinks to where the data end, lest slopes sink there; other windows are cut. A feature
-    cut by the end of the data needs a fall on one side only.
+    1. Profiles through each point measure the feature under it by their rises and falls (S4, S5).
+    2. Its window reaches the foot of this feature; without a feature it is the default window.
+    3. The heights are opened with these windows (S3), and enter the next iteration.
+
+    So a tower sinks to its podium, and both to the ground. The iteration ends when less than a thousandth of the points
+    sink, or after ``adaptive_iterations``. Points at most ``height_m`` above the opened heights are ground; on slopes
+    the limit grows with the way to the cell's lowest point. How the indicator changes the window is ours: the slides
+    do not say it.
+
+    Border: the default window shrinks to the end of the data, so that slopes do not sink there; other windows are cut.
+    A feature cut by the end of the data needs a fall on one side only.
     Nothing depends on the order of the points. Cost: linear in the points, times the reach of the profiles.
     """
     require_points(points)
@@ -110,9 +112,10 @@ def adaptive_opening(low: LowPoints, windows: AdaptiveWindows, params: GroundPar
     default = _default(low.at, (low.u, low.v), windows.cell_m, windows.default_m)
     half = default
     for number in range(params.adaptive_iterations):
-        firm = low.z - heights <= step_m
+        firm = low.z - heights <= step_m  # points that have not sunk so far
         sizes = feature_sizes(low, heights, firm, windows.cell_m, profile)
         found = np.maximum(np.where(sizes > params.window_m, 0.0, sizes), default)
+        # A point that sank keeps its window at least: its opened height no longer shows the feature.
         half = np.where(firm, found, np.maximum(half, found))
         opened = opening(low, heights, half, windows.cell_m)
         sunk = np.count_nonzero(heights - opened > params.height_m)
@@ -146,7 +149,7 @@ def _default(at: Index, places: tuple[Floats, Floats], cell: float, most: float)
             if p < 0:
                 continue
             for down, across in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                seen = 0.0
+                seen = 0.0  # how far the farthest point lies; `SPARE_CELLS` more cells decide whether it is the last
                 for i in range(1, reach + SPARE_CELLS + 1):
                     r, c = row + i * down, col + i * across
                     if r < 0 or c < 0 or r >= at.shape[0] or c >= at.shape[1]:
@@ -196,5 +199,6 @@ def _write_near(
             found[i] = False
             continue
         way = np.sqrt((x[i] - u[p]) ** 2 + (y[i] - v[p]) ** 2)
+        # Where even the lowest point of the cell has sunk, no point of the cell is ground.
         ground = lowest[p] - opened[p] <= height + slopes[p] * cell
         found[i] = ground and z[i] - opened[p] <= height + slopes[p] * max(way, cell)

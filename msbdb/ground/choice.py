@@ -1,4 +1,4 @@
-"""The one interface of the ground filters, and the choice among them."""
+"""The choice of the ground filter, and the terrain that it gives: all filters behind one interface."""
 
 from typing import Protocol
 
@@ -22,7 +22,7 @@ MIN_GROUND_SHARE = 0.02
 
 
 class GroundFilter(Protocol):
-    """Tells which cells of a grid of lowest points are ground."""
+    """Detects the ground cells of a grid of lowest points."""
 
     def __call__(self, surface: Grid, params: GroundParams, /) -> NDArray[np.bool_]:
         """Return the (H, W) mask of ground cells.
@@ -37,7 +37,7 @@ class GroundFilter(Protocol):
 
 
 class PointGroundFilter(Protocol):
-    """Tells which points are ground, without a grid."""
+    """Detects the ground points of a cloud, without a grid."""
 
     def __call__(self, points: PointCloud, params: GroundParams, /) -> NDArray[np.bool_]:
         """Return the (N,) mask of ground points.
@@ -57,10 +57,10 @@ POINT_FILTERS: dict[str, PointGroundFilter] = {"quadratic": quadratic_ground, "a
 
 
 def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[Grid, str]:
-    """Return the DTM on a lattice, and the name of the filter that told the ground.
+    """Return the DTM on a lattice, and the name of the ground filter.
 
-    The ground is told on points or on cells, interpolated under the off-ground on cells of ``ground_cell_m`` (or of
-    the lattice, where that is coarser), and refined bilinearly.
+    The filter detects the ground among points or cells. The terrain is interpolated under the other ones on cells of
+    ``ground_cell_m``, or of the lattice where that is coarser, and refined bilinearly.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> 
 
 
 def _supported(observed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Leave out cells alone in a void, where a single false echo would stand for all of it.
+    """Leave out cells alone in a void, where a single false echo would decide the terrain of all of it.
 
     Such a cell has fewer than two observed others among the 24 around it; where that is most cells, all of them stay.
     """

@@ -1,4 +1,4 @@
-"""The adaptive indicator: profiles along both axes and both senses tell what a point stands on (S4, S5)."""
+"""The adaptive indicator: profiles along both axes and both senses measure the feature under a point (S4, S5)."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,17 +10,15 @@ from msbdb.ground.lowpoints import LowPoints
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
-
 Index = NDArray[np.int64]
-
 Mask = NDArray[np.bool_]
 
 NOTHING, END, SINK, FALL = 0, 1, 2, 3
-"""What a profile comes to: nothing within its reach, the end of the data, a fall onto points that sank before, and a
-fall onto points that did not."""
+"""Results of a profile: nothing within its reach, the end of the data, a fall onto points that sank before, and a fall
+onto points that did not."""
 
 NARROW = 2
-"""Widest gap in cells across which terrain may rise; what is higher beyond a wider one may stand on its own ground."""
+"""Widest gap in cells across which terrain may rise; beyond a wider gap higher points may have ground of their own."""
 
 STRETCH = 8
 """Cells to either side over which the slope of a level is measured."""
@@ -32,7 +30,7 @@ SLOPE_FACTOR, SLOPE_MORE = 1.5, 0.1
 """How much steeper than measured beside a feature terrain may be beneath it: slopes change, and heights are noisy."""
 
 CUT = 4
-"""What part of the reach a building that the end of the data cuts may take of it."""
+"""The reach over this is the longest visible part of a building that the end of the data cuts."""
 
 BAND = 64
 """Rows or columns of cells that a thread takes at a time."""
@@ -40,7 +38,7 @@ BAND = 64
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """What counts as rise and fall along a profile.
+    """Thresholds of rise and fall along a profile.
 
     Parameters
     ----------
@@ -61,7 +59,7 @@ class Profile:
 
 
 def feature_sizes(low: LowPoints, heights: Floats, firm: Mask, cell_m: float, profile: Profile) -> Floats:
-    """Return how far each point is from the foot of the feature that it stands on.
+    """Return the distance of each point from the foot of the feature under it.
 
     Parameters
     ----------
@@ -83,14 +81,26 @@ def feature_sizes(low: LowPoints, heights: Floats, firm: Mask, cell_m: float, pr
 
     Notes
     -----
-    From the point a profile runs along its row or column of cells in both senses (S5). It follows the level that the
-    point stands on through gentle changes. A fall from this level by ``fall_m`` in one or more steps ends the
-    feature, at its foot. A rise onto something higher is followed until the profile comes down again: to the level
-    before (then it goes on), or below it by more than the terrain's slope makes of the way (then that is the fall).
-    Points that sank before are looked at for falls only: what is left of their heights is no terrain.
+    From the point a profile runs along its row or column of cells in both senses (S5):
 
-    The point stands on a feature where an axis has falls in both senses. Where the data end (for the rest of the
-    reach), so that a building may be cut, one fall is enough if the part seen is no longer than a quarter of it.
+    - It follows the level of the point through gentle changes.
+    - A fall from this level by ``fall_m``, in one or more steps, ends the feature at its foot.
+    - After a rise it follows the higher level until it comes down again. Back on the first level, it goes on. If it
+      comes down farther, by more than the terrain's slope allows over that way, this is the fall.
+    - Points that sank before count for falls only: their opened heights are no terrain.
+
+    There is a feature under the point where an axis has falls in both senses. Where the data end within the reach, a
+    building may be cut. Then one fall is enough if the visible part is no longer than a quarter of the reach.
+
+    Examples
+    --------
+    A roof of three cells, 5 m high, in a row of cells of 1 m; the ends of the row are ground:
+
+    >>> u = np.arange(9) + 0.5
+    >>> z = np.array([0.0, 0, 0, 5, 5, 5, 0, 0, 0])
+    >>> low = LowPoints(np.arange(9), u, np.full(9, 0.5), z, np.arange(9)[None])
+    >>> feature_sizes(low, z, np.ones(9, dtype=bool), 1.0, Profile(8.0, 0.9, 1.5, 0.5))
+    array([0., 0., 0., 1., 2., 1., 0., 0., 0.])
     """
     reach = max(int(profile.reach_m / cell_m), 1)
     rules = Rules(cell_m, reach, profile.step_m, profile.fall_m, profile.slope)
@@ -109,7 +119,7 @@ def _along(at: Index, points: tuple[Floats, Floats, Floats, Mask], rules: "Rules
 
 
 class Rules(NamedTuple):
-    """What `Profile` says, for kernels; the reach in cells."""
+    """The values of `Profile`, for kernels; the reach in cells."""
 
     cell: float
     reach: int
@@ -140,6 +150,7 @@ def _measure(lines: Index, points: tuple[Floats, Floats, Floats, Mask], rules: R
             continue
         ids = lines[number][place]
         line = Line(place, u[ids], v[ids], z[ids], firm[ids], np.empty(place.size))
+        # One kernel follows the line in one sense; the other sense is the line turned round.
         _write_slopes(line, rules)
         one, near = _runs(line, rules)
         back = Line(
@@ -193,7 +204,7 @@ def _runs(line: Line, rules: Rules) -> tuple[Index, Floats]:
     """Follow the profiles of all points of a line; return what `_run` does."""
     place, z, firm = line.place, line.z, line.firm
     count = z.size
-    # Up to the event after it, a profile that is at a point meets but gentle changes.
+    # From a point to the event after it there are only gentle changes between neighbours.
     event = np.empty(count, dtype=np.int64)
     event[count - 1] = count
     for k in range(count - 2, -1, -1):
@@ -211,7 +222,12 @@ def _runs(line: Line, rules: Rules) -> tuple[Index, Floats]:
 
 @kernel
 def _run(line: Line, rules: Rules, event: Index, p: int, stop: int) -> tuple[int, float]:
-    """Follow one profile as far as a point; return what it comes to, and how far its foot, or the data's end, is."""
+    """Follow one profile as far as point ``stop``; return its result, and how far its foot or the data's end is.
+
+    The state while it runs: ``last`` is the height of the level reached, ``brink`` that of the edge where the present
+    rise or fall began. ``steep`` is set within a fall of several steps, ``above`` on something higher than the level,
+    ``fallen`` once the fall is deep enough; then the profile only looks for the lowest point of the foot.
+    """
     place, u, v, z, firm, slopes = line
     cell, reach, step, fall, _ = rules
     last, last_i, slope = z[p], place[p], slopes[p]
@@ -220,6 +236,7 @@ def _run(line: Line, rules: Rules, event: Index, p: int, stop: int) -> tuple[int
     onto, foot = NOTHING, 0.0
     q = p
     while True:
+        # Gentle changes need no decision: skip to the last point before the next event.
         if event[q] > q + 1 and not above and not fallen:
             q = min(event[q] - 1, stop)
             last, last_i, slope, steep = z[q], place[q], slopes[q], False

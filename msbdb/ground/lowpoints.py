@@ -1,6 +1,6 @@
-"""A frame for the points of a cloud: a near origin, empty stretches shortened, and cells to find neighbours by.
+"""The lowest points of small cells, which alone can be ground, in a local frame of the cloud.
 
-The lowest points of small cells, which alone can be ground; false echoes from below are left out.
+The frame has a near origin, and empty stretches are shortened. False echoes from below are left out.
 """
 
 from dataclasses import dataclass
@@ -18,15 +18,26 @@ from msbdb.surface.gridding import cell_size
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 CELL_SPACINGS = 1.5
 """Least side of a cell in point spacings: nine of ten cells hold a point then."""
 
 MOST_CELLS = 64
-"""Most cells a point: beyond, the cloud is a thin line across a wide box, and its cells would fill the memory."""
+"""Most cells a point; a thin line of points across a wide box has more, which would fill the memory."""
 
 SPARE_CELLS = 1_000_000
 """Cells that any cloud may have."""
+
+NEEDED = 2
+"""Points that must lie near a low point for it to be believed."""
+
+PARTS = 2
+"""Parts that threads work on; their number changes nothing."""
+
+ROUNDS = 4
+"""Times that the next point of a cell is tried; false echoes hardly come more than three a cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +63,31 @@ class PointFrame:
     shape: tuple[int, int]
 
 
-def cell_side(first_m2: float, params: GroundParams) -> float:
-    """Return the side of the cells of which the lowest point counts, for a density of first echoes.
+@dataclass(frozen=True, slots=True, eq=False)
+class LowPoints:
+    """The lowest believed point of each cell that has one, in row-major order of the cells.
 
-    It is ``ground_cell_m``, or for few points a larger round value: so that tiles of one survey have the same.
+    Parameters
+    ----------
+    index : (M,) ndarray of int64
+        The points' places in the cloud.
+    u, v, z : (M,) ndarray of float64, metres
+        Their coordinates in the frame.
+    at : (rows, cols) ndarray of int64
+        Which low point a cell has; -1 for none.
+    """
+
+    index: Index
+    u: Floats
+    v: Floats
+    z: Floats
+    at: Index
+
+
+def cell_side(first_m2: float, params: GroundParams) -> float:
+    """Return the side of the cells for the lowest points, from the density of first echoes.
+
+    It is ``ground_cell_m``, or for few points a larger round value, so that tiles of one survey have the same.
     """
     return max(params.ground_cell_m, cell_size(first_m2 / CELL_SPACINGS**2))
 
@@ -63,8 +95,8 @@ def cell_side(first_m2: float, params: GroundParams) -> float:
 def frame(points: PointCloud, cell_m: float, gap_m: float) -> PointFrame:
     """Put the points into a local frame.
 
-    Windows of at most ``gap_m`` hold the same points in it as in the world: so islands however far apart cost no
-    memory, and huge offsets no digits.
+    Windows of at most ``gap_m`` hold the same points in it as in the world. Islands far apart cost no memory, and huge
+    offsets no digits.
 
     Raises
     ------
@@ -85,7 +117,7 @@ def frame(points: PointCloud, cell_m: float, gap_m: float) -> PointFrame:
 
 
 def require_points(points: PointCloud) -> None:
-    """Refuse clouds that no ground can be told of.
+    """Refuse clouds in which no ground can be found.
 
     Raises
     ------
@@ -104,9 +136,9 @@ def require_points(points: PointCloud) -> None:
 
 
 def shorten(values: Floats, cell_m: float, gap_m: float) -> Floats:
-    """Shift coordinates by whole cells to start near 0, with long empty stretches shortened, again by whole cells.
+    """Shift coordinates by whole cells to start near 0, and shorten long empty stretches by whole cells.
 
-    Cells of the result are cells of the world's lattice: so neighbouring tiles of a survey are cut alike.
+    Cells of the result are cells of the world's lattice, so neighbouring tiles of a survey are cut alike.
 
     Parameters
     ----------
@@ -115,7 +147,7 @@ def shorten(values: Floats, cell_m: float, gap_m: float) -> Floats:
     cell_m : float
         Side of a cell.
     gap_m : float
-        What stays of a stretch of more than twice that, at least.
+        Least length that stays of a stretch of more than twice this length.
 
     Examples
     --------
@@ -135,47 +167,12 @@ def shorten(values: Floats, cell_m: float, gap_m: float) -> Floats:
     return np.asarray(local - np.concatenate([[0.0], np.cumsum(excess)])[inverse])
 
 
-Index = NDArray[np.int64]
-
-Mask = NDArray[np.bool_]
-
-NEEDED = 2
-"""Points that must lie near a low point for it to be believed."""
-
-PARTS = 2
-"""Parts that threads work on; their number changes nothing."""
-
-ROUNDS = 4
-"""Times that the next point of a cell is tried; false echoes hardly come more than three a cell."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LowPoints:
-    """One point for each cell that holds any believed one, in row-major order of the cells.
-
-    Parameters
-    ----------
-    index : (M,) ndarray of int64
-        The points' places in the cloud.
-    u, v, z : (M,) ndarray of float64, metres
-        Their coordinates in the frame.
-    at : (rows, cols) ndarray of int64
-        Which low point a cell has; -1 for none.
-    """
-
-    index: Index
-    u: Floats
-    v: Floats
-    z: Floats
-    at: Index
-
-
 def low_points(frame: PointFrame, outlier_m: float) -> tuple[LowPoints, Mask]:
     """Take the lowest believed point of each cell.
 
-    A point is believed when at least two others lie within ``outlier_m`` of its height, in its own cell or among the
-    lowest points of the 24 cells around. Where most cells hold but single points without such neighbours, all are
-    believed: then the cells are too small for the points to tell.
+    A point is believed when at least two others lie within ``outlier_m`` of its height. The others are the points of
+    its cell and the lowest points of the 24 cells around. Where this fails for most cells, all points are believed:
+    then the cells are too small for a decision.
 
     Parameters
     ----------
@@ -223,6 +220,7 @@ def _lowest(arrays: tuple[Floats, Floats, Floats], false: Mask, cell: float, sha
         if false[i]:
             continue
         row, col = int(v[i] / cell), int(u[i] / cell)
+        # A total order, so that the order of the points does not matter.
         old = found[row, col]
         if old < 0 or (z[i], u[i], v[i]) < (z[old], u[old], v[old]):
             found[row, col] = i
@@ -259,7 +257,7 @@ def _doubted(z: Floats, lowest: Index, own: NDArray[np.int32], outlier: float, p
             low = lowest[row, col]
             if low < 0 or own[row, col] >= NEEDED:
                 continue
-            support = own[row, col] - 1
+            support = own[row, col] - 1  # less the point itself, which the cells around include
             for r in range(max(row - 2, 0), min(row + 3, height)):
                 for c in range(max(col - 2, 0), min(col + 3, width)):
                     if lowest[r, c] >= 0 and abs(z[lowest[r, c]] - z[low]) <= outlier:

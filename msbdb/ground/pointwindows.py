@@ -10,7 +10,6 @@ from msbdb.ground.lowpoints import LowPoints, cuts
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
-
 Index = NDArray[np.int64]
 
 
@@ -27,10 +26,10 @@ class PointWindows(NamedTuple):
 def opening(low: LowPoints, heights: Floats, half_m: Floats, cell_m: float) -> Floats:
     """Open heights of points by windows of their own.
 
-    The window W(p) of a point p is the square of half-width h(p) around it. The erosion of p is the lowest height in
-    W(p); its dilation is the highest erosion of all points whose windows hold p. With the transposed windows in the
-    dilation this is an opening: never above the heights, and idempotent for the same windows. With windows of one
-    size it is S3's maximum of minima.
+    The window W(p) of a point p is the square of half-width h(p) around it. With ε(p) = min z(q) over q in W(p), the
+    opening is γ(p) = max ε(q) over all q whose W(q) holds p. The dilation takes the transposed windows, so γ is an
+    opening: never above the heights, and idempotent for the same windows. With windows of one size it is S3's maximum
+    of minima.
 
     Parameters
     ----------
@@ -47,6 +46,16 @@ def opening(low: LowPoints, heights: Floats, half_m: Floats, cell_m: float) -> F
     -------
     (M,) ndarray of float64, metres
         Opened heights.
+
+    Examples
+    --------
+    A window of three points removes a peak of one, and leaves a roof of three:
+
+    >>> u = np.arange(8) + 0.5
+    >>> z = np.array([0.0, 7, 0, 0, 5, 5, 5, 0])
+    >>> low = LowPoints(np.arange(8), u, np.full(8, 0.5), z, np.arange(8)[None])
+    >>> opening(low, z, np.ones(8), 1.0)
+    array([0., 0., 0., 0., 5., 5., 5., 0.])
     """
     return dilation(low, erosion(low, heights, half_m, cell_m), half_m, cell_m)
 
@@ -54,8 +63,9 @@ def opening(low: LowPoints, heights: Floats, half_m: Floats, cell_m: float) -> F
 def erosion(low: LowPoints, heights: Floats, half_m: Floats, cell_m: float) -> Floats:
     """Take for each point the lowest height in its own window; arguments as of `opening`.
 
-    Cells wholly inside of a window are taken by four overlapping blocks of a power of two (each level of blocks is
-    made from the one before); the points of the cells on its rim one by one. Cost: linear in the half-width.
+    Cells wholly inside of a window are covered by overlapping blocks, whose side is a power of two; each level of
+    blocks is made from the level before. The points of the cells on its rim are compared one by one. Cost: linear in
+    the half-width.
     """
     windows = PointWindows(low.at, low.u, low.v, half_m, cell_m)
     level = _levels(windows)
@@ -84,6 +94,7 @@ def _dilated(windows: PointWindows, level: Index, eroded: Floats, part: tuple[in
     found = np.full(eroded.size, -np.inf)
     found[part[0] : part[1]] = eroded[part[0] : part[1]]
     shape = windows.at.shape
+    # From the largest blocks down: a block hands its maximum to the four blocks of half its side that cover it.
     top = int(level.max())
     table = np.full(_shrunk(shape, 2 ** max(top, 0)), -np.inf)
     for k in range(top, -2, -1):
@@ -155,14 +166,14 @@ def _levels(windows: PointWindows) -> Index:
 
 @kernel
 def _rim(windows: PointWindows, p: int, blocks: bool, rim: Index) -> int:
-    """List the points of a window that its blocks, if it has any, do not cover; return how many they are."""
+    """Write the points of a window that its blocks, if it has any, do not cover; return how many they are."""
     at, u, v, half, cell = windows
     south, north, west, east = _inside(windows, p)
     first_row, last_row = _span(v[p], half[p], cell, at.shape[0])
     first_col, last_col = _span(u[p], half[p], cell, at.shape[1])
     count = 0
     for row in range(first_row, last_row + 1):
-        covered = blocks and south <= row < north
+        covered = blocks and south <= row < north  # here the blocks hold all cells from west to east
         col = first_col
         while col <= last_col:
             if covered and west <= col < east:
@@ -204,6 +215,7 @@ def _query(
         for n in range(_rim(windows, p, k >= 0, rim)):
             best = min(best, heights[rim[n]])
         if k >= 0:
+            # The last block of a row or column is moved back to end with the window: minima may count cells twice.
             side = 2**k
             south, north, west, east = _inside(windows, p)
             for row in range(south, north, side):

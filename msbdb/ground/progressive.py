@@ -1,4 +1,4 @@
-"""The progressive morphological filter, our default ground filter (Zhang et al. 2003), and its second look at hills."""
+"""The progressive morphological filter, the default ground filter (Zhang et al. 2003), with a second pass on hills."""
 
 import logging
 
@@ -14,21 +14,20 @@ from msbdb.params import GroundParams
 logger = logging.getLogger(__name__)
 
 Heights = NDArray[np.float32]
-
 Mask = NDArray[np.bool_]
 
 
 def progressive_ground(surface: Grid, params: GroundParams) -> Mask:
-    """Tell ground cells by openings with growing windows.
+    """Detect ground cells by openings with growing windows.
 
-    A cell is off-ground when one of the openings lowers it by more than dh_k = dh_0 + s·(r_k − r_{k−1}), where r_k
-    is the half-width of the k-th square window and s the slope of the terrain; each opening acts on the one before.
-    The increment, not the whole window, bounds the height of what may stay: so low roofs among higher ones, which a
-    threshold that grows with the window keeps as ground, are told.
+    The k-th opening acts on the result of the one before; r_k is the half-width of its square window. A cell is above
+    ground when one of the openings lowers it by more than dh_k = dh_0 + s·(r_k − r_{k−1}), with s the slope of the
+    terrain. The threshold follows the increment of the window, not the window: a threshold that grows with the window
+    would keep low roofs among higher ones as ground.
 
-    Terrain steeper than s loses its hilltops by this. So what a second run with a steeper slope keeps is looked at
-    again: regions without edges towards the ground beside them are hills. Where there are any, the trend of the
-    terrain through them is taken off the heights and the filter runs on what is left.
+    Terrain steeper than s loses its hilltops by this. So a second run takes a steeper slope. Of the regions that it
+    keeps in addition, those without edges towards the ground beside them are hills. If there are hills, the trend of
+    the terrain through them is subtracted from the heights, and the filter runs on the rest.
 
     Parameters
     ----------
@@ -44,10 +43,22 @@ def progressive_ground(surface: Grid, params: GroundParams) -> Mask:
 
     Notes
     -----
-    Published is the filter itself; the second look is ours. On real towns laid over hills of up to 40 % it keeps the
-    ground, of which the filter alone loses two thirds at 30 %; without hills it changes nothing.
+    The filter is published; the second run is ours. On real towns laid over hills of up to 40 % it keeps the ground;
+    the filter alone loses two thirds of it at 30 %. Without hills it changes nothing.
 
     Border: the outermost cell is repeated. Cost: a number of passes that grows with the logarithm of the window.
+
+    Examples
+    --------
+    A roof of three cells, 5 m high, on level ground:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec, heights = lattice((0, 0, 8, 8), 1.0, CRS.from_epsg(2154)), np.zeros((9, 9), dtype=np.float32)
+    >>> heights[3:6, 3:6] = 5
+    >>> ground = progressive_ground(Grid(heights, np.ones((9, 9), dtype=bool), spec), GroundParams())
+    >>> ground[4].astype(int)
+    array([1, 1, 1, 0, 0, 0, 1, 1, 1])
 
     References
     ----------

@@ -1,6 +1,6 @@
 """Ground heights of points by quadratic surfaces in sliding windows (Cao & Wu, C13, Eqs. 4 to 6).
 
-The windows of the quadratic filter: area opening and closing inside of a window, and the fit (C13, Eqs. 4, 5).
+In each window an area opening and closing find the off-set, and a quadratic surface is fitted to it.
 """
 
 import logging
@@ -20,16 +20,28 @@ from msbdb.threads import in_threads, kernel
 logger = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
-
 Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+States = NDArray[np.int8]
+Cloud = tuple[Floats, Floats, Floats]
+Graph = tuple[NDArray[np.int64], NDArray[np.int32]]
 
 STRIPES = 4
 """Parts of the rows of windows that threads work on; joined by minima, so that their number changes nothing."""
 
+OUTSIDE, ON, OFF = 0, 1, 2
+"""States of a point: not in the window, in its on-set, in its off-set."""
+
+TERMS = 6
+"""Coefficients of Eq. 4, and the fewest points of the off-set."""
+
+DETERMINED = 1e-7
+"""Least share of a term's variance that the terms before it do not explain; below, the points do not determine it."""
+
 
 @dataclass(frozen=True, slots=True)
 class SlidingWindows:
-    """What the windows need.
+    """Sizes of the sliding windows.
 
     Parameters
     ----------
@@ -50,7 +62,7 @@ class SlidingWindows:
 
 
 def quadratic_ground(points: PointCloud, params: GroundParams) -> Mask:
-    """Tell ground points: those at most ``height_m`` above their ground height that are no false echoes from below.
+    """Detect ground points: at most ``height_m`` above their ground height, and no false echoes from below.
 
     Returns
     -------
@@ -92,19 +104,23 @@ def ground_heights(points: PointCloud, params: GroundParams) -> Floats:
 
     Notes
     -----
-    In each window h is the median height of its points, and the on-set those at least as high (C1). The on-set is
-    opened and then the off-set closed by T_a, with connections inside of the window only (C2 to C6); what opening
-    removes joins the off-set and what closing removes the on-set. The quadratic of Eq. 4, fitted to the off-set by
-    least squares, gives the points of the on-set their ground, of which the lowest over all windows stays (Eq. 5).
-    Off-set points of all windows keep Gz = z.
+    Each window takes these steps:
 
-    A second time over (``quadratic_passes``; the paper's is 1) the windows slide over the ground heights found, and
-    what stands ``quadratic_again_m`` above the fit sinks to it: where more than half of a window is built, its median
-    is a roof, and only what is higher than that sinks at once.
+    1. h is the median height of its points, and the on-set are the points at least as high (C1).
+    2. The on-set is opened and then the off-set closed by T_a, with connections inside of the window only (C2 to C6).
+       Points removed by the opening join the off-set, points removed by the closing the on-set.
+    3. The surface z = a0 + a1 x + a2 y + a3 xy + a4 x² + a5 y² (Eq. 4) is fitted to the off-set by least squares.
+    4. It gives the points of the on-set their ground. The lowest over all windows stays (Eq. 5).
 
-    Ours: the windows lie on the lattice of the sliding step, so that a survey cut in tiles has the same ones. Where
-    fewer than six points are off, or they do not determine the surface (on a line, or a narrow strip), the window
-    grows by a step to all sides, ``quadratic_growth`` times; then it is left out. T_a is an area, taken times the
+    Points in the off-set of all their windows keep Gz = z.
+
+    The windows slide ``quadratic_passes`` times (the paper: once), from the second time on over the ground heights
+    found. Points ``quadratic_again_m`` above the fit sink to it. The first pass does not suffice where more than half
+    of a window is built: its median is a roof, and only higher points sink.
+
+    Ours: the windows lie on the lattice of the sliding step, so that a survey cut in tiles has the same ones. The
+    off-set may have fewer than six points, or not determine the surface (on a line, or a narrow strip). Then the window
+    grows by a step to all sides, up to ``quadratic_growth`` times; after that it is left out. T_a is an area times the
     density (A17), and T_c a number of point spacings.
 
     Border: windows are cut at the data, by less than a step. Nothing depends on the order of the points.
@@ -164,24 +180,6 @@ def _slide(placed: PointFrame, ground: Floats, graph: PointGraph, windows: Slidi
     return found
 
 
-Index = NDArray[np.int64]
-
-States = NDArray[np.int8]
-
-Cloud = tuple[Floats, Floats, Floats]
-
-Graph = tuple[NDArray[np.int64], NDArray[np.int32]]
-
-OUTSIDE, ON, OFF = 0, 1, 2
-"""States of a point: not in the window, in its on-set, in its off-set."""
-
-TERMS = 6
-"""Coefficients of Eq. 4, and the fewest points of the off-set."""
-
-DETERMINED = 1e-7
-"""Least share of a term's variance that the terms before it do not explain; below, the points do not tell it."""
-
-
 @kernel
 def slide(
     bins: tuple[Index, Index, tuple[int, int]],
@@ -219,6 +217,7 @@ def slide(
     size = np.zeros(z.size, dtype=np.int64)
     for row in range(rows[0], rows[1]):
         for col in range(max(shape[1] - wide, 0) + 1):
+            # Invariant: outside of this loop body every point's state is OUTSIDE, so that windows share one array.
             for grown in range(growth + 1):
                 ids = _inside(
                     members, starts, shape, (row - grown, row + wide + grown), (col - grown, col + wide + grown)
@@ -247,9 +246,10 @@ def slide(
 def _inside(
     members: Index, starts: Index, shape: tuple[int, int], rows: tuple[int, int], cols: tuple[int, int]
 ) -> Index:
-    """Return the points of a window, ascending by cell and then as they came."""
+    """Return the points of a window, ascending by cell and then in their own order."""
     first_row, last_row = max(rows[0], 0), min(rows[1], shape[0])
     first_col, last_col = max(cols[0], 0), min(cols[1], shape[1])
+    # The points of a row of cells are one stretch of members.
     count = 0
     for row in range(first_row, last_row):
         count += starts[row * shape[1] + last_col] - starts[row * shape[1] + first_col]
@@ -277,7 +277,7 @@ def _remove_small(ids: Index, state: States, graph: Graph, rule: tuple[int, int]
             continue
         for n in range(indptr[i], indptr[i + 1]):
             j = np.int64(indices[n])
-            if j < i and state[j] == which:
+            if j < i and state[j] == which:  # each pair once; points outside of the window have another state
                 a, b = _root(parent, i), _root(parent, j)
                 if a != b:
                     parent[max(a, b)] = min(a, b)
@@ -316,7 +316,7 @@ def _height(fit: Floats, x: float, y: float, centre: tuple[float, float, float, 
 
 @kernel
 def _fit(ids: Index, state: States, cloud: Cloud, centre: tuple[float, float, float, float]) -> tuple[Floats, bool]:
-    """Fit Eq. 4 to the off-set by least squares; the flag tells whether its points determine all six terms."""
+    """Fit Eq. 4 to the off-set by least squares; the flag is set where its points determine all six terms."""
     x, y, z = cloud
     normal = np.zeros((TERMS, TERMS))
     right = np.zeros(TERMS)
@@ -327,7 +327,7 @@ def _fit(ids: Index, state: States, cloud: Cloud, centre: tuple[float, float, fl
             continue
         count += 1
         _terms(x[i], y[i], centre, terms)
-        height = z[i] - centre[2]
+        height = z[i] - centre[2]  # from the median: small numbers keep their digits
         for a in range(TERMS):
             right[a] += terms[a] * height
             for b in range(a + 1):
@@ -347,6 +347,7 @@ def _solve(normal: Floats, right: Floats) -> tuple[Floats, bool]:
                 normal[a, b] -= normal[a, c] * normal[b, c]
             normal[a, b] /= normal[b, b]
             normal[a, a] -= normal[a, b] ** 2
+        # What remains of the term's variance after the terms before it; written so that NaN is refused.
         if not normal[a, a] > DETERMINED * own:
             return right, False
         normal[a, a] = np.sqrt(normal[a, a])

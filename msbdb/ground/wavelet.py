@@ -14,12 +14,11 @@ from msbdb.params import GroundParams
 logger = logging.getLogger(__name__)
 
 Heights = NDArray[np.float32]
-
 Mask = NDArray[np.bool_]
 
 
 def wavelet_ground(surface: Grid, params: GroundParams) -> Mask:
-    """Tell ground cells by clustering the wavelet details of each resolution, from coarse to fine.
+    """Detect ground cells by clustering the wavelet details of each resolution, from coarse to fine.
 
     Parameters
     ----------
@@ -37,24 +36,24 @@ def wavelet_ground(surface: Grid, params: GroundParams) -> Mask:
     -----
     Published (Vu, Yamazaki and Tokunaga 2002, and the abstract of Vu and Tokunaga 2004): the gridded heights are
     decomposed by the à trous algorithm into a family of smooth and detail images; K-means groups the cells of each
-    resolution into clusters; objects show as clusters whose boundaries persist across resolutions, small ones only
-    on the fine ones, so that no size of kernel has to be chosen.
+    resolution into clusters. The boundaries of an object's cluster persist across resolutions, those of small objects
+    on the fine ones only. So no size of kernel has to be chosen.
 
     Our reading, for the parts that these sources leave open: resolutions are taken from coarse to fine, and on each
 
     1. the details are the heights less their B3-spline smoothing to that resolution, w_1 + ... + w_k;
-    2. K-means with K = 2 parts the cells that still count as ground by their details, unless both centres lie
+    2. K-means with K = 2 separates the cells that still count as ground by their details, unless both centres lie
        nearer to each other than ``wavelet_cluster_m``;
-    3. an 8-connected cluster of the high class is off-terrain when on at least ``edge_share`` of its
-       boundary it stands ``edge_step_m`` above its lowest neighbour of the ground, at the finest resolution:
-       this is what tells roofs from hills, whose boundaries are smooth;
+    3. an 8-connected cluster of the high class is off-terrain when at least ``edge_share`` of its boundary cells are
+       edges: ``edge_step_m`` above the lowest ground beside them, at the finest resolution. This separates roofs from
+       hills, whose boundaries are smooth;
     4. off-terrain cells are filled from the ground around before the next resolution.
 
     Not taken over: the median filter before the decomposition (low outliers are gone already, and step 4 keeps
     the edges), and the operator's choice of the resolutions. Like the published method it clusters all cells at
     once, so that its result depends on the extent of the data; the progressive filter does not.
 
-    On towns laid over hills it loses what the progressive filter's second look keeps: above 10 % of slope take that.
+    On towns laid over hills it loses ground that the progressive filter keeps: above 10 % of slope take that filter.
 
     Border: the outermost cell is repeated. Cost: some 7 levels, each with its smoothing, labelling and filling.
 
@@ -82,6 +81,11 @@ def smooth_b3(values: Heights, level: int) -> Heights:
     """Smooth by the à trous algorithm with the B3 spline, up to a dyadic level.
 
     Level j convolves both axes with (1, 4, 6, 4, 1)/16, its taps 2^j cells apart; the outermost cell is repeated.
+
+    Examples
+    --------
+    >>> smooth_b3(np.array([[0, 0, 0, 16, 0, 0, 0]], dtype=np.float32), 1)
+    array([[0., 1., 4., 6., 4., 1., 0.]], dtype=float32)
     """
     for spread in (2**j for j in range(level)):
         for axis in (0, 1):
@@ -103,8 +107,8 @@ def _spline_pass(values: Heights, spread: int, axis: int) -> Heights:
 def two_means(values: NDArray[np.floating]) -> tuple[float, float]:
     """Return the two centres of a 1-D K-means with K = 2.
 
-    In one dimension the clusters are parted by a threshold, so that the best of all partitions is found by trying
-    each: there are no seeds, and no local optimum can hide a few roofs behind the noise of much ground.
+    In one dimension a threshold separates the clusters, so the best of all partitions is found by trying each. There
+    are no seeds, and no local optimum can hide a few roofs behind the noise of much ground.
 
     Examples
     --------
@@ -123,7 +127,7 @@ def two_means(values: NDArray[np.floating]) -> tuple[float, float]:
 
 
 def _off_terrain(surface: Grid, terrain: Heights, ground: Mask, level: int, params: GroundParams) -> Mask:
-    """Return the ground cells that one resolution tells to be off-terrain."""
+    """Return the ground cells that one resolution shows to be off-terrain."""
     heights, step_m = np.asarray(surface.values, dtype=np.float32), edge_step(params, surface.spec.cell_m)
     details = terrain - smooth_b3(terrain, level)
     low, high = two_means(details[ground])
@@ -135,7 +139,7 @@ def _off_terrain(surface: Grid, terrain: Heights, ground: Mask, level: int, para
     beside_filled = np.where(ground, np.float32(np.inf), terrain)
     boundary, edges = count_edges(labels, count, heights, beside_ground, step_m)
     inner_boundary, inner_edges = count_edges(labels, count, heights, beside_filled, step_m)
-    # A cluster without any ground beside it, as a roof in the gap of others, is judged by the filled terrain.
+    # A cluster without any ground beside it, as a roof in the gap of others, is compared with the filled terrain.
     edges = np.where(boundary > 0, edges, inner_edges)
     boundary = np.where(boundary > 0, boundary, inner_boundary)
     off = edges >= params.edge_share * np.maximum(boundary, 1)

@@ -9,7 +9,6 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import laspy
@@ -30,6 +29,7 @@ from msbdb.io.lasheader import (
     vertical_unit,
 )
 from msbdb.points.cloud import NOISE_CLASSES, PointCloud
+from msbdb.points.density import lone_points
 
 logger = logging.getLogger(__name__)
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.
@@ -44,12 +44,6 @@ MAX_EASTING_M = 1e8
 
 MAX_HEIGHT_M = 2e4
 """Beyond it, up or down, there is no ground, building or aircraft."""
-
-LONE_GAP_Z_M, LONE_GAP_XY_M = 500.0, 50_000.0
-"""Points are lone if so wide a gap without any point parts them from the main body, in height or in position."""
-
-LONE_SHARE = 0.01
-"""Lone points are dropped if they are at most this share of all (one point always may be)."""
 
 COLOURS = ("red", "green", "blue", "nir")
 EXTRA_NAMES = {"red": "red", "green": "green", "blue": "blue", "nir": "nir", "infrared": "nir", "near_infrared": "nir"}
@@ -382,7 +376,7 @@ def _finish(
     """Drop lone points, leave out what says nothing, and count in the notices; return the points' places, too."""
     used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
     index = columns.index[: columns.filled]
-    lone = np.zeros(columns.filled, dtype=np.bool_) if columns.noise else _lone_points(used)
+    lone = np.zeros(columns.filled, dtype=np.bool_) if columns.noise else lone_points(used["x"], used["y"], used["z"])
     columns.dropped["far from all others"] = int(lone.sum())
     for why, count in columns.dropped.items():
         if count:
@@ -415,45 +409,8 @@ def _finish(
     return cloud.take(~lone), index[~lone] if columns.indexed else index
 
 
-def _lone_points(used: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Return which points are lone in height or in position."""
-    lone = lone_values(used["z"], LONE_GAP_Z_M)
-    lone |= lone_values(used["x"], LONE_GAP_XY_M) | lone_values(used["y"], LONE_GAP_XY_M)
-    return lone
-
-
 def _telling(colours: NDArray[np.uint16], names: tuple[str, ...]) -> list[int]:
     """Return the columns of the colours that say something: not one value everywhere; red, green, blue together."""
     varied = [bool(len(colours)) and bool(colours[:, i].min() != colours[:, i].max()) for i in range(len(names))]
     visible = any(varies for varies, name in zip(varied, names, strict=True) if name != "nir")
     return [i for i, name in enumerate(names) if (varied[i] if name == "nir" else visible)]
-
-
-def lone_values(values: NDArray[np.float64], gap: float) -> NDArray[np.bool_]:
-    """Return which values are lone: parted from the main body by a wide gap, and few.
-
-    Parameters
-    ----------
-    values : (N,) ndarray of float64
-        Finite.
-    gap : float
-        Width without any value that parts two groups, in the values' unit.
-
-    Returns
-    -------
-    (N,) ndarray of bool
-        True in every group of at most ``LONE_SHARE`` of the values (or of one value) besides the largest group.
-        It depends on the values alone, not on their order.
-    """
-    lone = np.zeros(len(values), dtype=np.bool_)
-    if len(values) < 3 or values.max() - values.min() <= gap:
-        return lone
-    ordered = np.sort(values)
-    starts = np.flatnonzero(np.diff(ordered) > gap) + 1
-    edges = [0, *starts.tolist(), len(values)]
-    largest = max(end - start for start, end in pairwise(edges))
-    few = max(1, int(LONE_SHARE * len(values)))
-    for start, end in pairwise(edges):
-        if end - start <= few and end - start < largest:
-            lone |= (values >= ordered[start]) & (values <= ordered[end - 1])
-    return lone

@@ -1,6 +1,6 @@
 """Label images: labelling, numbering, sizes, overlaps, and the statistics of labelled regions.
 
-A label image is an array of int32 in which 0 stands for no region and 1 to ``count`` for the regions. All functions
+A label image is an array of int32: 0 for no region, 1 to ``count`` for the regions. All functions
 but `label_zones` and `boxes` also take labelled points, as arrays of one dimension.
 """
 

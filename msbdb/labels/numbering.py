@@ -105,7 +105,13 @@ def sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
 
 
 def sums(labels: NDArray[np.integer], values: NDArray[Any], count: int) -> NDArray[np.float64]:
-    """Return the sum of the values over the cells or points of each label from 1 to ``count``, added in their order."""
+    """Return the sum of the values over the cells or points of each label from 1 to ``count``, added in their order.
+
+    Examples
+    --------
+    >>> sums(np.array([[0, 2, 2], [0, 1, 2]]), np.array([[9, 1, 2], [9, 5, 3]]), 2)
+    array([5., 6.])
+    """
     return np.bincount(labels.ravel(), values.ravel(), count + 1)[1:].astype(np.float64)
 
 
@@ -118,6 +124,11 @@ def chosen_cells(labels: Labels, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]
         1 to N; 0 for none, which is never chosen.
     chosen : (N,) ndarray of bool
         One a region, in the labels' order.
+
+    Examples
+    --------
+    >>> chosen_cells(np.array([0, 1, 2, 1]), np.array([True, False]))
+    array([False,  True, False,  True])
     """
     cells: NDArray[np.bool_] = np.concatenate([[False], chosen])[labels]
     return cells

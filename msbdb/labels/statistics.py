@@ -11,6 +11,7 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.labels.numbering import Labels, sizes, sums
 
 STATISTICS = ("h_max", "h_mean", "h_p50", "h_p90", "h_std")
+"""Columns of `height_statistics`."""
 
 
 def measure(labels: Labels, count: int) -> pd.DataFrame:
@@ -26,7 +27,13 @@ def measure(labels: Labels, count: int) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``first``, ``area``, ``row_sum``, ``col_sum`` (int64), one row a region in the labels' order.
+        ``first``, ``area``, ``row_sum``, ``col_sum`` (int64), one row a region in the labels' order. ``first`` is a
+        flat index, the other three count in cells.
+
+    Examples
+    --------
+    >>> measure(np.array([[0, 1, 1], [2, 2, 1]], dtype=np.int32), 2).to_dict("list")
+    {'first': [1, 3], 'area': [3, 2], 'row_sum': [1, 2], 'col_sum': [5, 1]}
     """
     label, start, length = _runs(labels)
     row, col = np.divmod(start, labels.shape[1])
@@ -41,7 +48,7 @@ def measure(labels: Labels, count: int) -> pd.DataFrame:
 def offsets(rows: pd.DataFrame, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far the centroids of clusters lie below and right of their first cells, in cells.
 
-    From differences of whole numbers, so that the result is the same, to the bit, wherever the cluster lies in the
+    They come from differences of whole numbers. So the result is the same, to the bit, wherever the cluster lies in the
     array of that width.
     """
     area, first = rows["area"].to_numpy().astype(np.int64), rows["first"].to_numpy().astype(np.int64)
@@ -70,7 +77,13 @@ def _runs(labels: Labels) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray
 
 
 def region_means(values: NDArray[np.generic], labels: Labels, count: int) -> NDArray[np.float64]:
-    """Return the mean of the finite values over the cells or points of each region; NaN where there is none."""
+    """Return the mean of the finite values over the cells or points of each region; NaN for a region without any.
+
+    Examples
+    --------
+    >>> region_means(np.array([4.0, 6.0, np.nan, 1.0]), np.array([1, 1, 2, 0]), 2)
+    array([ 5., nan])
+    """
     numbers = values.astype(np.float64)
     use = np.flatnonzero((labels > 0) & np.isfinite(numbers))
     total, size = sums(labels[use], numbers[use], count), sizes(labels[use], count)

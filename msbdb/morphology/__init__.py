@@ -1,21 +1,19 @@
-"""Area morphology: openings, closings, the scale-space that they build, and granulometry.
+"""Morphology of images: area filters, the scale-space, the component tree, profiles and gradients.
 
-Beside it the component tree, and the differential profiles and gradients that find flat regions.
-The same filters on the points themselves are in `msbdb.morphology.points`.
+The same area filters on the points themselves are in `msbdb.points.pointarea`.
 """
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening
 from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, sums
-from msbdb.morphology.profiles import (
-    AttributeProfile,
-    Theta,
-    attribute_filter,
-    attribute_opening,
-    build_profile,
-    zone_thresholds,
-)
+from msbdb.morphology.profiles import AttributeProfile, build_profile, zone_thresholds
 from msbdb.morphology.scalespace import ScaleSpace, build_scale_space, find_scales, opening_areas
-from msbdb.morphology.windows import external_gradient, internal_gradient, second_order_gradient, window_profile
+from msbdb.morphology.windows import (
+    Theta,
+    external_gradient,
+    internal_gradient,
+    second_order_gradient,
+    window_profile,
+)
 
 __all__ = [
     "AttributeProfile",
@@ -26,8 +24,6 @@ __all__ = [
     "area_open_close",
     "area_opening",
     "areas",
-    "attribute_filter",
-    "attribute_opening",
     "build_profile",
     "build_scale_space",
     "build_tree",

@@ -1,7 +1,7 @@
 """Area opening, area closing and their sequence, the AOC operator (Vincent 1992; Vu et al. 2009, V1 to V5).
 
 An area opening lowers each peak until its connected component holds at least s cells; an area closing raises each
-pit likewise. Values in the result are values of the input: nothing is computed, so nothing is rounded.
+pit in the same way. Values in the result are values of the input: nothing is computed, so nothing is rounded.
 """
 
 from typing import TypeVar
@@ -54,7 +54,7 @@ def area_opening(values: NDArray[T], threshold_px: int, *, connectivity: int = 8
     Nodata: none; mask before. Halo: none suffices, as a component may be of any extent.
 
     Complexity: runs of equal value are visited from the highest down and joined by union-find [2]_: nearly O(n) for n
-    runs after they are sorted, O(n log n); linear in the cells beside.
+    runs after they are sorted, which takes O(n log n). All other work is linear in the cells.
 
     References
     ----------
@@ -73,7 +73,7 @@ def area_opening(values: NDArray[T], threshold_px: int, *, connectivity: int = 8
 def area_closing(values: NDArray[T], threshold_px: int, *, connectivity: int = 8) -> NDArray[T]:
     """Raise each cell to the lowest level at which its component of cells no higher has at least s cells.
 
-    Parameters, errors, complexity and rules are those of `area_opening`, of which this is the dual:
+    Parameters, errors, complexity and rules are those of `area_opening`. This is its dual:
     φ_s(f) = -γ_s(-f) (Vu et al. 2009, Eq. 3; V3, V4). The connectivity is that of the pits, the complement.
     When s exceeds the array's cells, the result is flat at the maximum.
 
@@ -92,8 +92,8 @@ def area_open_close(values: NDArray[T], threshold_px: int, *, connectivity: int 
 
     Notes
     -----
-    Each 8-connected island above a background, with all that it encloses, is filtered independently of the others
-    when the background around it has at least s cells (V12).
+    AOC_s(f) = φ_s(γ_s(f)). An 8-connected island above a background, with all that it encloses, is filtered
+    independently of the others when the background around it has at least s cells (V12).
 
     Examples
     --------
@@ -127,12 +127,12 @@ def _filter(values: NDArray[T], threshold_px: int, connectivity: int, *, from_to
 def _absorb(order: NDArray[np.int32], layout: Layout, threshold: int) -> NDArray[np.int32]:
     """Return for each run the run whose value it takes.
 
-    Runs enter in the order given. Each absorbs the components that it touches and that are still too small: these
-    take its value, or in turn that of the run which absorbs it. A component that has reached the threshold is left
-    as it is; whatever touches it is large enough too.
+    Runs enter in the order given. Each absorbs the components that it touches and that are still too small. These
+    take its value, or the value of the run that absorbs it later. A component that has reached the threshold keeps
+    its value; whatever touches it is large enough too.
 
-    One array holds all there is to know of a run, to spare the cache: for the root of a component minus the
-    component's area, up to the threshold; for any other run its parent; ``NOT_ENTERED`` before its turn.
+    Invariant: ``node`` holds for the root of a component minus its area, up to the threshold; for any other run its
+    parent; ``NOT_ENTERED`` before its turn. One array, because its cache misses take most of the time.
     """
     starts, first, width, reach = layout
     count = order.size
@@ -154,17 +154,18 @@ def _absorb(order: NDArray[np.int32], layout: Layout, threshold: int) -> NDArray
             else:  # the row below
                 other = first[1, run]
                 stop = reach_end + width if row_end < cells else 0
-            while other < count and starts[other] < stop:
+            while other < count and starts[other] < stop:  # touching runs of a row follow each other
                 if node[other] != NOT_ENTERED:
                     root = find_root(node, other)
                     if root != run:
                         if node[root] > -threshold:
-                            area -= node[root]
+                            area -= node[root]  # the root holds minus its area
                             node[root] = run
                         else:
-                            area = threshold
+                            area = threshold  # joined in area only: its cells keep their own value
                 other += 1
         node[run] = -min(area, threshold)
+    # A parent entered later than its children, so in reverse order it has its source before they ask for it.
     for position in range(count - 1, -1, -1):
         run = order[position]
         node[run] = run if node[run] < 0 else node[node[run]]

@@ -65,12 +65,6 @@ class ComponentTree:
         """Return (N,) what the node around each node has; a root has its own."""
         return values[self.parent]
 
-    def heights(self) -> NDArray[np.float64]:
-        """Return (N,) by how much each node's level exceeds that of the node around it; 0 at a root."""
-        level = self.level.astype(np.float64)
-        above: NDArray[np.float64] = level - self.around(level)
-        return above
-
     def innermost(self, selected: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return (N,) the smallest of the selected nodes that holds each node, itself included; -1 where none."""
         return _innermost(self.parent, self._of_nodes(selected))
@@ -78,13 +72,6 @@ class ComponentTree:
     def outermost(self, selected: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return (N,) the largest of the selected nodes that holds each node, itself included; -1 where none."""
         return _outermost(self.parent, self._of_nodes(selected))
-
-    def outside(self, selected: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """Return (N,) the node just around the smallest selected one that holds each node, roots left out.
-
-        The node itself where there is none.
-        """
-        return _outside(self.parent, self._of_nodes(selected))
 
     def paint(self, values: NDArray[Any], *, fill: float = 0) -> NDArray[Any]:
         """Return (H, W) the value of each cell's node, in the values' dtype; ``fill`` on invalid cells."""
@@ -123,17 +110,16 @@ def build_tree(values: NDArray[Any], valid: NDArray[np.bool_] | None = None, *, 
 
     Notes
     -----
-    The cells are ordered by value and flooded from the lowest up [1]_ with a queue of
-    priorities that may be of any number [2]_, here ranks: O(n) for n cells but for the queue, a hierarchy of words of
-    64 bits, of which four levels hold 16 million cells.
-    Nodes are made of cells of equal value afterwards, from the root up.
+    The cells are ordered by value and flooded from the lowest up [1]_ with a queue of priorities [2]_, here ranks.
+    O(n) for n cells but for the queue: a hierarchy of words of 64 bits, whose four levels hold 16 million cells.
+    Afterwards cells of equal value become nodes, from the root up.
 
     Border: what lies outside of the array does not exist. Nodata: invalid cells do not exist; without any valid cell
     the tree has no node. Halo: none suffices, as a component may be of any extent. The min-tree, of the pits, is the
     tree of the negative of signed numbers.
 
-    Memory while building: about 24 bytes a cell beside the image, of which 12 remain where each cell is a node of 32
-    bits.
+    Memory while building: about 24 bytes a cell beside the image. At most 12 of them remain, for a node a cell with a
+    level of 32 bits.
 
     References
     ----------
@@ -183,7 +169,7 @@ def sums(tree: ComponentTree, field: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def is_increasing(tree: ComponentTree, attribute: NDArray[Any]) -> bool:
-    """Tell whether no component has more than the component around it (Mongus et al. 2013, Eq. 3; M4)."""
+    """Return whether no component has more than the component around it (Mongus et al. 2013, Eq. 3; M4)."""
     return bool((attribute <= tree.around(attribute)).all())
 
 
@@ -239,10 +225,11 @@ def _make_nodes(
     parents = np.empty(left.size, dtype=np.int32)
     leaders = np.empty(left.size, dtype=np.int32)
     count = 0
+    # The flood leaves a cell after all cells above it, so in reverse each parent has its node before its children.
     for position in range(left.size - 1, -1, -1):
         cell = left[position]
         other = parent[cell]
-        index = cell - cell // width * 2 - width + 1
+        index = cell - cell // width * 2 - width + 1  # the cell's place in the image without its frame
         if other != cell and values[index] == values[other - other // width * 2 - width + 1]:
             node_of[cell] = node_of[other]
         else:
@@ -276,6 +263,7 @@ def _add(node_of: NDArray[np.int32], field: NDArray[Any], size: int) -> NDArray[
 @kernel
 def _sum_up(parent: NDArray[np.int32], total: NDArray[Any]) -> NDArray[Any]:
     """Add the children to each node, in place."""
+    # Children have higher numbers than their parents, so a node is complete before it is added to its parent.
     for node in range(parent.size - 1, -1, -1):
         if parent[node] != node:
             total[parent[node]] += total[node]
@@ -284,7 +272,7 @@ def _sum_up(parent: NDArray[np.int32], total: NDArray[Any]) -> NDArray[Any]:
 
 @kernel
 def _innermost(parent: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Take a selected node itself, else what was found for its parent."""
+    """Take a selected node itself, else what was found for its parent, which has a lower number."""
     found = np.empty(parent.size, dtype=np.int32)
     for node in range(parent.size):
         if selected[node]:
@@ -296,23 +284,10 @@ def _innermost(parent: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArra
 
 @kernel
 def _outermost(parent: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Take what was found for the parent, else the node itself where it is selected."""
+    """Take what was found for the parent, which has a lower number, else the node itself where it is selected."""
     found = np.empty(parent.size, dtype=np.int32)
     for node in range(parent.size):
         found[node] = NONE if parent[node] == node else found[parent[node]]
         if found[node] == NONE and selected[node]:
             found[node] = node
-    return found
-
-
-@kernel
-def _outside(parent: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Take the parent of a selected node, else what was found for the parent unless this is in none."""
-    found = np.empty(parent.size, dtype=np.int32)
-    for node in range(parent.size):
-        above = parent[node]
-        if selected[node]:
-            found[node] = above
-        else:
-            found[node] = node if found[above] == above or above == node else found[above]
     return found

@@ -1,7 +1,7 @@
-"""The flood that builds a component tree: from the lowest cell up, the highest shore first (Salembier et al. 1998).
+"""The flood that builds a component tree: from the lowest cell up, the highest waiting cell first (Salembier 1998).
 
 The flood always proceeds at the highest cell that it can reach, so it leaves a component only when all of it is done.
-Cells are told apart by their rank, the place in the sorted order; so floats are as quick as small integers. The ranks
+Cells are compared by their rank, the place in the sorted order, so floats are as fast as small integers. The ranks
 that wait are bits of a hierarchy of words, an eighth of a byte a cell.
 """
 
@@ -48,6 +48,7 @@ def flood(
             continue
         rank[cell] = ~rank[cell]  # the lowest cell of a connected area: its root
         parent[cell] = NONE
+        # Invariant: from `cell` down to the root, each parent is a lower cell whose component is not finished.
         while cell != NONE:
             following = _look_around(cell, rank, steps, words, offsets)
             if following != NONE:
@@ -57,6 +58,7 @@ def flood(
                 if below == NONE:
                     parent[cell] = cell
                 else:
+                    # A waiting cell above the next cell of the stack belongs to a component between the two.
                     waiting = _highest(words, offsets)
                     if waiting > ~rank[below]:
                         _remove(words, offsets, waiting)
@@ -92,7 +94,7 @@ def _look_around(
 
 @kernel
 def _queue(count: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
-    """Return an empty set of ranks: levels of words, each bit telling whether a word of the level below has any."""
+    """Return an empty set of ranks: levels of words, where a bit is set if its word of the level below has any."""
     offsets = np.zeros(8, dtype=np.int64)
     levels = 0
     size = count
@@ -112,7 +114,7 @@ def _insert(words: NDArray[np.uint64], offsets: NDArray[np.int64], rank: int) ->
         before = words[word]
         words[word] = before | (np.uint64(1) << np.uint64(place & 63))
         if before != 0:
-            return
+            return  # the bits above this word are set already
         place >>= WORD
 
 
@@ -124,7 +126,7 @@ def _remove(words: NDArray[np.uint64], offsets: NDArray[np.int64], rank: int) ->
         word = offsets[level] + (place >> WORD)
         words[word] &= ~(np.uint64(1) << np.uint64(place & 63))
         if words[word] != 0:
-            return
+            return  # the word is not empty, so the bits above it stay
         place >>= WORD
 
 

@@ -1,12 +1,13 @@
 """Differential attribute profiles: at which size of an attribute a surface changes most (Mongus et al. 2013, §2).
 
-A profile takes the differences between openings of growing size. All its zones are read from one component tree:
-along the way from a cell to the root the attribute grows, so each zone is a stretch of it.
+The openings γ_λ of a surface lower it as λ grows. A profile takes the differences of successive openings, its zones.
+All zones are read from one component tree: on the way from a cell to the root the attribute never falls, so the nodes
+of each zone follow each other on that way.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +18,6 @@ from msbdb.threads import kernel
 
 MAX_ZONES = 2**15 - 2
 """Zones and one more, for what remains, are counted in 16 bits."""
-
-
-class Theta(NamedTuple):
-    """What characterises each cell in a profile, θ(g) (Eq. 4 and 5; M5).
-
-    Parameters
-    ----------
-    response : (H, W) ndarray of float64
-        r, the highest response of any zone, in the unit of the surface; 0 in invalid cells.
-    zone : (H, W) ndarray of int16
-        q, the largest zone i, from 1, with that response; 0 where no zone responds. There Eq. 5 to the letter gives
-        the last zone, which would not be told from a response of it.
-    """
-
-    response: NDArray[np.float64]
-    zone: NDArray[np.int16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,53 +33,32 @@ class AttributeProfile:
     zone : (N,) ndarray of int16
         The zone i that takes each node away: λ_{i-1} ≤ Λ < λ_i. I + 1 for what remains after all: nodes of λ_I
         and more, and the roots, at which an opening is flat when nothing is large enough.
-    outside : (N,) ndarray of int32
-        The smallest node around each that its zone leaves; a node that remains has itself.
 
     Notes
     -----
-    δ_i(g) = γ_{λ_{i-1}}(g) - γ_{λ_i}(g). At a cell of node n, δ_i is the level of the smallest node around n of zone
-    i, if any, less the level outside of it. So δ_i > 0 just within the nodes of zone i that lie in no other of it.
-    Each of these is connected and no two of them touch: were they neighbours, the lower one's level would join them.
-    They are therefore the components of {δ_i > 0}, known without labelling, each with all attributes of its node.
-
-    Differences are of 64 bits: without rounding for integers of 32 bits, and for floats of 32 bits that are multiples
-    of one unit, as measured heights are, and fewer than 2^53 units apart.
+    δ_i(g) = γ_{λ_{i-1}}(g) - γ_{λ_i}(g). At a cell, δ_i is the level of the smallest node of zone i that holds the
+    cell, if any, less the level just outside of that zone. So {δ_i > 0} is covered by the nodes of zone i that lie in
+    no other node of zone i. Each of these is connected. No two of them touch: the lower level of two neighbours would
+    join them into one node. They are therefore the components of {δ_i > 0}, known without labelling, and each has
+    all attributes of its node.
     """
 
     tree: ComponentTree
     thresholds: NDArray[np.float64]
     zone: NDArray[np.int16]
-    outside: NDArray[np.int32]
 
     @property
     def zones(self) -> int:
         """I, the number of zones."""
         return self.thresholds.size - 1
 
-    def opening(self, i: int) -> NDArray[Any]:
-        """Return (H, W) the opening by λ_i, of the surface's dtype; i = 0 gives the surface, i = I the residual."""
-        self._require_zone(i, first=0)
-        return _painted_levels(self.tree, self.zone > i)
-
-    def response(self, i: int) -> NDArray[np.float64]:
-        """Return (H, W) the response δ_i of zone i, from 1 to I (Eq. 2)."""
-        self._require_zone(i, first=1)
-        difference: NDArray[np.float64] = np.subtract(self.opening(i - 1), self.opening(i), dtype=np.float64)
-        return difference
-
-    def theta(self) -> Theta:
-        """Return the highest response of each cell and its zone (Eq. 4, 5; M5), for all zones at once."""
-        level = self.tree.level
-        level = level.astype(np.result_type(level.dtype, np.float32), copy=False)
-        strongest = _find_strongest(level, self.outside)
-        node_of = self.tree.node_of
-        response, zone = _paint_strongest(node_of.ravel(), strongest, level, self.zone, self.outside)
-        return Theta(response.reshape(node_of.shape), zone.reshape(node_of.shape))
-
     def components(self) -> NDArray[np.bool_]:
-        """Return (N,) bool, whether a node is a component of the support {δ_i > 0} of its zone i (Eq. 13; M16)."""
-        return _find_components(self.tree, self.zone, self.zones + 1)
+        """Return (N,) bool, whether a node is a component of the support {δ_i > 0} of its zone i (Eq. 13; M16).
+
+        Such a node belongs to a zone, not to what remains, and the node around it to a higher zone.
+        """
+        found: NDArray[np.bool_] = (self.zone <= self.zones) & (self.zone < self.tree.around(self.zone))
+        return found
 
     def filter_supports(self, attribute: NDArray[Any], least: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Keep the components of every zone's support that have enough of an attribute (Eq. 14; M17).
@@ -120,69 +84,9 @@ class AttributeProfile:
         """Return (H, W) the union of all zones' kept components: at each cell the largest one's node, -1 outside.
 
         Two components are apart or one is in the other, so the largest ones are the components of the union G
-        (Eq. 14; M18). Where the smallest one is asked for instead, paint ``tree.innermost(kept)``.
+        (Eq. 14; M18).
         """
         return self.tree.paint(self.tree.outermost(kept), fill=NONE)
-
-    def _require_zone(self, i: int, *, first: int) -> None:
-        """Refuse a zone that the profile does not have."""
-        if not first <= i <= self.zones:
-            msg = f"The profile has the zones {first} to {self.zones}; got {i}."
-            raise ParameterError(msg)
-
-
-def attribute_filter(tree: ComponentTree, keep: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return (H, W) the image without the nodes that are not kept: their cells fall to what is kept around them.
-
-    For an attribute that is not increasing, as one of shape, this is the direct rule. Roots always stay. Invalid
-    cells become 0.
-
-    Parameters
-    ----------
-    tree : ComponentTree
-        Of N nodes.
-    keep : (N,) ndarray of bool
-        The nodes to keep.
-    """
-    return _painted_levels(tree, keep | tree.is_root)
-
-
-def attribute_opening(tree: ComponentTree, attribute: NDArray[Any], threshold: float) -> NDArray[Any]:
-    """Return (H, W) the opening γ_λ that keeps the components of at least λ (Mongus et al. 2013, §2; M3).
-
-    Parameters
-    ----------
-    tree : ComponentTree
-        Of N nodes.
-    attribute : (N,) ndarray
-        An increasing attribute, such as `areas` or the `sums` of a field that is not negative.
-    threshold : float
-        λ, in the attribute's unit.
-
-    Returns
-    -------
-    (H, W) ndarray
-        Of the image's dtype; values of the image. 0 in invalid cells.
-
-    Raises
-    ------
-    InputError
-        When the attribute is not increasing.
-
-    Notes
-    -----
-    Where no component has λ, the result is flat at the lowest value of the connected area of valid cells. Complexity:
-    linear in nodes and cells.
-
-    Examples
-    --------
-    >>> from msbdb.morphology import areas, build_tree
-    >>> tree = build_tree(np.array([[0, 5, 0, 3, 3]]))
-    >>> attribute_opening(tree, areas(tree), 2)
-    array([[0, 0, 0, 3, 3]])
-    """
-    _require_increasing(tree, attribute)
-    return attribute_filter(tree, attribute >= threshold)
 
 
 def build_profile(
@@ -208,18 +112,19 @@ def build_profile(
 
     Notes
     -----
-    Complexity: two passes over the nodes, whatever the number of zones. Memory: 6 bytes a node; 4 a
-    node and 10 a cell beside for `theta`.
+    Complexity: one pass over the nodes, whatever the number of zones. Memory: 2 bytes a node.
 
     Examples
     --------
+    Two cells of height 7 on four of height 2: zone 1 takes the two away, zone 2 the four, and the ground remains.
+
     >>> from msbdb.morphology import areas, build_tree
     >>> tree = build_tree(np.array([[0, 2, 7, 7, 2, 0]]))
     >>> profile = build_profile(tree, areas(tree), [0, 3, 5])
-    >>> profile.response(1), profile.response(2)
-    (array([[0., 0., 5., 5., 0., 0.]]), array([[0., 2., 2., 2., 2., 0.]]))
-    >>> profile.theta().zone
-    array([[0, 2, 1, 1, 2, 0]], dtype=int16)
+    >>> tree.paint(profile.zone)
+    array([[3, 2, 1, 1, 2, 3]], dtype=int16)
+    >>> tree.level[profile.union(profile.components())[0, 1:-1]]
+    array([2, 2, 2, 2])
     """
     limits = _require_thresholds(thresholds)
     _require_increasing(tree, attribute)
@@ -231,10 +136,8 @@ def build_profile(
         raise InputError(msg)
     zone = _find_zones(attribute, limits)
     zone[tree.is_root] = limits.size
-    outside = tree.outside(_find_components(tree, zone, limits.size))
-    for array in (zone, outside):
-        array.flags.writeable = False
-    return AttributeProfile(tree, limits, zone, outside)
+    zone.flags.writeable = False
+    return AttributeProfile(tree, limits, zone)
 
 
 def zone_thresholds(least: float, most: float, step: float) -> NDArray[np.float64]:
@@ -267,26 +170,15 @@ def zone_thresholds(least: float, most: float, step: float) -> NDArray[np.float6
     return _require_thresholds(np.concatenate([[0.0], inner[inner < most - 1e-9 * step], [most]]))
 
 
-def _find_components(tree: ComponentTree, zone: NDArray[np.int16], rest: int) -> NDArray[np.bool_]:
-    """Return (N,) bool, whether a node is of a zone, not of the rest, and the node around it is of a higher one."""
-    found: NDArray[np.bool_] = (zone < rest) & (zone < tree.around(zone))
-    return found
-
-
-def _painted_levels(tree: ComponentTree, kept: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return each cell's level of the smallest kept node around it, of which a root is always one."""
-    return tree.paint(tree.level[tree.innermost(kept)])
-
-
 def _require_increasing(tree: ComponentTree, attribute: NDArray[Any]) -> None:
-    """Refuse an attribute of which some component has more than the component around it."""
+    """Refuse an attribute that is larger in some component than in the component around it."""
     if attribute.shape != (tree.size,):
         msg = f"The attribute needs one value a node, of {tree.size}; got the shape {attribute.shape}."
         raise InputError(msg)
     if not is_increasing(tree, attribute):
         msg = (
             "The attribute must be increasing, but some component has more of it than the component around it; "
-            "sum a field that is nowhere negative, or use attribute_filter."
+            "sum a field that is nowhere negative."
         )
         raise InputError(msg)
 
@@ -303,9 +195,10 @@ def _require_thresholds(thresholds: Sequence[float] | NDArray[np.float64]) -> ND
 
 @kernel
 def _find_zones(attribute: NDArray[Any], limits: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return for each node the number of limits that it reaches, by halving the interval."""
+    """Return for each node the number of limits that it reaches, by bisection."""
     zone = np.empty(attribute.size, dtype=np.int16)
     for node in range(attribute.size):
+        # Limits before `low` are reached, limits from `high` on are not; the unknown ones between become fewer.
         low, high = 0, limits.size
         while low < high:
             middle = (low + high) // 2
@@ -315,39 +208,3 @@ def _find_zones(attribute: NDArray[Any], limits: NDArray[np.float64]) -> NDArray
                 low = middle + 1
         zone[node] = low
     return zone
-
-
-@kernel
-def _find_strongest(level: NDArray[Any], outside: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return for each node the one around it, or itself, whose zone responds most.
-
-    A node's own zone is followed by those of the node outside, which comes first. Of equal responses the one of the
-    higher zone stays.
-    """
-    strongest = np.empty(level.size, dtype=np.int32)
-    for node in range(level.size):
-        other = outside[node]
-        rival = strongest[other] if other != node else node
-        own = np.float64(level[node]) - np.float64(level[other])
-        strongest[node] = node if own > np.float64(level[rival]) - np.float64(level[outside[rival]]) else rival
-    return strongest
-
-
-@kernel
-def _paint_strongest(
-    node_of: NDArray[np.int32],
-    strongest: NDArray[np.int32],
-    level: NDArray[Any],
-    zone: NDArray[np.int16],
-    outside: NDArray[np.int32],
-) -> tuple[NDArray[np.float64], NDArray[np.int16]]:
-    """Return each cell's strongest response and its zone; 0 where the cell has no node or no zone responds."""
-    response = np.zeros(node_of.size, dtype=np.float64)
-    characteristic = np.zeros(node_of.size, dtype=np.int16)
-    for cell, node in enumerate(node_of):
-        if node != NONE:
-            best = strongest[node]
-            if outside[best] != best:
-                response[cell] = np.float64(level[best]) - np.float64(level[outside[best]])
-                characteristic[cell] = zone[best]
-    return response, characteristic

@@ -1,7 +1,7 @@
-"""Arrays as runs: stretches of equal value along a row, and which of them touch.
+"""Images as runs: stretches of equal value along a row, and which of them touch.
 
-Filters of flat zones work on runs instead of cells. A grid of storeys has far fewer runs than cells, and each
-scale of the scale-space has fewer runs than the one before.
+The area filters work on runs instead of cells. A grid of storeys has far fewer runs than cells, and each scale of the
+scale-space has fewer runs than the one before.
 """
 
 from dataclasses import dataclass
@@ -65,6 +65,14 @@ def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
         When the array has not two dimensions, no cells, too many, NaN or no numbers.
     ParameterError
         When the connectivity is neither 4 nor 8.
+
+    Examples
+    --------
+    Four runs; the run of the two 3 in the second row touches both runs of the first.
+
+    >>> runs = find_runs(np.array([[5, 5, 0, 0], [1, 3, 3, 1]]), 8)
+    >>> runs.values, runs.layout.starts, runs.layout.first[0, 2:]
+    (array([5, 0, 1, 3, 1]), array([0, 2, 4, 5, 7, 8], dtype=int32), array([0, 0, 1], dtype=int32))
     """
     require_image(values)
     require_connectivity(connectivity)
@@ -79,7 +87,7 @@ def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
 
 
 def require_valid(values: NDArray[Any], valid: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    """Refuse what is no image in its valid cells, or no mask of it; return the mask, or none where all are valid."""
+    """Refuse what is no image in its valid cells, or no mask of it; return the mask, None when all are valid."""
     if valid is not None and (valid.shape != values.shape or valid.dtype != np.bool_):
         msg = (
             f"The mask of valid cells must be of booleans and of the image's shape {values.shape}; "
@@ -94,7 +102,7 @@ def require_valid(values: NDArray[Any], valid: NDArray[np.bool_] | None) -> NDAr
 
 
 def widen(values: NDArray[Any]) -> NDArray[Any]:
-    """Return the values as float64 or int64, for which alone kernels that compare values are compiled.
+    """Return the values as float64 or int64: kernels that compare values are compiled for these two only.
 
     Values that differ stay different; unsigned ones beyond the largest int64 wrap and lose their order.
     """
@@ -107,6 +115,7 @@ def _first_touching(starts: NDArray[np.int32], width: int, reach: int) -> NDArra
     count = starts.size - 1
     cells = starts[count]
     first = np.zeros((2, count), dtype=np.int32)
+    # Runs come in row-major order, so the first touching run never moves back from one run to the next.
     above = below = 0
     for run in range(count):
         row_start = starts[run] // width * width

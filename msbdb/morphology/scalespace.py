@@ -1,6 +1,6 @@
-"""The area open-close scale-space (Vu et al. 2009, Eq. 6; V6, V7, V10, V11).
+"""The area open-close scale-space (Vu et al. 2009, Eq. 6; V6 to V11), and its scales found in the image itself.
 
-Scales found in the image itself, by horizontal and vertical granulometry (V8; Vincent 1994).
+The scales come from the user or from granulometry (V8): the areas of the linear openings that the cells survive.
 """
 
 import logging
@@ -19,6 +19,13 @@ from msbdb.morphology.area import area_open_close, require_threshold
 from msbdb.morphology.runs import widen
 from msbdb.params import GranulometryParams
 from msbdb.threads import kernel
+
+logger = logging.getLogger(__name__)
+
+BINS_PER_OCTAVE = 2
+"""Bins of the spectrum for each doubling of the area: two peaks differ by a factor of about two at least."""
+
+DEFAULTS = GranulometryParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,10 +80,18 @@ def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, conn
     SP_i = φ_i(γ_i(SP_{i-1})) with SP_0 = M (Eq. 6): objects of at least s_i cells remain on scale i (V7).
 
     With one connectivity for all, flat zones only merge as s rises: each flat zone of a scale lies in one flat zone
-    of the next, so a father is unique and found by looking at one cell (V10, V11).
+    of the next. So a father is unique, and any one cell of the child shows it (V10, V11).
 
     Border, nodata and complexity are those of `msbdb.morphology.area_opening`. The cost of a scale follows the runs
     of the scale before, which become few after the first.
+
+    Examples
+    --------
+    Three storeys on two cells, on a house of one storey: the tower is a part at s = 2 and gone at s = 3.
+
+    >>> build_scale_space(np.array([[0, 0, 0, 1, 3, 3, 1, 0, 0, 0]]), [2, 3]).levels[:, 0]
+    array([[0, 0, 0, 1, 3, 3, 1, 0, 0, 0],
+           [0, 0, 0, 1, 1, 1, 1, 0, 0, 0]])
     """
     require_image(level)
     thresholds = tuple(thresholds_px)
@@ -92,20 +107,12 @@ def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, conn
     return ScaleSpace(levels, tuple(int(threshold) for threshold in thresholds))
 
 
-logger = logging.getLogger(__name__)
-
-BINS_PER_OCTAVE = 2
-"""Bins of the spectrum for each doubling of the area: two peaks differ by a factor of about two at least."""
-
-DEFAULTS = GranulometryParams()
-
-
 def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:
     """Return the area, in cells, of the horizontal and vertical openings that each cell survives.
 
-    A cell survives the opening by a horizontal segment of n cells when the run of cells of its row, no lower than
-    itself and around it, has at least n of them. Its area is the largest such n times the largest one in its column:
-    that of the building part that it lies on, where this is a rectangle along the lattice.
+    A cell survives the opening by a horizontal segment of n cells when at least n cells in a row, itself included,
+    are no lower than itself. Its area is the largest such n in its row times the largest in its column. For a
+    rectangle along the lattice this is the area of the building part that holds the cell.
 
     Parameters
     ----------
@@ -183,6 +190,15 @@ def find_scales(
 
     Border and complexity are those of `opening_areas`.
 
+    Examples
+    --------
+    Two houses, of 20 m2 and of 100 m2, in cells of 4 m2:
+
+    >>> mask = np.zeros((7, 12), dtype=bool)
+    >>> mask[1, 1:6] = mask[2:, 7:] = True
+    >>> find_scales(mask, 4.0)
+    (20.0, 100.0)
+
     References
     ----------
     .. [1] Vincent, L., 1994. Fast grayscale granulometry algorithms. Mathematical Morphology and its Applications to
@@ -230,10 +246,10 @@ def _peaks(sizes: NDArray[np.floating], params: GranulometryParams) -> list[floa
 
 @kernel
 def _row_openings(level: NDArray[Any]) -> NDArray[np.int32]:
-    """Return for each cell the length of the run of its row, around it, that is no lower than the cell.
+    """Return for each cell the length of the run of its row around it that is nowhere lower than the cell.
 
-    A stack holds the cells whose runs are still open, never falling from its bottom to its top: a lower cell, or the
-    row's end, closes the runs of all higher ones. Cells of equal value share their run.
+    Invariant: the stack holds the cells whose runs are still open, and their values never fall from bottom to top. A
+    lower cell, or the row's end, closes the runs of all higher ones. Cells of equal value share their run.
     """
     rows, cols = level.shape
     lengths = np.empty((rows, cols), dtype=np.int32)
@@ -245,9 +261,9 @@ def _row_openings(level: NDArray[Any]) -> NDArray[np.int32]:
             begin[col] = col
             while depth > 0 and level[row, stack[depth - 1]] >= level[row, col]:
                 top = stack[depth - 1]
-                begin[col] = begin[top]
+                begin[col] = begin[top]  # all from there on is at least as high as this cell
                 if level[row, top] == level[row, col]:
-                    break
+                    break  # the run goes on: it ends for both at the same place
                 lengths[row, top] = col - begin[top]
                 depth -= 1
             stack[depth] = col

@@ -1,27 +1,41 @@
-"""Erosion, dilation and opening by square windows, of the valid cells of a surface.
+"""Filters of a surface by square windows: openings, and the gradients and profiles made of them (Mongus et al. 2013).
 
-Each window counts by those of its cells that are within the array and valid; nothing is assumed about the others.
-
-Morphological gradients of a surface: how much it changes next to each cell (Mongus et al. 2013; M13).
-
-All are the difference of two of the surface, its highest and its lowest within the window, so none is negative. That
-is why the sum of one over a component never falls as the component grows (M4).
-
-Differential morphological profiles: at which window a surface changes most (Mongus et al. 2013, §2, §3.2).
+A window takes those of its cells that are within the array and valid; nothing is assumed about the others. Gradients
+(M13) and the responses of a profile (M2) are never negative. So the sum of gradients over a component never falls as
+the component grows (M4).
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology.profiles import MAX_ZONES, Theta
+from msbdb.morphology.profiles import MAX_ZONES
 from msbdb.morphology.runs import require_valid
 
 Mask = NDArray[np.bool_] | None
+
+WINDOW_PX = 3
+"""Side of the window of a gradient, cells. The paper does not state one; this is the smallest."""
+
+
+class Theta(NamedTuple):
+    """What characterises each cell in a profile, θ(g) (Eq. 4 and 5; M5).
+
+    Parameters
+    ----------
+    response : (H, W) ndarray of float64
+        r, the highest response of any zone, in the unit of the surface; 0 in invalid cells.
+    zone : (H, W) ndarray of int16
+        q, the largest zone i, from 1, with that response; 0 where no zone responds. As printed, Eq. 5 gives the last
+        zone there, as if that zone responded.
+    """
+
+    response: NDArray[np.float64]
+    zone: NDArray[np.int16]
 
 
 def require_surface(values: NDArray[Any], valid: Mask) -> tuple[NDArray[np.floating], Mask]:
@@ -42,7 +56,13 @@ def require_surface(values: NDArray[Any], valid: Mask) -> tuple[NDArray[np.float
 
 
 def erosion(surface: NDArray[np.floating], window_px: int, valid: Mask) -> NDArray[np.floating]:
-    """Return the lowest valid value within a square window around each cell; infinity where it has none."""
+    """Return ε(g), the lowest valid value within a square window around each cell; infinity where it has none.
+
+    Examples
+    --------
+    >>> erosion(np.array([[5.0, 5, 5, 1, 5]]), 3, None)
+    array([[5., 5., 1., 1., 1.]])
+    """
     _require_window(window_px)
     lowest: NDArray[np.floating] = ndimage.minimum_filter(
         _masked(surface, valid, np.inf), size=window_px, mode="constant", cval=np.inf
@@ -51,7 +71,13 @@ def erosion(surface: NDArray[np.floating], window_px: int, valid: Mask) -> NDArr
 
 
 def dilation(surface: NDArray[np.floating], window_px: int, valid: Mask) -> NDArray[np.floating]:
-    """Return the highest valid value within a square window around each cell; minus infinity where it has none."""
+    """Return δ(g), the highest valid value within a square window around each cell; minus infinity where it has none.
+
+    Examples
+    --------
+    >>> dilation(np.array([[0.0, 0, 0, 4, 0]]), 3, None)
+    array([[0., 0., 4., 4., 4.]])
+    """
     _require_window(window_px)
     highest: NDArray[np.floating] = ndimage.maximum_filter(
         _masked(surface, valid, -np.inf), size=window_px, mode="constant", cval=-np.inf
@@ -60,16 +86,22 @@ def dilation(surface: NDArray[np.floating], window_px: int, valid: Mask) -> NDAr
 
 
 def opening(surface: NDArray[np.floating], window_px: int, valid: Mask) -> NDArray[np.floating]:
-    """Return for each valid cell the highest of the minima of all windows around it; others have no meaning.
+    """Return γ(g) = δ(ε(g)): for each valid cell the highest of the minima of all windows that hold it.
 
-    Windows may stand on any cell of the array, valid or not, so that each is made of the smaller ones within it. So
-    a larger opening absorbs the smaller, beside gaps and edges too. Time does not depend on the window's size.
+    Invalid cells get values without meaning. A window may be centred on any cell of the array, valid or not, so each
+    window is a union of smaller ones. Therefore a larger opening absorbs a smaller one, next to gaps and edges too.
+    Time does not depend on the window's size.
+
+    Examples
+    --------
+    >>> opening(np.array([[0.0, 9, 0, 4, 4, 4, 0]]), 3, None)
+    array([[0., 0., 0., 4., 4., 4., 0.]])
     """
     return dilation(erosion(surface, window_px, valid), window_px, None)
 
 
 def _masked(surface: NDArray[np.floating], valid: Mask, never: float) -> NDArray[np.floating]:
-    """Return the surface with a value in invalid cells that never is the extreme one."""
+    """Return the surface with a value in invalid cells that is never the extreme of a window."""
     return surface if valid is None else np.where(valid, surface, surface.dtype.type(never))
 
 
@@ -79,10 +111,6 @@ def _require_window(window_px: int) -> None:
     if not whole or window_px < 1 or window_px % 2 == 0:
         msg = f"A window must be an odd number of cells from 1; got {window_px!r}."
         raise ParameterError(msg)
-
-
-WINDOW_PX = 3
-"""Side of the window, cells. The paper does not state one; this is the smallest."""
 
 
 def external_gradient(values: NDArray[Any], valid: Mask = None, *, window_px: int = WINDOW_PX) -> NDArray[np.floating]:
@@ -143,8 +171,9 @@ def second_order_gradient(
 ) -> NDArray[np.floating]:
     """Return the internal gradient of the external gradient: how much the slope changes, on the lower sides of edges.
 
-    Parameters, result, errors and rules are those of `external_gradient`: ϱ_in(ϱ_ex(g)) (Eq. 11; M13), the field of
-    which Λ is the sum. An even slope has none, as its external gradient is the same all over, but at its ends.
+    Parameters, result, errors and rules are those of `external_gradient`: ϱ_in(ϱ_ex(g)) (Eq. 11; M13). The attribute
+    Λ of a component is the sum of this field. An even slope has none but at its ends: its external gradient is the
+    same everywhere.
 
     Examples
     --------

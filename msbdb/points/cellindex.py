@@ -82,8 +82,8 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
     Notes
     -----
     A kernel goes through the cells rather than the points, and looks up a cell's surroundings once for all points in
-    it. Two points nearer than the cell size lie in the same or in touching cells up to rounding; who needs it exact
-    asks for a cell that is larger by a millionth, as `msbdb.points.graph.connect` does.
+    it. Two points nearer than the cell size lie in the same or in touching cells, up to rounding. To be exact, take
+    cells that are larger by a millionth, as `msbdb.points.graph.connect` does.
 
     Complexity: O(N) where the lattice has fewer than 2^32 cells, else O(N log N); each `strip` is O(log M). Memory:
     4 bytes a point and 12 a cell, and 20 a point in passing. No border: what is not there has no cell.
@@ -158,6 +158,7 @@ def strip(index: CellIndex, row: int, first_col: int, last_col: int) -> tuple[in
         return 0, 0
     first = _place_of(index.keys, row * cols + max(first_col, 0))
     last_key = row * cols + min(last_col, cols - 1)
+    # A stretch is a few cells long: the next keys are nearer than another bisection.
     stop = first
     while stop < index.keys.size and index.keys[stop] <= last_key:
         stop += 1
@@ -167,6 +168,7 @@ def strip(index: CellIndex, row: int, first_col: int, last_col: int) -> tuple[in
 @kernel
 def _place_of(keys: NDArray[np.int64], key: int) -> int:
     """Return the first place whose key is no lower."""
+    # Keys before `low` are lower, keys from `high` on are not.
     low, high = 0, keys.size
     while low < high:
         middle = (low + high) // 2

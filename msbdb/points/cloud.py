@@ -93,5 +93,5 @@ class PointCloud:
 
     @property
     def has_echoes(self) -> bool:
-        """Whether some pulse gave more than one echo, so that the echoes tell something."""
+        """Whether some pulse gave more than one echo, so that the echoes hold information."""
         return self.number_of_returns is not None and bool((self.number_of_returns > 1).any())

@@ -1,9 +1,7 @@
-"""The graph of connected points: which points of Ω lie nearer to each other than T_c in space (Cao & Wu, Definition 1).
+"""Points connected in space: the graph of all pairs nearer than T_c (Cao & Wu, Definition 1), and clusters by distance.
 
-It depends on the points alone, not on a height; so it is built once, and every on-set S_h and off-set is a choice of
-its points.
-
-Clusters of points by distance: the tree of single linkage cut at it, without a graph of who is near to whom.
+The graph depends on the points alone, not on a height. So it is built once, and every on-set S_h and off-set is a
+choice of its points. `linked` gives the clusters alone, the tree of single linkage cut at a distance, without a graph.
 """
 
 from dataclasses import dataclass
@@ -27,6 +25,8 @@ from msbdb.points.cellindex import (
 )
 from msbdb.threads import in_threads, kernel
 
+Floats = NDArray[np.float64]
+
 MOST_CANDIDATES = 2**34
 """Most pairs of points in touching cells, each seen from both ends: more would take minutes."""
 
@@ -35,6 +35,9 @@ MOST_NEIGHBOURS = 2**32
 
 FEW = 64
 """Up to so many neighbours are sorted by insertion."""
+
+ROOT = -1
+"""Marks a point that is the first of its cluster so far."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +143,7 @@ def _strips(index: CellIndex) -> NDArray[np.int32]:
     strips = np.empty((index.keys.size, 3, 2), dtype=np.int32)
     for cell in range(index.keys.size):
         row, col = cell_place(index, cell)
-        for side in range(3):
+        for side in range(3):  # three cells of a row follow each other, so nine cells are three strips
             first, stop = strip(index, row - 1 + side, col - 1, col + 1)
             strips[cell, side, 0] = first
             strips[cell, side, 1] = stop
@@ -167,7 +170,7 @@ def _fill(search: _GraphSearch, indptr: NDArray[np.int64], indices: NDArray[np.i
     order, starts, strips, x, y, z, limit_m2 = search
     for cell in range(part[0], part[1]):
         for own in range(starts[cell], starts[cell + 1]):
-            begin = end = indptr[order[own]]
+            begin = end = indptr[order[own]]  # rows do not overlap, so threads never write to the same place
             for side in range(3):
                 for other in range(strips[cell, side, 0], strips[cell, side, 1]):
                     dx, dy, dz = x[other] - x[own], y[other] - y[own], z[other] - z[own]
@@ -206,12 +209,6 @@ def _require_affordable(pairs: int, most: int, points: int, distance_m: float) -
             "drop duplicates, or cut the cloud into tiles."
         )
         raise ParameterError(msg)
-
-
-Floats = NDArray[np.float64]
-
-ROOT = -1
-"""Marks a point that is the first of its cluster so far."""
 
 
 class _LinkSearch(NamedTuple):
@@ -268,11 +265,15 @@ def linked(x: Floats, y: Floats, z: Floats, distance_m: float) -> tuple[NDArray[
 
 @kernel
 def _joined(search: _LinkSearch) -> NDArray[np.int32]:
-    """Join each point, in the order of the cells, to the earlier ones near it; return what point each hangs on."""
+    """Join each point, in the order of the cells, to the earlier ones near it; return each point's parent.
+
+    Invariant: a parent comes earlier in the order than its child, so that the root is the first point of a cluster.
+    """
     index, x, y, z, limit_m2 = search
     node = np.full(x.size, ROOT, dtype=np.int32)
     for cell in range(index.keys.size):
         row, col = cell_place(index, cell)
+        # Earlier points lie in the row below, or in the own row up to the own cell; later pairs find the others.
         below = strip(index, row - 1, col - 1, col + 1)
         own = strip(index, row, col - 1, col)
         for point in range(index.starts[cell], index.starts[cell + 1]):
@@ -291,7 +292,7 @@ def _joined(search: _LinkSearch) -> NDArray[np.int32]:
 
 @kernel
 def _number_clusters(node: NDArray[np.int32], order: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
-    """Return cluster numbers by first points, from what each point hangs on in the order of the cells."""
+    """Return cluster numbers by first points, from the points' parents in the order of the cells."""
     labels = np.zeros(node.size, dtype=np.int32)
     place = np.empty(node.size, dtype=np.int32)
     for number in range(node.size):

@@ -13,22 +13,22 @@ from msbdb.threads import in_threads, kernel
 Floats = NDArray[np.float64]
 
 A_CELL = 3.0
-"""Points that a cell shall hold on average, of those that hold any: then few rings of cells are looked at."""
+"""Mean number of points in the cells that hold any: then few rings of cells are searched."""
 
 FIRST_CELL_M = 1.0
-"""Cells by which the density is told."""
+"""Cells by which the density is measured."""
 
 RINGS = 3
-"""Rings of cells around a point's own that are looked at, before its cells are taken larger."""
+"""Rings of cells around a point's own that are searched, before its cells are taken larger."""
 
 LARGER = 4.0
-"""By so much: points that lie far from the others find theirs in few steps."""
+"""Factor by which the cells grow: points that lie far from the others find theirs in few steps."""
 
 MOST_PIECES = 2 * (2 * RINGS + 1)
-"""Stretches of rows that a ring has at most."""
+"""Largest number of stretches of rows in a ring."""
 
 SLACK = 1e-6
-"""Share of a cell by which a ring counts as nearer, for rounding may put a point into the next cell."""
+"""Share of a cell by which a ring counts as nearer: rounding may put a point into the next cell."""
 
 
 class _NearestSearch(NamedTuple):
@@ -64,7 +64,7 @@ def nearest(x: Floats, y: Floats, z: Floats, count: int) -> NDArray[np.int32]:
 
     Notes
     -----
-    Rings of cells around a point are looked at until none beyond can hold a nearer point. Where points are about as
+    Rings of cells around a point are searched until no cell beyond can hold a nearer point. Where points are about as
     dense everywhere, O(N K); a search tree takes twice as long.
 
     Examples
@@ -90,7 +90,7 @@ def nearest(x: Floats, y: Floats, z: Floats, count: int) -> NDArray[np.int32]:
 
 
 def _cell_size(x: Floats, y: Floats) -> float:
-    """Return the side of cells that hold about as many points as they shall."""
+    """Return the side of cells that hold about `A_CELL` points."""
     if not len(x):
         return FIRST_CELL_M
     first = index_cells(x, y, FIRST_CELL_M)
@@ -99,7 +99,7 @@ def _cell_size(x: Floats, y: Floats) -> float:
 
 @kernel
 def _find(search: _NearestSearch, left: NDArray[np.bool_], found: NDArray[np.int32], part: tuple[int, int]) -> None:
-    """Find the nearest points of those that are left, in a range of cells, where the rings suffice."""
+    """Find the nearest points of the points that are left, in a range of cells, where the rings suffice."""
     index, x, y, _ = search
     count = found.shape[1]
     squares, points = np.empty(count), np.empty(count, dtype=np.int32)
@@ -108,11 +108,12 @@ def _find(search: _NearestSearch, left: NDArray[np.bool_], found: NDArray[np.int
     rows, cols = index.shape
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
-        ready = 0
+        ready = 0  # rings whose pieces are known; they are the same for all points of the cell
         for own in range(index.starts[cell], index.starts[cell + 1]):
             if not left[index.order[own]]:
                 continue
             west, south = x[own] - (index.west + col * index.cell_m), y[own] - (index.south + row * index.cell_m)
+            # Way from the point to the border of its own cell; a ring farther out begins so much farther.
             inside = min(west, index.cell_m - west, south, index.cell_m - south) - SLACK * index.cell_m
             held = 0
             for ring in range(1, RINGS + 1):
@@ -121,6 +122,7 @@ def _find(search: _NearestSearch, left: NDArray[np.bool_], found: NDArray[np.int
                     ready = ring
                 for piece in range(sizes[ring]):
                     held = _take(search, own, pieces[ring, piece], (squares, points), held)
+                # All points nearer than this lie in the rings searched so far.
                 reach = max(ring * index.cell_m + inside, 0.0)
                 everything = row <= ring and col <= ring and row + ring >= rows - 1 and col + ring >= cols - 1
                 if everything or (held == count and squares[count - 1] < reach * reach):
@@ -154,7 +156,10 @@ def _take(
     held: tuple[Floats, NDArray[np.int32]],
     size: int,
 ) -> int:
-    """Sort the points of a piece into those held, as long as they are among the nearest; return how many there are."""
+    """Sort the points of a piece into the held ones, if they are among the nearest; return how many are held.
+
+    Invariant: the held ones ascend by distance, and by number where distances are equal.
+    """
     index, x, y, z = search
     squares, points = held
     for other in range(piece[0], piece[1]):

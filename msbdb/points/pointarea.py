@@ -1,9 +1,9 @@
 """Area opening, area closing and AOC on the graph of connected points, for all heights at once (Cao & Wu, C1 to C7).
 
-At one height h, an area opening removes from the on-set S_h = {z >= h} the connected components of less area than T_a,
-and an area closing removes from the off-set those of less than T_a. A sweep over the points in the order of their
-heights, which joins them by union-find, does so for every h: the result is a function over the points, whose on-set
-at h is the filtered on-set of h.
+The on-set at a height h is S_h = {z >= h}; the other points are the off-set. An area opening removes from the on-set
+the connected components of less area than T_a, an area closing removes those of the off-set. One sweep over the points
+in the order of their heights, which joins them by union-find, does so for every h. The result is a function over the
+points; its on-set at h is the filtered on-set of h.
 """
 
 import math
@@ -25,9 +25,9 @@ from msbdb.threads import kernel
 T = TypeVar("T", bound=np.generic)
 
 NONE, SMALL, LARGE = -1, -2, -3
-"""Marks instead of a point's parent: it has not entered yet, or it is the root of a component of little or enough area.
+"""Marks instead of a point's parent: not entered yet, or root of a component of too little or of enough area.
 
-In a result, ``NONE`` is no point whose value to take.
+In a result, ``NONE`` marks a point that takes the value of no other.
 """
 
 
@@ -78,7 +78,7 @@ def area_opening(
 
     Examples
     --------
-    >>> from msbdb.morphology.points import connect
+    >>> from msbdb.points.graph import connect
     >>> graph = connect(np.arange(5.0), np.zeros(5), np.zeros(5), 1.5)
     >>> area_opening(np.array([0, 5, 0, 3, 3]), graph, 2)
     array([0, 0, 0, 3, 3])
@@ -91,17 +91,17 @@ def area_closing(
 ) -> NDArray[T]:
     """Raise each point to the lowest level at which its component of points no higher has at least the area T_a.
 
-    Parameters, errors, complexity and rules are those of `area_opening`, of which this is the dual: φ(z) = -γ(-z).
+    Parameters, errors, complexity and rules are those of `area_opening`. This is its dual: φ(z) = -γ(-z).
 
     Notes
     -----
-    {φ(z) ≥ h} is the on-set S_h and the components of the off-set with less area than T_a, which join it (C5; Eq. 2
-    names the off-set that is left), for every h up to the highest value. An island of less area than T_a is on at
-    every height: it takes the highest value of all.
+    {φ(z) ≥ h} is the on-set S_h together with the components of the off-set of less area than T_a (C5; Eq. 2 gives
+    the off-set that remains), for every h up to the highest value. An island of less area than T_a is on at every
+    height: it takes the highest value of all.
 
     Examples
     --------
-    >>> from msbdb.morphology.points import connect
+    >>> from msbdb.points.graph import connect
     >>> graph = connect(np.arange(5.0), np.zeros(5), np.zeros(5), 1.5)
     >>> area_closing(np.array([4, 0, 4, 1, 1]), graph, 2)
     array([4, 4, 4, 1, 1])
@@ -118,9 +118,18 @@ def area_open_close(
 
     Notes
     -----
-    The on-set of the result at h is AOC of the on-set S_h, for every h above the lowest value and up to the highest
-    that the opening leaves. As the closing is the last, an island of less area than T_a is on at all these heights,
-    be it a bird or a patch of ground: who wants regions drops the components of less area than T_a afterwards.
+    AOC(z) = φ(γ(z)). The on-set of the result at h is AOC of the on-set S_h, for every h above the lowest value, up to
+    the highest value after the opening. As the closing comes last, an island of less area than T_a is on at all these
+    heights, be it a bird or a patch of ground. To get regions, drop the components of less area than T_a afterwards.
+
+    Examples
+    --------
+    A peak of one point goes, a pit of one point is filled, a step of two points stays:
+
+    >>> from msbdb.points.graph import connect
+    >>> graph = connect(np.arange(9.0), np.zeros(9), np.zeros(9), 1.5)
+    >>> area_open_close(np.array([0, 0, 5, 0, 4, 4, 1, 4, 4]), graph, 2)
+    array([0, 0, 0, 0, 4, 4, 4, 4, 4])
     """
     opened = area_opening(values, graph, threshold, weights=weights)
     return area_closing(opened, graph, threshold, weights=weights)
@@ -129,7 +138,7 @@ def area_open_close(
 def open_close_on_set(
     on: NDArray[np.bool_], graph: PointGraph, threshold: float, *, weights: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Open, then close one on-set: what `area_open_close` gives at its height, sooner where few heights are asked for.
+    """Open, then close one on-set: the result of `area_open_close` at its height, faster for few heights.
 
     Parameters
     ----------
@@ -145,8 +154,8 @@ def open_close_on_set(
 
     Notes
     -----
-    Four heights take a quarter of the time of one sweep, on four million points in the order of their places: the
-    sweep goes by heights, and looks for neighbours all over the memory.
+    Four heights take a quarter of the time of one sweep, on four million points in the order of their places. The sweep
+    goes by heights, and its neighbours lie all over the memory.
     """
     _require_threshold(threshold)
     return ~_large(~_large(on, graph, threshold, weights), graph, threshold, weights)
@@ -254,7 +263,7 @@ def components(mask: NDArray[np.bool_], graph: PointGraph) -> tuple[NDArray[np.i
     Raises
     ------
     InputError
-        When the set is not of one boolean a point.
+        When the set has not one boolean a point.
 
     Notes
     -----
@@ -263,7 +272,7 @@ def components(mask: NDArray[np.bool_], graph: PointGraph) -> tuple[NDArray[np.i
 
     Examples
     --------
-    >>> from msbdb.morphology.points import connect
+    >>> from msbdb.points.graph import connect
     >>> graph = connect(np.arange(5.0), np.zeros(5), np.zeros(5), 1.5)
     >>> components(np.array([True, True, False, True, True]), graph)
     (array([1, 1, 0, 2, 2], dtype=int32), 2)
@@ -337,9 +346,12 @@ def _absorb(
 ) -> NDArray[np.int32]:
     """Return for each point the point whose value it takes, or ``NONE``: no component around it is large enough.
 
-    Points enter in the order given. Each absorbs the components that it is connected to and that are still too small:
-    these take its value, or in turn that of the point which absorbs it. A component of enough area is left as it is;
-    whatever is connected to it has enough too. ``areas`` becomes that of the component at a root that is small.
+    Points enter in the order given. Each absorbs the components that it is connected to and that are still too small.
+    These take its value, or the value of the point that absorbs it later. A component of enough area keeps its value;
+    whatever is connected to it has enough too.
+
+    Invariant: ``node`` holds a point's parent, ``SMALL`` or ``LARGE`` for a root, or ``NONE``. ``areas`` holds the area
+    of the component at a root that is ``SMALL``, and the point's own area before it enters.
     """
     node = np.full(order.size, NONE, dtype=np.int32)
     for point in order:
@@ -351,7 +363,7 @@ def _absorb(
                 continue
             root = find_root(node, other)
             if node[root] == LARGE:
-                area = enough
+                area = enough  # joined in area only: its points keep their own value
             elif root != point:
                 area += areas[root]
                 node[root] = point
@@ -359,6 +371,7 @@ def _absorb(
             node[point] = LARGE
         else:
             areas[point] = area
+    # A parent entered later than its children, so in reverse order it has its source before they ask for it.
     for place in range(order.size - 1, -1, -1):
         point = order[place]
         if node[point] >= 0:
@@ -381,7 +394,7 @@ def _number(
         for place in range(indptr[point], indptr[point + 1]):
             other = indices[place]
             if other > point:
-                break
+                break  # neighbours ascend; the later ones join this point when they come
             if mask[other]:
                 its = find_root(node, other)
                 if its != root:
@@ -391,6 +404,7 @@ def _number(
     found = 0
     for point in range(mask.size):
         if mask[point]:
+            # Roots are the earliest points of their components, and a parent is earlier than its child.
             if node[point] < 0:
                 found += 1
                 labels[point] = found

@@ -1,4 +1,7 @@
-"""The bands of the spectral stage (V20, V21): colours and intensity of points on the lattice, and their scaling."""
+"""The bands of the spectral stage (V20, V21): colours and intensity of points on the lattice, and their scaling.
+
+All sums over points are of whole numbers in 64 bits, so that they are exact in any order of the points.
+"""
 
 from dataclasses import dataclass
 
@@ -10,122 +13,14 @@ from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
 from msbdb.points.cloud import PointCloud
-from msbdb.spectral.kernels import Floats, Frame, Mask
+from msbdb.surface.gridding import Frame, cell_of, frame
 from msbdb.threads import in_threads, kernel
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 STEPS = 256
 """Bilinear weights are whole multiples of 1/256."""
-
-
-@kernel
-def cells_of(x: Floats, y: Floats, used: Mask, frame: Frame, shape: tuple[int, int]) -> NDArray[np.int32]:
-    """Flat index of the cell that holds each point; -1 for points that are not used or lie outside."""
-    west, north, cell = frame
-    found = np.full(x.size, np.int32(-1))
-    for i in range(x.size):
-        if used[i]:
-            col = int(np.floor((x[i] - west) / cell))
-            row = int(np.floor((north - y[i]) / cell))
-            if 0 <= row < shape[0] and 0 <= col < shape[1]:
-                found[i] = row * shape[1] + col
-    return found
-
-
-@kernel
-def counts(cells: NDArray[np.int32], size: int) -> NDArray[np.int32]:
-    """Count the points of each cell."""
-    count = np.zeros(size, dtype=np.int32)
-    for cell in cells:
-        if cell >= 0:
-            count[cell] += 1
-    return count
-
-
-@kernel
-def means(
-    cells: NDArray[np.int32], values: NDArray[np.uint16], count: NDArray[np.int32], out: NDArray[np.float32]
-) -> None:
-    """Write the mean value of each cell into ``out`` (flat); 0 where there is none."""
-    total = np.zeros(out.size, dtype=np.int64)
-    for i in range(cells.size):
-        if cells[i] >= 0:
-            total[cells[i]] += values[i]
-    for cell in range(out.size):
-        out[cell] = np.float32(total[cell] / max(count[cell], 1))
-
-
-@kernel
-def bilinear(
-    xy: tuple[Floats, Floats], used: Mask, values: NDArray[np.uint16], frame: Frame, shape: tuple[int, int]
-) -> tuple[NDArray[np.float32], Mask]:
-    """Weighted mean of each cell over the points that have it among the four cell centres around them.
-
-    Also returns which cells have any weight; the others are 0.
-    """
-    x, y = xy
-    west, north, cell = frame
-    rows, cols = shape
-    # Sum and weight side by side, to touch the memory once a cell.
-    sums = np.zeros((rows, cols, 2), dtype=np.int64)
-    for i in range(x.size):
-        if not used[i]:
-            continue
-        right = int(np.rint((x[i] - west) / cell * STEPS - STEPS / 2))
-        down = int(np.rint((north - y[i]) / cell * STEPS - STEPS / 2))
-        col, east = right // STEPS, right % STEPS
-        row, south = down // STEPS, down % STEPS
-        for below in range(2):
-            r = row + below
-            if r < 0 or r >= rows:
-                continue
-            for beside in range(2):
-                c = col + beside
-                if 0 <= c < cols:
-                    share = (south if below else STEPS - south) * (east if beside else STEPS - east)
-                    sums[r, c, 0] += share * values[i]
-                    sums[r, c, 1] += share
-    out = np.zeros(shape, dtype=np.float32)
-    known = np.zeros(shape, dtype=np.bool_)
-    for r in range(rows):
-        for c in range(cols):
-            if sums[r, c, 1] > 0:
-                out[r, c] = np.float32(sums[r, c, 0] / sums[r, c, 1])
-                known[r, c] = True
-    return out, known
-
-
-def fill_gaps(values: NDArray[np.float32], measured: Mask, cell_m: float, reach_m: float) -> Mask:
-    """Give the cells that were not measured the values of the nearest one that was, within the reach.
-
-    Parameters
-    ----------
-    values : (B, H, W) ndarray of float32
-        Bands; written in place.
-    measured : (H, W) ndarray of bool
-        Which cells have a value.
-    cell_m, reach_m : float
-        Side of a cell, and the largest distance between the centres of two cells, metres.
-
-    Returns
-    -------
-    (H, W) ndarray of bool
-        Where there is a value now.
-
-    Notes
-    -----
-    Of cells equally near, the western counts, then the northern: the rule of SciPy's distance transform.
-    """
-    valid = measured.copy()
-    if not measured.any():
-        return valid
-    nearest = ndimage.distance_transform_edt(~measured, return_distances=False, return_indices=True)
-    gap = np.nonzero(~measured)
-    row, col = (index[gap].astype(np.int64) for index in nearest)
-    reached = np.sqrt((row - gap[0]) ** 2 + (col - gap[1]) ** 2) * cell_m <= reach_m
-    filled = gap[0][reached], gap[1][reached]
-    values[:, *filled] = values[:, row[reached], col[reached]]
-    valid[filled] = True
-    return valid
 
 
 def grid_colours(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Bands | None:
@@ -148,7 +43,7 @@ def grid_colours(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Ban
     colours = points.colours
     if colours is None:
         return None
-    cells = cells_of(points.x, points.y, points.first_echo, _frame(spec), spec.shape)
+    cells = cells_of(points.x, points.y, points.first_echo, frame(spec), spec.shape)
     count = counts(cells, spec.shape[0] * spec.shape[1])
     values = np.empty((len(points.colour_names), count.size), dtype=np.float32)
 
@@ -165,7 +60,7 @@ def grid_intensity(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> B
     """Grid the pulse intensity of the first echoes bilinearly (V20), as the band ``intensity``.
 
     A point gives its value to the four cell centres around it with bilinear weights, and a cell is the weighted
-    mean of what it was given: the noise of single pulses is averaged out, as the paper asks of the interpolation.
+    mean of what it received. So the noise of single pulses is averaged out, which the paper wants of the interpolation.
 
     Parameters
     ----------
@@ -183,22 +78,8 @@ def grid_intensity(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> B
     """
     if points.intensity is None:
         return None
-    values, measured = bilinear((points.x, points.y), points.first_echo, points.intensity, _frame(spec), spec.shape)
+    values, measured = bilinear((points.x, points.y), points.first_echo, points.intensity, frame(spec), spec.shape)
     return _filled(values[None], measured, ("intensity",), spec, max_gap_m)
-
-
-def _frame(spec: GridSpec) -> tuple[float, float, float]:
-    """Return what a kernel needs of a lattice to place a point."""
-    return (spec.transform.c, spec.transform.f, spec.cell_m)
-
-
-def _filled(
-    values: NDArray[np.float32], measured: NDArray[np.bool_], names: tuple[str, ...], spec: GridSpec, max_gap_m: float
-) -> Bands:
-    """Fill, in place, the cells that were not measured from the nearest one that was, within the largest gap."""
-    if measured.any() and not measured.all():
-        measured = fill_gaps(values, measured, spec.cell_m, max_gap_m)
-    return Bands(values, names, measured, spec)
 
 
 def stack(*parts: Bands) -> Bands:
@@ -278,6 +159,132 @@ class Scaling:
 
 
 def fit_scaling(sample: NDArray[np.floating], names: tuple[str, ...], tail_percent: float) -> Scaling:
-    """Find the scaling of each band from a sample (N, B): its lower and upper percentile (V21)."""
+    """Find the scaling of each band from a sample (N, B): its lower and upper percentile (V21).
+
+    Examples
+    --------
+    >>> scaling = fit_scaling(np.arange(101.0)[:, None], ("red",), 10.0)
+    >>> scaling.low, scaling.high, scaling.apply(np.array([[0.0], [50.0], [100.0]])).ravel()
+    ((10.0,), (90.0,), array([0. , 0.5, 1. ]))
+    """
     low, high = np.percentile(np.asarray(sample, dtype=np.float64), [tail_percent, 100 - tail_percent], axis=0)
     return Scaling(names, tuple(low.tolist()), tuple(high.tolist()))
+
+
+def _filled(
+    values: NDArray[np.float32], measured: NDArray[np.bool_], names: tuple[str, ...], spec: GridSpec, max_gap_m: float
+) -> Bands:
+    """Fill, in place, the cells that were not measured from the nearest one that was, within the largest gap."""
+    if measured.any() and not measured.all():
+        measured = fill_gaps(values, measured, spec.cell_m, max_gap_m)
+    return Bands(values, names, measured, spec)
+
+
+def fill_gaps(values: NDArray[np.float32], measured: Mask, cell_m: float, reach_m: float) -> Mask:
+    """Give the cells that were not measured the values of the nearest one that was, within the reach.
+
+    Parameters
+    ----------
+    values : (B, H, W) ndarray of float32
+        Bands; written in place.
+    measured : (H, W) ndarray of bool
+        Which cells have a value.
+    cell_m, reach_m : float
+        Side of a cell, and the largest distance between the centres of two cells, metres.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+        Where there is a value now.
+
+    Notes
+    -----
+    Of cells equally near, the western counts, then the northern: the rule of SciPy's distance transform.
+    """
+    valid = measured.copy()
+    if not measured.any():
+        return valid
+    nearest = ndimage.distance_transform_edt(~measured, return_distances=False, return_indices=True)
+    gap = np.nonzero(~measured)
+    row, col = (index[gap].astype(np.int64) for index in nearest)
+    reached = np.sqrt((row - gap[0]) ** 2 + (col - gap[1]) ** 2) * cell_m <= reach_m
+    filled = gap[0][reached], gap[1][reached]
+    values[:, *filled] = values[:, row[reached], col[reached]]
+    valid[filled] = True
+    return valid
+
+
+@kernel
+def cells_of(x: Floats, y: Floats, used: Mask, frame: Frame, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Flat index of the cell that holds each point; -1 for points that are not used or lie outside."""
+    found = np.full(x.size, np.int32(-1))
+    for i in range(x.size):
+        if used[i]:
+            row, col = cell_of(x[i], y[i], frame, shape)
+            if row >= 0:
+                found[i] = row * shape[1] + col
+    return found
+
+
+@kernel
+def counts(cells: NDArray[np.int32], size: int) -> NDArray[np.int32]:
+    """Count the points of each cell."""
+    count = np.zeros(size, dtype=np.int32)
+    for cell in cells:
+        if cell >= 0:
+            count[cell] += 1
+    return count
+
+
+@kernel
+def means(
+    cells: NDArray[np.int32], values: NDArray[np.uint16], count: NDArray[np.int32], out: NDArray[np.float32]
+) -> None:
+    """Write the mean value of each cell into ``out`` (flat); 0 where there is none."""
+    total = np.zeros(out.size, dtype=np.int64)  # whole numbers: exact in any order of the points
+    for i in range(cells.size):
+        if cells[i] >= 0:
+            total[cells[i]] += values[i]
+    for cell in range(out.size):
+        out[cell] = np.float32(total[cell] / max(count[cell], 1))
+
+
+@kernel
+def bilinear(
+    xy: tuple[Floats, Floats], used: Mask, values: NDArray[np.uint16], frame: Frame, shape: tuple[int, int]
+) -> tuple[NDArray[np.float32], Mask]:
+    """Weighted mean of each cell over the points that have it among the four cell centres around them.
+
+    Also returns which cells have any weight; the others are 0.
+    """
+    x, y = xy
+    west, north, cell = frame
+    rows, cols = shape
+    # Sum and weight of a cell are neighbours in memory, which is then touched once.
+    sums = np.zeros((rows, cols, 2), dtype=np.int64)
+    for i in range(x.size):
+        if not used[i]:
+            continue
+        # Distances from the first cell centre in whole 1/STEPS of a cell: no sum depends on the order of the points.
+        right = int(np.rint((x[i] - west) / cell * STEPS - STEPS / 2))
+        down = int(np.rint((north - y[i]) / cell * STEPS - STEPS / 2))
+        col, east = right // STEPS, right % STEPS
+        row, south = down // STEPS, down % STEPS
+        for below in range(2):
+            r = row + below
+            if r < 0 or r >= rows:
+                continue
+            for beside in range(2):
+                c = col + beside
+                if 0 <= c < cols:
+                    share = (south if below else STEPS - south) * (east if beside else STEPS - east)
+                    sums[r, c, 0] += share * values[i]
+                    sums[r, c, 1] += share
+    out = np.zeros(shape, dtype=np.float32)
+    known = np.zeros(shape, dtype=np.bool_)
+    for r in range(rows):
+        for c in range(cols):
+            if sums[r, c, 1] > 0:
+                out[r, c] = np.float32(sums[r, c, 0] / sums[r, c, 1])
+                known[r, c] = True
+    return out, known

@@ -21,6 +21,15 @@ from msbdb.surface import drop_green_regions
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND
 
 COLOURS = {"red", "green", "blue", "nir"}
+"""Bands that make imagery."""
+
+MEASURED = ("cells", "ndvi", "brightness", "roughness_m")
+"""Figures by which a class is known as the same one."""
+
+LOST = (
+    "The operator's label '{label}' of class {number} was not kept, as the class is another one now. "
+    "See 'msbdb classes', and label it again."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +45,7 @@ class Cover:
     table, bands : DataFrame
         ``tables.SPECTRAL_CLASS`` and ``tables.SPECTRAL_CLASS_BAND``.
     colours_decide : bool
-        Colours alone tell roofs from vegetation (V36 to V41 as written), structure only where there is no imagery.
+        Colours alone separate roofs from vegetation (V36 to V41 as written), structure only where imagery is missing.
     green_decides : bool
         Spectral vegetation is vegetation even where the structure sees a roof.
     operator : mapping of int to str
@@ -56,7 +65,7 @@ class Cover:
 
     @property
     def classes(self) -> ClassMap:
-        """The map that the extractors read."""
+        """The map that the detectors read."""
         if self.spectral is None or not self.colours_decide:
             return overlay(self.structure, self.spectral, operator=self.operator, green_decides=self.green_decides)
         count = max(self.spectral.labels, default=0)
@@ -100,7 +109,7 @@ def classify_cover(
 ) -> Cover:
     """Classify the colours where there are any, and describe all classes in one table.
 
-    One band of intensity alone is no imagery: it tells materials apart too poorly.
+    One band of intensity alone is no imagery: it separates materials too poorly.
     """
     spectral, table, band_table, model = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), None
     if bands is not None and COLOURS & set(bands.names):
@@ -136,15 +145,6 @@ def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: ND
     return rows[SPECTRAL_CLASS.names]
 
 
-MEASURED = ("cells", "ndvi", "brightness", "roughness_m")
-"""Figures by which a class is known as the same one."""
-
-LOST = (
-    "The operator's label '{label}' of class {number} was not kept, as the class is another one now. "
-    "See 'msbdb classes', and label it again."
-)
-
-
 def keep_labels(cover: Cover, labelled: pd.DataFrame) -> Cover:
     """Give classes the labels that an operator gave them before, where they are the same classes.
 
@@ -172,6 +172,6 @@ def keep_labels(cover: Cover, labelled: pd.DataFrame) -> Cover:
 
 
 def _is_same(old: dict[Hashable, Any], new: dict[Hashable, Any]) -> bool:
-    """Tell whether two classes of one number have the same content."""
+    """Return whether two classes of one number have the same content."""
     one, two = (np.array([row[name] for name in MEASURED], dtype=np.float64) for row in (old, new))
     return bool(old["source"] == new["source"] and np.allclose(one, two, rtol=1e-6, atol=1e-9, equal_nan=True))

@@ -9,36 +9,10 @@ from threadpoolctl import threadpool_limits
 
 from msbdb.bands import Bands
 from msbdb.spectral.colours import Scaling, fit_scaling
-from msbdb.spectral.kernels import Floats
 from msbdb.threads import kernel
 
-
-@kernel
-def nearest_centres(values: Floats, low: Floats, span: Floats, centres: Floats) -> NDArray[np.uint8]:
-    """Class, from 1, of the centre nearest to each row (N, B), after scaling by ``low`` and ``span`` and clipping.
-
-    Distances are summed a band at a time, so that they are the same on every machine; ties go to the lower class.
-    """
-    count, bands = values.shape
-    nearest = np.zeros(count, dtype=np.uint8)
-    scaled = np.empty(bands)
-    for i in range(count):
-        for band in range(bands):
-            scaled[band] = min(max((values[i, band] - low[band]) / span[band], 0.0), 1.0)
-        best = np.inf
-        for number in range(len(centres)):
-            distance = 0.0
-            for band in range(bands):
-                away = scaled[band] - centres[number, band]
-                distance += away * away
-            if distance < best:
-                best = distance
-                nearest[i] = number + 1
-    return nearest
-
-
 STARTS = 4
-"""Fits from different first centres, of which the tightest is kept."""
+"""Fits from different first centres; the tightest one is kept."""
 
 ITERATIONS = 100
 """Largest number of Lloyd's iterations of a fit."""
@@ -177,7 +151,11 @@ def fit_centres(sample: Sample, *, classes: int, seed: int, tail_percent: float)
 def nearest_class(filtered: NDArray[np.floating], centres: Centres) -> NDArray[np.uint8]:
     """Return the class, from 1, of the nearest centre to each row (N, B) of filtered bands; ties go to the lower.
 
-    Distances are summed a band at a time, never by a matrix product, so that they are the same on every machine.
+    Examples
+    --------
+    >>> centres = Centres(Scaling(("red",), (0.0,), (100.0,)), np.array([[0.0], [0.5], [1.0]]))
+    >>> nearest_class(np.array([[10.0], [25.0], [90.0]]), centres)
+    array([1, 1, 3], dtype=uint8)
     """
     low, high = np.array(centres.scaling.low), np.array(centres.scaling.high)
     span = np.where(high > low, high - low, 1.0)
@@ -192,3 +170,29 @@ def predict(filtered: Bands, centres: Centres) -> NDArray[np.uint8]:
         part = slice(start, start + CHUNK)
         index[row[part], col[part]] = nearest_class(filtered.values[:, row[part], col[part]].T, centres)
     return index
+
+
+@kernel
+def nearest_centres(
+    values: NDArray[np.float64], low: NDArray[np.float64], span: NDArray[np.float64], centres: NDArray[np.float64]
+) -> NDArray[np.uint8]:
+    """Class, from 1, of the centre nearest to each row (N, B), after scaling by ``low`` and ``span`` and clipping.
+
+    Distances are summed a band at a time, never by a matrix product, so that they are the same on every machine.
+    """
+    count, bands = values.shape
+    nearest = np.zeros(count, dtype=np.uint8)
+    scaled = np.empty(bands)
+    for i in range(count):
+        for band in range(bands):
+            scaled[band] = min(max((values[i, band] - low[band]) / span[band], 0.0), 1.0)
+        best = np.inf
+        for number in range(len(centres)):
+            distance = 0.0
+            for band in range(bands):
+                away = scaled[band] - centres[number, band]
+                distance += away * away
+            if distance < best:  # not "<=": of equal distances the lower class stays
+                best = distance
+                nearest[i] = number + 1
+    return nearest

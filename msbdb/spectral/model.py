@@ -1,7 +1,4 @@
-"""The area filter of the bands before clustering (V34).
-
-The fitted classes: centres in canonical order, what is known of each, and the suggested labels (V34 to V36).
-"""
+"""The model of the spectral classes (V34 to V36): filtered bands, centres in canonical order, and suggested labels."""
 
 from dataclasses import dataclass
 
@@ -28,16 +25,16 @@ from msbdb.threads import in_threads
 def filter_bands(bands: Bands, inside: NDArray[np.bool_], area_m2: float, *, connectivity: int = 8) -> Bands:
     """Open and close every band with one area, within the cells that will be clustered.
 
-    Small bright and dark objects (chimneys, cars, roof windows) take the value of what surrounds them, which lessens
-    the diversity that k-means sees.
+    Small bright and dark objects (chimneys, cars, roof windows) take the value of what surrounds them. So k-means gets
+    fewer different values.
 
     Parameters
     ----------
     bands : Bands
         The bands to filter.
     inside : (H, W) ndarray of bool
-        The cells to be clustered. Cells outside do not exist for the filter (and become invalid), so each island of
-        cells is filtered apart from all others, whatever the tile that holds it.
+        The cells to be clustered. Cells outside do not exist for the filter and become invalid. So each island of
+        cells is filtered apart from all others, in whatever tile it lies.
     area_m2 : float
         Smallest object that stays, "a bit smaller than the smallest building". Below two cells nothing is filtered.
     connectivity : int
@@ -50,8 +47,9 @@ def filter_bands(bands: Bands, inside: NDArray[np.bool_], area_m2: float, *, con
 
     Notes
     -----
-    AOC (V5) of each band [1]_ (Section 3.2). An island smaller than the area has nothing to be compared with and
-    keeps its values. The paper filters the whole image; within the mask, roofs do not take the colour of the street.
+    AOC_s(b) = φ_s(γ_s(b)) of each band b (V5) [1]_ (Section 3.2). An island smaller than the area has nothing to be
+    compared with and keeps its values. The paper filters the whole image; within the mask, roofs do not take the
+    colour of the street.
 
     References
     ----------
@@ -97,7 +95,7 @@ class ClassModel:
     centres : Centres
         In canonical order: by mean vegetation index, then brightness.
     facts : ClassFacts
-        What the sample tells of each class.
+        What is known of each class from the sample.
     band_means : (K, B) ndarray of float64
         Mean of each band as it came, in the source's units.
     suggested : tuple of str

@@ -1,4 +1,4 @@
-"""What each spectral class is (V36): a suggestion from colour, brightness and roughness, for an operator to correct.
+"""Suggested labels of the spectral classes (V36), from colour, brightness and roughness, for an operator to correct.
 
 The paper leaves this step to an operator. Our rules look at whole classes, never at single cells, and each threshold
 is a parameter marked as ours. The one adaptive threshold, of the vegetation index, stays within stated bounds.
@@ -116,11 +116,25 @@ def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, param
 
     Notes
     -----
-    In this order. Vegetation is what is green, and not as smooth as a roof: the index must exceed its threshold, or,
-    the rougher the class, one up to a share of its bounds' width lower, for bare crowns and those in shadow. What is
-    rougher than any roof is other. A smooth class with a very low NDVI is water. A dark class is shadow, unless
-    it is smooth: then it is a roof, in shadow or of dark material. All else that stands above the ground is building.
-    Unknown facts prove nothing.
+    The first rule that holds decides:
+
+    1. Vegetation: green, and not as smooth as a roof. The index must exceed its threshold. For rough classes the
+       threshold is lower, by up to ``leafless_share`` of the width of its bounds, for bare crowns and crowns in shadow.
+    2. Other: rougher than any roof.
+    3. Water: smooth, with a very low NDVI.
+    4. Shadow: dark, and not known to be smoother than ``rough_m``. Smooth dark classes are roofs, in shadow or dark.
+    5. Building: all other classes, as only cells above the mask are classified.
+
+    Where a value is unknown, its rule does not hold.
+
+    Examples
+    --------
+    A green rough class, a smooth bright one, and a dark rough one:
+
+    >>> index, bright, rough = np.array([[0.6, 0.1, 0.1], [0.3, 0.5, 0.05], [0.6, 0.03, 0.6]])
+    >>> facts = ClassFacts(index, bright, rough, np.full(3, 6.0))
+    >>> suggest_labels(facts, 0.3, "ndvi", SpectralParams())
+    ['vegetation', 'building', 'shadow']
     """
     return [
         _label(*values, threshold=threshold, index=index, params=params)

@@ -26,7 +26,7 @@ OCCUPANCY_CELL_M = 2.0
 """Cell on which the covered area is counted for the density."""
 
 LEAST_A_CELL, OCCUPANCY_GROWTH, LARGEST_OCCUPANCY_M = 4, 1.5, 100.0
-"""Scattered points: how many a cell shall have on average, how cells grow, and up to which size."""
+"""Scattered points: the mean number in a cell that is needed, the growth of the cells, and their largest size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,9 +62,9 @@ def frame(spec: GridSpec) -> Frame:
 def density(points: PointCloud) -> float:
     """First echoes a square metre of covered ground.
 
-    Covered is every 2 m cell that holds a first echo. Where there is less than one echo a cell of the bounding box
-    (sparse points, which would cover more than their share, or islands far apart), the cells grow until those that
-    hold any hold four on average, but not beyond `LARGEST_OCCUPANCY_M`.
+    Covered are the 2 m cells that hold a first echo. Sparse points would cover more than their share, and islands far
+    apart would need many empty cells. So with less than one echo a cell of the bounding box the cells grow until the
+    cells with points hold four on average, up to `LARGEST_OCCUPANCY_M`.
 
     Raises
     ------
@@ -101,6 +101,8 @@ def cell_size(points_m2: float, *, literal: bool = False) -> float:
 
     Examples
     --------
+    Twelve points a square metre lie 0.28 m apart:
+
     >>> cell_size(12.35), cell_size(12.35, literal=True)
     (0.3, 0.08)
     """
@@ -144,9 +146,19 @@ def fill_gaps(samples: Samples, reach_cells: float) -> tuple[NDArray[np.float64]
 
     Notes
     -----
-    Distances are those of the echoes, not of their cells, so that roofs neither grow nor shrink towards a side; of
-    samples equally near, as in rasters, the lower one counts. Of each column the nearest observed cells to the north
-    and the south are looked at. Cost: linear in the cells times the distance that is searched.
+    Distances are those of the echoes, not of their cells, so that roofs neither grow nor shrink towards a side. Of
+    samples equally near, as in rasters, the lower one counts. In each column the nearest observed cells to the north
+    and the south are compared. Cost: linear in the cells times the distance that is searched.
+
+    Examples
+    --------
+    A gap between a street of 0 m and a roof of 6 m, with samples at the cells' centres; the middle cell is a tie:
+
+    >>> from pyproj import CRS
+    >>> z, none = np.array([[0.0, np.nan, np.nan, np.nan, 6.0]]), np.zeros((1, 5), dtype=np.float32)
+    >>> samples = Samples(z, none, none, lattice((0, 0.1, 4.9, 0.9), 1.0, CRS.from_epsg(2154)))
+    >>> fill_gaps(samples, 2.0)[0]
+    array([[0., 0., 0., 6., 6.]])
     """
     above, below = _observed_rows(samples.observed)
     offsets = (samples.east, samples.north)
@@ -195,6 +207,8 @@ def _nearest(
     x, y, z = xyz
     west, north, cell = frame
     best_z = np.full(shape, np.nan)
+    # Invariant: best_z, east and up are those of the point that is first by (distance, height, offset) so far; this
+    # order is total, so that the order of the points does not matter.
     best_d = np.full(shape, np.inf, dtype=np.float32)
     east = np.zeros(shape, dtype=np.float32)
     up = np.zeros(shape, dtype=np.float32)
@@ -268,7 +282,7 @@ def _fill(
     above, below = rows
     filled = np.zeros(z.shape)
     valid = np.zeros(z.shape, dtype=np.bool_)
-    limit = reach * reach * (1 + 1e-12)
+    limit = reach * reach * (1 + 1e-12)  # a distance of just the reach must not miss it by rounding
     for row in range(height):
         for col in range(width):
             if above[row, col] == row:
@@ -283,6 +297,7 @@ def _fill(
                 for c in (col - step, col + step):
                     if c < 0 or c >= width:
                         continue
+                    # Farther observed cells of the column cannot be nearer than these two.
                     for r in (above[row, c], below[row, c]):
                         if r < 0 or step * step + (r - row) ** 2 > limit:
                             continue

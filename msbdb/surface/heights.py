@@ -1,4 +1,4 @@
-"""Height above ground."""
+"""Surface, terrain and heights above ground: of the cells of a lattice, and of the points themselves."""
 
 from dataclasses import dataclass
 
@@ -14,9 +14,39 @@ from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples, fill_gaps, sample_nearest
 from msbdb.surface.texture import grid_samples
 
+LEAST_GAP_CELLS = 2.0
+"""Gaps this wide are filled at any cell size: a jittered scan leaves them within its own spacing."""
+
+GIVEN_GROUND = "given"
+"""Name instead of a ground filter's, where the terrain was given as a raster."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The surfaces of one survey, all on one lattice.
+
+    Parameters
+    ----------
+    dsm, dtm, ndsm : Grid of float32, metres
+        Surface, terrain and height above ground.
+    samples : Samples
+        The heights as they were measured, for the texture.
+    ground_filter : str
+        Name of the ground filter; ``given`` for a terrain raster.
+    density : float
+        First echoes, or cells of the source raster, a square metre.
+    """
+
+    dsm: Grid
+    dtm: Grid
+    ndsm: Grid
+    samples: Samples
+    ground_filter: str
+    density: float
+
 
 def normalise(dsm: Grid, dtm: Grid) -> Grid:
-    """Subtract the terrain from the surface (V13), in whole centimetres.
+    """Subtract the terrain from the surface, nDSM = DSM - DTM (V13), in whole centimetres.
 
     Parameters
     ----------
@@ -32,6 +62,14 @@ def normalise(dsm: Grid, dtm: Grid) -> Grid:
     ------
     GridMismatchError
         When the lattices differ.
+
+    Examples
+    --------
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec, valid = lattice((0, 0.1, 1.9, 0.9), 1.0, CRS.from_epsg(2154)), np.ones((1, 2), dtype=bool)
+    >>> normalise(Grid(np.array([[57.31, 51.0]]), valid, spec), Grid(np.array([[51.3, 51.2]]), valid, spec)).values
+    array([[ 6.01, -0.2 ]], dtype=float32)
     """
     if not dsm.spec.same_lattice(dtm.spec):
         msg = (
@@ -46,7 +84,7 @@ def normalise(dsm: Grid, dtm: Grid) -> Grid:
 
 
 def heights_above(points: PointCloud, dtm: Grid) -> NDArray[np.float64]:
-    """Subtract the terrain from the points themselves, nothing being rasterised but the terrain (C13, S1).
+    """Subtract the terrain from the points themselves; only the terrain is a raster (C13, S1).
 
     Parameters
     ----------
@@ -65,37 +103,6 @@ def heights_above(points: PointCloud, dtm: Grid) -> NDArray[np.float64]:
     col = (points.x - west) / cell_m - 0.5
     terrain = map_coordinates(dtm.values, (row, col), output=np.float64, order=1, mode="nearest", prefilter=False)
     return np.asarray(points.z - terrain)
-
-
-LEAST_GAP_CELLS = 2.0
-"""Gaps this wide are filled at any cell size: a jittered scan leaves them within its own spacing."""
-
-GIVEN_GROUND = "given"
-"""Stands for a ground filter where the terrain was given as a raster."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """The surfaces of one survey, all on one lattice.
-
-    Parameters
-    ----------
-    dsm, dtm, ndsm : Grid of float32, metres
-        Surface, terrain and height above ground.
-    samples : Samples
-        The heights as they were measured, for the texture.
-    ground_filter : str
-        Name of the filter that told the ground; ``given`` for a terrain raster.
-    density : float
-        First echoes, or cells of the source raster, a square metre.
-    """
-
-    dsm: Grid
-    dtm: Grid
-    ndsm: Grid
-    samples: Samples
-    ground_filter: str
-    density: float
 
 
 def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Grid, Samples]:

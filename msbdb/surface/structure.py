@@ -1,7 +1,8 @@
-"""Land cover from structure alone: roofs and vegetation told by texture and echoes, without any colour.
+"""Land cover from structure alone: texture and echoes separate roofs from vegetation, without any colour.
 
-The log-odds of roof against vegetation are summed over the evidence of each cell, smoothed, cut, and then judged
-again a region at a time. All values are ours, calibrated together on tiles of four surveys and on thinned copies.
+Each cell's evidence gives log-odds of roof against vegetation, their sum a probability. The probabilities are
+smoothed and cut at one half, and each region is then checked as a whole. All values are ours, calibrated together on
+tiles of four surveys and on thinned copies.
 """
 
 from collections.abc import Callable
@@ -25,13 +26,12 @@ ROOF, VEGETATION = 1, 2
 """Indices of the structural classes."""
 
 Mask = NDArray[np.bool_]
-
 Field = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """What structure alone tells of the cells.
+    """The cover of the cells by structure alone.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Structure:
         Class 1 (building) and 2 (vegetation) above the mask, 0 below it and where not valid.
     roof_probability : (H, W) ndarray of float32
         Of roof against vegetation, 0 to 1, by each cell's own echoes and texture, before any smoothing; also below
-        the mask, where it tells little.
+        the mask, where it means little.
     roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small window.
     """
@@ -58,7 +58,7 @@ def structural_cover(
     mask_m: float,
     params: CoverParams,
 ) -> Structure:
-    """Tell roofs from vegetation on every cell above the mask.
+    """Separate roofs from vegetation on every cell above the mask.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def structural_cover(
     roughness_m, wide_roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small and the wide windows.
     echoes : Echoes, optional
-        What the echoes tell; without them the roughness decides alone.
+        The shares of echoes; without them the roughness decides alone.
     mask_m : float
         Height of the mask (V17), metres.
     params : CoverParams
@@ -91,7 +91,10 @@ def structural_cover(
 
 
 def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field:
-    """Log-odds of roof from the echoes, with a little from the roughness."""
+    """Log-odds of roof from the echoes, with a little from the roughness.
+
+    b - w_1·split_best - w_2·split_wide - w_3·ln(roughness) + w_4·solid, with the weights of ``cover``.
+    """
     return (
         params.echo_bias
         - params.split_weight * echoes.split_best
@@ -102,7 +105,7 @@ def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field
 
 
 def _rough_odds(roughness_m: Field, wide_m: Field, params: CoverParams) -> Field:
-    """Log-odds of roof from the roughness alone."""
+    """Log-odds of roof from the roughness alone: -w·(ln(small / small_0) + ln(wide / wide_0))."""
     floor = params.smooth_floor_m
     small = np.log(np.maximum(roughness_m, floor) / params.rough_m)
     wide = np.log(np.maximum(wide_m, floor) / params.rough_wide_m)
@@ -110,7 +113,7 @@ def _rough_odds(roughness_m: Field, wide_m: Field, params: CoverParams) -> Field
 
 
 def _sigmoid(odds: Field) -> Field:
-    """Probabilities of log-odds."""
+    """Probabilities of log-odds, 1/(1 + e^-x)."""
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))), dtype=np.float32)
 
 
@@ -151,9 +154,9 @@ def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m
 
 
 def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params: CoverParams) -> ClassMap:
-    """Take regions for vegetation after all that are mostly green and not quite smooth: two witnesses to one.
+    """Turn roofs into vegetation that are mostly green and not quite smooth: colour and texture against the echoes.
 
-    A green roof is smooth and stays; a dense crown that stops every pulse is told by its colour.
+    A green roof is smooth and stays. A dense crown that stops every pulse is detected by its colour.
 
     Parameters
     ----------
@@ -201,12 +204,12 @@ def _small(mask: Mask, cells: float, *, eight: bool) -> Mask:
 
 
 def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
-    """Tell roofs from vegetation by texture, and by echoes where there are any.
+    """Separate roofs from vegetation by texture, and by echoes where the source has them.
 
     Parameters
     ----------
     surface : Surface
-        What ``build_surface`` or ``surface_from_rasters`` returned.
+        The surfaces of the survey.
     points : PointCloud, optional
         The same points; None for a raster source.
     params : Params

@@ -1,7 +1,7 @@
-"""Texture of the surface: what tells smooth, solid roofs from rough, leaky crowns without any colour.
+"""Texture of the surface: measures that separate smooth, solid roofs from rough crowns full of gaps, without colour.
 
-Each measure is taken in a window around the cell, and then the best of all windows that hold the cell counts: at a
-roof's edge that is a window that lies on the roof, so that edges are not blurred (Kuwahara et al. 1976).
+Each measure is taken in a window around the cell. Then the best of all windows that hold the cell counts. At a roof's
+edge this window lies on the roof, so that edges are not blurred (Kuwahara et al. 1976).
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from msbdb.surface.gridding import Frame, Samples, cell_of, frame
 from msbdb.threads import kernel
 
 NO_PLANE_M = 5.0
-"""Roughness where too few samples hold a plane, and the largest that is told, metres."""
+"""Largest roughness that is reported, also where the samples are too few for a plane, metres."""
 
 Field = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ Counts = NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Echoes:
-    """What the echoes tell, each a share in 0..1 on the (H, W) lattice.
+    """Shares of echoes, each from 0 to 1 on the (H, W) lattice.
 
     ``split`` is the share of first echoes that have a later echo, in the small window; ``split_best`` the least such
     share over the small windows that hold the cell, ``split_wide`` over the wide ones; ``solid`` is the largest
@@ -62,11 +62,28 @@ def roughness(samples: Samples, window_m: float) -> Field:
     Returns
     -------
     (H, W) ndarray of float32, metres
-        At most ``NO_PLANE_M``, which also stands where no window holds four samples that span a plane.
+        At most ``NO_PLANE_M``; that value also where no window holds four samples that span a plane.
 
     Notes
     -----
+    With the plane z = a + b·e + c·n through the n samples of a window by least squares, roughness is the root of the
+    mean of the squared residuals.
+
     Border: windows are cut at the edge. Nodata: cells without a first echo have no weight.
+
+    Examples
+    --------
+    A plane slope is smooth; one sample 1 m above it is not:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec, none = lattice((0, 0, 4, 4), 1.0, CRS.from_epsg(2154)), np.zeros((5, 5), dtype=np.float32)
+    >>> samples = Samples(np.indices((5, 5)).sum(axis=0) / 2, none, none, spec)
+    >>> float(roughness(samples, 3.0).max())
+    0.0
+    >>> samples.z[2, 2] += 1
+    >>> roughness(samples, 3.0)[2].round(2)
+    array([0.  , 0.  , 0.25, 0.  , 0.  ], dtype=float32)
     """
     size = window_cells(window_m, samples.spec.cell_m)
     if not samples.observed.any():
@@ -86,7 +103,7 @@ def grid_samples(surface: Grid) -> Samples:
 
 
 def echoes(points: PointCloud, ndsm: Grid, dtm: Grid, *, small_m: float, wide_m: float, mask_m: float) -> Echoes | None:
-    """Return what the echoes tell, or None where the source holds no echo information.
+    """Return the shares of echoes, or None where the source holds no echo information.
 
     Parameters
     ----------
@@ -173,6 +190,8 @@ def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell
     for row in range(height):
         columns = _column_moments(z, offsets, (origin, cell), row, half)
         for col in range(width):
+            # Sums from columns whose eastings count from their own centre: e becomes e + shift, so that
+            # sum(e z) becomes sum(e z) + shift sum(z), and sum(e e) gains shift (2 sum(e) + n shift).
             n = se = sn = sz = see = sen = snn = sez = snz = szz = 0.0
             for c in range(max(col - half, 0), min(col + half + 1, width)):
                 m = columns[c]
@@ -191,6 +210,7 @@ def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell
                 continue
             cee, cen, cnn = see - se * se / n, sen - se * sn / n, snn - sn * sn / n
             cez, cnz, czz = sez - se * sz / n, snz - sn * sz / n, szz - sz * sz / n
+            # Central moments; their determinant is near 0 where the samples lie on a line.
             det = cee * cnn - cen * cen
             if det <= 1e-4 * (n * cell * cell) ** 2:
                 continue

@@ -9,7 +9,7 @@ import pytest
 from pyproj import CRS
 
 from msbdb.errors import CRSError, InputError, NodataError
-from msbdb.io.las import lone_values, read_points
+from msbdb.io.las import read_points
 
 LAMBERT = CRS.from_epsg(2154)
 COUNT = 400
@@ -109,17 +109,6 @@ def test_lone_and_absurd_points_are_dropped_and_counted(tmp_path):
     assert cloud.z.max() == pytest.approx(830)
     assert "1 points of absurd coordinates were dropped." in notices
     assert "2 points far from all others were dropped." in notices
-
-
-def test_loneness_depends_on_values_alone():
-    """Small groups behind a gap are lone in any order; large ones are not."""
-    rng = np.random.default_rng(3)
-    values = np.concatenate([rng.uniform(0, 100, 500), [900.0, 901.0], [-900.0], rng.uniform(2000, 2100, 100)])
-    lone = lone_values(values, 500.0)
-    np.testing.assert_array_equal(np.flatnonzero(lone), [500, 501, 502])
-    order = rng.permutation(len(values))
-    np.testing.assert_array_equal(lone_values(values[order], 500.0), lone[order])
-    assert not lone_values(np.array([0.0, 1e6]), 500.0).any()
 
 
 def test_coordinates_outside_of_the_headers_bounds_are_noticed(tmp_path):

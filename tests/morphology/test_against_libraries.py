@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from scipy import ndimage
+from support.trees import opened
 
 from msbdb.morphology import (
     area_closing,
     area_opening,
     areas,
-    attribute_filter,
-    attribute_opening,
     build_profile,
     build_tree,
     second_order_gradient,
@@ -124,8 +123,8 @@ def in_order(columns):
 
 @SURFACES
 @pytest.mark.parametrize("connectivity", [4, 8])
-def test_profiles_are_differences_of_higras_attribute_openings(image, connectivity):
-    """Each zone of the sum of gradients equals the difference of two openings read from Higra's tree."""
+def test_the_nodes_of_higher_zones_are_higras_attribute_openings(image, connectivity):
+    """Without the zones up to i, by the sum of gradients, the tree is the opening by λ_i read from Higra's tree."""
     higra, tree, altitudes = higra_tree(image, connectivity)
     # Whole numbers, so that the order of adding them does not matter.
     gradient = np.round(second_order_gradient(image) * 64)
@@ -134,13 +133,8 @@ def test_profiles_are_differences_of_higras_attribute_openings(image, connectivi
     openings = [higra.reconstruct_leaf_data(tree, altitudes, attribute < threshold) for threshold in thresholds]
     own = build_tree(image, connectivity=connectivity)
     profile = build_profile(own, sums(own, gradient), thresholds)
-    for i, threshold in enumerate(thresholds):
-        np.testing.assert_array_equal(profile.opening(i), openings[i])
-        np.testing.assert_array_equal(attribute_opening(own, sums(own, gradient), threshold), openings[i])
-    zones = -np.diff(np.array(openings, dtype=np.float64), axis=0)
-    np.testing.assert_array_equal(profile.theta().response, zones.max(axis=0))
-    for i, zone in enumerate(zones, start=1):
-        np.testing.assert_array_equal(profile.response(i), zone)
+    for i, opening in enumerate(openings):
+        np.testing.assert_array_equal(opened(own, profile.zone > i), opening)
 
 
 @SURFACES
@@ -151,7 +145,7 @@ def test_area_openings_of_the_tree_are_those_of_diplib(image, threshold, connect
     dip = pytest.importorskip("diplib")
     expected = dip.AreaOpening(dip.Image(image), filterSize=threshold, connectivity={4: 1, 8: 2}[connectivity])
     tree = build_tree(image, connectivity=connectivity)
-    np.testing.assert_array_equal(attribute_filter(tree, areas(tree) >= threshold), np.asarray(expected))
+    np.testing.assert_array_equal(opened(tree, areas(tree) >= threshold), np.asarray(expected))
 
 
 @SURFACES
@@ -165,9 +159,11 @@ def test_supports_filtered_by_area_are_labels_filtered_by_size(image, connectivi
     kept = profile.filter_supports(areas(tree), least)
     union = np.zeros(image.shape, dtype=bool)
     for i in range(1, profile.zones + 1):
-        labels = measure.label(profile.response(i) > 0, connectivity=connectivity // 4)
+        support = opened(tree, profile.zone > i - 1) > opened(tree, profile.zone > i)
+        labels = measure.label(support, connectivity=connectivity // 4)
         large = (np.bincount(labels.ravel()) >= least[i])[labels] & (labels > 0)
-        np.testing.assert_array_equal(profile.support(i, kept), large)
+        found = tree.paint(tree.outermost(kept & (profile.zone == i)), fill=-1) >= 0
+        np.testing.assert_array_equal(found, large)
         union |= large
     np.testing.assert_array_equal(profile.union(kept) >= 0, union)
 

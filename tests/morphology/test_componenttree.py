@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import oracles
 from support.strategies import CONNECTIVITIES, fields, images, surfaces
+from support.trees import opened
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.morphology import area_opening, areas, attribute_filter, build_tree, is_increasing, sums
+from msbdb.morphology import area_opening, areas, build_tree, is_increasing, sums
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -99,7 +100,7 @@ def test_innermost_and_outermost_are_the_nearest_and_the_last_on_the_way_to_the_
     """Both are found by walking up, the node itself included; -1 where no selected node is met."""
     tree = build_tree(*surface, connectivity=connectivity)
     selected = np.random.default_rng(seed).random(tree.size) < 0.4
-    inner, outer, outside = tree.innermost(selected), tree.outermost(selected), tree.outside(selected)
+    inner, outer = tree.innermost(selected), tree.outermost(selected)
     for node in range(tree.size):
         way = [node]
         while tree.parent[way[-1]] != way[-1]:
@@ -107,17 +108,15 @@ def test_innermost_and_outermost_are_the_nearest_and_the_last_on_the_way_to_the_
         met = [other for other in way if selected[other]]
         assert inner[node] == (met[0] if met else -1)
         assert outer[node] == (met[-1] if met else -1)
-        left = [tree.parent[other] for other in met if not tree.is_root[other]]
-        assert outside[node] == (left[0] if left else node)
 
 
 @given(images(), CONNECTIVITIES, st.integers(1, 30))
 def test_the_area_opening_of_the_tree_is_that_of_the_other_kernel(image, connectivity, threshold):
     """Two algorithms, by flood and by union-find, give the same opening."""
     tree = build_tree(image, connectivity=connectivity)
-    opened = attribute_filter(tree, areas(tree) >= threshold)
-    assert opened.dtype == image.dtype
-    np.testing.assert_array_equal(opened, area_opening(image, threshold, connectivity=connectivity))
+    found = opened(tree, areas(tree) >= threshold)
+    assert found.dtype == image.dtype
+    np.testing.assert_array_equal(found, area_opening(image, threshold, connectivity=connectivity))
 
 
 @given(surfaces(), CONNECTIVITIES, st.tuples(st.integers(0, 3), st.booleans()))
@@ -160,7 +159,7 @@ def test_without_any_valid_cell_there_is_no_node():
     tree = build_tree(image, np.zeros((4, 5), dtype=bool))
     assert tree.size == areas(tree).size == sums(tree, image).size == 0
     assert not tree.paint(tree.level).any()
-    assert not attribute_filter(tree, areas(tree) > 2).any()
+    assert not opened(tree, areas(tree) > 2).any()
 
 
 def test_the_corners_of_16_bits_are_in_order():
@@ -200,8 +199,7 @@ def test_a_tree_larger_than_a_word_of_words_is_right():
     tree = build_tree(image)
     assert tree.size == 90_000 - 299
     for threshold in (3, 40, 44_700, 44_701):
-        opened = attribute_filter(tree, areas(tree) >= threshold)
-        np.testing.assert_array_equal(opened, area_opening(image, threshold))
+        np.testing.assert_array_equal(opened(tree, areas(tree) >= threshold), area_opening(image, threshold))
 
 
 def test_the_tree_cannot_be_changed():

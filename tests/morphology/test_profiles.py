@@ -1,4 +1,4 @@
-"""Differential attribute profiles: all zones of one tree equal one opening and one filter a zone."""
+"""Differential attribute profiles: the zones of one tree equal one opening and one filter a zone."""
 
 from itertools import pairwise
 
@@ -8,13 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import oracles
 from support.strategies import CONNECTIVITIES, fields, integer_images, surfaces
+from support.trees import opened
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import (
     area_opening,
     areas,
-    attribute_filter,
-    attribute_opening,
     build_profile,
     build_tree,
     second_order_gradient,
@@ -62,40 +61,11 @@ DRAWN = st.builds(Drawn, surfaces(), CONNECTIVITIES, SEEDS, THRESHOLDS)
 
 @given(DRAWN)
 def test_openings_are_the_naive_definition(drawn):
-    """Each opening of the profile is what threshold decomposition gives, bit by bit and of the same dtype."""
+    """The nodes of higher zones are the opening by threshold decomposition, bit by bit and of the same dtype."""
     for i, threshold in enumerate(drawn.thresholds):
-        expected = drawn.opening(threshold)
-        for opened in (drawn.profile.opening(i), attribute_opening(drawn.tree, drawn.attribute, threshold)):
-            assert opened.dtype == drawn.values.dtype
-            np.testing.assert_array_equal(opened, expected)
-
-
-@given(DRAWN)
-def test_responses_are_the_differences_of_openings(drawn):
-    """δ_i is γ of λ_{i-1} less γ of λ_i (Eq. 2), and nowhere negative."""
-    for i, zone in enumerate(drawn.zones(), start=1):
-        np.testing.assert_array_equal(drawn.profile.response(i), zone)
-        assert (zone >= 0).all()
-
-
-@given(DRAWN)
-def test_the_zones_and_the_residual_sum_up_to_the_surface(drawn):
-    """The profile telescopes: exactly, not nearly."""
-    profile = drawn.profile
-    total = profile.opening(profile.zones).astype(float)
-    for i in range(profile.zones, 0, -1):
-        total += profile.response(i)
-    np.testing.assert_array_equal(total[drawn.valid], drawn.values[drawn.valid])
-    assert not total[~drawn.valid].any()
-
-
-@given(DRAWN)
-def test_theta_is_the_largest_response_and_the_largest_zone_that_has_it(drawn):
-    """Both of all zones at once equal those of the stacked zones (Eq. 4, 5; M5); no response has zone 0."""
-    response, zone = drawn.profile.theta()
-    expected, largest = oracles.theta(drawn.zones())
-    np.testing.assert_array_equal(response, expected)
-    np.testing.assert_array_equal(zone, largest)
+        found = opened(drawn.tree, drawn.profile.zone > i)
+        assert found.dtype == drawn.values.dtype
+        np.testing.assert_array_equal(found, drawn.opening(threshold))
 
 
 @given(DRAWN)
@@ -136,14 +106,14 @@ def test_the_components_are_those_of_the_supports(drawn):
 def test_attribute_openings_lower_are_idempotent_and_absorb(drawn, one, other):
     """γ_a ≤ g, γ_a γ_a = γ_a, and γ_a γ_b = γ_max(a, b) for any two thresholds (M28)."""
 
-    def opened(values, threshold):
+    def opening(values, threshold):
         tree = build_tree(values, drawn.valid, connectivity=drawn.connectivity)
-        return attribute_opening(tree, sums(tree, drawn.field), threshold)
+        return opened(tree, sums(tree, drawn.field) >= threshold)
 
-    first = opened(drawn.values, one)
+    first = opening(drawn.values, one)
     assert (first[drawn.valid] <= drawn.values[drawn.valid]).all()
-    np.testing.assert_array_equal(opened(first, one), first)
-    np.testing.assert_array_equal(opened(first, other), opened(drawn.values, max(one, other)))
+    np.testing.assert_array_equal(opening(first, one), first)
+    np.testing.assert_array_equal(opening(first, other), opening(drawn.values, max(one, other)))
 
 
 @given(integer_images(), CONNECTIVITIES, st.integers(0, 40), SEEDS)
@@ -152,23 +122,25 @@ def test_a_higher_surface_has_a_higher_opening(image, connectivity, threshold, s
     field = fields(image.shape, seed)
     raised = (image + np.random.default_rng(seed).integers(0, 3, image.shape)).astype(image.dtype)
 
-    def opened(values):
+    def opening(values):
         tree = build_tree(values, connectivity=connectivity)
-        return attribute_opening(tree, sums(tree, field), threshold)
+        return opened(tree, sums(tree, field) >= threshold)
 
     # Flat at the minimum where nothing is large enough, which a raise of the minimum alone raises too.
-    assert (opened(image) <= opened(raised)).all()
+    assert (opening(image) <= opening(raised)).all()
 
 
 @given(surfaces(), CONNECTIVITIES)
 def test_the_sum_of_second_order_gradients_makes_a_profile(surface, connectivity):
-    """Λ of the paper (Eq. 11; M14) is increasing on any surface; its zones telescope."""
+    """Λ of the paper (Eq. 11; M14) is increasing on any surface; zone i has the nodes of λ_{i-1} ≤ Λ < λ_i."""
     values, valid = surface
     tree = build_tree(values, valid, connectivity=connectivity)
     attribute = sums(tree, second_order_gradient(values, valid))
-    profile = build_profile(tree, attribute, [0, 0.5, 2, 9])
-    total = profile.opening(3) + sum(profile.response(i) for i in (3, 2, 1))
-    np.testing.assert_array_equal(total[valid], values[valid])
+    limits = np.array([0, 0.5, 2, 9])
+    profile = build_profile(tree, attribute, limits)
+    inner = ~tree.is_root
+    np.testing.assert_array_equal(profile.zone[inner], (attribute[inner, None] >= limits).sum(axis=1))
+    assert (profile.zone[tree.is_root] == 4).all()
 
 
 @given(surfaces(), CONNECTIVITIES, SEEDS)
@@ -184,7 +156,7 @@ def test_a_filter_of_any_criterion_takes_the_nearest_kept_node(surface, connecti
         lambda mask: int(mask.sum() + float(values[mask].min()) * 8) % 2 == seed % 2,
         True,
     )
-    np.testing.assert_array_equal(attribute_filter(tree, keep), expected)
+    np.testing.assert_array_equal(opened(tree, keep), expected)
 
 
 def test_a_flat_roof_is_kept_and_a_rough_crown_is_not():
@@ -205,29 +177,17 @@ def test_a_flat_roof_is_kept_and_a_rough_crown_is_not():
     assert tree.level[node] == 6
 
 
-def test_ties_go_to_the_larger_zone():
-    """Two storeys of equal height: q is the zone of the larger one on both (M5)."""
-    image = np.zeros((9, 9), dtype=np.int16)
-    image[1:8, 1:8] = 3
-    image[3:5, 3:5] = 6
-    profile = build_profile(build_tree(image), areas(build_tree(image)), [0, 10, 60])
-    response, zone = profile.theta()
-    np.testing.assert_array_equal(response, np.where(image > 0, 3, 0))
-    np.testing.assert_array_equal(zone, np.where(image > 0, 2, 0))
-
-
 def test_the_profile_by_area_agrees_with_area_openings():
-    """On an image of thousands of cells, each zone equals the difference of two openings by the other kernel."""
+    """On an image of thousands of cells, each support is where two openings by the other kernel differ."""
     image = np.random.default_rng(7).normal(size=(90, 80)).astype(np.float32).cumsum(axis=0).cumsum(axis=1)
     thresholds = zone_thresholds(5, 2000, 60)
     tree = build_tree(image)
     profile = build_profile(tree, areas(tree), thresholds)
     openings = [area_opening(image, max(int(threshold), 1)).astype(float) for threshold in thresholds]
-    zones = [finer - coarser for finer, coarser in pairwise(openings)]
-    response, zone = profile.theta()
-    expected, largest = oracles.theta(zones)
-    np.testing.assert_array_equal(response, expected)
-    np.testing.assert_array_equal(zone, largest)
+    supports = [finer > coarser for finer, coarser in pairwise(openings)]
+    kept = profile.components()
+    for i, support in enumerate(supports, start=1):
+        np.testing.assert_array_equal(tree.paint(tree.outermost(kept & (profile.zone == i)), fill=-1) >= 0, support)
 
 
 @pytest.mark.parametrize("image", [np.full((5, 6), 2.5, dtype=np.float32), np.array([[-9]], dtype=np.int16)])
@@ -235,43 +195,29 @@ def test_a_surface_of_one_value_has_no_response(image):
     """One plateau, or one pixel: no zone responds, and the residual is all there is."""
     tree = build_tree(image)
     profile = build_profile(tree, areas(tree), [0, 3, 99])
-    response, zone = profile.theta()
-    assert not response.any()
-    assert not zone.any()
+    assert (profile.zone == 3).all()
     assert not profile.components().any()
     assert (profile.union(profile.components()) == -1).all()
-    assert not profile.spectrum().any()
-    np.testing.assert_array_equal(profile.opening(2), image)
 
 
 def test_without_any_valid_cell_the_profile_is_empty():
-    """No node, no response, no component."""
+    """No node, no component."""
     tree = build_tree(np.full((3, 4), np.nan), np.zeros((3, 4), dtype=bool))
     profile = build_profile(tree, areas(tree), [0, 5])
-    assert not profile.theta().response.any()
+    assert profile.zone.size == 0
     assert (profile.union(profile.filter_supports(areas(tree), np.array([0.0, 1.0]))) == -1).all()
-    np.testing.assert_array_equal(profile.spectrum(), [0])
 
 
 def test_each_connected_area_of_valid_cells_is_a_surface_of_its_own():
-    """An island in a gap is never a response for its being an island, nor does it change the others."""
+    """An island in a gap is no component of a support, nor does it change the others."""
     image = np.zeros((5, 9), dtype=np.int16)
     image[1:4, 1:3] = 4
     valid = np.ones(image.shape, dtype=bool)
     valid[:, 5] = False
     image[:, 6:] = 9
     tree = build_tree(image, valid)
-    response, _ = build_profile(tree, areas(tree), [0, 7, 100]).theta()
-    np.testing.assert_array_equal(response, np.where(image == 4, 4, 0))
-
-
-def test_the_extremes_of_16_bits_differ_without_overflow():
-    """The response of 16-bit integers may exceed 16 bits."""
-    image = np.full((4, 4), -32768, dtype=np.int16)
-    image[1, 1] = 32767
-    tree = build_tree(image)
-    profile = build_profile(tree, areas(tree), [0, 2])
-    assert profile.theta().response.max() == profile.response(1).max() == profile.spectrum()[0] == 65535
+    profile = build_profile(tree, areas(tree), [0, 7, 100])
+    np.testing.assert_array_equal(profile.union(profile.components()) != -1, image == 4)
 
 
 def test_thresholds_are_those_of_the_paper():
@@ -311,7 +257,7 @@ def test_an_attribute_that_cannot_make_a_profile_is_refused():
     """A mean is not increasing (M4); an attribute needs a value a node, none below 0, and levels to be finite."""
     tree = build_tree(np.eye(3))
     with pytest.raises(InputError, match="must be increasing"):
-        attribute_opening(tree, tree.level, 1)
+        build_profile(tree, tree.level, [0, 1])
     with pytest.raises(InputError, match="must not be negative; got -9"):
         build_profile(tree, areas(tree) - 12, [0, 1])
     with pytest.raises(InputError, match="one value a node, of 2"):
@@ -321,13 +267,9 @@ def test_an_attribute_that_cannot_make_a_profile_is_refused():
         build_profile(infinite, areas(infinite), [0, 1])
 
 
-def test_zones_out_of_reach_are_refused():
-    """Zones are counted from 1, openings from 0; a filter has a value for each."""
+def test_a_filter_without_a_value_for_each_zone_is_refused():
+    """One value a zone, after one for position 0."""
     tree = build_tree(np.eye(3))
     profile = build_profile(tree, areas(tree), [0, 1, 5])
-    with pytest.raises(ParameterError, match="zones 1 to 2; got 0"):
-        profile.response(0)
-    with pytest.raises(ParameterError, match="zones 0 to 2; got 3"):
-        profile.opening(3)
     with pytest.raises(InputError, match="each of 2 zones"):
         profile.filter_supports(areas(tree), np.ones(2))

@@ -6,10 +6,11 @@ from scipy import ndimage
 from simulated import scenes
 
 from msbdb.bands import Bands
-from msbdb.errors import GridMismatchError, InputError
+from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
 from msbdb.params import Params
-from msbdb.spectral import classify, spectral_bands
+from msbdb.spectral.classes import classify
+from msbdb.spectral.colours import spectral_bands
 from msbdb.surface.gridding import sample_nearest
 from msbdb.surface.texture import roughness
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate
@@ -91,23 +92,6 @@ def test_tables_are_as_declared_and_add_up(city, classified):
 def test_classes_come_in_canonical_order(classified):
     """Numbers rise with the vegetation index, whatever k-means called them."""
     assert (np.diff(classified[1]["ndvi"]) >= 0).all()
-
-
-def test_operator_overrules(city, classified):
-    """Labels given by class replace the suggestion, and say so; the map of indices stays."""
-    classes, frame, *_ = classify(city.bands, city.ndsm, city.roughness, PARAMS, {1: "water", 15: "building"})
-    assert classes.labels[1] == "water"
-    assert classes.labels[15] == "building"
-    assert frame.set_index("speindex").loc[[1, 15], "labelled_by"].tolist() == ["operator", "operator"]
-    assert (frame["labelled_by"] == "operator").sum() == 2
-    np.testing.assert_array_equal(classes.index, classified[0].index)
-
-
-@pytest.mark.parametrize("labels", [{16: "building"}, {0: "building"}, {2: "roof"}])
-def test_labels_of_nothing_are_refused(city, labels):
-    """An unknown class or label is an error that names what exists."""
-    with pytest.raises(InputError, match="classes 1 to 15"):
-        classify(city.bands, city.ndsm, city.roughness, PARAMS, labels)
 
 
 def test_a_planted_roof_stays_a_building():

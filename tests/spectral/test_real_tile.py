@@ -12,7 +12,8 @@ from msbdb.grid import Grid, lattice
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.params import Params, with_values
-from msbdb.spectral import classify, spectral_bands
+from msbdb.spectral.classes import classify
+from msbdb.spectral.colours import spectral_bands
 from msbdb.surface.gridding import sample_nearest
 from msbdb.surface.texture import roughness
 
