@@ -1,14 +1,14 @@
-"""Alembic's entry: msbdb hands over the connection, the dialect's hooks and the SRID."""
+"""The entry of Alembic: msbdb passes the connection, the dialect and the SRID."""
 
 from alembic import context
 
-from msbdb.database.schema.sqltables import METADATA
+from msbdb.database.schema.sqltables import METADATA, VERSION_TABLE
 
 attributes = context.config.attributes
 context.configure(
     connection=attributes["connection"],
     target_metadata=METADATA,
-    version_table="msbdb_schema_version",
+    version_table=VERSION_TABLE,
     transactional_ddl=True,
     srid=attributes["srid"],
     hooks=attributes["dialect"],

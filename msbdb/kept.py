@@ -5,23 +5,29 @@ From it the classes can be labelled again without the source data, and a map can
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-import pandas as pd
 from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from msbdb.errors import TableError
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import Run, Survey
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PER_METRE = 100
 """Heights above ground are whole centimetres, finer than any scanner, so that they are kept without loss."""
 
 _REGION_NAMES = {"flatregions": "flat", "area3d": "area3d", "adaptive": "adaptive"}
 """Names of the detectors' label rasters in the database."""
+
+_REQUIRED = ("ndsm_cm", "structure", "valid")
+"""Names of the rasters that every run has."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +85,20 @@ class Rasters:
 
     @classmethod
     def from_names(cls, rows: Mapping[str, NDArray[np.generic]]) -> Self:
-        """Return the rasters from the rows of the database, the inverse of ``by_name``."""
+        """Return the rasters from the rows of the database, the inverse of ``by_name``.
+
+        Raises
+        ------
+        TableError
+            When a raster that every run has is missing.
+        """
+        missing = [name for name in _REQUIRED if name not in rows]
+        if missing:
+            msg = (
+                f"A run needs the rasters {', '.join(_REQUIRED)}; got {', '.join(sorted(rows)) or 'none'}, without "
+                f"{', '.join(missing)}. Check the database with 'msbdb db check', and build the survey again."
+            )
+            raise TableError(msg)
         return cls(
             heights_cm=rows["ndsm_cm"].astype(np.int32),
             valid=rows["valid"].astype(np.bool_),
@@ -131,7 +150,7 @@ class KeptRun:
 
     survey: Survey
     run: Run
-    frames: dict[str, pd.DataFrame]
+    frames: "dict[str, pd.DataFrame]"
     rasters: Rasters
 
     @property

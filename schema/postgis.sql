@@ -706,27 +706,27 @@ WHERE v.valid_from <= to_char(day, 'YYYY-MM-DD')
   AND (v.valid_to IS NULL OR v.valid_to > to_char(day, 'YYYY-MM-DD'))
 $$;
 
-COMMENT ON TABLE inventory_building IS 'A building of the inventory, which keeps its identity through surveys';
+COMMENT ON TABLE inventory_building IS 'A building of the inventory, with one identity over all surveys';
 
-COMMENT ON COLUMN inventory_building.uid IS 'from the survey or import in which it was born, and its place';
+COMMENT ON COLUMN inventory_building.uid IS 'from the survey or import that first had it, and its place';
 
-COMMENT ON COLUMN inventory_building.source IS 'name of the survey or import in which it was born';
+COMMENT ON COLUMN inventory_building.source IS 'name of the survey or import that first had it';
 
-COMMENT ON COLUMN inventory_building.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+COMMENT ON COLUMN inventory_building.row_digest IS 'digest of the row''s values, which detects edits by other programs';
 
-COMMENT ON TABLE operator_state IS 'An operator''s word on a building, which wins over what the extractors say, whatever is built or updated';
+COMMENT ON TABLE operator_state IS 'An operator''s decision on a building; it has priority over the detectors, also after builds and updates';
 
 COMMENT ON COLUMN operator_state.uid IS 'the building of the inventory';
 
 COMMENT ON COLUMN operator_state.state IS 'confirmed or refuted';
 
-COMMENT ON COLUMN operator_state.operator IS 'who said so';
+COMMENT ON COLUMN operator_state.operator IS 'who decided';
 
-COMMENT ON COLUMN operator_state.note IS 'why; may be empty';
+COMMENT ON COLUMN operator_state.note IS 'the reason; may be empty';
 
-COMMENT ON COLUMN operator_state.decided_at IS 'when, UTC, ISO 8601; no part of the content';
+COMMENT ON COLUMN operator_state.decided_at IS 'when, UTC, ISO 8601; not part of the content';
 
-COMMENT ON COLUMN operator_state.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+COMMENT ON COLUMN operator_state.row_digest IS 'digest of the row''s values, which detects edits by other programs';
 
 COMMENT ON TABLE roof_sample IS 'A place where the material of a roof is known (V53)';
 
@@ -734,13 +734,13 @@ COMMENT ON COLUMN roof_sample.sample_id IS 'from the place';
 
 COMMENT ON COLUMN roof_sample.material IS 'the material';
 
-COMMENT ON COLUMN roof_sample.note IS 'what else there is to say; may be empty';
+COMMENT ON COLUMN roof_sample.note IS 'a remark; may be empty';
 
-COMMENT ON COLUMN roof_sample.attributes IS 'the other columns of the file it came from';
+COMMENT ON COLUMN roof_sample.attributes IS 'the other columns of the source file';
 
 COMMENT ON COLUMN roof_sample.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON COLUMN roof_sample.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+COMMENT ON COLUMN roof_sample.row_digest IS 'digest of the row''s values, which detects edits by other programs';
 
 COMMENT ON TABLE survey IS 'A survey: where and when the data were taken';
 
@@ -768,15 +768,15 @@ COMMENT ON COLUMN survey.east IS 'eastern edge [m]';
 
 COMMENT ON COLUMN survey.north IS 'northern edge [m]';
 
-COMMENT ON TABLE building_version IS 'A state of a building of the inventory, with the interval in which it holds';
+COMMENT ON TABLE building_version IS 'A state of a building of the inventory, with the interval in which it is valid';
 
 COMMENT ON COLUMN building_version.version_id IS 'from the building and the survey or import that made it';
 
 COMMENT ON COLUMN building_version.uid IS 'the building';
 
-COMMENT ON COLUMN building_version.valid_from IS 'first day on which it holds, ISO 8601';
+COMMENT ON COLUMN building_version.valid_from IS 'first day on which it is valid, ISO 8601';
 
-COMMENT ON COLUMN building_version.valid_to IS 'first day on which it holds no more, ISO 8601; null for the current version';
+COMMENT ON COLUMN building_version.valid_to IS 'first day on which it is no longer valid, ISO 8601; null for the current version';
 
 COMMENT ON COLUMN building_version.source IS 'what made it: survey or import';
 
@@ -784,9 +784,9 @@ COMMENT ON COLUMN building_version.survey_id IS 'the survey that made it; null f
 
 COMMENT ON COLUMN building_version.closed_by IS 'the survey that ended it; null for the current version';
 
-COMMENT ON COLUMN building_version.building_id IS 'the building of the survey''s run that it was taken from, which a rebuild may replace';
+COMMENT ON COLUMN building_version.building_id IS 'the building of the survey''s run it was copied from, which a rebuild may replace';
 
-COMMENT ON COLUMN building_version.state IS 'confirmed by the classes and by at least half of the other extractors that were heard; unsure; or refuted';
+COMMENT ON COLUMN building_version.state IS 'confirmed: by the classes and at least half of the other detectors that were run; else unsure or refuted';
 
 COMMENT ON COLUMN building_version.storeys IS 'storeys of its tallest part [storeys]';
 
@@ -804,19 +804,19 @@ COMMENT ON COLUMN building_version.volume_m3 IS 'sum over the footprint''s cells
 
 COMMENT ON COLUMN building_version.parts IS 'number of parts, the root included [count]';
 
-COMMENT ON COLUMN building_version.flat_share IS 'share of the footprint that flat regions cover; null when they were not extracted [1]';
+COMMENT ON COLUMN building_version.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
 
-COMMENT ON COLUMN building_version.area3d_share IS 'share of the footprint that candidates of area3d cover; null when they were not extracted [1]';
+COMMENT ON COLUMN building_version.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
 
-COMMENT ON COLUMN building_version.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when they were not extracted [1]';
+COMMENT ON COLUMN building_version.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
 
-COMMENT ON COLUMN building_version.attributes IS 'what an imported inventory tells of it, by the names of its columns';
+COMMENT ON COLUMN building_version.attributes IS 'attributes from an imported inventory, by the names of its columns';
 
 COMMENT ON COLUMN building_version.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON COLUMN building_version.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+COMMENT ON COLUMN building_version.row_digest IS 'digest of the row''s values, which detects edits by other programs';
 
-COMMENT ON TABLE inventory_event IS 'An import into the inventory or an update of it: what was applied, in which order, and where';
+COMMENT ON TABLE inventory_event IS 'An import into the inventory or an update of it, with its order and area';
 
 COMMENT ON COLUMN inventory_event.number IS '1 to n, in the order in which they were applied';
 
@@ -824,25 +824,25 @@ COMMENT ON COLUMN inventory_event.kind IS 'import or update';
 
 COMMENT ON COLUMN inventory_event.name IS 'name of the survey or import';
 
-COMMENT ON COLUMN inventory_event.date IS 'the day from which its versions hold, ISO 8601';
+COMMENT ON COLUMN inventory_event.date IS 'first day on which its versions are valid, ISO 8601';
 
 COMMENT ON COLUMN inventory_event.survey_id IS 'the survey; null for an import';
 
 COMMENT ON COLUMN inventory_event.counts IS 'rows that it wrote: changes by kind, and versions';
 
-COMMENT ON COLUMN inventory_event.content_sha256 IS 'digest of all that decides of its outcome';
+COMMENT ON COLUMN inventory_event.content_sha256 IS 'digest of everything that determines its result';
 
 COMMENT ON COLUMN inventory_event.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON COLUMN inventory_event.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+COMMENT ON COLUMN inventory_event.row_digest IS 'digest of the row''s values, which detects edits by other programs';
 
-COMMENT ON TABLE run IS 'The run that built a survey, a survey''s only one; it is written whole or not at all';
+COMMENT ON TABLE run IS 'The run that built a survey; a survey has one run, written completely or not at all';
 
 COMMENT ON COLUMN run.run_id IS 'from the survey''s name';
 
 COMMENT ON COLUMN run.survey_id IS 'the survey';
 
-COMMENT ON COLUMN run.profile IS 'the set of parameters that it began from';
+COMMENT ON COLUMN run.profile IS 'the profile: the named set of parameters that it started from';
 
 COMMENT ON COLUMN run.version IS 'version of msbdb';
 
@@ -850,11 +850,11 @@ COMMENT ON COLUMN run.parameters IS 'every parameter''s value, by section';
 
 COMMENT ON COLUMN run.counts IS 'how many regions came in, were kept and dropped';
 
-COMMENT ON COLUMN run.timings IS 'seconds a stage; no part of the content [s]';
+COMMENT ON COLUMN run.timings IS 'seconds of each stage; not part of the content [s]';
 
-COMMENT ON COLUMN run.notices IS 'what a reader should know, in sentences';
+COMMENT ON COLUMN run.notices IS 'warnings and remarks for people, in sentences';
 
-COMMENT ON COLUMN run.content_sha256 IS 'digest of all that the run wrote, but for its timings';
+COMMENT ON COLUMN run.content_sha256 IS 'digest of all content of the run except its timings';
 
 COMMENT ON TABLE source IS 'An input file of a survey';
 
@@ -864,29 +864,29 @@ COMMENT ON COLUMN source.number IS '1 to n, in the order of role, name and check
 
 COMMENT ON COLUMN source.name IS 'name of the file';
 
-COMMENT ON COLUMN source.role IS 'what the file gave: points, ortho, dsm, dtm, ndsm';
+COMMENT ON COLUMN source.role IS 'what the file provides: points, ortho, dsm, dtm, ndsm';
 
 COMMENT ON COLUMN source.sha256 IS 'checksum of the file';
 
 COMMENT ON COLUMN source.bytes IS 'size of the file [bytes]';
 
-COMMENT ON TABLE survey_offset IS 'How a survey lies to the inventory: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) there';
+COMMENT ON TABLE survey_offset IS 'The offset of a survey: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) in the survey';
 
 COMMENT ON COLUMN survey_offset.survey_id IS 'the survey';
 
-COMMENT ON COLUMN survey_offset.dx_m IS 'to the east; 0 where too few buildings tell it [m]';
+COMMENT ON COLUMN survey_offset.dx_m IS 'to the east; 0 where too few buildings match [m]';
 
 COMMENT ON COLUMN survey_offset.dy_m IS 'to the north [m]';
 
 COMMENT ON COLUMN survey_offset.dz_m IS 'of the heights above ground [m]';
 
-COMMENT ON COLUMN survey_offset.pairs IS 'pairs of like buildings that tell it';
+COMMENT ON COLUMN survey_offset.pairs IS 'pairs of matching buildings that it was computed from';
 
 COMMENT ON COLUMN survey_offset.spread_m IS 'robust standard deviation of a pair''s shift; null without pairs [m]';
 
-COMMENT ON COLUMN survey_offset.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+COMMENT ON COLUMN survey_offset.row_digest IS 'digest of the row''s values, which detects edits by other programs';
 
-COMMENT ON TABLE building_change IS 'What a survey did to a building of the inventory; for merged and split, to each pair of buildings';
+COMMENT ON TABLE building_change IS 'The change of a building of the inventory in a survey; for merged and split, a row for each pair of buildings';
 
 COMMENT ON COLUMN building_change.change_id IS 'from the survey, the kind and the two buildings';
 
@@ -896,11 +896,11 @@ COMMENT ON COLUMN building_change.kind IS 'unchanged, modified, new, demolished,
 
 COMMENT ON COLUMN building_change.uid_before IS 'the building before; null for new';
 
-COMMENT ON COLUMN building_change.uid_after IS 'the building after; null when gone';
+COMMENT ON COLUMN building_change.uid_after IS 'the building after; null when demolished';
 
 COMMENT ON COLUMN building_change.version_before IS 'its version before';
 
-COMMENT ON COLUMN building_change.version_after IS 'its version after; that of before where it is unchanged';
+COMMENT ON COLUMN building_change.version_after IS 'its version after; the same as before where unchanged';
 
 COMMENT ON COLUMN building_change.outline IS 'its outline changed';
 
@@ -908,19 +908,19 @@ COMMENT ON COLUMN building_change.height IS 'its height changed';
 
 COMMENT ON COLUMN building_change.parts IS 'only a part of it changed its height';
 
-COMMENT ON COLUMN building_change.overlap_m2 IS 'area that both footprints share, the inventory shifted by the offset [m2]';
+COMMENT ON COLUMN building_change.overlap_m2 IS 'area shared by both footprints, the inventory shifted by the offset [m2]';
 
-COMMENT ON COLUMN building_change.iou IS 'that area over the area that either covers [1]';
+COMMENT ON COLUMN building_change.iou IS 'shared area over the area of the union [1]';
 
 COMMENT ON COLUMN building_change.dh_m IS 'median change of height where both are known [m]';
 
 COMMENT ON COLUMN building_change.darea_m2 IS 'change of the footprint''s area; all of it for new and demolished [m2]';
 
-COMMENT ON COLUMN building_change.note IS 'what else there is to say; often empty';
+COMMENT ON COLUMN building_change.note IS 'a remark; often empty';
 
-COMMENT ON COLUMN building_change.row_digest IS 'digest of the row''s values, by which an edit that msbdb did not make is noticed';
+COMMENT ON COLUMN building_change.row_digest IS 'digest of the row''s values, which detects edits by other programs';
 
-COMMENT ON TABLE candidate_region IS 'A region that an extractor on the points themselves takes for a roof';
+COMMENT ON TABLE candidate_region IS 'A region that a detector on the points takes for a roof';
 
 COMMENT ON COLUMN candidate_region.candidate_id IS 'id of the region, from survey, method and absolute lattice position';
 
@@ -936,15 +936,15 @@ COMMENT ON COLUMN candidate_region.points IS 'number of its points (C3) [count]'
 
 COMMENT ON COLUMN candidate_region.area_m2 IS 'its points'' area: number over local density (A17) [m2]';
 
-COMMENT ON COLUMN candidate_region.perimeter IS 'number of its edge points (C10); 0 where none were sought [count]';
+COMMENT ON COLUMN candidate_region.perimeter IS 'number of its edge points (C10); 0 where edges were not computed [count]';
 
 COMMENT ON COLUMN candidate_region.mbr_m2 IS 'area of the minimum bounding rectangle of its points (C10) [m2]';
 
 COMMENT ON COLUMN candidate_region.rectangularity IS 'area over the area of the bounding rectangle (C17) [1]';
 
-COMMENT ON COLUMN candidate_region.compactness IS 'points over edge points (C17); null where none were sought [1]';
+COMMENT ON COLUMN candidate_region.compactness IS 'points over edge points (C17); null where edges were not computed [1]';
 
-COMMENT ON COLUMN candidate_region.linearity IS 'mean L(u) over its edge points (C11, C12); null unsought [1]';
+COMMENT ON COLUMN candidate_region.linearity IS 'mean L(u) over its edge points (C11, C12); null where edges were not computed [1]';
 
 COMMENT ON COLUMN candidate_region.direction_1 IS 'strongest main direction, 0 to 180 from east (C11) [deg]';
 
@@ -968,7 +968,7 @@ COMMENT ON COLUMN candidate_region.ycen IS 'northing of the centroid of its poin
 
 COMMENT ON COLUMN candidate_region.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON TABLE flat_region IS 'A region of even height that stands out of its surroundings, found by its gradients';
+COMMENT ON TABLE flat_region IS 'A region of even height above its surroundings, found by its gradients';
 
 COMMENT ON COLUMN flat_region.region_id IS 'id of the flat region, from survey and absolute lattice position; above 0';
 
@@ -1006,7 +1006,7 @@ COMMENT ON COLUMN flat_region.ycen IS 'northing of the centroid of its cells [m]
 
 COMMENT ON COLUMN flat_region.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON TABLE rejection IS 'A region that a stage dropped, and why: nothing vanishes in silence';
+COMMENT ON TABLE rejection IS 'A region that a stage dropped, and the reason; every dropped region has a row';
 
 COMMENT ON COLUMN rejection.rejection_id IS 'from the run, the region, the method, the stage and the reason';
 
@@ -1014,7 +1014,7 @@ COMMENT ON COLUMN rejection.run_id IS 'the run that made the row';
 
 COMMENT ON COLUMN rejection.region_id IS 'id of the dropped region, of the same kind as a part''s';
 
-COMMENT ON COLUMN rejection.method IS 'the extractor that dropped it: multiscale, flatregions, area3d or adaptive';
+COMMENT ON COLUMN rejection.method IS 'the detector that dropped it: multiscale, flatregions, area3d or adaptive';
 
 COMMENT ON COLUMN rejection.stage IS 'the stage of the method that dropped it';
 
@@ -1030,13 +1030,13 @@ COMMENT ON COLUMN rejection.ycen IS 'northing of its centroid [m]';
 
 COMMENT ON COLUMN rejection.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON TABLE run_method IS 'An extractor of a run';
+COMMENT ON TABLE run_method IS 'A detector of a run';
 
 COMMENT ON COLUMN run_method.run_id IS 'the run that made the row';
 
 COMMENT ON COLUMN run_method.method IS 'multiscale, flatregions, area3d or adaptive';
 
-COMMENT ON TABLE run_state IS 'A named raster of a run, from which classes can be labelled anew without the source data';
+COMMENT ON TABLE run_state IS 'A named raster of a run, by which classes can be labelled again without the source data';
 
 COMMENT ON COLUMN run_state.run_id IS 'the run that made the row';
 
@@ -1074,15 +1074,15 @@ COMMENT ON COLUMN spectral_class.cells IS 'number of cells of the class [cells]'
 
 COMMENT ON COLUMN spectral_class.share IS 'share of all classified cells [1]';
 
-COMMENT ON COLUMN spectral_class.ndvi IS 'mean of (NIR - red) / (NIR + red), or of its stand-in; null without [1]';
+COMMENT ON COLUMN spectral_class.ndvi IS 'mean of (NIR - red) / (NIR + red), or of its substitute; null without bands [1]';
 
-COMMENT ON COLUMN spectral_class.brightness IS 'mean over the bands of the bands'' 0 to 1 values; null without imagery [1]';
+COMMENT ON COLUMN spectral_class.brightness IS 'mean over all bands of the values scaled to 0 to 1; null without imagery [1]';
 
-COMMENT ON COLUMN spectral_class.roughness_m IS 'median local roughness of the surface; null without [m]';
+COMMENT ON COLUMN spectral_class.roughness_m IS 'median local roughness of the surface; null where unknown [m]';
 
 COMMENT ON COLUMN spectral_class.height_m IS 'mean height above ground [m]';
 
-COMMENT ON TABLE flat_region_candidate IS 'A flat region and a candidate region that share cells: one is the other''s witness';
+COMMENT ON TABLE flat_region_candidate IS 'A flat region and a candidate region that share cells: each is evidence for the other';
 
 COMMENT ON COLUMN flat_region_candidate.region_id IS 'the flat region';
 
@@ -1112,9 +1112,9 @@ COMMENT ON COLUMN part.root_id IS 'ID of the root of its tree';
 
 COMMENT ON COLUMN part.scale IS 'SCALE: the scale on which the part exists, 1 = coarsest';
 
-COMMENT ON COLUMN part.hindex IS 'H: storeys from the upper heights (p90) inside the part (V18, V30) [storeys]';
+COMMENT ON COLUMN part.hindex IS 'H: storeys from h_p90, or with surface.storeys_from=zone the same as hzone (V18, V30) [storeys]';
 
-COMMENT ON COLUMN part.hzone IS 'H as written: the value of the flat zone [slices]';
+COMMENT ON COLUMN part.hzone IS 'H by the letter of the paper: the value of the flat zone [slices]';
 
 COMMENT ON COLUMN part.speindex IS 'SPE: the most frequent spectral class inside; 0 for none';
 
@@ -1170,7 +1170,7 @@ COMMENT ON COLUMN building.run_id IS 'the run that made the row';
 
 COMMENT ON COLUMN building.root_id IS 'ID of its root part';
 
-COMMENT ON COLUMN building.state IS 'confirmed by the classes and by at least half of the other extractors that were heard; unsure; or refuted';
+COMMENT ON COLUMN building.state IS 'confirmed: by the classes and at least half of the other detectors that were run; else unsure or refuted';
 
 COMMENT ON COLUMN building.storeys IS 'storeys of its tallest part [storeys]';
 
@@ -1194,15 +1194,15 @@ COMMENT ON COLUMN building.speindex IS 'the root''s spectral class; 0 for none';
 
 COMMENT ON COLUMN building.class_id IS 'SPE, but null for none';
 
-COMMENT ON COLUMN building.flat_share IS 'share of the footprint that flat regions cover; null when they were not extracted [1]';
+COMMENT ON COLUMN building.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
 
-COMMENT ON COLUMN building.area3d_share IS 'share of the footprint that candidates of area3d cover; null when they were not extracted [1]';
+COMMENT ON COLUMN building.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
 
-COMMENT ON COLUMN building.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when they were not extracted [1]';
+COMMENT ON COLUMN building.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
 
 COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON TABLE part_candidate IS 'A part and a candidate region that share cells: one is the other''s witness';
+COMMENT ON TABLE part_candidate IS 'A part and a candidate region that share cells: each is evidence for the other';
 
 COMMENT ON COLUMN part_candidate.part_id IS 'the part';
 
@@ -1216,7 +1216,7 @@ COMMENT ON COLUMN part_candidate.part_share IS 'share of the part''s area that t
 
 COMMENT ON COLUMN part_candidate.candidate_share IS 'share of the candidate region''s cells that the part covers [1]';
 
-COMMENT ON TABLE part_flat_region IS 'A part and a flat region that share cells: one is the other''s witness';
+COMMENT ON TABLE part_flat_region IS 'A part and a flat region that share cells: each is evidence for the other';
 
 COMMENT ON COLUMN part_flat_region.part_id IS 'the part';
 

@@ -1,4 +1,7 @@
-"""The database: SpatiaLite files and PostGIS, created, upgraded, loaded and read by one set of functions."""
+"""The database: one set of functions creates, upgrades, loads and reads SpatiaLite files and PostGIS.
+
+Modules import pandas, geopandas, Alembic and drivers inside their functions, so that opening a database is quick.
+"""
 
 from sqlalchemy import Engine
 
@@ -24,6 +27,7 @@ from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, write_advance
 from msbdb.database.runs.basis import BuildBasis, OutdatedError, read_digest, read_labelled_classes
 from msbdb.database.runs.reading import (
+    RunSummary,
     list_runs,
     read_build,
     read_buildings,
@@ -40,6 +44,7 @@ from msbdb.database.runs.reading import (
     read_run,
     read_scales,
     read_survey,
+    summarise_run,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
 from msbdb.database.schema.srid import srid_of
@@ -55,6 +60,7 @@ __all__ = [
     "Finding",
     "Loss",
     "OutdatedError",
+    "RunSummary",
     "Standing",
     "WriteReport",
     "canonical_dump",
@@ -98,6 +104,7 @@ __all__ = [
     "shown",
     "srid_of",
     "store_build",
+    "summarise_run",
     "survey_key",
     "upgrade_database",
     "upgrade_schema",

@@ -4,10 +4,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import geopandas as gpd
-from pyproj import CRS
-
 from msbdb.database import (
+    RunSummary,
     list_runs,
     opened,
     read_build,
@@ -16,8 +14,8 @@ from msbdb.database import (
     read_flat_regions,
     read_parts,
     shown,
+    summarise_run,
 )
-from msbdb.kept import KeptRun
 from msbdb.params import POINT_DETECTORS
 
 
@@ -28,34 +26,36 @@ def info_of(db: str | Path) -> dict[str, Any]:
         runs = list_runs(engine)
         found = []
         for row in runs.to_dict(orient="records"):
-            build = read_build(engine, row["survey"])
-            survey = asdict(build.survey)
+            summary = summarise_run(engine, row["survey"])
+            survey = asdict(summary.survey)
             survey.pop("crs_wkt")
             head: dict[str, Any] = {str(name): value for name, value in row.items()}
-            found.append({**head, **_counts(build), "survey_record": survey, "notices": list(build.run.notices)})
+            found.append({**head, **_counts(summary), "survey_record": survey, "notices": list(summary.run.notices)})
     return {"database": where, "runs": found}
 
 
-def _counts(build: KeptRun) -> dict[str, Any]:
-    """Count what a run holds."""
-    parts, buildings = build.frames["part"], build.frames["building"]
+def _counts(summary: RunSummary) -> dict[str, Any]:
+    """Return the numbers of a run as ``info`` shows them."""
     return {
-        "buildings": len(buildings),
-        "parts": len(parts),
-        "flat_regions": len(build.frames["flat_region"]),
-        "candidate_regions": build.candidate_counts,
-        "rejected": len(build.frames["rejection"]),
-        "footprint_m2": round(float(buildings["area_m2"].sum()), 1),
-        "volume_m3": round(float(buildings["volume_m3"].sum()), 1),
-        "highest_m": round(float(buildings["h_max"].max()), 2) if len(buildings) else None,
-        "scales_m2": build.frames["scale"].sort_values("scale")["threshold_m2"].tolist(),
-        "seconds": round(sum(build.run.timings.values()), 2),
-        "chosen": build.run.counts.chosen,
+        "buildings": summary.rows["building"],
+        "parts": summary.rows["part"],
+        "flat_regions": summary.rows["flat_region"],
+        "candidate_regions": summary.candidates,
+        "rejected": summary.rows["rejection"],
+        "footprint_m2": round(summary.footprint_m2, 1),
+        "volume_m3": round(summary.volume_m3, 1),
+        "highest_m": None if summary.highest_m is None else round(summary.highest_m, 2),
+        "scales_m2": summary.scales_m2,
+        "seconds": round(sum(summary.run.timings.values()), 2),
+        "chosen": summary.run.counts.chosen,
     }
 
 
 def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
     """Draw a map; see `msbdb.api.view`."""
+    import geopandas as gpd
+    from pyproj import CRS
+
     from msbdb.view.buildingmap import draw_map
     from msbdb.view.regionmap import draw_candidates, draw_zones
 

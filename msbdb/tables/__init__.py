@@ -1,5 +1,18 @@
-"""The tables of the database, each column of which is declared here once, and the values that go with them."""
+"""The tables of the database, each column declared once, and the records that belong to them."""
 
+from msbdb.tables.building_tables import (
+    BUILDING,
+    CANDIDATE_REGION,
+    CONFIRMING_CLASS_SHARE,
+    CONFIRMING_COVER,
+    EXTRACTOR_SHARES,
+    FLAT_REGION,
+    FLAT_REGION_CANDIDATE,
+    PART,
+    PART_CANDIDATE,
+    PART_FLAT_REGION,
+    validate_parts,
+)
 from msbdb.tables.declaration import Check, Column, Index, KeyReference, Table, Unique, validate
 from msbdb.tables.inventory_tables import (
     BUILDING_CHANGE,
@@ -14,30 +27,52 @@ from msbdb.tables.inventory_tables import (
 )
 from msbdb.tables.records import Counts, Run, Source, Survey
 from msbdb.tables.run_tables import (
-    BUILDING,
-    CANDIDATE_REGION,
     CLASS_LABELS,
-    CONFIRMING_CLASS_SHARE,
-    CONFIRMING_COVER,
-    EXTRACTOR_SHARES,
-    FLAT_REGION,
-    FLAT_REGION_CANDIDATE,
-    PART,
-    PART_CANDIDATE,
-    PART_FLAT_REGION,
     REJECTION,
     RUN,
     RUN_METHOD,
     RUN_STATE,
-    RUN_TABLES,
     SCALE,
     SOURCE,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
     SURVEY,
-    TABLES,
-    validate_parts,
 )
+
+TABLES = (
+    SCALE,
+    PART,
+    SPECTRAL_CLASS,
+    SPECTRAL_CLASS_BAND,
+    REJECTION,
+    BUILDING,
+    FLAT_REGION,
+    PART_FLAT_REGION,
+    CANDIDATE_REGION,
+    PART_CANDIDATE,
+    FLAT_REGION_CANDIDATE,
+)
+"""The tables of a build's frames."""
+
+RUN_TABLES = (
+    SURVEY,
+    SOURCE,
+    RUN,
+    RUN_METHOD,
+    RUN_STATE,
+    SCALE,
+    SPECTRAL_CLASS,
+    SPECTRAL_CLASS_BAND,
+    PART,
+    BUILDING,
+    REJECTION,
+    FLAT_REGION,
+    PART_FLAT_REGION,
+    CANDIDATE_REGION,
+    PART_CANDIDATE,
+    FLAT_REGION_CANDIDATE,
+)
+"""All tables of surveys and runs."""
 
 DATABASE_TABLES = (*RUN_TABLES, *INVENTORY_TABLES)
 """All tables of the database."""

@@ -1,10 +1,12 @@
-"""What a declared table is made of: columns, keys, checks and indexes, free of any database library."""
+"""How a table is declared: columns, keys, checks and indexes, independent of any database library."""
 
 from dataclasses import dataclass, replace
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from msbdb.errors import TableError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +21,7 @@ class Column:
         pandas dtype: ``int64``, ``float64`` or ``str``. Columns that no frame has may also be ``int32``, ``bool``,
         ``json`` or ``bytes``.
     unit : str
-        Unit; ``-`` where there is none.
+        Unit; ``-`` for none.
     doc : str
         Meaning. Upper-case names in it are the paper's.
     nullable : bool
@@ -33,8 +35,8 @@ class Column:
     key_name : str
         Name of the foreign key, where a table refers twice to the same table; by default made of both tables' names.
     zero_of : str
-        A column in which 0 means "none": the database computes this column as the same with NULL in place of 0, as no
-        foreign key can hold a 0 without a row.
+        A column in which 0 means "none". The database computes this column from it, with NULL in place of 0, because a
+        foreign key cannot hold a 0 that refers to no row.
     in_frame : bool
         False for a column that only the database has.
     """
@@ -59,7 +61,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A rule, as an SQL expression of both dialects, that every row keeps."""
+    """A rule for every row, as an SQL expression that both dialects accept."""
 
     name: str
     rule: str
@@ -85,7 +87,7 @@ class KeyReference:
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """An index; ``where`` restricts it to rows of which the SQL expression holds, and then it has a name."""
+    """An index; ``where`` restricts it to the rows that fulfil the SQL expression, and then it has a name."""
 
     columns: tuple[str, ...]
     unique: bool = False
@@ -104,13 +106,13 @@ class Table:
     stored : tuple of Column
         All columns of the database in order, without the geometry.
     rules : tuple of Check, Unique and KeyReference
-        What every row keeps, besides the columns' own keys.
+        Rules for every row, besides the columns' own keys.
     indexes : tuple of Index
-        What is looked up often.
+        For frequent queries.
     geometry : str, optional
         Type of the column ``geometry``, where the table has one.
     digested : bool
-        Each row has a digest of its own, by which an edit that msbdb did not make is noticed.
+        Each row has its own digest, which detects edits by other programs.
     """
 
     name: str
@@ -133,7 +135,7 @@ class Table:
 
     @property
     def key(self) -> list[str]:
-        """The frame's columns of the primary key; none where only the database has a key."""
+        """The frame's columns of the primary key; empty where only the database has a key."""
         return [column.name for column in self.columns if column.primary]
 
     @property
@@ -145,18 +147,20 @@ class Table:
         """Return a column by its name."""
         return next(column for column in self.stored if column.name == name)
 
-    def empty(self) -> pd.DataFrame:
+    def empty(self) -> "pd.DataFrame":
         """Return a table of these columns without rows (and without geometry)."""
+        import pandas as pd
+
         return pd.DataFrame({c.name: pd.Series(dtype=c.dtype) for c in self.columns})
 
-    def typed(self, frame: pd.DataFrame) -> pd.DataFrame:
+    def typed(self, frame: "pd.DataFrame") -> "pd.DataFrame":
         """Return these columns of a frame (and its geometry), in order and of their dtypes."""
         more = [name for name in ("geometry",) if name in frame]
         return frame[[*self.names, *more]].astype({c.name: c.dtype for c in self.columns})
 
 
 RUN_ID = Column("run_id", "int64", "-", "the run that made the row", refers="run.run_id", cascade=True, in_frame=False)
-"""The column that names the row's run; the row is deleted together with its run."""
+"""The column with the row's run; the row is deleted together with its run."""
 
 RUN_KEY = replace(RUN_ID, primary=True)
 """The same as a part of the primary key."""
@@ -178,11 +182,11 @@ def shares(*names: str) -> tuple[Check, ...]:
 
 
 def overlaps(*names: str) -> tuple[Check, ...]:
-    """Return the checks of a link: the shared area, and its shares of both sides, are above 0."""
+    """Return the checks of a link: the shared area and its shares of both sides are above 0."""
     return (Check("overlap", "overlap_m2 > 0"), *(Check(name, f"{name} > 0 AND {name} <= 1") for name in names))
 
 
-def validate(frame: pd.DataFrame, table: Table) -> None:
+def validate(frame: "pd.DataFrame", table: Table) -> None:
     """Check a frame against its declaration: columns in order, dtypes, and geometry where declared.
 
     Raises

@@ -1,17 +1,17 @@
-"""The tables of the living inventory: buildings that live through surveys, their versions, and all that changed them.
+"""The tables of the living inventory: buildings over several surveys, their versions, and the events that changed them.
 
-Rows of a run (``building``, ``part`` and the rest) are replaced when their survey is built again. Versions copy what
-they need and so outlive rebuilds; hence ``building_version.building_id`` is no foreign key, and neither is
-``operator_state.uid``, as a decision must survive whatever is taken back and applied again.
+Rows of a run (``building``, ``part`` and the others) are replaced when their survey is built again. Versions hold
+copies and are kept, so ``building_version.building_id`` is no foreign key. Neither is ``operator_state.uid``: a
+decision must be kept when an update is withdrawn and applied again.
 """
 
 from dataclasses import replace
 
+from msbdb.tables.building_tables import BUILDING, BUILDING_STATES, EXTRACTOR_SHARES
 from msbdb.tables.declaration import Check, Column, Index, Table, one_of, only_stored, shares
-from msbdb.tables.run_tables import BUILDING, BUILDING_STATES, EXTRACTOR_SHARES
 
 CHANGE_KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
-"""What a survey does to a building; one that was not surveyed has no row."""
+"""The change of a building in a survey; a building outside the surveyed area has no row."""
 
 VERSION_SOURCES = ("survey", "import")
 MANUAL_STATES = ("confirmed", "refuted")
@@ -21,7 +21,7 @@ ROW_DIGEST = Column(
     "row_digest",
     "int64",
     "-",
-    "digest of the row's values, by which an edit that msbdb did not make is noticed",
+    "digest of the row's values, which detects edits by other programs",
     nullable=True,
     in_frame=False,
 )
@@ -29,35 +29,35 @@ ROW_DIGEST = Column(
 
 
 def _measured(*names: str) -> tuple[Column, ...]:
-    """Return columns that repeat a building's, and are null where no survey has measured them."""
+    """Return columns of a building, null where no survey has measured them."""
     return tuple(replace(BUILDING[name], nullable=True) for name in names)
 
 
 INVENTORY_BUILDING = Table(
     "inventory_building",
-    "A building of the inventory, which keeps its identity through surveys",
+    "A building of the inventory, with one identity over all surveys",
     only_stored(
-        Column("uid", "int64", "-", "from the survey or import in which it was born, and its place", primary=True),
-        Column("source", "str", "-", "name of the survey or import in which it was born"),
+        Column("uid", "int64", "-", "from the survey or import that first had it, and its place", primary=True),
+        Column("source", "str", "-", "name of the survey or import that first had it"),
     ),
     rules=(Check("uid", "uid > 0"),),
     digested=True,
 )
 
-# The interval is [valid_from, valid_to); the current version has no valid_to. Of a version that began and ended on one
-# day nothing is seen at any date.
+# The interval is [valid_from, valid_to); the current version has no valid_to. A version that began and ended on the
+# same day is valid at no date.
 BUILDING_VERSION = Table(
     "building_version",
-    "A state of a building of the inventory, with the interval in which it holds",
+    "A state of a building of the inventory, with the interval in which it is valid",
     only_stored(
         Column("version_id", "int64", "-", "from the building and the survey or import that made it", primary=True),
         Column("uid", "int64", "-", "the building", refers="inventory_building.uid"),
-        Column("valid_from", "str", "-", "first day on which it holds, ISO 8601"),
+        Column("valid_from", "str", "-", "first day on which it is valid, ISO 8601"),
         Column(
             "valid_to",
             "str",
             "-",
-            "first day on which it holds no more, ISO 8601; null for the current version",
+            "first day on which it is no longer valid, ISO 8601; null for the current version",
             nullable=True,
         ),
         Column("source", "str", "-", "what made it: survey or import"),
@@ -82,7 +82,7 @@ BUILDING_VERSION = Table(
             "building_id",
             "int64",
             "-",
-            "the building of the survey's run that it was taken from, which a rebuild may replace",
+            "the building of the survey's run it was copied from, which a rebuild may replace",
             nullable=True,
         ),
         BUILDING["state"],
@@ -93,7 +93,7 @@ BUILDING_VERSION = Table(
             "attributes",
             "json",
             "-",
-            "what an imported inventory tells of it, by the names of its columns",
+            "attributes from an imported inventory, by the names of its columns",
             nullable=True,
         ),
     ),
@@ -121,32 +121,30 @@ BUILDING_VERSION = Table(
 
 
 def _side(name: str, doc: str, refers: str) -> Column:
-    """Return the column of one side of a change, which is null where the side has no building."""
+    """Return the column of one side of a change; null where the side has no building."""
     key_name = f"fk_building_change_{name}"
     return Column(name, "int64", "-", doc, nullable=True, refers=refers, key_name=key_name)
 
 
 BUILDING_CHANGE = Table(
     "building_change",
-    "What a survey did to a building of the inventory; for merged and split, to each pair of buildings",
+    "The change of a building of the inventory in a survey; for merged and split, a row for each pair of buildings",
     only_stored(
         Column("change_id", "int64", "-", "from the survey, the kind and the two buildings", primary=True),
         Column("survey_id", "int64", "-", "the survey", refers="survey.survey_id"),
         Column("kind", "str", "-", "unchanged, modified, new, demolished, merged or split"),
         _side("uid_before", "the building before; null for new", "inventory_building.uid"),
-        _side("uid_after", "the building after; null when gone", "inventory_building.uid"),
+        _side("uid_after", "the building after; null when demolished", "inventory_building.uid"),
         _side("version_before", "its version before", "building_version.version_id"),
-        _side(
-            "version_after", "its version after; that of before where it is unchanged", "building_version.version_id"
-        ),
+        _side("version_after", "its version after; the same as before where unchanged", "building_version.version_id"),
         Column("outline", "bool", "-", "its outline changed"),
         Column("height", "bool", "-", "its height changed"),
         Column("parts", "bool", "-", "only a part of it changed its height"),
-        Column("overlap_m2", "float64", "m2", "area that both footprints share, the inventory shifted by the offset"),
-        Column("iou", "float64", "1", "that area over the area that either covers"),
+        Column("overlap_m2", "float64", "m2", "area shared by both footprints, the inventory shifted by the offset"),
+        Column("iou", "float64", "1", "shared area over the area of the union"),
         Column("dh_m", "float64", "m", "median change of height where both are known", nullable=True),
         Column("darea_m2", "float64", "m2", "change of the footprint's area; all of it for new and demolished"),
-        Column("note", "str", "-", "what else there is to say; often empty"),
+        Column("note", "str", "-", "a remark; often empty"),
     ),
     rules=(
         Check("change_id", "change_id > 0"),
@@ -168,16 +166,16 @@ BUILDING_CHANGE = Table(
     digested=True,
 )
 
-# The offset is taken into account when buildings are compared; no stored geometry is shifted by it.
+# The offset is applied when buildings are compared; no stored geometry is shifted.
 SURVEY_OFFSET = Table(
     "survey_offset",
-    "How a survey lies to the inventory: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) there",
+    "The offset of a survey: a place (x, y, h) of the inventory is (x + dx, y + dy, h + dz) in the survey",
     only_stored(
         Column("survey_id", "int64", "-", "the survey", primary=True, refers="survey.survey_id"),
-        Column("dx_m", "float64", "m", "to the east; 0 where too few buildings tell it"),
+        Column("dx_m", "float64", "m", "to the east; 0 where too few buildings match"),
         Column("dy_m", "float64", "m", "to the north"),
         Column("dz_m", "float64", "m", "of the heights above ground"),
-        Column("pairs", "int64", "-", "pairs of like buildings that tell it"),
+        Column("pairs", "int64", "-", "pairs of matching buildings that it was computed from"),
         Column(
             "spread_m",
             "float64",
@@ -192,15 +190,15 @@ SURVEY_OFFSET = Table(
 
 INVENTORY_EVENT = Table(
     "inventory_event",
-    "An import into the inventory or an update of it: what was applied, in which order, and where",
+    "An import into the inventory or an update of it, with its order and area",
     only_stored(
         Column("number", "int64", "-", "1 to n, in the order in which they were applied", primary=True),
         Column("kind", "str", "-", "import or update"),
         Column("name", "str", "-", "name of the survey or import"),
-        Column("date", "str", "-", "the day from which its versions hold, ISO 8601"),
+        Column("date", "str", "-", "first day on which its versions are valid, ISO 8601"),
         Column("survey_id", "int64", "-", "the survey; null for an import", nullable=True, refers="survey.survey_id"),
         Column("counts", "json", "-", "rows that it wrote: changes by kind, and versions"),
-        Column("content_sha256", "str", "-", "digest of all that decides of its outcome"),
+        Column("content_sha256", "str", "-", "digest of everything that determines its result"),
     ),
     rules=(
         Check("number", "number > 0"),
@@ -216,13 +214,13 @@ INVENTORY_EVENT = Table(
 
 OPERATOR_STATE = Table(
     "operator_state",
-    "An operator's word on a building, which wins over what the extractors say, whatever is built or updated",
+    "An operator's decision on a building; it has priority over the detectors, also after builds and updates",
     only_stored(
         Column("uid", "int64", "-", "the building of the inventory", primary=True),
         Column("state", "str", "-", "confirmed or refuted"),
-        Column("operator", "str", "-", "who said so"),
-        Column("note", "str", "-", "why; may be empty"),
-        Column("decided_at", "str", "-", "when, UTC, ISO 8601; no part of the content"),
+        Column("operator", "str", "-", "who decided"),
+        Column("note", "str", "-", "the reason; may be empty"),
+        Column("decided_at", "str", "-", "when, UTC, ISO 8601; not part of the content"),
     ),
     rules=(one_of("state", MANUAL_STATES), Check("operator", "operator <> ''")),
     digested=True,
@@ -234,8 +232,8 @@ ROOF_SAMPLE = Table(
     only_stored(
         Column("sample_id", "int64", "-", "from the place", primary=True),
         Column("material", "str", "-", "the material"),
-        Column("note", "str", "-", "what else there is to say; may be empty"),
-        Column("attributes", "json", "-", "the other columns of the file it came from", nullable=True),
+        Column("note", "str", "-", "a remark; may be empty"),
+        Column("attributes", "json", "-", "the other columns of the source file", nullable=True),
     ),
     rules=(Check("sample_id", "sample_id > 0"), Check("material", "material <> ''")),
     geometry="POINT",

@@ -1,4 +1,4 @@
-"""The values that go into the database besides the tables: a survey, its sources, the run, and the whole build."""
+"""The records of a build besides its tables: the survey, its source files, the run and its counts."""
 
 from dataclasses import dataclass, field
 
@@ -15,9 +15,9 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """A survey: where and when the data were taken, and from which files.
+    """A survey: place and date of the data, and the source files.
 
-    ``date`` is ISO 8601 or empty; ``density`` is in first echoes a square metre (0 for rasters); ``bounds`` are
+    ``date`` is ISO 8601 or empty; ``density`` is in first echoes per square metre (0 for rasters); ``bounds`` are
     west, south, east and north in metres; ``cell_m`` is the lattice's cell.
     """
 
@@ -34,18 +34,18 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a run counted, and what it decided itself.
+    """What a run counted and chose by itself.
 
     Parameters
     ----------
     regions : dict
         By detector and stage: regions ``in``, ``kept`` and ``dropped``.
     cells : dict
-        Cells of the lattice: all, valid, and a class label each.
+        Cells of the lattice: all, valid, and of each class label.
     cover : dict
-        Whether colours alone decide the classes, and whether green overrules structure: 0 or 1.
+        Whether colours alone decide the classes, and whether green has priority over structure: 0 or 1.
     stated : dict
-        What the user stated of the files.
+        What the user stated about the files.
     chosen : dict
         The ground filter, the scales, and the fit of the classes by colour (V21, X2).
     """
@@ -61,9 +61,9 @@ class Counts:
 class Run:
     """The run that built a survey.
 
-    ``methods`` names its extractors in alphabetical order: ``("multiscale",)`` or ``("flatregions", "multiscale")``.
-    ``parameters`` are nested plain dictionaries; ``timings`` are seconds a stage (and stay out of the
-    canonical dump, as they are the one thing that differs between equal runs). ``notices`` are sentences for people.
+    ``methods`` names its detectors in alphabetical order: ``("multiscale",)`` or ``("flatregions", "multiscale")``.
+    ``parameters`` are nested plain dictionaries; ``timings`` are seconds of each stage;
+    the canonical dump leaves them out, because they differ between equal runs. ``notices`` are sentences for people.
     """
 
     methods: tuple[str, ...]

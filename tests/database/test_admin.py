@@ -208,14 +208,14 @@ def test_a_crs_without_code_is_copied(target: str, other: str) -> None:
 
 COPIER = """
 import os, signal, sys
-from msbdb.database import copy
-original = copy._copy_table
+from msbdb.database.admin import copying
+original = copying._copy_table
 def stopped(reading, writing, dialect, table, srid):
     original(reading, writing, dialect, table, srid)
     if table.name == sys.argv[3]:
         os.kill(os.getpid(), signal.SIGKILL)
-copy._copy_table = stopped
-copy.copy_database(sys.argv[1], sys.argv[2])
+copying._copy_table = stopped
+copying.copy_database(sys.argv[1], sys.argv[2])
 """
 
 

@@ -171,7 +171,7 @@ def test_other_programs_find_the_triggers_on(file: Engine) -> None:
     write_build(file, ledger_build(COUNT))
     assert objects(file) == schema
     row = (
-        f"INSERT INTO rejection SELECT 1, run_id, {BASE}, 'mine', 'mine', 0, 1, 0, 0, "
+        f"INSERT INTO rejection SELECT 1, run_id, {BASE}, 'multiscale', 'mine', 'mine', 0, 1, 0, 0, "
         "MakePoint({}, {}, {}) FROM run"
     )
     with file.begin() as connection:

@@ -20,7 +20,8 @@ from msbdb.errors import DatabaseError
 LOADER = """
 import sys
 from simulated.builds import big_build
-from msbdb.database import open_database, {dialect}, write_build
+from msbdb.database import open_database, write_build
+from msbdb.database.dialects import {dialect}
 
 def stop_here(original):
     def stopped(*args, **options):

@@ -15,7 +15,7 @@ from sqlalchemy import Engine, event, text
 from support.latermigration import LATER, migrations_of_tomorrow
 
 from msbdb.database import canonical_dump, open_database, read_build, srid_of, write_build
-from msbdb.database.dialects import spatialite
+from msbdb.database.dialects import sqliteconnection
 from msbdb.database.dialects.connection import database_url, shown
 from msbdb.database.dialects.dialect import dialect_of
 from msbdb.database.schema import migration as upgrade
@@ -224,7 +224,7 @@ def test_a_full_disk_leaves_the_old_content(tmp_path: Path) -> None:
 
 def test_missing_spatialite_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The message says what to install."""
-    monkeypatch.setattr(spatialite, "EXTENSION", "no_such_extension")
+    monkeypatch.setattr(sqliteconnection, "EXTENSION", "no_such_extension")
     with pytest.raises(MissingDependencyError, match="apt-get install libsqlite3-mod-spatialite"):
         open_database(tmp_path / "city.sqlite", create=True, srid=EPSG)
     assert list(tmp_path.iterdir()) == []
@@ -298,10 +298,11 @@ def test_odd_paths_are_just_paths(tmp_path: Path) -> None:
 
 KILLED_CREATION = """
 import os, signal, sys
-from msbdb.database import open_database, upgrade
+from msbdb.database import open_database
+from msbdb.database.schema import migration
 def die(*args):
     os.kill(os.getpid(), signal.SIGKILL)
-upgrade.{function} = die
+migration.{function} = die
 open_database(sys.argv[1], create=True, srid=28992)
 """
 

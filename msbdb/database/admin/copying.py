@@ -37,21 +37,20 @@ DECIMALS = 6
 COORDINATE_DECIMALS = 4
 
 _LEFT_OUT = {"timings", "content_sha256", "row_digest", "decided_at"}
-"""Timings differ between equal runs, and so does the hour of a decision; digests stand for more decimals than the
-dump shows."""
+"""Timings and the time of a decision differ between equal runs; digests include more decimals than the dump."""
 
 _OF_FILES = {"source"}
-"""The table that tells of files: the same points in another order are another file."""
+"""The table of source files: the same points in another order are another file."""
 
 _ON_FILES = {"notices"}
-"""The column that names files."""
+"""The column that contains names of files."""
 
 
 def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]:
-    """Yield the content of all tables, one JSON list a row, in order of tables and keys: one committed state.
+    """Yield the content of all tables, one JSON list per row, in order of tables and keys: one committed state.
 
     Numbers have six decimals, geometries are normalised WKT with four, rasters are given by their checksum. Timings,
-    the schema's version and whatever a dialect keeps for itself are left out.
+    the schema's version and the internal tables of a dialect are left out.
 
     Parameters
     ----------
@@ -81,7 +80,7 @@ def _table_lines(connection: Connection, table: Table, left_out: set[str]) -> It
         query = query.add_columns(text("ST_AsBinary(geometry)"))
     blobs = {i for i, c in enumerate(plain) if isinstance(c.type, LargeBinary)}
     keys = [i for i, c in enumerate(plain) if c.primary_key]
-    # Texts are ordered here, as every server has its own order for them.
+    # Texts are sorted here, because servers sort them differently.
     rows = sorted(connection.execute(query), key=lambda row: [row[i] for i in keys])
     for row in rows:
         cells = [_shown(value, is_raster=i in blobs) for i, value in enumerate(row[: len(plain)])]
@@ -109,7 +108,7 @@ def _shown_geometry(wkb: bytes) -> str:
 logger = logging.getLogger(__name__)
 
 BATCH = 10_000
-"""Rows that are held at once."""
+"""Rows in memory at a time."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -126,9 +125,9 @@ def copy_database(
     Parameters
     ----------
     source, target : str, path or URL
-        Databases of either dialect. The target is created where there is none, and must be empty otherwise.
+        Databases of either dialect. The target is created if it does not exist; otherwise it must be empty.
     progress : callable, optional
-        Called with 'copy', the tables done and the tables in all.
+        Called with 'copy', the number of finished tables and the number of all tables.
 
     Returns
     -------
@@ -150,8 +149,8 @@ def copy_database(
 
     Notes
     -----
-    The source is read as one committed state, whatever is written to it meanwhile. A kill leaves no target, or
-    the empty one that was there, and the copy can be made again. The canonical dumps of both are equal afterwards.
+    The source is read as one committed state, also while others write to it. After a kill there is no target, or the
+    same empty one as before, and the copy can be repeated. Afterwards the canonical dumps of both are equal.
     """
     origin, place = open_database(source, timeout_s=timeout_s), database_url(target)
     if origin.url == place:
@@ -181,7 +180,7 @@ def _created(
     timeout_s: float,
     progress: Progress | None,
 ) -> bool:
-    """Create the target where there is none, with all rows, in the source's CRS and under its SRID."""
+    """Create a missing target with all rows, in the source's CRS and with its SRID; return whether it was created."""
 
     def fill(writing: Connection) -> None:
         upgrade.initialise(writing, dialect, srid, _definition(reading, srid))
@@ -200,7 +199,7 @@ def _copy_tables(
     srid: int,
     progress: Progress | None,
 ) -> None:
-    """Copy all tables, those that others refer to first."""
+    """Copy all tables; a table comes after those that it refers to."""
     with dialect.in_bulk(writing, coming):
         for number, table in enumerate(METADATA.sorted_tables, start=1):
             _copy_table(reading, writing, dialect, table, srid)
@@ -210,7 +209,7 @@ def _copy_tables(
 
 
 def _definition(connection: Connection, srid: int) -> str:
-    """Return a CRS of the user's own as the database has it; one with an EPSG code is PROJ's."""
+    """Return the WKT of a CRS without EPSG code as the database has it; empty for a CRS that PROJ knows by its code."""
     if srid < FIRST_OWN_SRID:
         return ""
     return str(connection.scalar(text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid"), {"srid": srid}))

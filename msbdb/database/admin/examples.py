@@ -3,21 +3,23 @@
 import json
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from sqlalchemy import Engine, text
 
 from msbdb.database.dialects.connection import guarded
 from msbdb.database.schema.sqlfiles import read_sql, sql_names
 from msbdb.errors import ParameterError
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _PARAMETER = re.compile(r"^-- :(?P<name>\w+) = (?P<value>\S+)  (?P<doc>.+)$", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
 class ExampleQuery:
-    """A query: its name, what a reader learns from it, its SQL, and its parameters' defaults and meanings."""
+    """A query: its name, a sentence about its result, its SQL, and its parameters' defaults and meanings."""
 
     name: str
     title: str
@@ -29,13 +31,13 @@ class ExampleQuery:
 def example_queries() -> dict[str, ExampleQuery]:
     """Return the example queries by name.
 
-    A file begins with a comment: a sentence of what one learns, then a line ``-- :name = default  meaning`` a
-    parameter, whose default is a JSON value.
+    A file begins with a comment: a sentence about the result, then for each parameter a line
+    ``-- :name = default  meaning``, where the default is a JSON value.
     """
     return {name: _example(name) for name in sql_names("queries")}
 
 
-def run_example(engine: Engine, name: str, **values: Any) -> pd.DataFrame:  # noqa: ANN401
+def run_example(engine: Engine, name: str, **values: Any) -> "pd.DataFrame":  # noqa: ANN401
     """Run an example query with its defaults, or with other values of its parameters.
 
     Raises
@@ -43,6 +45,8 @@ def run_example(engine: Engine, name: str, **values: Any) -> pd.DataFrame:  # no
     ParameterError
         For an unknown query or parameter.
     """
+    import pandas as pd
+
     queries = example_queries()
     if name not in queries:
         msg = f"There is no example query '{name}'; there are {', '.join(queries)}."

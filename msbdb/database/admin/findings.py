@@ -1,4 +1,4 @@
-"""What a check found, and how rows are named."""
+"""A finding of a check, and names of rows in findings."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,10 +10,20 @@ from msbdb.database.schema.sqltables import METADATA, SQL
 
 @dataclass(frozen=True, slots=True, order=True)
 class Finding:
-    """One thing that is wrong.
+    """One error in a database.
 
-    ``check`` names the check, ``key`` the row as ``column=value`` (empty where a whole table is meant), ``what`` what
-    was found and ``expected`` what should be there.
+    Parameters
+    ----------
+    check : str
+        Name of the check.
+    table : str
+        Name of the table.
+    key : str
+        The row as ``column=value``; empty for a whole table.
+    what : str
+        The value or state that was found.
+    expected : str
+        The value or state that is right.
     """
 
     check: str
@@ -34,7 +44,7 @@ def key_columns(table: Table) -> list[Column[object]]:
 
 
 def key_of(columns: Iterable[Column[object]], values: Iterable[object]) -> str:
-    """Return how a row is named.
+    """Return the name of a row in findings.
 
     Examples
     --------
@@ -45,10 +55,10 @@ def key_of(columns: Iterable[Column[object]], values: Iterable[object]) -> str:
 
 
 def keyed(table: Table, values: Iterable[object]) -> str:
-    """Return how a row of these key values is named."""
+    """Return the name of the row with these key values."""
     return key_of(key_columns(table), values)
 
 
 def by_id(table: str, column: str, value: object) -> str:
-    """Return how a row of a key of one column is named."""
+    """Return the name of a row whose key has one column."""
     return key_of([SQL[table].columns[column]], [value])

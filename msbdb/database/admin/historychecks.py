@@ -1,4 +1,4 @@
-"""The living inventory: versions follow each other without overlap, and nothing hangs in the air."""
+"""Checks of the living inventory: versions without overlap, events, digests of rows, and references."""
 
 from collections.abc import Iterator, Mapping
 
@@ -24,7 +24,7 @@ SURVEY_OFFSET = SQL["survey_offset"]
 
 
 def check_intervals(connection: Connection) -> Iterator[Finding]:
-    """Yield versions of a building that overlap, end before they begin, or are current beside another."""
+    """Yield versions of a building that overlap, end before they begin, or are current besides another one."""
     columns = [BUILDING_VERSION.c[name] for name in ("uid", "version_id", "valid_from", "valid_to")]
     # A version without an end comes last among those of one beginning.
     rows = sorted(connection.execute(select(*columns)), key=lambda row: (row[0], row[2], row[3] or "~", row[1]))
@@ -35,7 +35,7 @@ def check_intervals(connection: Connection) -> Iterator[Finding]:
         if uid != before_uid:
             before_uid, latest = uid, ""
         if latest is None:
-            what = f"building {uid} has an earlier version that is current, beside this one from {begins}"
+            what = f"building {uid} has an earlier version that is current, besides this one from {begins}"
             yield Finding("intervals", "building_version", key, what, "one current version, the last")
         elif begins < latest:
             what = f"it begins on {begins}, before the version before it ended on {latest}"
@@ -46,7 +46,7 @@ def check_intervals(connection: Connection) -> Iterator[Finding]:
 
 
 def check_events(connection: Connection) -> Iterator[Finding]:
-    """Yield imports and updates whose rows are not as many as they counted, and gaps in their order."""
+    """Yield imports and updates whose number of rows differs from their counts, and gaps in their order."""
     changes: dict[int | None, dict[str, int]] = {}
     for survey, kind, rows in connection.execute(
         select(BUILDING_CHANGE.c.survey_id, BUILDING_CHANGE.c.kind, func.count()).group_by(
@@ -72,25 +72,27 @@ def check_events(connection: Connection) -> Iterator[Finding]:
             continue
         found = {**changes.pop(survey, {}), "versions": versions.get(survey, 0)}
         if {name: rows for name, rows in found.items() if rows} != {n: rows for n, rows in counts.items() if rows}:
-            yield Finding("events", "inventory_event", key, f"the survey has {_told(found)}", _told(counts))
+            yield Finding("events", "inventory_event", key, f"the survey has {_in_words(found)}", _in_words(counts))
     if versions.get(None, 0) != imported:
         what = f"{versions.get(None, 0)} versions are of imports"
-        yield Finding("events", "building_version", "", what, f"{imported}, as the imports counted")
-    told = exists().where(SURVEY_OFFSET.c.survey_id == INVENTORY_EVENT.c.survey_id)
-    for number in connection.scalars(select(INVENTORY_EVENT.c.number).where(INVENTORY_EVENT.c.kind == "update", ~told)):
+        yield Finding("events", "building_version", "", what, f"{imported}, the sum of the imports' counts")
+    has_offset = exists().where(SURVEY_OFFSET.c.survey_id == INVENTORY_EVENT.c.survey_id)
+    for number in connection.scalars(
+        select(INVENTORY_EVENT.c.number).where(INVENTORY_EVENT.c.kind == "update", ~has_offset)
+    ):
         key = by_id("inventory_event", "number", number)
         yield Finding("events", "inventory_event", key, "its survey has no offset", "a row of survey_offset")
     for unknown in changes:
         key = by_id("survey", "survey_id", unknown)
-        yield Finding("events", "building_change", key, "its changes are of no event", "the update that made them")
+        yield Finding("events", "building_change", key, "no event has its changes", "the update that made them")
 
 
-def _told(counts: Mapping[str, int]) -> str:
+def _in_words(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{rows} {name}" for name, rows in sorted(counts.items()))
 
 
 def check_digests(connection: Connection) -> Iterator[Finding]:
-    """Yield rows of the history whose values are not those that were written, by the digest of each."""
+    """Yield rows of the history whose values differ from those that msbdb wrote, by the digest of each row."""
     for name in TABLES:
         table = SQL[name]
         for rows in digested(connection, table):
@@ -98,9 +100,7 @@ def check_digests(connection: Connection) -> Iterator[Finding]:
                 if stored == found:
                     continue
                 what = "it has no digest" if stored is None else f"its values give the digest {found}"
-                expected = (
-                    "that of msbdb, which wrote no such row" if stored is None else f"{stored}, as it was written"
-                )
+                expected = "a digest, as in every row that msbdb writes" if stored is None else f"{stored}, as written"
                 yield Finding("digests", name, keyed(table, [number]), what, expected)
 
 

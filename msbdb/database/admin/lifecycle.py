@@ -1,14 +1,10 @@
-"""Creating, upgrading and downgrading databases on purpose."""
+"""Creating, upgrading and downgrading databases by commands."""
 
 import logging
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
-from alembic import command
-from alembic.util import CommandError
-from pyproj import CRS
-from pyproj.exceptions import CRSError as ProjError
 from sqlalchemy import URL, Connection, Engine, column, func, inspect, select
 from sqlalchemy import table as sql_table
 
@@ -28,7 +24,7 @@ Target = str | PathLike[str] | URL
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """What a downgrade takes away: so many rows of a table, or so many values of a column of rows that stay."""
+    """A loss by a downgrade: the number of rows of a table, or of values of a column in rows that are kept."""
 
     table: str
     column: str
@@ -42,12 +38,12 @@ class Loss:
 
 
 def create_database(target: Target, crs: str, *, timeout_s: float = TIMEOUT_S) -> bool:
-    """Create an empty database; one that is there is left as it is.
+    """Create an empty database; an existing one is not changed.
 
     Parameters
     ----------
     target : str, path or URL
-        Where.
+        Its place.
     crs : str
         Its one CRS: an EPSG code such as 'EPSG:28992', or any text that PROJ reads.
 
@@ -59,9 +55,9 @@ def create_database(target: Target, crs: str, *, timeout_s: float = TIMEOUT_S) -
     Raises
     ------
     CRSError
-        When PROJ does not know the CRS, it is not projected in metres, or the database is there in another one.
+        When PROJ does not know the CRS, it is not projected in metres, or the database exists in another one.
     SchemaVersionError
-        When the database is there and its schema is older.
+        When the database exists with an older schema.
     DatabaseError
         When it cannot be created.
     """
@@ -75,12 +71,12 @@ def create_database(target: Target, crs: str, *, timeout_s: float = TIMEOUT_S) -
 
 
 def open_any(target: Target, *, timeout_s: float = TIMEOUT_S) -> Engine:
-    """Open a database of this or an older schema, as it is.
+    """Open a database of this or an older schema, without changes.
 
     Raises
     ------
     DatabaseError, SchemaVersionError
-        When there is none, or its schema is newer.
+        When it does not exist, or its schema is newer.
     """
     url = database_url(target)
     dialect = dialect_of(url)
@@ -121,7 +117,7 @@ def downgrade_schema(
     to : str, optional
         The version; by default the one before the database's own.
     force : bool
-        Also where rows or values are lost.
+        Downgrade even if rows or values are lost.
 
     Returns
     -------
@@ -131,12 +127,12 @@ def downgrade_schema(
     Raises
     ------
     SchemaVersionError
-        When there is no such older schema, or something would be lost and ``force`` is not set; it says what. Nothing
-        was changed.
+        When there is no such older schema, or something would be lost and ``force`` is not set; the message lists it.
+        Nothing was changed.
 
     Notes
     -----
-    What is lost is measured, not guessed: rows and values are counted before and after inside the transaction.
+    The loss is measured: rows and values are counted before and after, inside the transaction.
     """
     engine = open_any(target, timeout_s=timeout_s)
     dialect = dialect_of(engine.url)
@@ -145,12 +141,12 @@ def downgrade_schema(
         older = _older(before, to, shown(engine.url))
         held = _counts(connection)
         with kept_rights(connection):
-            _migrate_down(connection, older)
+            upgrade.migrate_down(connection, dialect, older)
         lost = _losses(held, _counts(connection))
         if lost and not force:
             msg = (
                 f"The schema {older} has no place for {', '.join(map(str, lost))} of {shown(engine.url)}. Nothing was "
-                "changed; make a copy with 'msbdb db copy' and say --force to lose them."
+                "changed; make a copy with 'msbdb db copy', then use --force to lose them."
             )
             raise SchemaVersionError(msg)
     logger.info("Schema of %s downgraded from %s to %s", shown(engine.url), before, older)
@@ -159,6 +155,9 @@ def downgrade_schema(
 
 def _parsed(crs: str) -> tuple[int, str]:
     """Return the EPSG code of a CRS, 0 where it has none, and its WKT."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError as ProjError
+
     try:
         found = horizontal(CRS.from_user_input(crs))
     except ProjError as error:
@@ -182,16 +181,6 @@ def _older(found: str, to: str | None, where: str) -> str:
     return to
 
 
-def _migrate_down(connection: Connection, to: str) -> None:
-    dialect = dialect_of(connection.engine.url)
-    try:
-        command.downgrade(upgrade.configured(connection, dialect, dialect.database_srid(connection)), to)
-    except CommandError as error:
-        msg = f"The schema cannot be brought down to {to}: {error}. Use a version that the message before names."
-        raise SchemaVersionError(msg) from error
-    dialect.settle(connection)
-
-
 def _counts(connection: Connection) -> dict[str, dict[str, int]]:
     """Return by table the number of rows (under '') and of values of each column."""
     inspector = inspect(connection)
@@ -206,7 +195,7 @@ def _counts(connection: Connection) -> dict[str, dict[str, int]]:
 
 
 def _losses(before: dict[str, dict[str, int]], after: dict[str, dict[str, int]]) -> list[Loss]:
-    """Return the rows that are gone, and the values, but for digests, that are gone from rows that are not."""
+    """Return the lost rows, and the lost values (except digests) of rows that are kept."""
     lost = []
     for name, held in before.items():
         left = after.get(name, {})

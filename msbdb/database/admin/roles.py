@@ -16,31 +16,31 @@ ROLES = ("reader", "operator", "owner", "none")
 
 
 def grant_role(engine: Engine, role: str, user: str) -> None:
-    """Give a user of the server the rights of a role in a database, in place of those that it had.
+    """Give a user of the server the rights of a role in a database, in place of its earlier ones.
 
     Parameters
     ----------
     engine : Engine
         From ``open_database``, as the owner of the database or a superuser.
     role : {'reader', 'operator', 'owner', 'none'}
-        What the user may do.
+        The role; ``none`` takes all rights back.
     user : str
-        Name of a role of the server; it may hold any characters.
+        Name of a role of the server; all characters are allowed.
 
     Raises
     ------
     ParameterError
         For another role.
     DatabaseError
-        When the database is a file, there is no such user, the owner would lose its rights, or this connection may not
-        grant. Nothing was changed.
+        When the database is a file, the user does not exist, the owner would lose its rights, or this connection may
+        not grant. Nothing was changed.
     """
     if role not in ROLES:
         msg = f"A role is one of {', '.join(ROLES)}; got '{role}'."
         raise ParameterError(msg)
     if engine.dialect.name != "postgresql":
         msg = (
-            f"The database {shown(engine.url)} is a file, whose rights are those of the file system. "
+            f"The database {shown(engine.url)} is a file, so the rights of the file system apply. "
             "Use chmod and the like, or 'msbdb db copy' into a PostGIS database."
         )
         raise DatabaseError(msg)
@@ -53,7 +53,7 @@ def grant_role(engine: Engine, role: str, user: str) -> None:
 
 
 def _require_user(connection: Connection, user: str, role: str, where: str) -> None:
-    """Refuse a user that is not there, and taking the owner's rights."""
+    """Refuse a user that does not exist, and taking the owner's rights."""
     if not connection.scalar(text("SELECT COUNT(*) FROM pg_roles WHERE rolname = :name"), {"name": user}):
         msg = f"The server of {where} has no user '{user}'. Let its administrator make one by CREATE ROLE ... LOGIN."
         raise DatabaseError(msg)

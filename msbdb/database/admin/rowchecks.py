@@ -1,10 +1,10 @@
-"""What the declared constraints say holds of every row, also where the database did not enforce it.
+"""Checks of the schema and of every row: no object is missing, and all declared constraints are fulfilled.
 
-Tables, columns, views, keys, checks, indexes and triggers are all there.
+The constraints are tested by queries, because a database that was edited may not have enforced them.
 """
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeVar
 
 from sqlalchemy import (
     CheckConstraint,
@@ -17,20 +17,21 @@ from sqlalchemy import (
     LargeBinary,
     Table,
     Text,
+    TextClause,
     UniqueConstraint,
     and_,
     exists,
     func,
     inspect,
-    not_,
     select,
 )
 from sqlalchemy import text as sql
-from sqlalchemy.sql.elements import Grouping
 
 from msbdb.database.admin.findings import Finding, key_columns, key_of, keyed, tables
 from msbdb.database.schema.migration import head_version
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
+
+T = TypeVar("T")
 
 _STORED: tuple[tuple[type, tuple[str, ...]], ...] = (
     (Integer, ("integer",)),
@@ -38,7 +39,7 @@ _STORED: tuple[tuple[type, tuple[str, ...]], ...] = (
     (Text, ("text",)),
     (LargeBinary, ("blob",)),
 )
-"""What SQLite may hold in a column of a type; BIGINT is an Integer to SQLAlchemy."""
+"""The types of values that SQLite may store in a column of a type; BIGINT is an Integer for SQLAlchemy."""
 
 
 def check_values(connection: Connection) -> Iterator[Finding]:
@@ -52,7 +53,7 @@ def check_values(connection: Connection) -> Iterator[Finding]:
 
 
 def check_foreign_keys(connection: Connection) -> Iterator[Finding]:
-    """Yield rows that refer to nothing, found by joins and not by what the database believes."""
+    """Yield rows that refer to no row, found by joins, not by the database's own constraints."""
     for table in tables():
         for constraint in _references(table):
             yield from _dangling(connection, table, constraint)
@@ -74,35 +75,44 @@ def _references(table: Table) -> list[ForeignKeyConstraint]:
 
 
 def _rows(connection: Connection, query: Executable) -> Iterator[Any]:
-    """Yield rows in batches, as a table may hold millions."""
+    """Yield rows in batches, because a table may have millions."""
     yield from connection.execute(query, execution_options={"yield_per": 5000})
 
 
+def _fulfilled(connection: Connection, table: Table, conditions: Mapping[str, T]) -> Iterator[tuple[TextClause, T]]:
+    """Yield the conditions that some rows fulfil, with their values; one scan of the table finds them all."""
+    if conditions:
+        counts = ", ".join(f"count(*) FILTER (WHERE {condition})" for condition in conditions)
+        found = connection.execute(sql(f"SELECT {counts} FROM {table.name}")).one()  # noqa: S608  (the models' names)
+        for (condition, value), rows in zip(conditions.items(), found, strict=True):
+            if rows:
+                yield sql(condition), value
+
+
 def _nulls(connection: Connection, table: Table) -> Iterator[Finding]:
-    for column in table.columns:
-        if column.nullable or column.computed is not None:
-            continue
-        for row in _rows(connection, select(*key_columns(table)).where(column.is_(None))):
+    required = {f"{c.name} IS NULL": c for c in table.columns if not c.nullable and c.computed is None}
+    for condition, column in _fulfilled(connection, table, required):
+        for row in _rows(connection, select(*key_columns(table)).where(condition)):
             yield Finding("values", table.name, keyed(table, row), f"{column.name} is null", "a value")
 
 
 def _types(connection: Connection, table: Table) -> Iterator[Finding]:
-    """Yield values of another type than their column's, which SQLite lets in."""
+    """Yield values whose type differs from their column's; SQLite accepts them."""
+    conditions = {}
     for column in table.columns:
         allowed = next((kinds for type_, kinds in _STORED if isinstance(column.type, type_)), None)
-        if allowed is None or column.computed is not None:
-            continue
-        stored = func.typeof(column)
-        query = select(*key_columns(table), stored).where(stored.not_in([*allowed, "null"]))
-        for *key, kind in _rows(connection, query):
+        if allowed is not None and column.computed is None:
+            conditions[f"typeof({column.name}) NOT IN {(*allowed, 'null')}"] = column, allowed
+    for condition, (column, allowed) in _fulfilled(connection, table, conditions):
+        for *key, kind in _rows(connection, select(*key_columns(table), func.typeof(column)).where(condition)):
             what = f"{column.name} holds a value of type {kind}"
             yield Finding("values", table.name, keyed(table, key), what, " or ".join(allowed))
 
 
 def _rules(connection: Connection, table: Table) -> Iterator[Finding]:
-    rules = [c for c in table.constraints if isinstance(c, CheckConstraint)]
-    for rule in sorted(rules, key=lambda constraint: str(constraint.name)):
-        for row in _rows(connection, select(*key_columns(table)).where(not_(Grouping(rule.sqltext)))):
+    rules = {f"NOT ({c.sqltext})": c for c in table.constraints if isinstance(c, CheckConstraint)}
+    for condition, rule in _fulfilled(connection, table, rules):
+        for row in _rows(connection, select(*key_columns(table)).where(condition)):
             yield Finding("values", table.name, keyed(table, row), f"it breaks {rule.name}", str(rule.sqltext))
 
 
@@ -130,7 +140,7 @@ def _dangling(connection: Connection, table: Table, constraint: ForeignKeyConstr
     for row in _rows(connection, query):
         names = ", ".join(element.column.name for element in constraint.elements)
         expected = f"a row of {constraint.referred_table.name} with this {names}"
-        what = f"it refers to nothing: {key_of(own, row[number:])}"
+        what = f"it refers to no row: {key_of(own, row[number:])}"
         yield Finding("foreign keys", table.name, keyed(table, row[:number]), what, expected)
 
 
@@ -149,11 +159,11 @@ def _strangers(connection: Connection, table: Table, constraint: ForeignKeyConst
 CHECK = "schema"
 
 _TRIGGERS = ("ggi", "ggu", "gii", "giu", "gid")
-"""Beginnings of the names of SpatiaLite's triggers by which types, SRIDs and the index are kept."""
+"""Prefixes of the names of SpatiaLite's triggers that check types and SRIDs and update the index."""
 
 
 def missing_tables(connection: Connection) -> list[Finding]:
-    """Return which tables and columns are missing; without them nothing else can be checked."""
+    """Return the missing tables and columns; without them no other check can run."""
     inspector = inspect(connection)
     there = set(inspector.get_table_names())
     found = []
@@ -172,7 +182,7 @@ def missing_tables(connection: Connection) -> list[Finding]:
 
 
 def _hidden_columns(connection: Connection, table: Table) -> set[str]:
-    """Return SQLite's computed columns, which not every version lists as columns."""
+    """Return SQLite's computed columns, which some versions do not list as columns."""
     if connection.dialect.name != "sqlite":
         return set()
     query = sql("SELECT name FROM pragma_table_xinfo(:table)")
@@ -189,13 +199,13 @@ def check_schema(connection: Connection) -> Iterator[Finding]:
     for table in tables():
         for kind, names in _missing(inspector, table).items():
             for name in sorted(names):
-                yield Finding(CHECK, table.name, name, f"the {kind} is missing", "it keeps wrong rows out")
+                yield Finding(CHECK, table.name, name, f"the {kind} is missing", "it prevents wrong rows")
         if connection.dialect.name == "sqlite" and "geometry" in table.columns:
             yield from _missing_triggers(connection, table)
 
 
 def _missing(inspector: Inspector, table: Table) -> dict[str, set[str]]:
-    """Return the names of constraints and indexes that a table should have and has not."""
+    """Return the names of the constraints and indexes that a table lacks."""
     name = table.name
     declared: dict[str, set[str]] = {
         "foreign key": {str(c.name) for c in table.constraints if isinstance(c, ForeignKeyConstraint)},
@@ -219,5 +229,5 @@ def _missing_triggers(connection: Connection, table: Table) -> Iterator[Finding]
         name = f"{kind}_{table.name}_geometry"
         if name not in there:
             yield Finding(
-                CHECK, table.name, name, "the trigger is missing", "it keeps geometries and their index right"
+                CHECK, table.name, name, "the trigger is missing", "it checks geometries and updates their index"
             )

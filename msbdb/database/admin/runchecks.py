@@ -1,13 +1,10 @@
-"""What a run says of itself: its counts and ledger, its rasters, and the digest of all its rows.
-
-The forest of parts (V33), and the buildings that are its roots.
-"""
+"""Checks of runs: counts and ledger, rasters, digest of all rows, the forest of parts (V33) and its buildings."""
 
 import zlib
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 import shapely
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Table, func, select
@@ -17,6 +14,9 @@ from msbdb.database.runs.reading import build_of
 from msbdb.database.runs.writing import content_digest
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import MsbdbError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PART = SQL["part"]
 
@@ -29,17 +29,17 @@ RUN_STATE = SQL["run_state"]
 SURVEY = SQL["survey"]
 
 COUNTED_ONLY = "duplicates"
-"""What the names of stages begin with whose dropped regions live on in coarser ones, and so are in no ledger."""
+"""Prefix of the stages whose dropped regions are kept as coarser ones; the ledger has no rows for them."""
 
 LAST_STAGE = ("multiscale", "fake fathers")
-"""The method and the stage that keeps just the parts."""
+"""The method and the stage whose kept regions are the parts."""
 
 _UNREADABLE = (MsbdbError, ValueError, TypeError, KeyError, OverflowError, zlib.error, shapely.errors.ShapelyError)
-"""What damaged rows raise when they are read."""
+"""Errors of reading damaged rows."""
 
 
 def check_ledger(connection: Connection) -> Iterator[Finding]:
-    """Yield stages whose books do not balance, or whose dropped regions are not the rows of the ledger."""
+    """Yield stages whose counts do not add up, or whose dropped regions differ from the rows of the ledger."""
     rejections = _rejections(connection)
     for run_id, counts in connection.execute(select(RUN.c.run_id, RUN.c.counts).order_by(RUN.c.run_id)):
         methods = counts.get("regions") if isinstance(counts, Mapping) else None
@@ -77,11 +77,11 @@ def _rejections(connection: Connection) -> dict[int, dict[tuple[str, str], int]]
 def _unbalanced(key: str, name: str, numbers: Mapping[str, int]) -> Iterator[Finding]:
     if numbers["in"] != numbers["kept"] + numbers["dropped"]:
         what = f"{name}: {numbers['in']} in, {numbers['kept']} kept, {numbers['dropped']} dropped"
-        yield Finding("ledger", "run", key, what, "as many in as kept and dropped")
+        yield Finding("ledger", "run", key, what, "in = kept + dropped")
 
 
 def check_rasters(connection: Connection) -> Iterator[Finding]:
-    """Yield rasters of a run that cannot be read, or do not lie on the survey's lattice."""
+    """Yield rasters of a run that are missing, cannot be read, or are not on the survey's lattice."""
     edges = (SURVEY.c.west, SURVEY.c.south, SURVEY.c.east, SURVEY.c.north, SURVEY.c.cell_m)
     query = (
         select(RUN_STATE.c.run_id, RUN_STATE.c.name, RUN_STATE.c.dtype, RUN_STATE.c.shape, RUN_STATE.c.data, *edges)
@@ -104,12 +104,12 @@ def check_rasters(connection: Connection) -> Iterator[Finding]:
 
 
 def check_content(connection: Connection) -> Iterator[Finding]:
-    """Yield runs whose rows are not those that were written, by the digest of all of them."""
+    """Yield runs whose rows differ from those that msbdb wrote, by the digest of all rows."""
     query = select(RUN.c.run_id, RUN.c.content_sha256, SURVEY.c.name).join_from(RUN, SURVEY).order_by(SURVEY.c.name)
     for run_id, digest, survey in connection.execute(query).all():
         key = by_id("run", "run_id", run_id)
         try:
-            build = build_of(connection, survey)
+            build = build_of(connection, survey, geographic=False)
             found = content_digest(build, build.frames)
         except _UNREADABLE as error:
             yield Finding("content", "run", key, f"its rows cannot be read: {error}", "the rows that were written")
@@ -124,21 +124,23 @@ BUILDING = SQL["building"]
 CHECK = "forest"
 
 BATCH = 10_000
-"""Rows that are read at once."""
+"""Rows in memory at a time."""
 
 
 def check_forest(connection: Connection) -> Iterator[Finding]:
     """Yield parts that break V33.
 
-    A father exists, of the same run and tree, on the coarser scale that SUPSCALE says, and is larger; a root is its own
-    tree's root; and who goes from father to father comes to that root, in no circle.
+    A father exists in the same run and tree, on the coarser scale SUPSCALE, and is larger. A root is the root of its
+    own tree. The path from father to father ends at that root and has no circle.
     """
+    import pandas as pd
+
     parts = _frame(connection, ("part_id", "run_id", "supid", "supscale", "root_id", "scale", "area_px"), PART)
-    # Ids that are given twice are told among the values.
+    # Repeated ids are findings of the values.
     parts = parts.drop_duplicates("part_id", ignore_index=True)
     place = pd.Index(parts["part_id"]).get_indexer(parts["supid"])
     is_child, has_father = (parts["supid"] != 0).to_numpy(), place >= 0
-    yield from _told(parts, is_child & ~has_father, "its father {supid} does not exist", "a part of this id")
+    yield from _wrong_parts(parts, is_child & ~has_father, "its father {supid} does not exist", "a part of this id")
     father = parts.iloc[np.where(has_father, place, 0)].reset_index(drop=True).add_prefix("father_")
     both = pd.concat([parts, father], axis=1)
     child = is_child & has_father
@@ -153,22 +155,22 @@ def check_forest(connection: Connection) -> Iterator[Finding]:
             "fewer than its father's {father_area_px}",
         ),
     ):
-        yield from _told(both, child & ~holds.to_numpy(), what, expected)
-    yield from _told(
+        yield from _wrong_parts(both, child & ~holds.to_numpy(), what, expected)
+    yield from _wrong_parts(
         parts,
         (~is_child) & (parts["root_id"] != parts["part_id"]).to_numpy(),
         "it has no father, and its tree is {root_id}",
         "a root's tree is its own id {part_id}",
     )
     top, in_circle = _tops(place)
-    yield from _told(parts, in_circle, "its fathers run in a circle", "a root at the top")
+    yield from _wrong_parts(parts, in_circle, "its fathers form a circle", "a root at the top")
     root = parts["part_id"].to_numpy()[top]
     lost = is_child & ~in_circle & ~is_child[top] & (root != parts["root_id"].to_numpy())
-    yield from _told(parts, lost, "its topmost father is not {root_id}", "the root that it names")
+    yield from _wrong_parts(parts, lost, "its topmost father is not {root_id}", "the root that it names")
 
 
 def check_buildings(connection: Connection) -> Iterator[Finding]:
-    """Yield roots without a building, buildings without a root, and buildings whose numbers are not their tree's."""
+    """Yield roots without a building, buildings without a root, and buildings whose numbers differ from their tree."""
     parts = _frame(connection, ("part_id", "run_id", "supid", "root_id", "scale"), PART)
     buildings = _frame(connection, ("building_id", "run_id", "root_id", "parts", "scales"), BUILDING)
     roots = parts[parts["supid"] == 0]
@@ -184,22 +186,24 @@ def check_buildings(connection: Connection) -> Iterator[Finding]:
         wrong = both[is_root & (both[column] != both[f"found_{column}"])]
         for record in wrong.to_dict(orient="records"):
             key = by_id("building", "building_id", record["building_id"])
-            expected = f"{int(record[f'found_{column}'])}, as its tree has"
+            expected = f"{int(record[f'found_{column}'])}, the number in its tree"
             yield Finding("buildings", "building", key, f"{column} is {record[column]}", expected)
 
 
-def _frame(connection: Connection, names: tuple[str, ...], table: Table) -> pd.DataFrame:
-    """Return columns of whole numbers, in order of the first."""
+def _frame(connection: Connection, names: tuple[str, ...], table: Table) -> "pd.DataFrame":
+    """Return columns of whole numbers, sorted by the first."""
+    import pandas as pd
+
     columns = [table.columns[name] for name in names]
     result = connection.execute(select(*columns).order_by(columns[0]), execution_options={"yield_per": BATCH})
-    # Column by column, as an array of rows takes ten times as long to make.
+    # Column by column: an array of rows takes ten times as long.
     batches = [np.array(list(zip(*rows, strict=True)), dtype=np.int64) for rows in result.partitions()]
     held = np.concatenate(batches, axis=1) if batches else np.empty((len(names), 0), dtype=np.int64)
     return pd.DataFrame(dict(zip(names, held, strict=True)))
 
 
-def _told(parts: pd.DataFrame, wrong: NDArray[np.bool_], what: str, expected: str) -> Iterator[Finding]:
-    """Yield a finding a wrong part; the sentences name its columns."""
+def _wrong_parts(parts: "pd.DataFrame", wrong: NDArray[np.bool_], what: str, expected: str) -> Iterator[Finding]:
+    """Yield a finding for each wrong part; the sentences have its columns in braces."""
     for row in parts[wrong].to_dict(orient="records"):
         values = {str(name): value for name, value in row.items()}
         key = by_id("part", "part_id", row["part_id"])
@@ -207,9 +211,9 @@ def _told(parts: pd.DataFrame, wrong: NDArray[np.bool_], what: str, expected: st
 
 
 def _tops(father: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the topmost place above each part, and which parts have none, by doubling the steps.
+    """Return the place of the topmost father of each part, and the parts in a circle, by pointer doubling.
 
-    ``father`` (N,) holds places of fathers, -1 for none.
+    ``father`` (N,) has the place of each part's father, -1 for none.
     """
     own = np.arange(len(father))
     up = np.where(father < 0, own, father)

@@ -1,4 +1,4 @@
-"""Geometries: valid, of their column's type and SRID, within their survey, registered, and in the spatial index."""
+"""Checks of geometries: valid, right type and SRID, within their survey, registered, and in the spatial index."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ RUN = SQL["run"]
 SURVEY = SQL["survey"]
 
 SLACK_CELLS = 2.0
-"""How far an outline may reach beyond its survey's edge, as smoothed and buffered outlines leave their cells."""
+"""Cells by which an outline may reach beyond its survey's edge: smoothing and buffering move outlines."""
 
 _BATCH = 5000
 
@@ -44,7 +44,7 @@ def check_geometries(connection: Connection) -> Iterator[Finding]:
 
 
 def check_registers(connection: Connection) -> Iterator[Finding]:
-    """Yield geometry columns and views that GIS clients are not told of as they are, and surveys of another CRS."""
+    """Yield geometry columns and views that are not registered for GIS clients, and surveys in another CRS."""
     srid = _database_srid(connection)
     known = sql("SELECT COUNT(*) FROM spatial_ref_sys WHERE srid = :srid")
     if not connection.scalar(known, {"srid": srid}):
@@ -65,7 +65,7 @@ def check_registers(connection: Connection) -> Iterator[Finding]:
 
 
 def check_spatial_index(connection: Connection) -> Iterator[Finding]:
-    """Yield rows that a search by place would not find, or would find in a wrong place."""
+    """Yield rows that a spatial search would miss, or would find in a wrong place."""
     for table in _spatial_tables():
         if connection.dialect.name == "sqlite":
             yield from _spatialite_index(connection, table)
@@ -111,7 +111,7 @@ def _unlisted_views(connection: Connection) -> Iterator[Finding]:
 
 
 def _bounds(connection: Connection) -> dict[int, tuple[float, float, float, float]]:
-    """Return west, south, east and north of each run's survey, with the slack that outlines may take."""
+    """Return west, south, east and north of each run's survey, extended by the slack for outlines."""
     columns = (RUN.c.run_id, SURVEY.c.west, SURVEY.c.south, SURVEY.c.east, SURVEY.c.north, SURVEY.c.cell_m)
     rows = connection.execute(select(*columns).join_from(RUN, SURVEY))
     return {
@@ -159,7 +159,7 @@ def _wrong_shapes(
 def _within(
     shapes: NDArray[np.object_], limits: Sequence[tuple[float, float, float, float] | None]
 ) -> NDArray[np.bool_]:
-    """Return which geometries lie within the limits; those without limits do."""
+    """Return which geometries are within their limits; without limits all are."""
     everywhere = (-np.inf, -np.inf, np.inf, np.inf)
     edges = np.array([limit or everywhere for limit in limits], dtype=np.float64).reshape(-1, 4)
     found = shapely.bounds(shapes).reshape(-1, 4)
@@ -168,9 +168,9 @@ def _within(
 
 
 def _spatialite_index(connection: Connection, table: Table) -> Iterator[Finding]:
-    """Yield rows that the R*Tree lacks or has beside their place, and entries without a row.
+    """Yield rows that the R*Tree lacks or has in a wrong place, and entries without a row.
 
-    The tree keeps single precision, rounded outwards, so that an entry must hold its geometry and not be much larger.
+    The tree stores single precision, rounded outwards. So an entry must contain its geometry and be little larger.
     """
     enabled = sql("SELECT spatial_index_enabled FROM geometry_columns WHERE f_table_name = :table")
     there = sql("SELECT COUNT(*) FROM sqlite_master WHERE name = :index")
@@ -198,9 +198,9 @@ def _spatialite_index(connection: Connection, table: Table) -> Iterator[Finding]
 
 
 def _holds(own: NDArray[np.float64], entry: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (N,) which index entries are their geometries' boxes: (4, N) west, east, south, north, single precision.
+    """Return (N,) which index entries are the boxes of their geometries, up to single precision.
 
-    A geometry that cannot be read has no box, and is told by another check.
+    Both arrays are (4, N): west, east, south, north. A geometry that cannot be read is a finding of another check.
     """
     slack = 4 * np.spacing(np.abs(own).astype(np.float32)).astype(np.float64)
     outwards = np.array([[-1.0], [1.0], [-1.0], [1.0]]) * (entry - own)
@@ -213,7 +213,7 @@ def _box(edges: Sequence[float | None]) -> str:
 
 
 def _postgis_index(connection: Connection, table: Table) -> Iterator[Finding]:
-    """Tell whether the index is there, valid, and finds as many rows as there are."""
+    """Yield an index that is missing, not valid, or finds fewer rows than the table has."""
     query = sql(
         "SELECT bool_or(x.indisvalid AND x.indisready) FROM pg_index AS x JOIN pg_class AS i ON i.oid = x.indexrelid "
         "JOIN pg_am AS m ON m.oid = i.relam JOIN pg_attribute AS a ON a.attrelid = x.indrelid "

@@ -1,4 +1,4 @@
-"""All checks, one after the other, on one state of the database."""
+"""All checks in order, on one committed state of the database."""
 
 import logging
 from collections.abc import Callable, Iterator
@@ -40,31 +40,31 @@ CHECKS: dict[str, Callable[[Connection], Iterator[Finding]]] = {
 
 
 def check_database(engine: Engine, *, progress: Progress | None = None) -> list[Finding]:
-    """Hold every row against all that msbdb promises of it, and return what is wrong, sorted.
+    """Check every row of a database against its declaration, and return the errors, sorted.
 
-    Nothing is changed, and writers are not held up; what is checked is one committed state.
+    Nothing is changed, and writers do not wait. The checks see one committed state.
 
     Parameters
     ----------
     engine : Engine
         From ``open_database``.
     progress : callable, optional
-        Called with 'check', the checks done and the checks in all.
+        Called with 'check', the number of finished checks and the number of all checks.
 
     Returns
     -------
     list of Finding
-        Empty for a sound database. ``CHECKS`` has the names of the checks.
+        Empty for a database without errors. ``CHECKS`` has the names of the checks.
 
     Raises
     ------
     DatabaseError
-        When the database cannot be read at all.
+        When the database cannot be read.
     """
     with snapshot(engine) as connection:
         found = missing_tables(connection)
         if found:
-            # Queries on what is missing would all fail.
+            # Queries on missing tables would fail.
             return sorted(found)
         for number, (name, check) in enumerate(CHECKS.items(), start=1):
             found += _results(connection, name, check)
@@ -75,7 +75,7 @@ def check_database(engine: Engine, *, progress: Progress | None = None) -> list[
 
 
 def _results(connection: Connection, name: str, check: Callable[[Connection], Iterator[Finding]]) -> list[Finding]:
-    """Return a check's findings; rows so damaged that it cannot be made are a finding themselves."""
+    """Return a check's findings; an error that damaged rows cause in the check is a finding, too."""
     try:
         with connection.begin_nested():
             return list(check(connection))
@@ -85,4 +85,4 @@ def _results(connection: Connection, name: str, check: Callable[[Connection], It
         cause = " ".join(str(error.orig).split())
     except (ValueError, TypeError, KeyError, OverflowError, MsbdbError) as error:
         cause = f"{type(error).__name__}: {error}"
-    return [Finding(name, "", "", f"the check cannot be made: {cause}", "rows of the declared types")]
+    return [Finding(name, "", "", f"the check failed: {cause}", "rows of the declared types")]

@@ -1,1 +1,1 @@
-"""SpatiaLite and PostGIS behind one set of names, and how a database is opened."""
+"""SpatiaLite and PostGIS behind one interface, and opening a database."""

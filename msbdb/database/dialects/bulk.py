@@ -1,4 +1,4 @@
-"""Bulk loads of SpatiaLite's tables: rows go in without its triggers, then it makes indexes and statistics at once."""
+"""Bulk loads into SpatiaLite: rows are inserted without triggers, then indexes and statistics are made for all rows."""
 
 import logging
 from collections.abc import Iterator, Mapping
@@ -13,15 +13,15 @@ from msbdb.errors import DatabaseError, LoadError
 logger = logging.getLogger(__name__)
 
 WORTH = 4
-"""A spatial index that holds up to so many times the incoming rows is made anew; a larger one takes them one by one.
+"""A spatial index with at most so many times the incoming rows is rebuilt; a larger one takes rows one by one.
 
 Ours: triggers cost about 50 µs for each incoming row, a new index about 12 µs for each row of the table.
 """
 
 _TRIGGERS = ("ggi", "tmi", "tmd")
-"""How the names of SpatiaLite's triggers on inserted and deleted rows begin: geometry type, and times of changes.
+"""Prefixes of SpatiaLite's triggers on inserted and deleted rows: geometry type, and times of changes.
 
-Those that keep the index (gii, giu, gid) come and go with it.
+The triggers that update the index (gii, giu, gid) are dropped and made together with it.
 """
 
 _CHANGED = (
@@ -35,9 +35,9 @@ _CHANGED = (
     VALUES (:table, 'geometry', '0000-01-01T00:00:00.000Z')
     """,
 )
-"""What marks a table's statistics as outdated for SpatiaLite: the times of the last changes, and of the last count.
+"""Statements that mark a table's statistics as outdated for SpatiaLite: times of the last changes and the last count.
 
-The second holds also where the clock was set back since the last count.
+The second also works when the clock was set back since the last count.
 """
 
 _COPY = """
@@ -50,14 +50,14 @@ FROM geometry_columns_statistics WHERE f_table_name = :base AND f_geometry_colum
 
 @contextmanager
 def in_bulk(connection: Connection, coming: Mapping[str, int]) -> Iterator[None]:
-    """Take spatial indexes and triggers off while many rows come and go, and let SpatiaLite make them again at the end.
+    """Drop spatial indexes and triggers while many rows change, and let SpatiaLite make them again at the end.
 
     Parameters
     ----------
     connection : Connection
         In a writer's transaction. A failure or a kill undoes everything, the missing triggers included.
     coming : Mapping
-        Number of rows that will be inserted into each table. Tables for which it would not pay keep their triggers.
+        Number of rows that will be inserted into each table. Tables with few incoming rows keep their triggers.
 
     Raises
     ------
@@ -75,16 +75,16 @@ def in_bulk(connection: Connection, coming: Mapping[str, int]) -> Iterator[None]
     yield
     for table in tables:
         _require_type(connection, table)
-        # This makes all of the column's triggers anew, too.
+        # This also makes all triggers of the column again.
         _call(connection, "CreateSpatialIndex", table)
         for statement in _CHANGED:
             connection.execute(text(statement), {"table": table})
 
 
 def update_statistics(connection: Connection) -> None:
-    """Write the row counts, extents and columns' ranges of all layers, which GIS clients read.
+    """Write the row counts, extents and value ranges of all layers for GIS clients.
 
-    A view with one row for each row of its base table takes the base's count and extent: SpatiaLite would need
+    A view with one row for each row of its base table gets the base's count and extent, because SpatiaLite needs
     several times longer to count the view.
     """
     for table in SPATIAL:
@@ -97,7 +97,7 @@ def update_statistics(connection: Connection) -> None:
 
 
 def _call(connection: Connection, function: str, layer: str) -> None:
-    """Call one of SpatiaLite's functions on a layer; they return 0 instead of raising.
+    """Call one of SpatiaLite's functions on a layer; they return 0 instead of raising an error.
 
     Raises
     ------
@@ -107,13 +107,13 @@ def _call(connection: Connection, function: str, layer: str) -> None:
     if connection.scalar(text(f"SELECT {function}(:layer, 'geometry')"), {"layer": layer}) != 1:
         msg = (
             f"SpatiaLite's {function} failed on the layer {layer}. Nothing was written; "
-            "look for free space on the disk, check the file with 'msbdb db check', and try again."
+            "check for free space on the disk, check the file with 'msbdb db check', and try again."
         )
         raise DatabaseError(msg)
 
 
 def _worthwhile(connection: Connection, coming: Mapping[str, int]) -> list[str]:
-    """Return the tables whose index is cheaper to make anew; tables without an index are left out."""
+    """Return the tables whose index is cheaper to rebuild; tables without an index are left out."""
     indexed = connection.exec_driver_sql(
         "SELECT f_table_name FROM geometry_columns WHERE f_geometry_column = 'geometry' AND spatial_index_enabled = 1"
     ).scalars()

@@ -1,7 +1,4 @@
-"""Opening and creating databases.
-
-Reading one state of a database by many queries, while others write.
-"""
+"""Opening and creating databases, and reading one committed state by several queries."""
 
 import logging
 import re
@@ -22,10 +19,10 @@ from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionE
 logger = logging.getLogger(__name__)
 
 TIMEOUT_S = 5.0
-"""How long to wait for another writer or for a server."""
+"""Seconds to wait for another writer or for a server."""
 
 PATIENCE_S = 60.0
-"""How long a writer waits for others that has computed for minutes what it writes; each of them is done in seconds."""
+"""Seconds a writer waits for other writers after minutes of computing; each of them needs a few seconds."""
 
 
 def open_database(
@@ -43,10 +40,10 @@ def open_database(
     target : str, path or URL
         Path of a SpatiaLite file, or a URL ``postgresql://user@host/name`` of a PostgreSQL database.
     create : bool
-        Create the database where there is none, and bring an older schema to the newest version.
+        Create a missing database, and upgrade an older schema to the newest version.
     srid : int, optional
-        EPSG code of the database's one CRS: needed to create; checked against a database that is there. 0 stands for
-        a CRS without code, given by ``crs_wkt``.
+        EPSG code of the database's one CRS: required for a new database, compared with an existing one. 0 means a CRS
+        without code, given by ``crs_wkt``.
     crs_wkt : str
         The CRS as WKT, for ``srid=0``.
     timeout_s : float
@@ -55,14 +52,14 @@ def open_database(
     Returns
     -------
     Engine
-        A SQLAlchemy engine; nothing stays open between its connections.
+        A SQLAlchemy engine without a pool: no connection stays open after use.
 
     Raises
     ------
     DatabaseError
-        When there is no database and none is to be created, or it cannot be reached, written or locked.
+        When the database is missing and ``create`` is not set, or it cannot be reached, written or locked.
     SchemaVersionError
-        When the file or its schema is foreign, newer, or older and ``create`` is not set.
+        When the file is no msbdb database, or its schema is newer, or older and ``create`` is not set.
     CRSError
         When the database's CRS is another one.
     MissingDependencyError
@@ -92,14 +89,14 @@ def open_database(
 
 
 def check_target(target: str | PathLike[str] | URL, *, timeout_s: float = TIMEOUT_S) -> None:
-    """Find out before a long build what would keep its database from being written; nothing is changed.
+    """Check before a long build that its database can be written; nothing is changed.
 
     Raises
     ------
     DatabaseError
         When the place does not exist, may not be written, or cannot be reached.
     SchemaVersionError
-        When the file is foreign or its schema newer.
+        When the file is no msbdb database or its schema is newer.
     """
     url = database_url(target)
     dialect = dialect_of(url)
@@ -122,18 +119,18 @@ def upgrade_database(engine: Engine) -> None:
 
 
 def database_url(target: str | PathLike[str] | URL) -> URL:
-    """Return the URL of a path or of a URL's text, with the drivers that msbdb uses.
+    """Return a path or a URL's text as a URL, with the drivers of msbdb.
 
     Raises
     ------
     DatabaseError
-        When it is neither.
+        When it is neither of them.
     """
     if isinstance(target, URL):
         url = target
     else:
         words = fspath(target)
-        # What may hold a password is not shown.
+        # The message does not show the text, which may contain a password.
         unreadable = "The database URL cannot be read. Give one such as postgresql://user@host:5432/name."
         if _LIBPQ.match(words):
             raise DatabaseError(unreadable)
@@ -155,7 +152,7 @@ def database_url(target: str | PathLike[str] | URL) -> URL:
 
 
 def shown(url: URL) -> str:
-    """Return a URL as it may be shown: a file's path, or a server's URL without the password."""
+    """Return a URL for messages: a file's path, or a server's URL without the password."""
     if url.get_backend_name() == "sqlite":
         return str(url.database)
     secret = dict.fromkeys(set(url.query) - _HARMLESS, "***")
@@ -164,15 +161,15 @@ def shown(url: URL) -> str:
 
 
 _LIBPQ = re.compile(r"\s*((host|hostaddr|port|dbname|user|password|service)\s*=|postgres(ql)?:(?!//))")
-"""How PostgreSQL's own connection strings begin, and URLs that lost a slash: no names of files."""
+"""Beginnings of PostgreSQL's own connection strings and of URLs with a missing slash: no names of files."""
 
 _HARMLESS = {"host", "port", "dbname", "user", "connect_timeout", "sslmode", "application_name", "service"}
-"""The words of a URL's query that may be shown; there is more than one kind of password, and words are mistyped."""
+"""The words of a URL's query that may be shown; others may be passwords, also mistyped ones."""
 
 
 @contextmanager
 def guarded(url: URL) -> Iterator[None]:
-    """Turn the library's errors into ours."""
+    """Convert errors of SQLAlchemy and the driver to errors of msbdb."""
     dialect = dialect_of(url)
     errors: tuple[type[Exception], ...] = (SQLAlchemyError, *dialect.driver_errors())
     try:
@@ -187,7 +184,7 @@ def require_srid(connection: Connection, dialect: Dialect, srid: int, where: str
     Raises
     ------
     CRSError
-        Naming both, and what to do.
+        With both CRSs and the next step.
     """
     found = dialect.database_srid(connection)
     if found != srid:
@@ -199,7 +196,7 @@ def require_srid(connection: Connection, dialect: Dialect, srid: int, where: str
 
 
 def _create(url: URL, dialect: Dialect, *, create: bool, srid: int | None, crs_wkt: str, timeout_s: float) -> None:
-    """Create a database, or say why not."""
+    """Create a database, or raise an error with the reason."""
     if not create:
         msg = f"There is no msbdb database at {shown(url)}. Build one there, or check the path."
         raise DatabaseError(msg)
@@ -212,9 +209,9 @@ def _create(url: URL, dialect: Dialect, *, create: bool, srid: int | None, crs_w
 
 @contextmanager
 def snapshot(engine: Engine) -> Iterator[Connection]:
-    """Open a transaction that reads and sees one committed state, whatever is committed meanwhile.
+    """Open a transaction that reads one committed state, also while others commit.
 
-    SQLite's transactions are so by themselves; PostgreSQL's have to ask for it.
+    SQLite's transactions do so by default; for PostgreSQL the isolation level is set.
     """
     with guarded(engine.url), engine.connect() as connection:
         if connection.dialect.name == "postgresql":
@@ -224,7 +221,7 @@ def snapshot(engine: Engine) -> Iterator[Connection]:
 
 @contextmanager
 def opened(db: str | PathLike[str] | URL) -> Iterator[Engine]:
-    """Open a database that must exist, and close it at the end of the block."""
+    """Open an existing database, and close it at the end of the block."""
     engine = open_database(db)
     try:
         yield engine

@@ -1,4 +1,4 @@
-"""New tables of PostGIS are filled first, and indexed and held to their keys afterwards, all rows at once."""
+"""Bulk loads into new tables of PostGIS: rows first, then indexes and foreign keys for all rows."""
 
 import logging
 from collections.abc import Iterator, Mapping
@@ -9,7 +9,7 @@ from sqlalchemy import Connection, text
 logger = logging.getLogger(__name__)
 
 WORTH = 1000
-"""Fewer rows than this go in beside indexes and keys sooner than these are made."""
+"""Rows from which it is quicker to make indexes and keys after the load."""
 
 _NEW = """
 SELECT c.relname
@@ -18,7 +18,7 @@ WHERE c.relnamespace = current_schema()::regnamespace AND c.relkind = 'r' AND c.
   AND c.xmin = pg_current_xact_id_if_assigned()::xid
 ORDER BY c.relname
 """
-"""Tables that this transaction made, and which nobody else can see: to lock them holds nobody up."""
+"""Tables that this transaction made: nobody else sees them, so locking them disturbs nobody."""
 
 _KEYS = """
 SELECT format('ALTER TABLE %s DROP CONSTRAINT %I', conrelid::regclass, conname),
@@ -35,33 +35,33 @@ WHERE i.indrelid = ANY(CAST(:tables AS regclass[]))
   AND NOT EXISTS (SELECT FROM pg_constraint AS k WHERE k.conindid = i.indexrelid AND k.contype IN ('p', 'u', 'x'))
 ORDER BY i.indrelid, i.indexrelid
 """
-"""How foreign keys, and indexes that are no constraint's own, are taken off and made again, word by word."""
+"""Statements that drop and make again foreign keys, and indexes that belong to no constraint."""
 
 _ROOM = """
 SELECT set_config('maintenance_work_mem', '256MB', true) FROM pg_settings
 WHERE name = 'maintenance_work_mem' AND CAST(setting AS bigint) < 262144
 """
-"""Memory to sort an index in, until the transaction's end; more where the server has more."""
+"""Memory for sorting an index until the end of the transaction; a larger setting of the server is kept."""
 
 
 @contextmanager
 def in_bulk(connection: Connection, coming: Mapping[str, int]) -> Iterator[None]:
-    """Leave the foreign keys and indexes of new tables out while they are filled, and make them at the end.
+    """Drop the foreign keys and indexes of new tables while they are filled, and make them at the end.
 
-    Primary keys and unique constraints stay on: rows come in their order, in which they cost little.
+    Primary keys and unique constraints are kept: rows come in their order, so they cost little.
 
     Parameters
     ----------
     connection : Connection
         In a writer's transaction. A failure or a kill undoes all of it.
     coming : Mapping
-        Number of rows that will be inserted into each table. Tables that an earlier transaction made, and those with
-        less than `WORTH` rows coming, keep all they have.
+        Number of rows that will be inserted into each table. Tables of an earlier transaction, and those with fewer
+        than `WORTH` incoming rows, keep their keys and indexes.
 
     Raises
     ------
     IntegrityError
-        When a row breaks a key, at the end.
+        At the end, when a row breaks a key.
     """
     large = [table for table, rows in coming.items() if rows >= WORTH]
     new = list(connection.scalars(text(_NEW), {"tables": large})) if large else []

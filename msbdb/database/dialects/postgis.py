@@ -1,4 +1,4 @@
-"""The hooks of PostGIS."""
+"""The dialect of PostGIS."""
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -7,7 +7,6 @@ from typing import Any
 
 import psycopg
 import shapely
-from geoalchemy2 import Geometry
 from numpy.typing import NDArray
 from sqlalchemy import (
     JSON,
@@ -25,26 +24,28 @@ from sqlalchemy import (
     inspect,
     text,
 )
+from sqlalchemy.dialects.postgresql.base import ischema_names
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects import freshtables as fresh
 from msbdb.database.schema.canonical import to_json
 from msbdb.database.schema.sqlfiles import read_sql
-from msbdb.database.schema.sqltables import SQL
+from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
 
 logger = logging.getLogger(__name__)
 
-VERSION_TABLE = "msbdb_schema_version"
+# Inspecting a table would warn of a type that it does not know.
+ischema_names["geometry"] = Geometry
 
 _WRITER_LOCK = 0x6D73626462
-"""Number of the advisory lock that one writer of a database holds: 'msbdb' in ASCII."""
+"""Number of the advisory lock of a database's only writer: 'msbdb' in ASCII."""
 
 _ALIVE = {"keepalives_idle": 30, "keepalives_interval": 10, "keepalives_count": 3, "tcp_user_timeout": 60_000}
-"""When either end of a connection takes the other for gone: seconds, and for the last milliseconds.
+"""Times after which a lost connection is noticed: seconds, the last one in milliseconds.
 
-By the systems' own values a writer whose machine or network is gone would keep its lock for two hours.
+With the systems' default values, a writer whose machine or network failed would keep its lock for two hours.
 """
 
 _WIRE: dict[type[TypeEngine[Any]], str] = {
@@ -57,10 +58,10 @@ _WIRE: dict[type[TypeEngine[Any]], str] = {
     LargeBinary: "bytea",
     Text: "text",
 }
-"""Types of the models' columns as they are sent, the narrower ones first; JSON comes as its text."""
+"""Types in which the values of columns are sent, subclasses before their base classes; JSON is sent as text."""
 
 _HAS_SRID = 0x20
-"""Flag in the highest byte of a type's number in extended WKB."""
+"""Flag in the highest byte of the type number of extended WKB."""
 
 _CONTENT = (
     "survey",
@@ -95,27 +96,27 @@ WHERE n.nspname = current_schema() AND c.relname = ANY(:tables)
           + pg_stat_get_xact_tuples_updated(c.oid) + pg_stat_get_xact_tuples_deleted(c.oid) > c.reltuples)
 ORDER BY c.relname
 """
-"""The tables whose statistics no longer fit: never made, or as many rows came, changed or went since as there were."""
+"""The tables with outdated statistics: never made, or since then as many rows changed as there were."""
 
 _COMPRESSION = """
 SELECT set_config('default_toast_compression', 'lz4', true) FROM pg_settings
 WHERE name = 'default_toast_compression' AND 'lz4' = ANY(enumvals)
 """
-"""Large outlines are packed by LZ4 where the server knows it: a third of the time of its own way, some more space."""
+"""Large outlines are compressed by LZ4 where the server supports it: a third of the default's time, some more space."""
 
 
 def exists(url: URL, timeout_s: float) -> bool:
-    """Tell whether the database holds msbdb's tables."""
+    """Return whether the database has the tables of msbdb."""
     with make_engine(url, timeout_s).connect() as connection:
         return inspect(connection).has_table(VERSION_TABLE)
 
 
 def require_writable(url: URL) -> None:
-    """Do nothing: the server tells at the first statement."""
+    """Do nothing: the server reports it at the first statement."""
 
 
 def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> bool:
-    """Create the extension and the tables in one transaction; a second creator waits, finds them, and returns False."""
+    """Create the extension and the tables in one transaction; a second process waits, finds them, and returns False."""
     with make_engine(url, timeout_s).begin() as connection:
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
         if inspect(connection).has_table(VERSION_TABLE):
@@ -132,11 +133,11 @@ def make_engine(url: URL, timeout_s: float) -> Engine:
     return create_engine(
         url,
         poolclass=NullPool,
-        # Whatever the server's default is: a writer that waited for its lock must see what was committed meanwhile.
+        # Not the server's default: a writer that waited for its lock must see what others committed.
         isolation_level="READ COMMITTED",
         connect_args={
             "connect_timeout": max(2, round(timeout_s)),
-            # What is asked for is often local, and compiling its query takes longer than its answer.
+            # Many queries have a small window; compiling such a query takes longer than running it.
             "options": f"-c lock_timeout={round(timeout_s * 1000)} -c client_min_messages=warning -c jit=off "
             + " ".join(f"-c tcp_{name.removeprefix('tcp_')}={value}" for name, value in _ALIVE.items()),
             **_ALIVE,
@@ -155,7 +156,7 @@ def geometry_ddl(table: str, kind: str, srid: int | str) -> list[str]:
 
 
 def view_ddl(view: str, key: str, base: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
-    """Return nothing: PostGIS reads a view's geometry type and SRID off the view itself."""
+    """Return nothing: PostGIS reads type and SRID of a view's geometry from the view itself."""
     return []
 
 
@@ -165,18 +166,18 @@ def function_ddl() -> list[str]:
 
 
 def drop_geometry_ddl(table: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
-    """Return nothing: the column and its index go with the table."""
+    """Return nothing: the column and its index are dropped with the table."""
     return []
 
 
 def drop_view_ddl(view: str) -> list[str]:  # noqa: ARG001  (SpatiaLite keeps a register)
-    """Return nothing: no register holds views."""
+    """Return nothing: PostGIS has no register of views."""
     return []
 
 
 def database_srid(connection: Connection) -> int:
     """Return the SRID of the parts' geometry."""
-    # Off the column's type: PostGIS's own Find_SRID reads the columns of all tables.
+    # From the column's type: PostGIS's own Find_SRID reads the columns of all tables.
     query = text(
         "SELECT postgis_typmod_srid(atttypmod) FROM pg_attribute "
         "WHERE attrelid = to_regclass('part') AND attname = 'geometry'"
@@ -186,7 +187,7 @@ def database_srid(connection: Connection) -> int:
 
 @contextmanager
 def writing(engine: Engine) -> Iterator[Connection]:
-    """Open a transaction that is the only writer's; readers see the last committed state."""
+    """Open the transaction of the only writer; readers see the last committed state."""
     with engine.begin() as connection:
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
         connection.execute(text(_COMPRESSION))
@@ -194,14 +195,14 @@ def writing(engine: Engine) -> Iterator[Connection]:
 
 
 def in_bulk(connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:
-    """Index and check new tables once they are filled; in others that would lock readers out of the table."""
+    """Index and check new tables when they are filled; in other tables this would lock readers out."""
     return fresh.in_bulk(connection, coming)
 
 
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
-    """Return extended WKB, which carries the SRID."""
+    """Return extended WKB, which contains the SRID."""
     number = srid.to_bytes(4, "little")
-    # The type's flag and the SRID are put into plain WKB, as shapely would copy every geometry to give it an SRID.
+    # Type flag and SRID are inserted into plain WKB: shapely would copy every geometry to set its SRID.
     return [
         wkb[:4] + bytes([wkb[4] | _HAS_SRID]) + number + wkb[5:] for wkb in shapely.to_wkb(geometries, byte_order=1)
     ]
@@ -214,7 +215,7 @@ def insert_rows(
     rows: Sequence[tuple[Any, ...]],
     srid: int,  # noqa: ARG001  (SpatiaLite takes it here)
 ) -> None:
-    """Insert rows by COPY, in binary: the server reads numbers and geometries as they are."""
+    """Insert rows by binary COPY: the server converts no numbers or geometries."""
     own = SQL[table].columns
     statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN (FORMAT BINARY)"
     with connection.connection.cursor() as cursor, cursor.copy(statement) as copy:  # type: ignore[attr-defined]  # psycopg's own
@@ -224,7 +225,7 @@ def insert_rows(
 
 
 def _wire_type(kind: TypeEngine[Any]) -> str:
-    """Return the type of the server whose binary form a column's values are sent in."""
+    """Return the server's type in whose binary form a column's values are sent."""
     for known, name in _WIRE.items():
         if isinstance(kind, known):
             return name
@@ -233,19 +234,19 @@ def _wire_type(kind: TypeEngine[Any]) -> str:
 
 
 def settle(connection: Connection) -> None:
-    """Check the deferred keys of the rows deleted so far, while the planner's figures still fit them.
+    """Check the deferred keys of the rows deleted so far, while the planner's statistics still fit.
 
-    Left to the commit, after the statistics of a smaller run, each deleted row would be looked up by a full scan.
+    At the commit, with the statistics of a smaller run, the check of each deleted row would scan a whole table.
     """
     connection.execute(text("SET CONSTRAINTS ALL IMMEDIATE"))
     connection.execute(text("SET CONSTRAINTS ALL DEFERRED"))
 
 
 def after_load(connection: Connection) -> None:
-    """Bring the planner's statistics up to date, before the commit checks the new rows' keys by them.
+    """Update the planner's statistics, before the commit checks the new rows' keys with them.
 
-    Only of tables that changed as a whole since they were last looked at: to sample a large table takes longer than to
-    load a survey. The server's own autovacuum looks at tables that changed by a tenth.
+    Only of tables in which most rows changed: sampling a large table takes longer than loading a survey. The server's
+    autovacuum handles tables that changed by a tenth.
     """
     for table in connection.scalars(text(_OUTDATED), {"tables": list(_CONTENT)}).all():
         connection.execute(text(f"ANALYZE {table}"))
@@ -257,7 +258,7 @@ _TAKEN = ("{where} holds a table of another program: {cause}", "Give msbdb a dat
 
 _LOST = (
     "{where} is out of reach, or its connection was lost: {cause}",
-    "Whatever was not complete is not there; run the command again when the server serves.",
+    "Nothing incomplete was written; run the command again when the server is available.",
 )
 
 _EXPLAINED = {
@@ -269,21 +270,21 @@ _EXPLAINED = {
     "42P07": _TAKEN,
     "42710": _TAKEN,
 }
-"""What a SQLSTATE means here, and the next step."""
+"""The meaning of a SQLSTATE, and the next step."""
 
 
 def driver_errors() -> tuple[type[Exception], ...]:
-    """Return the driver's errors, which COPY raises."""
+    """Return the driver's error, which COPY raises."""
     return (psycopg.Error,)
 
 
 def explain(error: BaseException, where: str) -> MsbdbError:
-    """Return our error for one of PostgreSQL's, told apart by its SQLSTATE."""
+    """Return the error of msbdb for an error of PostgreSQL, chosen by its SQLSTATE."""
     origin = error.orig if isinstance(error, DBAPIError) else error
     state = str(getattr(origin, "sqlstate", None) or "")
     cause = " ".join(str(origin).split())
     if not state and "closed the connection" in cause:
-        # The server had no time to say why.
+        # The server stopped without a reason.
         state = "08006"
     if state.startswith(("22", "23")):
         return LoadError(f"The database {where} refused the rows: {cause} Nothing was written.")

@@ -1,27 +1,25 @@
-"""Rights of the server's users on msbdb's tables, views and functions, given, taken and kept over migrations.
+"""Rights of the server's users on msbdb's tables, views and functions, also over migrations.
 
 - A reader selects from msbdb's tables and views and calls its functions.
-- An operator also changes rows of the builds (labelling a class anew writes its run anew), and the operators' own:
-  states of buildings and roof samples. The inventory's history, the schema and the rights are beyond an operator.
-- The owner owns all of it: only an owner updates the inventory, migrates the schema and grants rights.
+- An operator also changes rows of builds (labelling a class again writes its run again), states of buildings and roof
+  samples. An operator cannot change the inventory's history, the schema or the rights.
+- The owner owns all objects: only an owner updates the inventory, migrates the schema and grants rights.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import LiteralString
 
-from psycopg import sql
 from sqlalchemy import Connection, text
 
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
-from msbdb.database.schema.sqltables import METADATA, SQL
-
-VERSION_TABLE = "msbdb_schema_version"
+from msbdb.database.schema.sqltables import METADATA, SQL, VERSION_TABLE
 
 OPERATORS_OWN = ("operator_state", "roof_sample")
-"""The tables that hold what operators decide."""
+"""The tables with the operators' decisions."""
 
 FUNCTIONS = ("footprint_at",)
-"""msbdb's own functions; PostGIS's are everybody's."""
+"""msbdb's own functions; everybody may call those of PostGIS."""
 
 _HELD = """
 SELECT pg_get_userbyid(a.grantee) AS name, bool_or(a.privilege_type = 'INSERT') AS changes
@@ -29,12 +27,12 @@ FROM pg_class AS c, aclexplode(c.relacl) AS a
 WHERE c.oid = 'run'::regclass AND a.grantee NOT IN (0, c.relowner)
 GROUP BY 1 ORDER BY 1
 """
-"""Who holds which rights, by those on the table run, which no migration makes anew."""
+"""The users and their rights, from those on the table run, which no migration makes again."""
 
 
 @contextmanager
 def kept_rights(connection: Connection, *, but: str = "") -> Iterator[None]:
-    """Give all users but one their rights again after what makes tables anew or changes who granted them."""
+    """Give all users but one their rights again after a change that makes tables again or grants rights."""
     if connection.dialect.name != "postgresql":
         yield
         return
@@ -46,56 +44,57 @@ def kept_rights(connection: Connection, *, but: str = "") -> Iterator[None]:
 
 
 def written_by_operators(table: str) -> bool:
-    """Tell whether operators change rows of a table: those of builds, and their own."""
+    """Return whether operators may change rows of a table: those of builds, and their own."""
     return table in ("survey", "source", *OPERATORS_OWN) or "run_id" in SQL[table].columns
 
 
 def give(connection: Connection, role: str, user: str) -> None:
-    """Give a user the rights of a role, beside those that it has: reader, operator, owner, or none."""
+    """Give a user the rights of a role, besides its own: reader, operator, owner, or none."""
     if role == "none":
         return
-    to, here = sql.Identifier(user), _schema(connection)
+    here = _schema(connection)
     if role == "owner":
-        _hand_over(connection, here, to)
+        _hand_over(connection, here, user)
         return
-    _execute(connection, sql.SQL("GRANT USAGE ON SCHEMA {} TO {}").format(here, to))
+    _execute(connection, "GRANT USAGE ON SCHEMA {here} TO {user}", here=here, user=user)
     for name in _relations(connection):
-        _execute(connection, sql.SQL("GRANT SELECT ON {}.{} TO {}").format(here, sql.Identifier(name), to))
+        _execute(connection, "GRANT SELECT ON {here}.{name} TO {user}", here=here, name=name, user=user)
         if role == "operator" and name in METADATA.tables and written_by_operators(name):
-            statement = sql.SQL("GRANT INSERT, UPDATE, DELETE ON {}.{} TO {}")
-            _execute(connection, statement.format(here, sql.Identifier(name), to))
+            statement = "GRANT INSERT, UPDATE, DELETE ON {here}.{name} TO {user}"
+            _execute(connection, statement, here=here, name=name, user=user)
     for name in _functions(connection):
-        _execute(connection, sql.SQL("GRANT EXECUTE ON FUNCTION {}.{} TO {}").format(here, sql.Identifier(name), to))
+        _execute(connection, "GRANT EXECUTE ON FUNCTION {here}.{name} TO {user}", here=here, name=name, user=user)
 
 
 def take(connection: Connection, user: str) -> None:
-    """Take all rights from a user, and from everybody what nobody needs: making objects in the database."""
-    of, here, database = sql.Identifier(user), _schema(connection), _database(connection)
-    _execute(connection, sql.SQL("REVOKE CREATE ON SCHEMA {} FROM PUBLIC").format(here))
-    _execute(connection, sql.SQL("REVOKE TEMPORARY ON DATABASE {} FROM PUBLIC").format(database))
+    """Take all rights from a user, and from everybody the right to make objects in the database."""
+    here, database = _schema(connection), _database(connection)
+    _execute(connection, "REVOKE CREATE ON SCHEMA {here} FROM PUBLIC", here=here)
+    _execute(connection, "REVOKE TEMPORARY ON DATABASE {database} FROM PUBLIC", database=database)
     for name in _relations(connection):
-        _execute(connection, sql.SQL("REVOKE ALL ON {}.{} FROM {}").format(here, sql.Identifier(name), of))
+        _execute(connection, "REVOKE ALL ON {here}.{name} FROM {user}", here=here, name=name, user=user)
     for name in _functions(connection):
-        _execute(connection, sql.SQL("REVOKE ALL ON FUNCTION {}.{} FROM {}").format(here, sql.Identifier(name), of))
-    _execute(connection, sql.SQL("REVOKE TEMPORARY ON DATABASE {} FROM {}").format(database, of))
-    _execute(connection, sql.SQL("REVOKE ALL ON SCHEMA {} FROM {}").format(here, of))
+        _execute(connection, "REVOKE ALL ON FUNCTION {here}.{name} FROM {user}", here=here, name=name, user=user)
+    _execute(connection, "REVOKE TEMPORARY ON DATABASE {database} FROM {user}", database=database, user=user)
+    _execute(connection, "REVOKE ALL ON SCHEMA {here} FROM {user}", here=here, user=user)
 
 
-def _hand_over(connection: Connection, here: sql.Identifier, to: sql.Identifier) -> None:
+def _hand_over(connection: Connection, here: str, user: str) -> None:
     """Make a user the owner of the schema and of all tables, views and functions of msbdb in it.
 
-    The schema's too, as rights on it are given by its owner, whoever gives them, and so can be taken back.
+    The owner of a schema gives the rights on it, whoever runs the statement, and so can take them back.
     """
-    _execute(connection, sql.SQL("ALTER SCHEMA {} OWNER TO {}").format(here, to))
-    _execute(connection, sql.SQL("GRANT TEMPORARY ON DATABASE {} TO {}").format(_database(connection), to))
+    _execute(connection, "ALTER SCHEMA {here} OWNER TO {user}", here=here, user=user)
+    database = _database(connection)
+    _execute(connection, "GRANT TEMPORARY ON DATABASE {database} TO {user}", database=database, user=user)
     for name in _relations(connection):
-        _execute(connection, sql.SQL("ALTER TABLE {}.{} OWNER TO {}").format(here, sql.Identifier(name), to))
+        _execute(connection, "ALTER TABLE {here}.{name} OWNER TO {user}", here=here, name=name, user=user)
     for name in _functions(connection):
-        _execute(connection, sql.SQL("ALTER FUNCTION {}.{} OWNER TO {}").format(here, sql.Identifier(name), to))
+        _execute(connection, "ALTER FUNCTION {here}.{name} OWNER TO {user}", here=here, name=name, user=user)
 
 
 def _relations(connection: Connection) -> list[str]:
-    """Return the tables and views that are msbdb's own and there; ALTER TABLE and GRANT take both."""
+    """Return msbdb's existing tables and views; ALTER TABLE and GRANT accept both."""
     own = [*METADATA.tables, *(view.name for view in (*VIEWS, *TABLE_VIEWS)), VERSION_TABLE]
     query = text("SELECT relname FROM pg_class WHERE relnamespace = current_schema()::regnamespace")
     there = set(connection.scalars(query))
@@ -103,21 +102,24 @@ def _relations(connection: Connection) -> list[str]:
 
 
 def _functions(connection: Connection) -> list[str]:
-    """Return the functions that are msbdb's own and there."""
+    """Return msbdb's existing functions."""
     query = text("SELECT proname FROM pg_proc WHERE pronamespace = current_schema()::regnamespace")
     there = set(connection.scalars(query))
     return [name for name in FUNCTIONS if name in there]
 
 
-def _schema(connection: Connection) -> sql.Identifier:
-    return sql.Identifier(str(connection.scalar(text("SELECT current_schema()"))))
+def _schema(connection: Connection) -> str:
+    return str(connection.scalar(text("SELECT current_schema()")))
 
 
-def _database(connection: Connection) -> sql.Identifier:
-    return sql.Identifier(str(connection.scalar(text("SELECT current_database()"))))
+def _database(connection: Connection) -> str:
+    return str(connection.scalar(text("SELECT current_database()")))
 
 
-def _execute(connection: Connection, statement: sql.Composed) -> None:
-    """Run a statement whose identifiers the driver has quoted."""
+def _execute(connection: Connection, statement: LiteralString, **names: str) -> None:
+    """Run a statement; the driver quotes the names that take the places in braces."""
+    from psycopg import sql
+
+    quoted = {place: sql.Identifier(name) for place, name in names.items()}
     with connection.connection.cursor() as cursor:  # type: ignore[attr-defined]  # psycopg's own
-        cursor.execute(statement)
+        cursor.execute(sql.SQL(statement).format(**quoted))

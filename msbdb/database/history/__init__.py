@@ -1,1 +1,1 @@
-"""The living inventory: versions of buildings, changes, events and decisions, written and read."""
+"""The living inventory: reading and writing versions of buildings, changes, events and decisions."""

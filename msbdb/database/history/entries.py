@@ -1,8 +1,7 @@
-"""What people bring into the living inventory: footprints of another one, roof samples, and their word on buildings."""
+"""Entries of operators into the living inventory: imported footprints, roof samples, and decisions on buildings."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import geopandas as gpd
 import numpy as np
 import shapely
 from sqlalchemy import Column, Connection, Engine, delete, select
@@ -16,30 +15,33 @@ from msbdb.database.schema.canonical import text_id, to_json
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import InputError
 
+if TYPE_CHECKING:
+    import geopandas as gpd
+
 OPERATOR_STATE = SQL["operator_state"]
 
 ROOF_SAMPLE = SQL["roof_sample"]
 
 
-def write_import(engine: Engine, name: str, date: str, frame: gpd.GeoDataFrame, *, digest: str) -> tuple[str, int]:
-    """Enter buildings of another inventory, each with its first version.
+def write_import(engine: Engine, name: str, date: str, frame: "gpd.GeoDataFrame", *, digest: str) -> tuple[str, int]:
+    """Write buildings of another inventory, each with its first version.
 
     Parameters
     ----------
     engine : Engine
         From ``open_database``.
     name, date : str
-        Name of the import, and the day from which its versions hold.
+        Name of the import, and the first day on which its versions are valid.
     frame : GeoDataFrame
-        ``key`` (words that tell the buildings of the import apart), ``MEASURES``, ``attributes``, and geometry in the
+        ``key`` (a unique text for each building of the import), ``MEASURES``, ``attributes``, and geometry in the
         database's CRS.
     digest : str
-        Of all that decides of the outcome.
+        Digest of everything that determines the result.
 
     Returns
     -------
     tuple of str and int
-        'created', or 'unchanged' when it is there already; and the number of buildings.
+        'created', or 'unchanged' when it was imported before; and the number of buildings.
 
     Raises
     ------
@@ -66,8 +68,8 @@ def write_import(engine: Engine, name: str, date: str, frame: gpd.GeoDataFrame, 
             version_id=[text_id("version", "import", name, uid) for uid in uids], uid=uids, valid_from=date,
             source="import", survey_id=None, building_id=None,
         )  # fmt: skip
-        born = [(uid, name) for uid in uids]
-        insert_digested(connection, dialect, "inventory_building", ["uid", "source"], born, srid=srid)
+        buildings = [(uid, name) for uid in uids]
+        insert_digested(connection, dialect, "inventory_building", ["uid", "source"], buildings, srid=srid)
         write_versions(connection, dialect, rows, srid)
         event: dict[str, Any] = {"kind": "import", "name": name, "date": date, "survey_id": None}
         event |= {"counts": {"versions": len(frame)}, "content_sha256": digest}
@@ -76,8 +78,8 @@ def write_import(engine: Engine, name: str, date: str, frame: gpd.GeoDataFrame, 
     return "created", len(frame)
 
 
-def write_samples(engine: Engine, frame: gpd.GeoDataFrame) -> int:
-    """Write roof samples (V53), one a place; a sample of a place that is known takes its place.
+def write_samples(engine: Engine, frame: "gpd.GeoDataFrame") -> int:
+    """Write roof samples (V53), one for each place; a sample replaces an earlier one of the same place.
 
     Parameters
     ----------
@@ -109,14 +111,14 @@ def write_samples(engine: Engine, frame: gpd.GeoDataFrame) -> int:
 def write_state(
     engine: Engine, uid: int, state: str | None, *, operator: str, note: str, decided_at: str
 ) -> dict[str, Any] | None:
-    """Write an operator's word on a building; None takes it back.
+    """Write an operator's decision on a building; None removes it.
 
-    Two operators on one building follow each other, and the later word stands.
+    A later decision replaces an earlier one.
 
     Returns
     -------
     mapping, optional
-        The word that this one takes the place of: ``state``, ``operator``, ``note`` and ``decided_at``.
+        The decision that this one replaces: ``state``, ``operator``, ``note`` and ``decided_at``.
 
     Raises
     ------

@@ -1,14 +1,11 @@
-"""Reading the living inventory: what stood at a date, what surveys changed, and what was applied in which order."""
+"""Reading the living inventory: buildings at a date, changes by surveys, and the order of updates."""
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
-from pyproj import CRS
 from sqlalchemy import (
     Column,
     ColumnElement,
@@ -32,6 +29,11 @@ from msbdb.database.history.rowdigest import COLUMN
 from msbdb.database.schema.sqlfiles import footprint_at_query
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import FIRST_OWN_SRID
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import pandas as pd
+    from pyproj import CRS
 
 BUILDING_CHANGE = SQL["building_change"]
 
@@ -58,18 +60,18 @@ _WINDOWS = {
     ),
     "postgresql": "building_version.geometry && ST_MakeEnvelope(:west, :south, :east, :north, :srid)",
 }
-"""The condition that a version's bounds meet a window, by the spatial index."""
+"""The condition that a version's bounds intersect a window, by the spatial index."""
 
 
-def footprint_at(engine: Engine, date: str) -> gpd.GeoDataFrame:
-    """Return the inventory as it was on a day, operators' states winning over those found.
+def footprint_at(engine: Engine, date: str) -> "gpd.GeoDataFrame":
+    """Return the inventory on a day; operators' decisions have priority over detected states.
 
     Parameters
     ----------
     engine : Engine
         From ``open_database``.
     date : str
-        The day, ISO 8601; of a month or year its first day.
+        The day, ISO 8601; a month or year means its first day.
 
     Returns
     -------
@@ -92,7 +94,7 @@ def first_day(date: str) -> str:
     return date + "0000-01-01"[len(date) :]
 
 
-def read_history(engine: Engine, uid: int | None = None) -> gpd.GeoDataFrame:
+def read_history(engine: Engine, uid: int | None = None) -> "gpd.GeoDataFrame":
     """Return the versions of a building of the inventory, or of all: columns of ``building_version``, and geometry."""
     query = select(*_version_columns()).order_by(BUILDING_VERSION.c.uid, BUILDING_VERSION.c.valid_from, "version_id")
     if uid is not None:
@@ -101,21 +103,21 @@ def read_history(engine: Engine, uid: int | None = None) -> gpd.GeoDataFrame:
         return _frame(connection, query)
 
 
-def read_events(connection: Connection) -> gpd.GeoDataFrame:
-    """Return what was applied to the inventory, in that order: columns of ``inventory_event``, and geometry."""
-    query = select(*_told(INVENTORY_EVENT), func.ST_AsBinary(INVENTORY_EVENT.c.geometry).label("wkb")).order_by(
+def read_events(connection: Connection) -> "gpd.GeoDataFrame":
+    """Return imports and updates in the order of application: columns of ``inventory_event``, and geometry."""
+    query = select(*_columns_of(INVENTORY_EVENT), func.ST_AsBinary(INVENTORY_EVENT.c.geometry).label("wkb")).order_by(
         INVENTORY_EVENT.c.number
     )
     return _frame(connection, query)
 
 
-def read_offsets(connection: Connection) -> pd.DataFrame:
-    """Return how each survey lies to the inventory: columns of ``survey_offset``."""
-    return _plain(connection, select(*_told(SURVEY_OFFSET)))
+def read_offsets(connection: Connection) -> "pd.DataFrame":
+    """Return the offset of each survey: columns of ``survey_offset``."""
+    return _plain(connection, select(*_columns_of(SURVEY_OFFSET)))
 
 
-def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.GeoDataFrame:
-    """Return the versions within a window that were current before a survey, which may have been applied.
+def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> "gpd.GeoDataFrame":
+    """Return the versions within a window that were current before a survey, also if it was applied already.
 
     Parameters
     ----------
@@ -124,7 +126,7 @@ def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.G
     bounds : tuple of float
         West, south, east and north, metres.
     survey_id : int
-        Versions that this survey made do not count, those that it ended do.
+        Versions made by this survey are left out; versions that it ended are included.
 
     Returns
     -------
@@ -132,13 +134,13 @@ def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> gpd.G
         Columns of ``building_version``, in order of ``uid``; heights are NaN where unknown.
     """
     others = or_(BUILDING_VERSION.c.survey_id.is_(None), BUILDING_VERSION.c.survey_id != survey_id)
-    stood = or_(and_(BUILDING_VERSION.c.valid_to.is_(None), others), BUILDING_VERSION.c.closed_by == survey_id)
-    query = select(*_version_columns()).where(stood, window(connection, bounds)).order_by(BUILDING_VERSION.c.uid)
+    current = or_(and_(BUILDING_VERSION.c.valid_to.is_(None), others), BUILDING_VERSION.c.closed_by == survey_id)
+    query = select(*_version_columns()).where(current, window(connection, bounds)).order_by(BUILDING_VERSION.c.uid)
     return _frame(connection, query)
 
 
-def read_born(connection: Connection, survey_id: int) -> gpd.GeoDataFrame:
-    """Return the versions with which buildings began in a survey: columns of ``building_version``."""
+def read_born(connection: Connection, survey_id: int) -> "gpd.GeoDataFrame":
+    """Return the first versions of the buildings that began in a survey: columns of ``building_version``."""
     earlier = BUILDING_VERSION.alias("earlier")
     before = or_(earlier.c.survey_id.is_(None), earlier.c.survey_id != survey_id)
     has_earlier = select(null()).where(earlier.c.uid == BUILDING_VERSION.c.uid, before).exists()
@@ -147,29 +149,29 @@ def read_born(connection: Connection, survey_id: int) -> gpd.GeoDataFrame:
 
 
 def window(connection: Connection, bounds: Bounds) -> ColumnElement[bool]:
-    """Return the condition that a version's bounds meet a window, which the spatial index answers."""
+    """Return the condition that a version's bounds intersect a window, for the spatial index."""
     values: dict[str, Any] = dict(zip(("west", "south", "east", "north"), bounds, strict=True))
     if connection.dialect.name == "postgresql":
         values["srid"] = dialect_of(connection.engine.url).database_srid(connection)
     return text(_WINDOWS[connection.dialect.name]).bindparams(**values)  # type: ignore[return-value]  # a condition
 
 
-def read_changes(engine: Engine, since: str | None = None, until: str | None = None) -> gpd.GeoDataFrame:
-    """Return what surveys did to the buildings.
+def read_changes(engine: Engine, since: str | None = None, until: str | None = None) -> "gpd.GeoDataFrame":
+    """Return the changes of buildings in surveys.
 
     Parameters
     ----------
     engine : Engine
         From ``open_database``.
     since, until : str, optional
-        Surveys later than the one day, and up to the other; all by default.
+        Surveys later than ``since`` and until ``until``; all by default.
 
     Returns
     -------
     GeoDataFrame
-        A row a change (a pair of buildings for merged and split): columns of ``building_change``, and ``survey``,
-        ``date``, and state, storeys, heights, area and attributes before and after; the geometry is that of after, or
-        of before where nothing is left. In order of date, survey and change.
+        A row for each change (for each pair of buildings of merged and split): columns of ``building_change``,
+        ``survey``, ``date``, and state, storeys, heights, area and attributes before and after. The geometry is the one
+        after, or the one before if nothing is left. In order of date, survey and change.
     """
     with guarded(engine.url), engine.connect() as connection:
         return _changes(connection, since, until)
@@ -177,25 +179,25 @@ def read_changes(engine: Engine, since: str | None = None, until: str | None = N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Period:
-    """What surveys did to the buildings within a period.
+    """The changes of buildings within a period.
 
     Parameters
     ----------
     changes : GeoDataFrame
-        As `read_changes` gives it.
+        From `read_changes`.
     versions : GeoDataFrame
-        The versions that the changes name: columns of ``building_version``.
+        The versions before and after the changes: columns of ``building_version``.
     offsets : DataFrame
         ``survey_offset``, of all surveys.
     """
 
-    changes: gpd.GeoDataFrame
-    versions: gpd.GeoDataFrame
-    offsets: pd.DataFrame
+    changes: "gpd.GeoDataFrame"
+    versions: "gpd.GeoDataFrame"
+    offsets: "pd.DataFrame"
 
 
 def read_period(engine: Engine, since: str | None = None, until: str | None = None) -> Period:
-    """Return what surveys did to the buildings, with the versions before and after, as one committed state.
+    """Return the changes of buildings with the versions before and after, as one committed state.
 
     The parameters are those of `read_changes`.
     """
@@ -211,11 +213,11 @@ def read_period(engine: Engine, since: str | None = None, until: str | None = No
         return Period(_changes(connection, since, until), _frame(connection, query), read_offsets(connection))
 
 
-def _changes(connection: Connection, since: str | None, until: str | None) -> gpd.GeoDataFrame:
+def _changes(connection: Connection, since: str | None, until: str | None) -> "gpd.GeoDataFrame":
     """Return the changes of a period."""
     one, two = (BUILDING_VERSION.alias(name) for name in ("version_1", "version_2"))
     states = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
-    columns = [c for c in _told(BUILDING_CHANGE) if c.name != "survey_id"]
+    columns = [c for c in _columns_of(BUILDING_CHANGE) if c.name != "survey_id"]
     query = (
         select(
             SURVEY.c.name.label("survey"),
@@ -234,23 +236,25 @@ def _changes(connection: Connection, since: str | None, until: str | None) -> gp
     return _frame(connection, query.where(*_between(since, until)))
 
 
-def read_states(engine: Engine) -> pd.DataFrame:
-    """Return the operators' words on buildings: columns of ``operator_state``, in order of ``uid``."""
+def read_states(engine: Engine) -> "pd.DataFrame":
+    """Return the operators' decisions on buildings: columns of ``operator_state``, in order of ``uid``."""
     with guarded(engine.url), engine.connect() as connection:
-        return _plain(connection, select(*_told(OPERATOR_STATE)).order_by(OPERATOR_STATE.c.uid))
+        return _plain(connection, select(*_columns_of(OPERATOR_STATE)).order_by(OPERATOR_STATE.c.uid))
 
 
-def read_roof_samples(engine: Engine) -> gpd.GeoDataFrame:
+def read_roof_samples(engine: Engine) -> "gpd.GeoDataFrame":
     """Return the roof samples: columns of ``roof_sample``, and geometry."""
-    query = select(*_told(ROOF_SAMPLE), func.ST_AsBinary(ROOF_SAMPLE.c.geometry).label("wkb")).order_by(
+    query = select(*_columns_of(ROOF_SAMPLE), func.ST_AsBinary(ROOF_SAMPLE.c.geometry).label("wkb")).order_by(
         ROOF_SAMPLE.c.sample_id
     )
     with guarded(engine.url), engine.connect() as connection:
         return _frame(connection, query)
 
 
-def read_material_classes(engine: Engine) -> pd.DataFrame:
+def read_material_classes(engine: Engine) -> "pd.DataFrame":
     """Return the cross table of roof materials and classes (V53), the view ``roof_material_by_class``."""
+    import pandas as pd
+
     columns = ["survey", "material", "speindex", "class_label", "samples"]
     query = text(f"SELECT {', '.join(columns)} FROM roof_material_by_class")  # noqa: S608  (our own names)
     with guarded(engine.url), engine.connect() as connection:
@@ -259,18 +263,20 @@ def read_material_classes(engine: Engine) -> pd.DataFrame:
 
 
 def has_building(connection: Connection, uid: int) -> bool:
-    """Tell whether the inventory has a building."""
+    """Return whether the inventory has a building."""
     return bool(connection.scalar(select(func.count()).where(INVENTORY_BUILDING.c.uid == uid)))
 
 
-def database_crs_of(engine: Engine) -> CRS:
+def database_crs_of(engine: Engine) -> "CRS":
     """Return the database's CRS."""
     with guarded(engine.url), engine.connect() as connection:
         return database_crs(connection)
 
 
-def database_crs(connection: Connection) -> CRS:
-    """Return the database's CRS, as it is registered there."""
+def database_crs(connection: Connection) -> "CRS":
+    """Return the database's registered CRS."""
+    from pyproj import CRS
+
     srid = dialect_of(connection.engine.url).database_srid(connection)
     if srid < FIRST_OWN_SRID:
         return CRS.from_epsg(srid)
@@ -279,7 +285,7 @@ def database_crs(connection: Connection) -> CRS:
 
 
 def _between(since: str | None, until: str | None) -> list[ColumnElement[bool]]:
-    """Return the conditions that a survey lies between two days, the first one excluded."""
+    """Return the conditions that a survey is later than one day and not later than another."""
     conditions = []
     if since is not None:
         conditions.append(INVENTORY_EVENT.c.date > first_day(since))
@@ -288,20 +294,22 @@ def _between(since: str | None, until: str | None) -> list[ColumnElement[bool]]:
     return conditions
 
 
-def _told(table: Table) -> list[Column[Any]]:
-    """Return a table's columns but the outline, which is read as WKB, and the row's digest."""
+def _columns_of(table: Table) -> list[Column[Any]]:
+    """Return a table's columns except the geometry, which is read as WKB, and the row's digest."""
     return [column for column in table.columns if column.name not in ("geometry", COLUMN)]
 
 
-def _plain(connection: Connection, query: Select[Any]) -> pd.DataFrame:
-    """Return the rows of a query without an outline."""
+def _plain(connection: Connection, query: Select[Any]) -> "pd.DataFrame":
+    """Return the rows of a query without geometry."""
+    import pandas as pd
+
     result = connection.execute(query)
     return pd.DataFrame([dict(row) for row in result.mappings()], columns=list(result.keys()))
 
 
 def _version_columns() -> list[ColumnElement[Any]]:
     """Return the columns of building_version, with the geometry as WKB."""
-    return [*_told(BUILDING_VERSION), func.ST_AsBinary(BUILDING_VERSION.c.geometry).label("wkb")]
+    return [*_columns_of(BUILDING_VERSION), func.ST_AsBinary(BUILDING_VERSION.c.geometry).label("wkb")]
 
 
 _INTEGERS = {
@@ -321,18 +329,22 @@ _FLAGS = {"outline", "height"}
 
 def _frame(
     connection: Connection, query: Select[Any] | TextClause, values: dict[str, Any] | None = None
-) -> gpd.GeoDataFrame:
-    """Return the rows of a query with a column ``wkb`` as a frame of settled dtypes."""
+) -> "gpd.GeoDataFrame":
+    """Return the rows of a query with a column ``wkb`` as a frame with fixed dtypes."""
+    import geopandas as gpd
+
     result = connection.execute(query, values or {})
     names = list(result.keys())
     columns = dict(zip(names, zip(*result.all(), strict=True), strict=False))
     shapes = shapely.from_wkb(np.array([bytes(blob) for blob in columns.get("wkb", ())], dtype=object))
-    found = {name: _settled(name, list(columns.get(name, ()))) for name in names if name not in ("wkb", "geometry")}
+    found = {name: _typed(name, list(columns.get(name, ()))) for name in names if name not in ("wkb", "geometry")}
     return gpd.GeoDataFrame(found, geometry=shapes, crs=database_crs(connection))
 
 
-def _settled(name: str, values: list[Any]) -> Any:  # noqa: ANN401  (a pandas array of any dtype)
-    """Return a column's values in the dtype that its name has everywhere in the inventory."""
+def _typed(name: str, values: list[Any]) -> Any:  # noqa: ANN401  (a pandas array of any dtype)
+    """Return a column's values in the dtype for its name."""
+    import pandas as pd
+
     if name in _OBJECTS:
         return pd.Series([json.loads(v) if isinstance(v, str) else v for v in values], dtype=object)
     if name in _FLAGS or (values and isinstance(values[0], bool)):

@@ -1,7 +1,7 @@
-"""Digests of the rows of the inventory's history, by which an edit that msbdb did not make is noticed.
+"""Digests of the rows of the inventory's history, which detect edits by other programs.
 
-Runs are replaced as a whole and have one digest each. The history is written row by row over years, by updates that end
-versions of earlier ones; so each of its rows has a digest of its own, in the column `COLUMN`.
+A run is replaced completely and has one digest. The history is written row by row over years, and updates end versions
+of earlier ones. So each of its rows has its own digest, in the column `COLUMN`.
 """
 
 import json
@@ -24,7 +24,7 @@ TABLES = tuple(table.name for table in DATABASE_TABLES if table.digested)
 """The tables whose rows have digests."""
 
 BATCH = 5000
-"""Rows that are held at once."""
+"""Rows in memory at a time."""
 
 
 def digests(table: str, columns: Sequence[tuple[str, TypeEngine[Any]]], rows: Sequence[Sequence[Any]]) -> list[int]:
@@ -37,13 +37,12 @@ def digests(table: str, columns: Sequence[tuple[str, TypeEngine[Any]]], rows: Se
     columns : sequence of str and type
         Name and type of each column, in any order. A geometry is one of the name ``geometry``.
     rows : sequence of sequence
-        Values as the database gives them; a geometry as WKB, a document as it is or as JSON. A column that is left out
-        is null.
+        Values from the database; a geometry as WKB, a document as an object or as JSON. A missing column is null.
 
     Returns
     -------
     list of int
-        Keys above 0 as of `text_id`. Migrations use this: what it returns for a row must stay the same.
+        Numbers above 0, from `text_id`. Migrations use this function: the result for a row must stay the same.
     """
     cells = {
         name: _canonical(name, type_, values)
@@ -51,24 +50,24 @@ def digests(table: str, columns: Sequence[tuple[str, TypeEngine[Any]]], rows: Se
     }
     found = []
     for values in zip(*cells.values(), strict=True):
-        told = {name: value for name, value in zip(cells, values, strict=True) if value is not None}
-        found.append(text_id(table, json.dumps(told, sort_keys=True, ensure_ascii=False)))
+        known = {name: value for name, value in zip(cells, values, strict=True) if value is not None}
+        found.append(text_id(table, json.dumps(known, sort_keys=True, ensure_ascii=False)))
     return found
 
 
 def _canonical(name: str, type_: TypeEngine[Any], values: Sequence[Any]) -> list[Any]:
-    """Return a column's values in the one form that every dialect's values have."""
+    """Return a column's values in a form that is the same for all dialects."""
     if name == "geometry":
         shapes = shapely.from_wkb(np.array([bytes(value) for value in values], dtype=object))
         return [str(words) for words in shapely.to_wkb(shapes, byte_order=1, output_dimension=2, hex=True)]
     if isinstance(type_, Boolean):
         return [None if value is None else bool(value) for value in values]
     if isinstance(type_, Double):
-        # Adding zero makes -0.0, which SQLite does not keep, 0.0.
+        # Adding zero turns -0.0 into 0.0, because SQLite does not store -0.0.
         return [None if value is None else float(value) + 0.0 for value in values]
     if isinstance(type_, JSON):
         words = [value if isinstance(value, str) else to_json(value) for value in values]
-        # A document that says null is read as none.
+        # The document 'null' is read as no value.
         return [None if value == "null" else value for value in words]
     return list(values)
 
@@ -99,7 +98,7 @@ def insert_digested(
 
 
 def digest_again(connection: Connection, table: Table, where: ColumnElement[bool] | None = None) -> None:
-    """Write the digests of rows of a table that were changed by SQL."""
+    """Write the digests of rows again after SQL changed them."""
     [key] = table.primary_key.columns
     named = update(table).where(key == bindparam("own_key")).values({COLUMN: bindparam("own_digest")})
     for batch in list(digested(connection, table, where)):
@@ -109,7 +108,7 @@ def digest_again(connection: Connection, table: Table, where: ColumnElement[bool
 def digested(
     connection: Connection, table: Table, where: ColumnElement[bool] | None = None
 ) -> Iterator[list[tuple[int, int | None, int]]]:
-    """Yield rows of a table in batches: key, the digest that is stored, and that of the values."""
+    """Yield rows of a table in batches: key, stored digest, and digest of the values."""
     [key] = table.primary_key.columns
     columns = [column for column in table.columns if column.name != COLUMN]
     chosen: list[Any] = [func.ST_AsBinary(c, type_=None) if c.name == "geometry" else c for c in columns]

@@ -1,11 +1,10 @@
-"""The inventory as an update finds it, and whether the update may be applied to it."""
+"""The state of the inventory that an update starts from, and whether the update may be applied."""
 
 import hashlib
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, func, or_, select
@@ -15,6 +14,10 @@ from msbdb.database.history.periods import read_before, read_born, read_events, 
 from msbdb.database.schema.canonical import text_id
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import InputError
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import pandas as pd
 
 BUILDING_CHANGE = SQL["building_change"]
 
@@ -27,12 +30,12 @@ RUN = SQL["run"]
 SURVEY = SQL["survey"]
 
 SEAM_SHARE = 0.02
-"""Surveys that share no more than this of the smaller lie side by side: they may be applied in any order."""
+"""Surveys that share at most this part of the smaller one are neighbours: they may be applied in any order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """What an update is computed from: the run of its survey, and what was applied where the survey lies."""
+    """The basis of an update: the run of its survey, and the events in the survey's area."""
 
     run_sha256: str
     events: tuple[tuple[int, str], ...]
@@ -40,20 +43,20 @@ class Basis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Standing:
-    """The inventory where a survey lies, as an update finds it.
+    """The state of the inventory in a survey's area, from which an update starts.
 
     Parameters
     ----------
     digest : str
-        Of all that decides of the update's outcome, but for the inventory itself, to which updates come in order.
+        Digest of everything that determines the update's result, except the inventory: updates are applied in order.
     basis : Basis
-        What the update is computed from.
+        The basis of the update.
     applied : mapping, optional
-        Counts of the very same update where it was applied already.
+        Counts of the same update if it was applied already.
     before, born : GeoDataFrame
         See `Advance`; ``before`` has all columns of ``building_version``.
     events : GeoDataFrame
-        The updates by other surveys that were applied to the place, the latest first.
+        The updates of this area by other surveys, the latest first.
     offsets : DataFrame
         ``survey_offset``.
     """
@@ -61,10 +64,10 @@ class Standing:
     digest: str
     basis: Basis
     applied: dict[str, int] | None
-    before: gpd.GeoDataFrame
-    born: gpd.GeoDataFrame
-    events: gpd.GeoDataFrame
-    offsets: pd.DataFrame
+    before: "gpd.GeoDataFrame"
+    born: "gpd.GeoDataFrame"
+    events: "gpd.GeoDataFrame"
+    offsets: "pd.DataFrame"
 
 
 def survey_key(survey: str) -> int:
@@ -75,7 +78,7 @@ def survey_key(survey: str) -> int:
 def read_standing(
     engine: Engine, survey: str, date: str, bounds: tuple[float, float, float, float], area: shapely.MultiPolygon
 ) -> Standing:
-    """Read what an update by a survey is computed from.
+    """Read the state from which an update by a survey is computed.
 
     Parameters
     ----------
@@ -86,12 +89,12 @@ def read_standing(
     bounds : tuple of float
         Its west, south, east and north, metres.
     area : MultiPolygon
-        Where it is to be applied.
+        Area of the update.
 
     Raises
     ------
     InputError
-        When something later was applied to the same place already.
+        When a later survey was applied to the same area already.
     """
     survey_id = survey_key(survey)
     with snapshot(engine) as connection:
@@ -122,7 +125,7 @@ def _digest(basis: Basis, date: str, area: shapely.MultiPolygon) -> str:
 
 
 def basis_of(connection: Connection, survey_id: int, area: shapely.Geometry) -> Basis:
-    """Return what an update of an area is computed from, as it is now."""
+    """Return the present basis of an update of an area."""
     run = connection.scalar(select(RUN.c.content_sha256).where(RUN.c.survey_id == survey_id))
     events = read_events(connection)
     near = events[events.intersects(area)]
@@ -171,13 +174,13 @@ def _require_last(connection: Connection, survey: str, survey_id: int, date: str
     _require_unused(connection, survey, survey_id)
 
 
-def require_begun(before: gpd.GeoDataFrame, ended: NDArray[np.intp], survey: str, date: str) -> None:
-    """Refuse to end versions before they began, as may be on the seam of two surveys side by side.
+def require_begun(before: "gpd.GeoDataFrame", ended: NDArray[np.intp], survey: str, date: str) -> None:
+    """Refuse to end versions before they began, which may occur at the seam of neighbouring surveys.
 
     Raises
     ------
     InputError
-        Naming the first building.
+        With the first building.
     """
     late = before.iloc[ended]
     late = late[late["valid_from"] > date]
@@ -191,7 +194,7 @@ def require_begun(before: gpd.GeoDataFrame, ended: NDArray[np.intp], survey: str
 
 
 def _require_unused(connection: Connection, survey: str, survey_id: int) -> None:
-    """Refuse to take back what a later survey, though it lies beside this one, has built on."""
+    """Refuse to withdraw versions that a later survey of a neighbouring area uses."""
     own = select(BUILDING_VERSION.c.version_id).where(BUILDING_VERSION.c.survey_id == survey_id)
     uses = or_(BUILDING_CHANGE.c.version_before.in_(own), BUILDING_CHANGE.c.version_after.in_(own))
     query = (

@@ -1,17 +1,15 @@
-"""Writing the living inventory: each import, update or word of an operator is one transaction, whole or not at all.
+"""Writing updates of the living inventory, each in one transaction.
 
-An update is computed outside of the transaction, from what the inventory held when it was read, so that a writer holds
-its lock for the writing alone. The transaction begins with the question whether that still holds (`Basis`).
+An update is computed before the transaction, so that a writer needs its lock only for writing. The transaction first
+checks that the inventory has not changed since it was read (`Basis`).
 """
 
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
 from sqlalchemy import Connection, Engine, delete, exists, func, select, update
 
@@ -22,6 +20,10 @@ from msbdb.database.history.standing import Basis, basis_of, require_begun
 from msbdb.database.runs.basis import OutdatedError
 from msbdb.database.schema.canonical import plain, text_id, to_json
 from msbdb.database.schema.sqltables import SQL
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import pandas as pd
 
 BUILDING_CHANGE = SQL["building_change"]
 
@@ -39,35 +41,35 @@ MEASURES = (
     "state", "storeys", "h_max", "h_mean", "h_p50", "h_p90", "area_m2", "volume_m3", "parts", "flat_share",
     "area3d_share", "adaptive_share",
 )  # fmt: skip
-"""What a version tells of a building, besides its outline."""
+"""Attributes of a version, besides its outline."""
 
 _FIGURES = ("outline", "height", "parts", "overlap_m2", "iou", "dh_m", "darea_m2", "note")
-"""What a change tells of a pair of buildings."""
+"""Attributes of a change of a pair of buildings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advance:
-    """All that an update writes.
+    """The content of an update.
 
     Parameters
     ----------
     survey, survey_id, date : str, int, str
         The survey and its day.
     area : MultiPolygon
-        Where it was surveyed.
+        The surveyed area.
     digest : str
-        Of all that decides of the outcome.
+        Digest of everything that determines the result.
     basis : Basis
-        What it was computed from.
+        The basis of the update.
     before : GeoDataFrame
         The inventory before: ``version_id``, ``uid``, ``attributes``.
     born : GeoDataFrame
-        ``uid`` and geometry of the buildings that an earlier application of this survey began.
+        ``uid`` and geometry of the buildings that began in an earlier application of this survey.
     offset : mapping
         ``dx_m``, ``dy_m``, ``dz_m``, ``pairs`` and ``spread_m``.
     changes : DataFrame
-        ``kind``, ``before`` and ``version`` (row numbers, or -1), and the columns of ``building_change`` that tell of
-        the pair.
+        ``kind``, ``before`` and ``version`` (row numbers, or -1), and the columns of ``building_change`` with
+        attributes of the pair.
     states : GeoDataFrame
         The new versions: ``before`` (row whose identity it continues, or -1), ``building_id``, ``MEASURES``, geometry.
     """
@@ -78,11 +80,11 @@ class Advance:
     area: shapely.MultiPolygon
     digest: str
     basis: Basis
-    before: gpd.GeoDataFrame
-    born: gpd.GeoDataFrame
+    before: "gpd.GeoDataFrame"
+    born: "gpd.GeoDataFrame"
     offset: dict[str, Any]
-    changes: pd.DataFrame
-    states: gpd.GeoDataFrame
+    changes: "pd.DataFrame"
+    states: "gpd.GeoDataFrame"
 
     @property
     def counts(self) -> dict[str, int]:
@@ -102,7 +104,7 @@ def write_advance(engine: Engine, advance: Advance) -> str:
     Raises
     ------
     OutdatedError
-        When what the update was computed from has changed; nothing was written.
+        When the basis of the update has changed; nothing was written.
     DatabaseError
         When the database is locked, full or cannot be reached; nothing was written.
     """
@@ -129,7 +131,7 @@ def write_advance(engine: Engine, advance: Advance) -> str:
 
 
 def _take_back(connection: Connection, survey_id: int) -> int:
-    """Undo an application of a survey; return its event's number, 0 where there was none."""
+    """Undo an application of a survey; return its event's number, 0 if there was none."""
     number = connection.scalar(select(INVENTORY_EVENT.c.number).where(INVENTORY_EVENT.c.survey_id == survey_id))
     if number is None:
         return 0
@@ -150,10 +152,10 @@ def _take_back(connection: Connection, survey_id: int) -> int:
 
 
 def _uids(advance: Advance) -> list[int]:
-    """Return the building of each new version: the one that it continues, or one that begins.
+    """Return the building of each new version: the one that it continues, or a new one.
 
-    A building that an earlier application of the survey began keeps its identity: by its place and the run's building
-    where these are the same, else by the larger share of both outlines. So an operator's word on it holds on.
+    A building of an earlier application of the survey keeps its identity: by its place and the run's building if these
+    are equal, else by the largest overlap of the outlines. So an operator's decision on it is kept.
     """
     states, known = advance.states, advance.before["uid"].to_numpy()
     fresh = np.flatnonzero(states["before"].to_numpy() < 0)
@@ -172,7 +174,7 @@ def _uids(advance: Advance) -> list[int]:
 
 
 def _alike(some: Sequence[shapely.Geometry], others: Sequence[shapely.Geometry]) -> list[tuple[int, int]]:
-    """Return pairs of outlines that share half of the larger; each outline is in one pair at most."""
+    """Return pairs of outlines that share at least half of the larger; each outline is in at most one pair."""
     if not some or not others:
         return []
     one, two = (np.array(shapes, dtype=object) for shapes in (some, others))
@@ -191,7 +193,7 @@ def _alike(some: Sequence[shapely.Geometry], others: Sequence[shapely.Geometry])
 
 
 def _close(connection: Connection, advance: Advance) -> None:
-    """End the versions that are followed by others, or by nothing."""
+    """End the versions with a successor, and those of demolished buildings."""
     changes = advance.changes
     ended = changes.loc[(changes["before"] >= 0) & ((changes["version"] >= 0) | (changes["kind"] == "demolished"))]
     rows = ended["before"].unique()
@@ -208,8 +210,10 @@ def _set_end(connection: Connection, versions: list[int], date: str | None, surv
         digest_again(connection, SQL["building_version"], own)
 
 
-def _version_rows(advance: Advance, after: list[tuple[int, int]]) -> gpd.GeoDataFrame:
-    """Return the new versions with the columns of building_version; imported attributes are handed on."""
+def _version_rows(advance: Advance, after: list[tuple[int, int]]) -> "gpd.GeoDataFrame":
+    """Return the new versions with the columns of building_version; imported attributes are kept."""
+    import pandas as pd
+
     known = advance.before["attributes"].tolist()
     attributes = [known[before] if before >= 0 else None for before in advance.states["before"]]
     return advance.states.assign(
@@ -222,7 +226,7 @@ def _version_rows(advance: Advance, after: list[tuple[int, int]]) -> gpd.GeoData
     )
 
 
-def write_versions(connection: Connection, dialect: Dialect, rows: gpd.GeoDataFrame, srid: int) -> None:
+def write_versions(connection: Connection, dialect: Dialect, rows: "gpd.GeoDataFrame", srid: int) -> None:
     """Write versions in bulk."""
     columns = ["version_id", "uid", "valid_from", "source", "survey_id", "building_id", *MEASURES]
     cells: list[list[Any]] = [_values(rows[name]) for name in columns]
@@ -234,13 +238,13 @@ def write_versions(connection: Connection, dialect: Dialect, rows: gpd.GeoDataFr
 def _write_changes(
     connection: Connection, dialect: Dialect, advance: Advance, after: list[tuple[int, int]], srid: int
 ) -> None:
-    """Write the changes in bulk, with buildings and versions in place of row numbers; ``after`` has those of states."""
+    """Write the changes in bulk, with buildings and versions for row numbers; ``after`` has the new versions."""
     known = list(zip(advance.before["uid"].astype(int), advance.before["version_id"].astype(int), strict=True))
-    told = advance.changes[["before", "version", "kind"]].to_numpy().tolist()
+    rows_of = advance.changes[["before", "version", "kind"]].to_numpy().tolist()
     changes = advance.changes.assign(iou=advance.changes["iou"].clip(upper=1.0))
     figures = zip(*(_values(changes[name]) for name in _FIGURES), strict=True)
     rows = []
-    for (before, version, kind), cells in zip(told, figures, strict=True):
+    for (before, version, kind), cells in zip(rows_of, figures, strict=True):
         one = known[before] if before >= 0 else (None, None)
         two = after[version] if version >= 0 else (None, None) if kind == "demolished" else one
         key = text_id("change", advance.survey, kind, one[0], two[0])
@@ -250,7 +254,7 @@ def _write_changes(
 
 
 def write_event(connection: Connection, dialect: Dialect, event: dict[str, Any], area: shapely.MultiPolygon) -> None:
-    """Write down what was applied; an application in place of an earlier one keeps its number."""
+    """Write the event of an import or update; a repeated update keeps its number."""
     last = connection.scalar(select(func.max(INVENTORY_EVENT.c.number))) or 0
     srid = dialect.database_srid(connection)
     row = {"number": event.pop("number", 0) or last + 1, **event, "counts": to_json(event["counts"])}
@@ -258,8 +262,10 @@ def write_event(connection: Connection, dialect: Dialect, event: dict[str, Any],
     insert_digested(connection, dialect, "inventory_event", list(row), [tuple(row.values())], srid=srid, shapes=shapes)
 
 
-def _values(column: pd.Series) -> list[Any]:
+def _values(column: "pd.Series") -> list[Any]:
     """Return a column as plain values, None where one is missing."""
+    import pandas as pd
+
     return [None if pd.isna(value) else plain(value) for value in column.tolist()]
 
 
@@ -269,5 +275,5 @@ def _multi(shapes: Any) -> Any:  # noqa: ANN401  (arrays of geometries)
 
 
 def batches(keys: list[int], size: int = 500) -> list[list[int]]:
-    """Return keys in lists short enough for one statement of any dialect."""
+    """Return keys in lists that are short enough for one statement in every dialect."""
     return [keys[at : at + size] for at in range(0, len(keys), size)]

@@ -1,1 +1,1 @@
-"""Runs: checked, written in one transaction, and read back."""
+"""Runs: check them, write them in one transaction, and read them."""

@@ -1,12 +1,12 @@
-"""The operators' labels of classes, read before a survey is built again, from a database of any schema.
+"""The basis of a build: operators' labels of classes, and the digest of the earlier run.
 
-What was computed outside of a writer's transaction must still fit the database when the transaction begins.
+A build is computed before the transaction that writes it. The basis must be unchanged when that transaction begins.
 """
 
 from dataclasses import dataclass
 from os import PathLike
+from typing import TYPE_CHECKING
 
-import pandas as pd
 from sqlalchemy import URL, Connection, Engine, select, text
 
 from msbdb.database.dialects.connection import TIMEOUT_S, database_url, guarded
@@ -14,8 +14,11 @@ from msbdb.database.dialects.dialect import dialect_of
 from msbdb.database.schema.canonical import text_id
 from msbdb.database.schema.sqltables import SQL
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 COLUMNS = ("speindex", "label", "labelled_by", "source", "cells", "ndvi", "brightness", "roughness_m")
-"""What tells a class, and whether it is the same one again; every schema has these."""
+"""Columns that identify a class over several builds; every schema has them."""
 
 _CLASSES = text(
     f"SELECT {', '.join('c.' + name for name in COLUMNS)} FROM spectral_class AS c "  # noqa: S608  (our own names)
@@ -24,21 +27,23 @@ _CLASSES = text(
 )
 
 
-def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> pd.DataFrame:
-    """Return the classes of a survey that an operator has labelled.
+def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> "pd.DataFrame":
+    """Return the classes of a survey that an operator has labelled, from a database of any schema.
 
     Parameters
     ----------
     target : str, path or URL
-        The database; there need not be one.
+        The database, which may be missing.
     survey : str
-        Name of the survey, which need not be there.
+        Name of the survey, which may be missing.
 
     Returns
     -------
     DataFrame
-        ``COLUMNS``; no row where no operator has labelled a class.
+        ``COLUMNS``; empty if no operator has labelled a class.
     """
+    import pandas as pd
+
     url = database_url(target)
     dialect = dialect_of(url)
     with guarded(url):
@@ -48,8 +53,10 @@ def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> pd.
     return pd.DataFrame([], columns=list(COLUMNS))
 
 
-def labelled_classes(connection: Connection, survey: str) -> pd.DataFrame:
+def labelled_classes(connection: Connection, survey: str) -> "pd.DataFrame":
     """Return what ``read_labelled_classes`` does, as an open transaction sees it."""
+    import pandas as pd
+
     rows = [tuple(row) for row in connection.execute(_CLASSES, {"survey": survey})]
     found = pd.DataFrame(rows, columns=list(COLUMNS))
     return found[found["labelled_by"] == "operator"].reset_index(drop=True)
@@ -59,25 +66,25 @@ RUN = SQL["run"]
 
 
 class OutdatedError(Exception):
-    """What was to be written was computed from something that has changed since; it is to be computed again."""
+    """The basis of a computation has changed since it was read; compute it again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuildBasis:
-    """What a build was computed from in the database, so that nothing that was written meanwhile is lost.
+    """The content of the database from which a build was computed, so that no change of others is lost.
 
-    ``labelled`` has the classes that operators had labelled, from `read_labelled_classes`; ``content_sha256`` is the
-    digest of the run that it goes on from. None stands for what is of no matter.
+    ``labelled`` has the classes labelled by operators, from `read_labelled_classes`; ``content_sha256`` is the digest
+    of the run that the build continues. None means that it is not checked.
     """
 
-    labelled: pd.DataFrame | None = None
+    labelled: "pd.DataFrame | None" = None
     content_sha256: str | None = None
 
     def require(self, connection: Connection, survey: str) -> None:
-        """Raise `OutdatedError` when it is no longer so."""
+        """Raise `OutdatedError` when the basis has changed."""
         if self.labelled is not None:
             now = labelled_classes(connection, survey)
-            # As words: a missing value is not equal to itself.
+            # As text: a missing value is not equal to itself.
             if repr(now.to_numpy().tolist()) != repr(self.labelled.to_numpy().tolist()):
                 raise OutdatedError
         if self.content_sha256 is not None and _digest_of(connection, survey) != self.content_sha256:
@@ -85,7 +92,7 @@ class BuildBasis:
 
 
 def read_digest(engine: Engine, survey: str) -> str | None:
-    """Return the digest of the content of a survey's run, None where it has none."""
+    """Return the digest of the content of a survey's run, None without a run."""
     with guarded(engine.url), engine.connect() as connection:
         return _digest_of(connection, survey)
 

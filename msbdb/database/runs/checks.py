@@ -1,9 +1,9 @@
-"""Checks of a build before it is loaded, so that what is wrong is named by its row, not by a constraint."""
+"""Checks of a build before it is loaded; their errors name the row, not a constraint of the database."""
 
 from collections.abc import Collection, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
@@ -24,6 +24,9 @@ from msbdb.tables import (
 from msbdb.tables.declaration import RUN_ID
 from msbdb.threads import cores, in_threads
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)}
 
 _POINT = (shapely.GeometryType.POINT,)
@@ -35,9 +38,9 @@ def check_build(build: KeptRun) -> None:
     Raises
     ------
     InputError
-        For a survey without a name, or extractors that are missing, unknown, not in order or named twice.
+        For a survey without a name, or detectors that are missing, unknown, not in order or named twice.
     TableError
-        Naming the table, the column and the first rows that are wrong.
+        With the table, the column and the first wrong rows.
     """
     _check_names(build)
     expected = {table.name for table in TABLES}
@@ -56,26 +59,26 @@ def check_build(build: KeptRun) -> None:
 
 
 def _check_names(build: KeptRun) -> None:
-    """Refuse a survey without a name, and extractors that are not in order or not known."""
+    """Refuse a survey without a name, and detectors that are unknown or not in alphabetical order."""
     if not build.survey.name.strip():
-        msg = f"A build needs a survey's name; got '{build.survey.name}'. Give one."
+        msg = f"A build needs the name of a survey; got '{build.survey.name}'. Give a name."
         raise InputError(msg)
     methods = build.run.methods
     if not methods or list(methods) != sorted(set(methods) & set(DETECTORS)):
         msg = (
-            f"A run's methods must be extractors in alphabetical order, of {', '.join(sorted(DETECTORS))}; got "
+            f"A run's methods must be detectors in alphabetical order, from {', '.join(sorted(DETECTORS))}; got "
             f"{', '.join(repr(name) for name in methods) or 'none'}. Give for instance 'flatregions', 'multiscale'."
         )
         raise InputError(msg)
 
 
-def geometries(frame: pd.DataFrame) -> NDArray[np.object_]:
+def geometries(frame: "pd.DataFrame") -> NDArray[np.object_]:
     """Return the (N,) geometries of a frame, plain or geographic."""
     return np.asarray(frame["geometry"], dtype=object)
 
 
-def _check_numbers(frame: pd.DataFrame, table: Table) -> None:
-    """Refuse infinities everywhere, and missing values where none are declared."""
+def _check_numbers(frame: "pd.DataFrame", table: Table) -> None:
+    """Refuse infinite values, and missing values in columns that are not nullable."""
     for column in table.columns:
         values = frame[column.name]
         wrong = values.isna() & (not column.nullable)
@@ -84,8 +87,8 @@ def _check_numbers(frame: pd.DataFrame, table: Table) -> None:
         _require(~wrong, frame, table, f"{column.name} is missing or infinite")
 
 
-def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
-    """Refuse geometries that are missing, empty, of another type, or not valid."""
+def _check_geometries(frame: "pd.DataFrame", table: Table) -> None:
+    """Refuse geometries that are missing, empty, not valid, or of another type."""
     shapes = geometries(frame)
     kind = shapely.get_type_id(shapes)
     allowed = _SHAPES.get(str(table.geometry), _POINT)
@@ -95,10 +98,10 @@ def _check_geometries(frame: pd.DataFrame, table: Table) -> None:
     _require(np.concatenate(valid), frame, table, "the geometry is not valid")
 
 
-def _check_keys(frames: dict[str, pd.DataFrame]) -> None:
-    """Refuse two rows of one key."""
+def _check_keys(frames: "dict[str, pd.DataFrame]") -> None:
+    """Refuse two rows with the same key."""
     for table in TABLES:
-        # Columns that only the database has belong to no key of a frame: the run's is the same in all rows.
+        # Columns of the database alone belong to no key of a frame: the run is the same in all rows.
         unique = [
             rule.columns for rule in table.rules if isinstance(rule, Unique) and set(rule.columns) <= set(table.names)
         ]
@@ -107,28 +110,27 @@ def _check_keys(frames: dict[str, pd.DataFrame]) -> None:
             _require(~frame.duplicated(list(key)), frame, table, f"{' with '.join(key)} is given twice")
 
 
-def _check_references(frames: dict[str, pd.DataFrame], methods: tuple[str, ...]) -> None:
-    """Refuse rows that refer to a scale, class, part, region or extractor that is not there."""
+def _check_references(frames: "dict[str, pd.DataFrame]", methods: tuple[str, ...]) -> None:
+    """Refuse rows that refer to a missing scale, class, part, region or detector."""
     for table in TABLES:
         frame = frames[table.name]
         for column, other, key, allows_none in references(table):
             known = frames[other][key]
             holds = frame[column].isin(known) | (allows_none & (frame[column] == 0))
-            _require(holds, frame, table, f"{column} names nothing that exists")
+            _require(holds, frame, table, f"{column} refers to no row")
     parts, buildings, candidates = frames["part"], frames["building"], frames["candidate_region"]
     roots = parts.loc[parts["supid"] == 0, "part_id"]
-    _require(buildings["root_id"].isin(roots), buildings, BUILDING, "root_id names nothing that exists")
+    _require(buildings["root_id"].isin(roots), buildings, BUILDING, "root_id refers to no row")
     asked = [name for name in POINT_DETECTORS if name in methods]
-    _require(candidates["method"].isin(asked), candidates, CANDIDATE_REGION, "method names nothing that exists")
+    _require(candidates["method"].isin(asked), candidates, CANDIDATE_REGION, "method refers to no row")
     rejected = frames["rejection"]
-    _require(rejected["method"].isin(DETECTORS), rejected, REJECTION, "method names nothing that exists")
+    _require(rejected["method"].isin(DETECTORS), rejected, REJECTION, "method refers to no row")
 
 
 def references(table: Table) -> Iterator[tuple[str, str, str, bool]]:
-    """Yield a table's declared references by one column: column, table and column that it names, and if 0 means none.
+    """Yield a table's declared references by one column: column, other table and column, and whether 0 means none.
 
-    The run's key is left out, as all rows of a build have the same, and so is the father's, which `validate_parts`
-    checks.
+    The run is left out, because it is the same in all rows, and the father, because `validate_parts` checks it.
 
     Examples
     --------
@@ -148,7 +150,7 @@ def references(table: Table) -> Iterator[tuple[str, str, str, bool]]:
                 yield table[own].zero_of or own, rule.table, key, bool(table[own].zero_of)
 
 
-def _require(holds: Collection[bool], frame: pd.DataFrame, table: Table, what: str) -> None:
+def _require(holds: Collection[bool], frame: "pd.DataFrame", table: Table, what: str) -> None:
     """Raise for the rows where a condition fails, by their first column."""
     fails = ~np.asarray(holds, dtype=bool)
     if fails.any():

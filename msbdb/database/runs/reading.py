@@ -1,18 +1,18 @@
-"""Reading the tables back as frames, by plain SQL and WKB."""
+"""Reading runs: tables as frames, rasters, and a summary in numbers."""
 
 import zlib
-from typing import Any
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
-from sqlalchemy import Connection, Engine, select, text
+from sqlalchemy import Connection, Engine, func, select, text
 
 from msbdb.database.dialects.connection import guarded, shown, snapshot
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import crs_from, horizontal
-from msbdb.errors import InputError
+from msbdb.errors import InputError, TableError
 from msbdb.kept import KeptRun, Rasters
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
@@ -35,6 +35,10 @@ from msbdb.tables import (
     Table,
 )
 
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import pandas as pd
+
 RUN = SQL["run"]
 
 RUN_METHOD = SQL["run_method"]
@@ -46,8 +50,10 @@ SOURCE = SQL["source"]
 SURVEY = SQL["survey"]
 
 
-def list_runs(engine: Engine) -> pd.DataFrame:
-    """Return one row a run: survey, methods, profile, version, date, EPSG code, density and cell size."""
+def list_runs(engine: Engine) -> "pd.DataFrame":
+    """Return one row for each run: survey, methods, profile, version, date, EPSG code, density and cell size."""
+    import pandas as pd
+
     with guarded(engine.url), engine.connect() as connection:
         query = (
             select(
@@ -71,7 +77,7 @@ def list_runs(engine: Engine) -> pd.DataFrame:
 
 
 def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
-    """Return a run as the build that was written, its rows in the tables' order; one committed state.
+    """Return a run as the build that was written, rows in the tables' order, as one committed state.
 
     Parameters
     ----------
@@ -89,15 +95,19 @@ def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
         return build_of(connection, survey)
 
 
-def build_of(connection: Connection, survey: str | None) -> KeptRun:
-    """Return a run as ``read_build`` does, as an open transaction sees it."""
+def build_of(connection: Connection, survey: str | None, *, geographic: bool = True) -> KeptRun:
+    """Return a run as ``read_build`` does, as an open transaction sees it.
+
+    Frames that are not ``geographic`` are plain ones with a column of geometries: without the CRS they are made faster.
+    """
     run = _find_run(connection, survey, shown(connection.engine.url))
     record = _survey_record(connection, run.survey_id)
+    read = partial(_read_table, survey=record) if geographic else _read_rows
     return KeptRun(
         survey=record,
         run=_run_record(connection, run),
-        frames={table.name: _read_table(connection, table, run.run_id, record) for table in TABLES},
-        rasters=_read_rasters(connection, run.run_id),
+        frames={table.name: read(connection, table, run.run_id) for table in TABLES},
+        rasters=_read_rasters(connection, run),
     )
 
 
@@ -114,32 +124,96 @@ def read_run(engine: Engine, survey: str | None = None) -> Run:
         return _run_record(connection, _find_run(connection, survey, shown(engine.url)))
 
 
-def read_parts(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """A run in numbers, counted by the database.
+
+    Parameters
+    ----------
+    survey : Survey
+        The survey with its sources.
+    run : Run
+        Parameters, counts, timings and notices.
+    rows : dict of str to int
+        Rows by table, for parts, buildings, regions and rejections.
+    candidates : dict of str to int
+        Candidate regions by detector, for those on points that were run.
+    footprint_m2, volume_m3 : float
+        Sums over all buildings, square and cubic metres.
+    highest_m : float or None
+        Largest height of a building above ground, metres; None without buildings.
+    scales_m2 : list of float
+        Area thresholds of the scales, square metres, coarsest first.
+    """
+
+    survey: Survey
+    run: Run
+    rows: dict[str, int]
+    candidates: dict[str, int]
+    footprint_m2: float
+    volume_m3: float
+    highest_m: float | None
+    scales_m2: list[float]
+
+
+def summarise_run(engine: Engine, survey: str | None = None) -> RunSummary:
+    """Return a run in numbers, without reading its tables.
+
+    Parameters and errors are those of `read_build`.
+    """
+    building, candidate, scale = (SQL[name].c for name in ("building", "candidate_region", "scale"))
+    with snapshot(engine) as connection:
+        row = _find_run(connection, survey, shown(engine.url))
+        run = _run_record(connection, row)
+        counted = {
+            name: select(func.count()).where(SQL[name].c.run_id == row.run_id)
+            for name in ("part", "building", "flat_region", "rejection")
+        }
+        methods = (
+            select(candidate.method, func.count()).where(candidate.run_id == row.run_id).group_by(candidate.method)
+        )
+        found = {str(method): int(number) for method, number in connection.execute(methods)}
+        sums = select(func.sum(building.area_m2), func.sum(building.volume_m3), func.max(building.h_max))
+        area, volume, highest = connection.execute(sums.where(building.run_id == row.run_id)).one()
+        scales = select(scale.threshold_m2).where(scale.run_id == row.run_id).order_by(scale.scale)
+        return RunSummary(
+            survey=_survey_record(connection, row.survey_id),
+            run=run,
+            rows={name: int(connection.scalar(query) or 0) for name, query in counted.items()},
+            candidates={name: found.get(name, 0) for name in POINT_DETECTORS if name in run.methods},
+            footprint_m2=float(area or 0.0),
+            volume_m3=float(volume or 0.0),
+            highest_m=highest,
+            scales_m2=list(connection.scalars(scales)),
+        )
+
+
+def read_parts(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
     """Return a run's parts, columns as ``tables.PART`` and the geometry, in order of ids."""
     return _read(engine, PART, survey)
 
 
-def read_buildings(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
+def read_buildings(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
     """Return a run's buildings, columns as ``tables.BUILDING`` and the geometry, in order of ids."""
     return _read(engine, BUILDING, survey)
 
 
-def read_rejections(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
+def read_rejections(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
     """Return a run's ledger, columns as ``tables.REJECTION`` and the geometry."""
     return _read(engine, REJECTION, survey)
 
 
-def read_flat_regions(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
+def read_flat_regions(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
     """Return a run's flat regions, columns as ``tables.FLAT_REGION`` and the geometry, in order of ids."""
     return _read(engine, FLAT_REGION, survey)
 
 
-def read_part_flat_regions(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+def read_part_flat_regions(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return which parts and flat regions share cells, columns as ``tables.PART_FLAT_REGION``."""
     return _read_plain(engine, PART_FLAT_REGION, survey)
 
 
-def read_candidates(engine: Engine, survey: str | None = None, method: str | None = None) -> gpd.GeoDataFrame:
+def read_candidates(engine: Engine, survey: str | None = None, method: str | None = None) -> "gpd.GeoDataFrame":
     """Return a run's candidate regions, columns as ``tables.CANDIDATE_REGION`` and the geometry, in order of ids.
 
     Parameters
@@ -154,7 +228,7 @@ def read_candidates(engine: Engine, survey: str | None = None, method: str | Non
     Raises
     ------
     InputError
-        When there is no such survey, no name was given and there are several, or no extractor of that name gives
+        When there is no such survey, no name was given and there are several, or the detector has no
         candidate regions.
     """
     if method not in (None, *POINT_DETECTORS):
@@ -164,27 +238,27 @@ def read_candidates(engine: Engine, survey: str | None = None, method: str | Non
     return found if method is None else found[found["method"] == method].reset_index(drop=True)
 
 
-def read_part_candidates(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+def read_part_candidates(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return which parts and candidate regions share cells, columns as ``tables.PART_CANDIDATE``."""
     return _read_plain(engine, PART_CANDIDATE, survey)
 
 
-def read_flat_region_candidates(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+def read_flat_region_candidates(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return which flat and candidate regions share cells, columns as ``tables.FLAT_REGION_CANDIDATE``."""
     return _read_plain(engine, FLAT_REGION_CANDIDATE, survey)
 
 
-def read_scales(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+def read_scales(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return a run's scales, columns as ``tables.SCALE``."""
     return _read_plain(engine, SCALE, survey)
 
 
-def read_classes(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+def read_classes(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return a run's classes with their labels and who gave them, columns as ``tables.SPECTRAL_CLASS``."""
     return _read_plain(engine, SPECTRAL_CLASS, survey)
 
 
-def read_class_bands(engine: Engine, survey: str | None = None) -> pd.DataFrame:
+def read_class_bands(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return the bands' means by class, columns as ``tables.SPECTRAL_CLASS_BAND``."""
     return _read_plain(engine, SPECTRAL_CLASS_BAND, survey)
 
@@ -192,10 +266,10 @@ def read_class_bands(engine: Engine, survey: str | None = None) -> pd.DataFrame:
 def read_rasters(engine: Engine, survey: str | None = None) -> Rasters:
     """Return a run's rasters, from which its classes can be labelled again without the source data."""
     with snapshot(engine) as connection:
-        return _read_rasters(connection, _find_run(connection, survey, shown(engine.url)).run_id)
+        return _read_rasters(connection, _find_run(connection, survey, shown(engine.url)))
 
 
-def _read_plain(engine: Engine, table: Table, survey: str | None) -> pd.DataFrame:
+def _read_plain(engine: Engine, table: Table, survey: str | None) -> "pd.DataFrame":
     """Return one table without geometry of one run."""
     frame: pd.DataFrame = _read(engine, table, survey)
     return frame
@@ -205,11 +279,11 @@ def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN
     """Return one table of one run, as a GeoDataFrame where it has a geometry."""
     with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
-        return _read_table(connection, table, run.run_id, _survey_record(connection, run.survey_id))
+        return _read_table(connection, table, run.run_id, survey=_survey_record(connection, run.survey_id))
 
 
 def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  # noqa: ANN401
-    """Return the row of the survey's run; without a name, of the only survey's."""
+    """Return the row of the survey's run; without a name, the run of the only survey."""
     query = select(SURVEY.c.name.label("survey"), RUN).join_from(RUN, SURVEY)
     runs = connection.execute(query.order_by(RUN.c.run_id)).all()
     found = [r for r in runs if survey in (None, r.survey)]
@@ -238,8 +312,8 @@ def _survey_record(connection: Connection, survey_id: int) -> Survey:
 
 
 def _methods_of(connection: Connection, run_id: int) -> tuple[str, ...]:
-    """Return a run's extractors in alphabetical order."""
-    # Ordered here, as every server has its own order for texts.
+    """Return a run's detectors in alphabetical order."""
+    # Sorted here, because servers sort texts differently.
     return tuple(sorted(connection.scalars(select(RUN_METHOD.c.method).where(RUN_METHOD.c.run_id == run_id))))
 
 
@@ -255,8 +329,20 @@ def _run_record(connection: Connection, row: Any) -> Run:  # noqa: ANN401  (a ro
     )
 
 
-def _read_table(connection: Connection, table: Table, run_id: int, survey: Survey) -> Any:  # noqa: ANN401
-    """Return a table's rows of a run with the declared dtypes."""
+def _read_table(connection: Connection, table: Table, run_id: int, *, survey: Survey) -> Any:  # noqa: ANN401
+    """Return a table's rows of a run, as a GeoDataFrame in the survey's CRS where the table has a geometry."""
+    frame = _read_rows(connection, table, run_id)
+    if not table.geometry:
+        return frame
+    import geopandas as gpd
+
+    return gpd.GeoDataFrame(frame, geometry="geometry", crs=horizontal(crs_from(survey.epsg, survey.crs_wkt)))
+
+
+def _read_rows(connection: Connection, table: Table, run_id: int) -> "pd.DataFrame":
+    """Return a table's rows of a run with the declared dtypes, in the table's order."""
+    import pandas as pd
+
     names = table.names
     chosen = ", ".join(names) + (", ST_AsBinary(geometry)" if table.geometry else "")
     query = text(f"SELECT {chosen} FROM {table.name} WHERE run_id = :run")  # noqa: S608  (names are the declaration's)
@@ -266,15 +352,18 @@ def _read_table(connection: Connection, table: Table, run_id: int, survey: Surve
         {c.name: pd.Series(values, dtype=c.dtype) for c, values in zip(table.columns, columns, strict=False)}
     )
     if table.geometry:
-        crs = horizontal(crs_from(survey.epsg, survey.crs_wkt))
         shapes = shapely.from_wkb(np.array([bytes(blob) for blob in columns[-1]], dtype=object))
-        frame = gpd.GeoDataFrame(frame, geometry=shapes, crs=crs)
+        frame["geometry"] = pd.Series(shapes, dtype=object)
     return frame.sort_values(table.order, kind="stable", ignore_index=True)
 
 
-def _read_rasters(connection: Connection, run_id: int) -> Rasters:
-    rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name))
+def _read_rasters(connection: Connection, run: Any) -> Rasters:  # noqa: ANN401  (a row of _find_run)
+    rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run.run_id).order_by(RUN_STATE.c.name))
     named = {
         row.name: np.frombuffer(zlib.decompress(row.data), dtype=np.dtype(row.dtype)).reshape(row.shape) for row in rows
     }
-    return Rasters.from_names(named)
+    try:
+        return Rasters.from_names(named)
+    except TableError as error:
+        msg = f"The survey '{run.survey}' of {shown(connection.engine.url)} cannot be read. {error}"
+        raise TableError(msg) from error

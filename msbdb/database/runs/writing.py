@@ -1,14 +1,13 @@
-"""Loading a build: one transaction, the same rows for the same build, whole or not at all."""
+"""Loading a build in one transaction: the same rows for the same build, completely or not at all."""
 
 import hashlib
 import logging
 import zlib
 from dataclasses import asdict, dataclass
 from os import PathLike
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import pandas as pd
 import shapely
 from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine, delete, func, insert, select, text, update
@@ -25,6 +24,9 @@ from msbdb.kept import KeptRun
 from msbdb.tables import TABLES, Table
 from msbdb.threads import in_threads
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 RUN = SQL["run"]
 
 RUN_METHOD = SQL["run_method"]
@@ -38,17 +40,17 @@ SURVEY = SQL["survey"]
 logger = logging.getLogger(__name__)
 
 PACKING = 4
-"""Level of the rasters' compression: the last before it takes four times as long for files smaller by a twentieth."""
+"""Compression level of rasters; the next level takes four times as long for files smaller by a twentieth."""
 
 _FRAMES = {table.name for table in TABLES}
 
 _LOADED = [table.name for table in METADATA.sorted_tables if table.name in _FRAMES]
-"""The tables of a build's frames in an order in which every row finds what it refers to."""
+"""The tables of a build's frames; a table comes after those that it refers to."""
 
 
 @dataclass(frozen=True, slots=True)
 class WriteReport:
-    """What a load did.
+    """The result of a load.
 
     ``status`` is 'created', 'replaced' or 'unchanged'; ``rows`` counts the run's rows by table.
     """
@@ -64,18 +66,18 @@ class WriteReport:
 def store_build(
     target: str | PathLike[str] | URL, build: KeptRun, *, basis: BuildBasis | None = None, timeout_s: float = TIMEOUT_S
 ) -> WriteReport:
-    """Write a build in one transaction, into a database that this transaction creates where there is none.
+    """Write a build in one transaction, which also creates a missing database.
 
-    So a first build that is stopped, or for which the disk is too small, leaves no empty database in its CRS.
+    So a first build that is stopped, or that fills the disk, leaves no empty database in its CRS.
 
     Parameters
     ----------
     target : str, path or URL
         The database. An older schema is upgraded.
     build : KeptRun
-        As `write_build` takes it.
+        See `write_build`.
     basis : BuildBasis, optional
-        What it was computed from, of what the database held.
+        The content of the database from which the build was computed.
     timeout_s : float
         Seconds to wait for a lock or a server.
 
@@ -84,7 +86,7 @@ def store_build(
     OutdatedError
         When the basis has changed; nothing was written.
     MsbdbError
-        As of `open_database` and `write_build`.
+        See `open_database` and `write_build`.
     """
     check_build(build)
     survey = build.survey
@@ -112,8 +114,8 @@ def store_build(
 def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = None) -> WriteReport:
     """Write a build in one transaction.
 
-    A survey has one run, whatever its extractors. Content that is there already is left alone, timings included; other
-    content replaces the survey's rows. Row order in the frames is of no matter.
+    A survey has one run, for any detectors. A load of the same content changes nothing, not even timings; other content
+    replaces the survey's rows. The order of rows in the frames has no effect.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = No
     build : KeptRun
         With one frame for each of ``tables.TABLES``. Polygons become multipolygons.
     basis : BuildBasis, optional
-        What it was computed from, of what the database held.
+        The content of the database from which the build was computed.
 
     Raises
     ------
@@ -147,7 +149,7 @@ def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = No
             require_srid(connection, dialect, srid, shown(engine.url))
             if _is_there(connection, run_id, rows.digest, rows.counts):
                 return _report(build, rows, "unchanged")
-        # Packed before the lock, which others wait for.
+        # Compressed before the lock, because others wait for it.
         rasters = _packed(build)
         with dialect.writing(engine) as connection:
             if basis is not None:
@@ -160,13 +162,13 @@ def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = No
 class _Rows:
     """A build's rows in order, their number by table, and the digest of all."""
 
-    frames: dict[str, pd.DataFrame]
+    frames: "dict[str, pd.DataFrame]"
     counts: dict[str, int]
     digest: str
 
     @classmethod
     def of(cls, build: KeptRun) -> Self:
-        """Return the rows of a build, whatever the order of its own."""
+        """Return the rows of a build in the tables' order."""
         frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
         counts = {name: len(frame) for name, frame in frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
@@ -179,8 +181,8 @@ def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:
     return WriteReport(build.survey.name, build.run.methods, *_keys(build), status, rows.counts)
 
 
-def content_digest(build: KeptRun, frames: dict[str, pd.DataFrame]) -> str:
-    """Return the SHA-256 of all that a build would write, but for its timings; ``frames`` are in order."""
+def content_digest(build: KeptRun, frames: "dict[str, pd.DataFrame]") -> str:
+    """Return the SHA-256 of the content of a build except its timings; ``frames`` are in order."""
     digest = hashlib.sha256()
     run = asdict(build.run)
     del run["timings"]
@@ -218,17 +220,17 @@ def _fill(
 
 
 def _keys(build: KeptRun) -> tuple[int, int]:
-    """Return the keys of a build's survey and run; its extractors have no part in them."""
+    """Return the keys of a build's survey and run, which do not depend on its detectors."""
     return text_id("survey", build.survey.name), text_id("run", build.survey.name)
 
 
 def _packed(build: KeptRun) -> list[dict[str, Any]]:
-    """Return the rasters' columns but the run's key."""
+    """Return the columns of the rasters' rows except the run's key."""
     return in_threads(_raster_row, sorted(build.rasters.by_name().items()))
 
 
 def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return a raster's columns but the run's key, packed."""
+    """Return the columns of a raster's row except the run's key; the cells are compressed."""
     name, values = named
     cells = _portable(values)
     return {
@@ -240,7 +242,7 @@ def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, int]) -> bool:
-    """Tell whether the run holds this content, and all of its rows are still there."""
+    """Return whether the run has this content, and no row of it is missing."""
     if connection.scalar(select(RUN.c.content_sha256).where(RUN.c.run_id == run_id)) != digest:
         return False
     counted = "SELECT count(*) FROM {} WHERE run_id = :run"
@@ -248,7 +250,7 @@ def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, 
 
 
 def _write_survey(connection: Connection, survey_id: int, build: KeptRun) -> None:
-    """Write the survey and its sources, or bring them up to date."""
+    """Write or update the survey and its sources."""
     row = _survey_row(build)
     known = connection.scalar(select(func.count()).select_from(SURVEY).where(SURVEY.c.survey_id == survey_id))
     if known:
@@ -262,9 +264,16 @@ def _write_survey(connection: Connection, survey_id: int, build: KeptRun) -> Non
 
 
 def _write_frame(
-    connection: Connection, dialect: Dialect, build: KeptRun, name: str, frame: pd.DataFrame, *, run_id: int, srid: int
+    connection: Connection,
+    dialect: Dialect,
+    build: KeptRun,
+    name: str,
+    frame: "pd.DataFrame",
+    *,
+    run_id: int,
+    srid: int,
 ) -> None:
-    """Write one table's rows in bulk, in the order of their keys, in which they are stored quickest."""
+    """Write one table's rows in bulk, in the order of their keys, which is the quickest."""
     columns: dict[str, list[Any]] = {"run_id": [run_id] * len(frame)}
     if name == "rejection":
         ids = _rejection_ids(build, frame)
@@ -278,8 +287,8 @@ def _write_frame(
     dialect.insert_rows(connection, name, list(columns), list(zip(*columns.values(), strict=True)), srid)
 
 
-def _values(values: pd.Series) -> list[Any]:
-    """Return a column's values as the drivers take them, None where one is missing."""
+def _values(values: "pd.Series") -> list[Any]:
+    """Return a column's values as plain Python values, None where missing."""
     plain_values = values.tolist()
     missing = np.flatnonzero(values.isna())
     for place in missing.tolist():
@@ -287,11 +296,11 @@ def _values(values: pd.Series) -> list[Any]:
     return plain_values
 
 
-def _rejection_ids(build: KeptRun, frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Return keys of ledger rows; a region that one stage dropped twice for one reason is counted on.
+def _rejection_ids(build: KeptRun, frame: "pd.DataFrame") -> NDArray[np.int64]:
+    """Return keys of ledger rows; rows with the same region, stage and reason are numbered.
 
-    A region's id is a digest already. Laid over with one of the other words it is unique among the rows that share
-    these, and among all as good as a digest of its own.
+    A region's id is a digest already. Combined by exclusive or with a digest of method, stage, reason and number, it is
+    unique among the rows with the same words, and almost certainly among all rows.
     """
     why = frame.groupby(["method", "stage", "reason"], sort=False).ngroup().rename("why")
     again = frame.groupby([why, "region_id"], sort=False).cumcount().to_numpy()
@@ -304,8 +313,10 @@ def _rejection_ids(build: KeptRun, frame: pd.DataFrame) -> NDArray[np.int64]:
     return ids
 
 
-def _ordered(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+def _ordered(frame: "pd.DataFrame", table: Table) -> "pd.DataFrame":
     """Return the rows in the table's order, with polygons as multipolygons."""
+    import pandas as pd
+
     order = table.order
     if frame[order[0]].is_unique:
         order = order[:1]
@@ -319,7 +330,7 @@ def _ordered(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
 
 
 def _survey_row(build: KeptRun) -> dict[str, Any]:
-    """Return the survey's columns but its key."""
+    """Return the survey's columns except its key."""
     row = asdict(build.survey)
     del row["sources"]
     row["west"], row["south"], row["east"], row["north"] = row.pop("bounds")
@@ -332,12 +343,12 @@ def _source_rows(build: KeptRun) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["role"], row["name"], row["sha256"]))
 
 
-def _column_bytes(frame: pd.DataFrame, column: str) -> bytes:
-    """Return a column's content as bytes that equal columns share."""
+def _column_bytes(frame: "pd.DataFrame", column: str) -> bytes:
+    """Return a column's content as bytes; equal columns give equal bytes."""
     values = frame[column]
     if column == "geometry":
         shapes = geometries(frame)
-        # A point is normal as it is.
+        # A point needs no normalisation.
         if shapely.get_dimensions(shapes).any():
             shapes = shapely.normalize(shapes)
         return b"".join(shapely.to_wkb(shapes, byte_order=1))
@@ -346,8 +357,10 @@ def _column_bytes(frame: pd.DataFrame, column: str) -> bytes:
     return _json_list(values).encode()
 
 
-def _json_list(words: pd.Series) -> str:
-    """Return a column as a list in JSON; each of its few different words is written once."""
+def _json_list(words: "pd.Series") -> str:
+    """Return a column of texts as a JSON list; each different text is encoded once."""
+    import pandas as pd
+
     codes, different = pd.factorize(words, use_na_sentinel=False)
     written = np.array([to_json(word) for word in different.tolist()], dtype=object)
     return f"[{', '.join(written[codes])}]"

@@ -1,4 +1,4 @@
-"""Plain values in one canonical form: for JSON columns, digests and the dump."""
+"""Values in one canonical form, for JSON columns, digests and the dump."""
 
 import hashlib
 import json
@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 ID_BITS = 59
-"""Keys made here are as wide as the parts' ids."""
+"""Width of the keys, the same as of the parts' ids."""
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401  (parameters and counts are nested plain values)
-    """Return nested dictionaries, lists and scalars as JSON knows them; NaN and infinities become null."""
+    """Return nested dictionaries, lists and scalars in the types of JSON; NaN and infinities become null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -33,6 +33,6 @@ def to_json(value: Any) -> str:  # noqa: ANN401
 
 
 def text_id(*words: object) -> int:
-    """Return a key above 0 from what a row is about, so that it does not depend on the order of loading."""
+    """Return a key above 0 from the words that identify a row; so keys do not depend on the order of loading."""
     digest = hashlib.blake2b("\0".join(str(word) for word in words).encode(), digest_size=8).digest()
     return max(int.from_bytes(digest, "little") >> (64 - ID_BITS), 1)

@@ -1,4 +1,4 @@
-"""What ``schema/`` holds, generated from the declarations: the DDL a dialect and the data dictionary."""
+"""The files of ``schema/``, generated from the declarations: the DDL of each dialect and the data dictionary."""
 
 from sqlalchemy import URL, CheckConstraint, Column, Dialect, ForeignKeyConstraint, Table, UniqueConstraint
 from sqlalchemy.schema import CreateIndex, CreateTable
@@ -7,9 +7,9 @@ from msbdb.database.admin.examples import example_queries
 from msbdb.database.dialects import postgis, spatialite
 from msbdb.database.dialects.dialect import Dialect as Hooks
 from msbdb.database.history.rowdigest import COLUMN, TABLES
-from msbdb.database.schema.migration import VERSION_TABLE, comment_ddl, head_version
+from msbdb.database.schema.migration import comment_ddl, head_version
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
-from msbdb.database.schema.sqltables import METADATA, SPATIAL
+from msbdb.database.schema.sqltables import METADATA, SPATIAL, VERSION_TABLE
 
 _NOTE = "Written by scripts/generate_schema; change msbdb.tables and the migrations instead."
 
@@ -27,7 +27,7 @@ def ddl(dialect: str, srid: int | str = ":srid") -> str:
     dialect : str
         ``spatialite`` or ``postgis``.
     srid : int or str
-        SRID of the geometries, or the placeholder that psql and the like fill in.
+        SRID of the geometries, or the placeholder that psql and similar programs fill in.
     """
     title = f"-- The schema {head_version()} of msbdb for {dialect}.\n-- {_NOTE}\n"
     place = f"-- {srid} is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.\n"
@@ -78,7 +78,7 @@ def dictionary() -> str:
 
 
 def _table_ddl(table: Table, compiler: Dialect) -> str:
-    """Return CREATE TABLE without the geometry, which the hooks add, and without the digest, which follows it."""
+    """Return CREATE TABLE without geometry and digest, which later statements add."""
     lines = str(CreateTable(table).compile(dialect=compiler)).strip().splitlines()
     later = ("geometry ", f"{COLUMN} ")
     return "\n".join(line.replace("\t", "  ").rstrip() for line in lines if not line.strip().startswith(later))

@@ -1,29 +1,38 @@
-"""Creating and upgrading the schema through Alembic."""
+"""Creating, upgrading and downgrading the schema.
 
-from alembic import command
-from alembic.config import Config
-from alembic.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, text
+Alembic runs the migrations and is imported only for that: opening a database reads the version from its table, and the
+known versions from the names of the migrations' files.
+"""
+
+from typing import TYPE_CHECKING
+
+from sqlalchemy import Connection, inspect, text
 
 from msbdb.database.dialects.dialect import Dialect
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, packaged
-from msbdb.database.schema.sqltables import METADATA
+from msbdb.database.schema.sqltables import METADATA, VERSION_TABLE
 from msbdb.database.schema.srid import crs_from, register
 from msbdb.errors import SchemaVersionError
 
-VERSION_TABLE = "msbdb_schema_version"
+if TYPE_CHECKING:
+    from alembic.config import Config
 
 
 def head_version() -> str:
     """Return the schema version that this msbdb reads and writes."""
-    return str(ScriptDirectory.from_config(_config()).get_current_head())
+    return known_versions()[-1]
+
+
+def known_versions() -> list[str]:
+    """Return the versions that this msbdb has migrations for, oldest first: the numbers before the files' names."""
+    return sorted(path.name.partition("_")[0] for path in (packaged("migrations") / "versions").glob("[0-9]*_*.py"))
 
 
 def schema_version(connection: Connection) -> str:
     """Return the schema version of a database; empty before the first migration."""
-    context = MigrationContext.configure(connection, opts={"version_table": VERSION_TABLE})
-    return context.get_current_revision() or ""
+    if not inspect(connection).has_table(VERSION_TABLE):
+        return ""
+    return connection.scalar(text(f"SELECT version_num FROM {VERSION_TABLE}")) or ""  # noqa: S608  (our own name)
 
 
 def initialise(connection: Connection, dialect: Dialect, srid: int, crs_wkt: str) -> None:
@@ -35,17 +44,18 @@ def initialise(connection: Connection, dialect: Dialect, srid: int, crs_wkt: str
 def migrate(connection: Connection, dialect: Dialect, srid: int) -> None:
     """Bring the schema to the newest version, inside the caller's transaction.
 
-    Comments are documentation, not schema: they are written afresh from the declarations, so that no migration
-    copies them.
+    Comments are documentation, not schema: each upgrade writes them from the declarations.
     """
-    command.upgrade(configured(connection, dialect, srid), "head")
+    from alembic import command
+
+    command.upgrade(_configured(connection, dialect, srid), "head")
     if connection.dialect.supports_comments:
         for statement in comment_ddl():
             connection.execute(text(statement.replace(":", r"\:")))
 
 
 def require_version(connection: Connection, where: str) -> bool:
-    """Tell whether the schema is the newest.
+    """Return whether the schema is the newest.
 
     Raises
     ------
@@ -53,8 +63,7 @@ def require_version(connection: Connection, where: str) -> bool:
         When it is of a newer msbdb.
     """
     found = schema_version(connection)
-    known = {script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()}
-    if found and found not in known:
+    if found and found not in known_versions():
         msg = (
             f"The database {where} has the schema {found}; this msbdb knows schemas up to {head_version()}. "
             "Use the msbdb that wrote it, or a newer one."
@@ -63,8 +72,27 @@ def require_version(connection: Connection, where: str) -> bool:
     return found == head_version()
 
 
-def configured(connection: Connection, dialect: Dialect, srid: int) -> Config:
-    """Return Alembic's configuration with what the migrations ask for."""
+def migrate_down(connection: Connection, dialect: Dialect, version: str) -> None:
+    """Bring the schema to an older version, inside the caller's transaction.
+
+    Raises
+    ------
+    SchemaVersionError
+        When Alembic has no way to that version.
+    """
+    from alembic import command
+    from alembic.util import CommandError
+
+    try:
+        command.downgrade(_configured(connection, dialect, dialect.database_srid(connection)), version)
+    except CommandError as error:
+        msg = f"The schema cannot be brought down to {version}: {error}. Give one of {', '.join(known_versions())}."
+        raise SchemaVersionError(msg) from error
+    dialect.settle(connection)
+
+
+def _configured(connection: Connection, dialect: Dialect, srid: int) -> "Config":
+    """Return Alembic's configuration with the values that the migrations need."""
     config = _config()
     config.attributes.update(connection=connection, dialect=dialect, srid=srid)
     return config
@@ -72,6 +100,8 @@ def configured(connection: Connection, dialect: Dialect, srid: int) -> Config:
 
 def older_versions(version: str) -> list[str]:
     """Return the versions to which a schema of this one can be brought down, the nearest first."""
+    from alembic.script import ScriptDirectory
+
     older = []
     scripts = ScriptDirectory.from_config(_config())
     script = scripts.get_revision(version)
@@ -99,7 +129,9 @@ def _quoted(words: str) -> str:
     return "'" + words.replace("'", "''") + "'"
 
 
-def _config() -> Config:
+def _config() -> "Config":
+    from alembic.config import Config
+
     config = Config()
     config.set_main_option("script_location", str(packaged("migrations")).replace("%", "%%"))
     config.set_main_option("path_separator", "os")

@@ -1,7 +1,4 @@
-"""The SQL texts that the package keeps as files: views, functions and example queries, which a client can open too.
-
-The views: one text for both dialects, in ``schema/views``.
-"""
+"""The SQL texts in files: views, functions and example queries, one text for both dialects."""
 
 import re
 from dataclasses import dataclass
@@ -13,7 +10,7 @@ from msbdb.errors import DatabaseError
 
 @dataclass(frozen=True, slots=True)
 class SqlFile:
-    """An SQL text: ``title`` is the sentences of its comment, ``comment`` all lines of it, ``sql`` the statement."""
+    """An SQL text: ``title`` has the sentences of its comment, ``comment`` all its lines, ``sql`` the statement."""
 
     title: str
     comment: str
@@ -63,8 +60,8 @@ def parse_sql(path: Path) -> SqlFile:
     )
 
 
-# Sums of links are subqueries of a row, not joined tables of all rows: a view is asked for a window or a survey, and
-# neither dialect takes such a question into a grouped join.
+# Sums of links are subqueries of a row, not joined groups of all rows: queries of a view have a window or a survey, and
+# neither dialect passes such a condition into a grouped join.
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +69,7 @@ class View:
     """A view: its key and geometry are those of a base table; one without geometry has neither base nor key.
 
     ``key`` is both the view's and the base table's key column, by which the base table's spatial index serves the view.
-    A ``complete`` view has one row for every row of its base table, and so its extent.
+    A ``complete`` view has one row for every row of its base table, and so the same extent.
     """
 
     name: str
@@ -82,7 +79,7 @@ class View:
 
     @property
     def doc(self) -> str:
-        """What it shows, from the file's comment."""
+        """Its meaning, from the file's comment."""
         return read_sql("views", self.name).title
 
     @property

@@ -3,8 +3,7 @@
 from typing import Any
 
 import sqlalchemy as sa
-from geoalchemy2 import Geometry
-from sqlalchemy.types import TypeEngine
+from sqlalchemy.types import TypeEngine, UserDefinedType
 
 from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Check, Column, Index, KeyReference, Table, Unique
 
@@ -19,12 +18,38 @@ METADATA = sa.MetaData(
 )
 """All tables; every constraint has a name, so that migrations can refer to it."""
 
+VERSION_TABLE = "msbdb_schema_version"
+"""The table with the version of the schema, which Alembic writes."""
+
 SPATIAL: dict[str, str] = {table.name: table.geometry for table in DATABASE_TABLES if table.geometry is not None}
 """Geometry type of each table that has one; the column is always ``geometry``."""
 
+
+class Geometry(UserDefinedType[bytes]):
+    """A column of geometries. The hooks of the dialects create it, with the SRID of the database.
+
+    Parameters
+    ----------
+    kind : str
+        ``MULTIPOLYGON`` or ``POINT``.
+    srid : int or str
+        As the server reports it when a table is inspected.
+    """
+
+    cache_ok = True
+
+    def __init__(self, kind: str = "GEOMETRY", srid: int | str = 0) -> None:
+        self.kind = kind
+        self.srid = srid
+
+    def get_col_spec(self, **_: object) -> str:
+        """Return the type as SQL."""
+        return f"geometry({self.kind})"
+
+
 _ROW_ID = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
-"""64 bits everywhere. SQLite takes only an ``INTEGER PRIMARY KEY`` as the row's own number, which spatial indexes need;
-every other integer is BIGINT, as GDAL reads INTEGER in a view as 32 bits and cuts ids off."""
+"""Always 64 bits. Spatial indexes need the row number, for which SQLite accepts only ``INTEGER PRIMARY KEY``. All other
+integers are BIGINT, because GDAL reads INTEGER in a view as 32 bits and truncates ids."""
 
 _TYPES: dict[str, TypeEngine[Any]] = {
     "int64": sa.BigInteger(),
@@ -89,13 +114,12 @@ def _index(index: Index) -> sa.Index:
 
 def _table(table: Table) -> sa.Table:
     """Return a declared table."""
-    # Made before the columns' own keys: constraints appear in the schema in the order in which they are made.
+    # Made before the columns' own keys, because constraints appear in the schema in the order of creation.
     rules = [_rule(rule) for rule in table.rules]
     columns = [_column(table, column) for column in table.stored]
     if table.geometry:
-        # The SRID is the database's, chosen when the database is created.
-        kind = Geometry(table.geometry, srid=-1, spatial_index=False)
-        columns.append(sa.Column("geometry", kind, nullable=False, comment="in the database's CRS [m]"))
+        comment = "in the database's CRS [m]"
+        columns.append(sa.Column("geometry", Geometry(table.geometry), nullable=False, comment=comment))
     if table.digested:
         columns.append(_column(table, ROW_DIGEST))
     indexes = [_index(index) for index in table.indexes]

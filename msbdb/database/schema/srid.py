@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 FIRST_OWN_SRID = 910_000
 
 OWN_SRIDS = 88_999
-"""PostGIS keeps 910000 to 998999 for CRSs of the user's own."""
+"""PostGIS reserves 910000 to 998999 for CRSs of users."""
 
 
 def srid_of(epsg: int, crs_wkt: str) -> int:
@@ -25,7 +25,7 @@ def srid_of(epsg: int, crs_wkt: str) -> int:
     epsg : int
         EPSG code of the horizontal CRS; 0 for a CRS without code.
     crs_wkt : str
-        The CRS as WKT, which decides when there is no code.
+        The CRS as WKT, used without a code.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def crs_from(epsg: int, crs_wkt: str) -> "CRS":
     CRSError
         When PROJ knows neither.
     """
-    # PROJ is loaded where it is needed: a database whose CRS has a code is opened and read without it.
+    # PROJ is imported here: a database whose CRS has a code is opened without it.
     from pyproj import CRS
     from pyproj.exceptions import CRSError as ProjError
 
@@ -59,12 +59,12 @@ def crs_from(epsg: int, crs_wkt: str) -> "CRS":
 
 
 def horizontal(crs: "CRS") -> "CRS":
-    """Return the horizontal part of a compound CRS, and any other CRS as it is."""
+    """Return the horizontal part of a compound CRS, and any other CRS unchanged."""
     return crs.sub_crs_list[0] if crs.is_compound else crs
 
 
 def register(connection: Connection, srid: int, crs: "CRS") -> None:
-    """Write a CRS into ``spatial_ref_sys`` unless its SRID is there; both dialects get the same text.
+    """Write a CRS into ``spatial_ref_sys`` unless it has the SRID already; both dialects get the same text.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def register(connection: Connection, srid: int, crs: "CRS") -> None:
     if connection.scalar(text("SELECT count(*) FROM spatial_ref_sys WHERE srid = :srid"), {"srid": srid}):
         return
     with warnings.catch_warnings():
-        # The PROJ string leaves the datum out; the table wants it, but every client reads the WKT.
+        # The PROJ string lacks the datum; the table requires it, but clients read the WKT.
         warnings.simplefilter("ignore", UserWarning)
         proj4 = crs.to_proj4()
     row = {

@@ -228,11 +228,11 @@ def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: 
 def counts_of(frames: Mapping[str, pd.DataFrame]) -> Counts:
     """Return counts that agree with the parts and the ledger: each stage keeps what will be parts."""
     kept = len(frames["part"])
-    dropped = {str(stage): int(rows) for stage, rows in frames["rejection"].groupby("stage").size().items()}
-    regions = {
-        stage: {"in": kept + rows, "pieces": 0, "kept": kept, "dropped": rows}
-        for stage, rows in (dropped | {"fake fathers": 0}).items()
-    }
+    dropped = frames["rejection"].groupby(["method", "stage"]).size().to_dict() | {("multiscale", "fake fathers"): 0}
+    regions: dict[str, dict[str, dict[str, int]]] = {}
+    for (method, stage), rows in dropped.items():
+        numbers = {"in": kept + rows, "pieces": 0, "kept": kept, "dropped": int(rows)}
+        regions.setdefault(method, {})[stage] = numbers
     cells = {"all": 40_000, "valid": 40_000, "building": 13_333, "vegetation": 13_333}
     return Counts(regions, cells, {"colours_decide": 1, "green_decides": 0}, {})
 
