@@ -136,7 +136,7 @@ class PlacedPoints:
     origin : (2,) ndarray of float64
         Easting and northing of the origin.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for.
+        Area of each point.
     place : (N,) ndarray of int64
         Row-major number of the point's cell, see `places`.
     spec : GridSpec

@@ -335,6 +335,7 @@ def _means(points: Sorted, values: NDArray[np.float32], part: tuple[int, int], f
     index, x, y, radius_m = points
     limit = radius_m * radius_m
     width = values.shape[1]
+    # Sums in float64 go through the points in the order of the cells, so the means do not depend on the parts.
     sums = np.zeros(width, dtype=np.float64)
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)

@@ -107,7 +107,7 @@ def extract_area3d(
     crowns are nested too.
 
     The result does not depend on the points' order. Complexity: O(N log N) and O(N) a height scale. Border: a
-    building cut by the border is judged by what is left of it. Halo: none suffices, as components are of any extent.
+    building cut by the border is judged by its part inside. Halo: none suffices, as components are of any extent.
     """
     _require(cloud, heights, ndvi)
     order = _canonical_order(cloud, heights, ndvi)

@@ -49,7 +49,7 @@ def measure_structure(
     neighbours : int
         K; the point itself is one of them. Of fewer points, all.
     thin_m : float
-        The first point in each cube of this side stands for all of them, and they get what it gets; 0 asks all points.
+        Side of a cube. The first point in each cube is measured, and all points in it get its values; 0 measures all.
 
     Notes
     -----
@@ -163,9 +163,9 @@ class Reach:
     step_m : float
         Points within this of the roof's height are of its level.
     wall_factor : float
-        Only echoes below that level return within so many times the distance, at least once.
+        Only echoes below that level return within so many times the distance, at least the distance itself.
     mask_m : float
-        Lower above ground, points return as feet of walls alone.
+        Points lower than this above ground return only as feet of walls.
     """
 
     level_m: float
@@ -221,11 +221,11 @@ def grow_regions(
 
     Notes
     -----
-    The neighbourhood of an eave, a ridge with chimneys or a wall fills the space as a crown does, so Eq. 7 takes them
-    where a roof is no wider than the neighbourhood. The height of the roof is that of the highest of the three
-    nearest points of regions. A crown over a roof is higher. What is lower is a wall or a lower roof where the pulse
-    ends there; where it goes on, half of it is leaves, and only what is near returns. Below the mask little is
-    building, but points right below a roof's edge are the feet of its walls.
+    The neighbourhood of an eave, a ridge with chimneys or a wall fills the space as a crown does. So Eq. 7 removes them
+    where a roof is no wider than the neighbourhood. The height of the roof is that of the highest of the three nearest
+    points of regions. A crown over a roof is higher. A lower point is a wall or a lower roof where its pulse ends
+    there. Lower points of pulses with several echoes are leaves in half of the cases, so only near ones return. Below
+    the mask little is building, but points right below a roof's edge are the feet of its walls.
     """
     members, asking = np.flatnonzero(labels > 0), np.flatnonzero(free & (labels == 0))
     if reach.level_m <= 0 or not members.size or not asking.size:

@@ -94,7 +94,7 @@ def histogram_minima(heights: NDArray[np.float64], tail_percent: float = 0.0) ->
 
     Examples
     --------
-    A hundred heights from 0 to 9.9 m, of which each occurs |h - 4 m| / 0.1 m + 1 times, have their minimum at 4 m:
+    Each height h from 0 to 9.9 m occurs |h - 4 m| / 0.1 m + 1 times, so the minimum is at 4 m:
 
     >>> bars = np.arange(100)
     >>> heights = np.repeat(bars / 10, 1 + np.abs(bars - 40))
@@ -129,7 +129,7 @@ class NormalisedCloud:
     heights : (N,) ndarray of float64, metres
         Above ground.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for.
+        Area of each point.
     several : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None where nothing is known of echoes.
     ndvi : (N,) ndarray of float64, optional

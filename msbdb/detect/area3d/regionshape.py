@@ -90,7 +90,7 @@ def measure_shapes(
     labels : (N,) ndarray of int32
         1 to ``count`` without a gap; 0 for none.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for.
+        Area of each point.
     spacing_m : float
         Mean point spacing.
 
@@ -344,8 +344,8 @@ def find_edges(
     Returns
     -------
     (N,) ndarray of bool
-        True for a point of a region with (1) a sector without any point of the same region, or (2) a sector whose
-        nearest such point is farther than E_s. Points at the very same place lie in no sector.
+        True for a point with (1) a sector without any point of its region, or (2) a sector whose nearest such point
+        is farther than E_s. Points at the very same place lie in no sector.
 
     Notes
     -----
