@@ -21,14 +21,14 @@ NEAREST = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointStructure:
-    """What the neighbourhood of each point looks like.
+    """The neighbourhood of each point.
 
     Parameters
     ----------
     curvature : (N,) ndarray of float64
         COC of Eq. 7, from 0 on a plane to 1/3 where points fill the space evenly.
     echo_share : (N,) ndarray of float64
-        Share of the neighbours whose pulse gave several echoes; 0 where nothing is known of echoes.
+        Share of the neighbours whose pulse gave several echoes; 0 without echo numbers.
     """
 
     curvature: NDArray[np.float64]
@@ -45,7 +45,7 @@ def measure_structure(
     points : (N, 3) ndarray of float64, metres
         Points of the on-set, from an origin nearby, so that squares keep their digits.
     several : (N,) ndarray of bool, optional
-        Which points are of pulses with several echoes; None where nothing is known of echoes.
+        Which points are of pulses with several echoes; None without echo numbers.
     neighbours : int
         K; the point itself is one of them. Of fewer points, all.
     thin_m : float
@@ -154,7 +154,7 @@ def smallest_share(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far from a region points return to it.
+    """The distances within which points return to a region.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def grow_regions(
     several: NDArray[np.bool_] | None,
     reach: Reach,
 ) -> NDArray[np.int32]:
-    """Give regions back the points beside, below and on them.
+    """Return labels in which the points beside, below and on a region belong to it.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def grow_regions(
     heights : (N,) ndarray of float64, metres
         Above ground.
     several : (N,) ndarray of bool, optional
-        Which points are of pulses with several echoes; None where nothing is known of echoes.
+        Which points are of pulses with several echoes; None without echo numbers.
     reach : Reach
         How far they may lie from a region.
 
