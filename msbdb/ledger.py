@@ -6,7 +6,7 @@ from msbdb.errors import TableError
 
 
 class Ledger:
-    """Counts by stage, checked to balance, and the regions that were lost, a row each.
+    """Counts by stage, checked to balance, and the dropped regions, a row each.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Ledger:
     def count(
         self, stage: str, entered: int, kept: int, dropped: int, *, pieces: int = 0, written: bool = True
     ) -> None:
-        """Add the numbers of a stage, when all that it rejected is written.
+        """Add the numbers of a stage, after all of its rejected regions are written.
 
         Parameters
         ----------
@@ -45,9 +45,9 @@ class Ledger:
         entered, kept, dropped : int
             Numbers of regions.
         pieces : int
-            How many the stage cut itself; negative where it joined regions.
+            How many regions more the stage made by cutting; negative where it joined regions.
         written : bool
-            Whether what was dropped has rows. Duplicates have none, as another region stands for them.
+            Whether the dropped regions have rows. Duplicates have none, as another region covers them.
 
         Raises
         ------

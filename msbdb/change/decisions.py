@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from msbdb.change.differences import Epochs, Offset, Pieces, thick, without_crumbs
+from msbdb.change.differences import Epochs, Offset, Pieces, thick, without_slivers
 from msbdb.change.matching import Links
 from msbdb.grid import GridSpec
 from msbdb.labels import Box, Labels, boxes, sizes
@@ -43,7 +43,7 @@ CHANGE_COLUMNS = {
 
 @dataclass(eq=False)
 class Decisions:
-    """The decisions, building by building; 0 stands for no building, otherwise row number + 1."""
+    """The decisions, building by building; 0 is no building, otherwise row number + 1."""
 
     links: Links
     offset: Offset
@@ -202,7 +202,7 @@ class Decisions:
         return bool(abs(rise) >= self.params.rise_m)
 
     def _newcomers(self) -> None:
-        """Decide on footprints that no building of the inventory shares, and on pieces built beside all others."""
+        """Decide on footprints that share no building of the inventory, and on pieces built apart from all others."""
         known = {a for own in self.links.own.values() for a in own}
         for a in range(1, len(self.after) + 1):
             if a in self.used or a in known:
@@ -230,24 +230,24 @@ class Decisions:
         self._note(kind, 0, a, version=version, note=note)
 
     def _detached(self, piece: int, a: int) -> None:
-        """Enter a building that stands apart from those that its footprint was joined with."""
+        """Enter a new building that is detached from the others of its footprint."""
         box = self.box_gain[piece]
         shape = polygonise((self.pieces.gain[box] == piece).astype(np.int32), self.spec.crop(*box), 1)[0]
         self._note("new", 0, a, version=self._enter(0, a, shape, adopted=False))
 
     def _outline(self, group: tuple[int, ...], a: int) -> tuple[shapely.Geometry, bool]:
-        """Return buildings' new outline: the survey's own where it is theirs alone, else theirs with the change."""
+        """Return buildings' new outline: the survey's where it covers them alone, else their old one with the change."""
         sharing = {i for i, own in self.links.own.items() if a in own}
         if sharing == set(group) and all(len(self.links.own[i]) == 1 for i in group):
             return self.after.geometry.iloc[a - 1], True
         gains = [piece for i in group for piece in self.links.gains.get(i, ())]
         box = _around([self.box_before[i] for i in group] + [self.box_gain[piece] for piece in gains])
         kept = np.isin(self.epochs.before[box], group) & (self.pieces.loss[box] == 0)
-        cells = without_crumbs(kept | np.isin(self.pieces.gain[box], gains or [-1]), self.spec, self.params)
+        cells = without_slivers(kept | np.isin(self.pieces.gain[box], gains or [-1]), self.spec, self.params)
         return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
 
     def _enter(self, i: int, a: int, shape: shapely.Geometry, *, adopted: bool) -> int:
-        """Write a new state and return its row number; 0 stands for a building that begins with it."""
+        """Write a new state and return its row number; 0 is a building that begins with it."""
         self.versions.append((i - 1, a - 1, adopted, shape))
         return len(self.versions) - 1
 
@@ -263,13 +263,13 @@ class Decisions:
         parts: bool = False,
         note: str = "",
     ) -> None:
-        """Write a row of the changes; 0 stands for no building on that side."""
+        """Write a row of the changes; 0 is no building on that side."""
         overlap = self.links.shared.get((i, a), 0.0)
         area_b = float(self.before.geometry.iloc[i - 1].area) if i else 0.0
         area_a = float(self.after.geometry.iloc[a - 1].area) if a else 0.0
         box = self.box_before[i] if i else self.box_after[a]
-        stands = self.epochs.before[box] == i if i else self.epochs.after[box] == a
-        known = self.rise[box][stands & self.epochs.rise.valid[box] & self.epochs.surveyed[box]]
+        cells = self.epochs.before[box] == i if i else self.epochs.after[box] == a
+        known = self.rise[box][cells & self.epochs.rise.valid[box] & self.epochs.surveyed[box]]
         self.rows.append(
             {
                 "kind": kind,

@@ -241,7 +241,7 @@ def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     return renumber(pieces, sizes(pieces, count) * spec.cell_area_m2 >= params.least_m2)[0]
 
 
-def without_crumbs(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
+def without_slivers(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
     """Return a footprint without its pieces that no disc fits into, unless none else is left.
 
     After a part was pulled down, strips too thin to be a change can be left along the old outline.

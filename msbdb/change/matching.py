@@ -17,10 +17,12 @@ from msbdb.params import ChangeParams
 class Links:
     """The buildings of both sides, numbered by row + 1, and what links them.
 
-    ``cells`` and ``seen`` count the cells of each building of the inventory, all and surveyed; ``shared`` has the area
-    that each pair shares; ``own`` the survey's footprints of each building, the one with the largest share first;
-    ``loss_by`` the survey's footprints that each piece of loss touches, ``gain_after`` those that each piece of gain
-    lies in; ``gains`` the pieces of gain that were built onto each building.
+    - ``cells`` and ``seen``: cells of each building of the inventory, all and surveyed;
+    - ``shared``: area that each pair shares;
+    - ``own``: the survey's footprints of each building, the one with the largest share first;
+    - ``loss_by``: the survey's footprints that each piece of loss touches;
+    - ``gain_after``: the survey's footprints in which each piece of gain lies;
+    - ``gains``: the pieces of gain that were built onto each building.
     """
 
     before: gpd.GeoDataFrame

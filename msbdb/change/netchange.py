@@ -12,7 +12,7 @@ import shapely
 
 from msbdb.change.differences import moved
 
-KIN_SHARE = 0.3
+RELATED_SHARE = 0.3
 """Buildings that were merged or split on the way are related at the end when they share this much of the smaller; a
 strip along a common wall is less."""
 
@@ -46,7 +46,7 @@ class Net:
 
 @dataclass(frozen=True, slots=True)
 class _Trail:
-    """The changes of a building through the surveys of the period: what changed, how often, when last, and the notes."""
+    """The changes of a building through the surveys of the period: which, how often, when last, and the notes."""
 
     outline: bool = False
     height: bool = False
@@ -156,8 +156,8 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
       difference of ``h_p90``, and ``darea_m2`` that of the area, between its first and its last state; ``overlap_m2``
       and ``iou`` are of both outlines. Surveys' offsets are taken out of heights and outlines.
     - Buildings that were merged and split are followed through all of their identities. A pair is reported when both
-      share `KIN_SHARE` of the smaller at the end. Buildings that were joined and divided again are no pair. A part that
-      was joined and then pulled down was demolished.
+      share `RELATED_SHARE` of the smaller at the end. Buildings that were joined and divided again are no pair. A part
+      that was joined and then pulled down was demolished.
     - The first row of a building gives its state at the beginning. So an import within the period counts as older than
       the period, and so does an older building that is detected for the first time.
     """
@@ -177,7 +177,7 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
 
 def _rows(chains: _Chains, known: "_Versions") -> Iterator[dict[str, Any]]:
     """Yield the rows of the table."""
-    pairs = _kin(chains, known)
+    pairs = _related(chains, known)
     heirs: dict[int, list[int]] = {}
     origins: dict[int, list[int]] = {}
     for first, last in pairs:
@@ -199,7 +199,7 @@ def _rows(chains: _Chains, known: "_Versions") -> Iterator[dict[str, Any]]:
 _NOTHING: dict[str, Any] = {"outline": False, "height": False, "parts": False}
 
 
-def _kin(chains: _Chains, known: "_Versions") -> list[tuple[int, int]]:
+def _related(chains: _Chains, known: "_Versions") -> list[tuple[int, int]]:
     """Return the pairs of buildings of the beginning and of the end that are one, or were merged or split."""
     pairs = [(first, last) for last, origins in chains.standing.items() for first in origins]
     starts, ends = (pd.Series([pair[side] for pair in pairs], dtype="int64").value_counts() for side in (0, 1))
@@ -208,7 +208,7 @@ def _kin(chains: _Chains, known: "_Versions") -> list[tuple[int, int]]:
     kept = [
         (first, last)
         for first, last in involved
-        if known.share(chains.begins[first], chains.current[last]) >= KIN_SHARE
+        if known.share(chains.begins[first], chains.current[last]) >= RELATED_SHARE
     ]
     return simple + kept
 

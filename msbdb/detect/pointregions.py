@@ -136,7 +136,7 @@ class PlacedPoints:
     origin : (2,) ndarray of float64
         Easting and northing of the origin.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for.
+        Area of each point.
     place : (N,) ndarray of int64
         Row-major number of the point's cell, see `places`.
     spec : GridSpec
@@ -169,7 +169,7 @@ class PlacedPoints:
         )
 
     def ids(self, labels: Labels, count: int, *, stage: int = 0) -> NDArray[np.int64]:
-        """Return ids of regions from their first cells; those that a stage, counted from 1, rejected have their own.
+        """Return ids of regions from their first cells; rejected regions, of a stage from 1 on, have their own.
 
         Every label from 1 to ``count`` has a point. Regions that share their first cell are numbered in the order of
         their labels.
@@ -232,7 +232,7 @@ class PointLedger(Ledger):
         return self.write(stage, rows)
 
     def rejections(self) -> pd.DataFrame:
-        """Return all lost regions in the order of writing."""
+        """Return all dropped regions in the order of writing."""
         return REJECTION.typed(self.lost(REJECTION.empty()))
 
 

@@ -57,7 +57,7 @@ class Scene:
     cover : Cover
         Land cover by structure, colours and the operator's labels.
     evidence : Evidence, optional
-        Each cell's own evidence of roof, for the fused footprints; None where these were not asked for.
+        Each cell's own evidence of roof, for the fused footprints; None without these.
     surface : Surface, optional
         DSM, DTM and nDSM; None where a scene is read back from the database.
     cloud : PointCloud, optional

@@ -193,7 +193,7 @@ def link_labels(
     Of the part's four cells, two lie in a flat region of three cells:
 
     >>> from msbdb.tables import PART_FLAT_REGION
-    >>> part, flat = np.array([[1, 1, 1, 1, 0]]), np.array([[0, 0, 7, 7, 7]]) // 7
+    >>> part, flat = np.array([[1, 1, 1, 1, 0]]), np.array([[0, 0, 1, 1, 1]])
     >>> ids = np.array([101]), np.array([202])
     >>> links = link_labels([part], ids[0], flat, ids[1], table=PART_FLAT_REGION, cell_area_m2=0.25)
     >>> links.round(2).to_numpy().tolist()

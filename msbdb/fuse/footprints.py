@@ -132,7 +132,7 @@ def fuse_footprints(root_labels: Labels, region_labels: Labels, evidence: RoofEv
     dropped = _is_false(measures.assign(flat_share=share), cell_m, params)
     gone = _with_rims(pieces, dropped, parts & ~regions, steps)
     firm = (parts & regions) | ((pieces > 0) & ~gone)
-    fused[gone | _crumbs(parts & ~gone, firm, gone)] = 0
+    fused[gone | _remains(parts & ~gone, firm, gone)] = 0
     pieces, measures = _pieces(regions & ~parts, steps, evidence)
     added = _is_roof(measures, params.surface.mask_m, cell_m, own) & (measures["probability"] >= own.roof_share)
     annexes = _with_rims(pieces, added.to_numpy(), regions & ~parts, steps)
@@ -217,11 +217,11 @@ def _with_rims(pieces: Labels, chosen: Mask, disputed: Mask, steps: int) -> Mask
     return np.asarray(reached | own_cells)
 
 
-def _crumbs(left: Mask, firm: Mask, gone: Mask) -> Mask:
+def _remains(left: Mask, firm: Mask, gone: Mask) -> Mask:
     """Return the remains of buildings beside a dropped piece that have no firm cell, only edges."""
     blocks, count = label_zones(left)
-    bereft = sizes(blocks[ndimage.binary_dilation(gone, EIGHT)], count) > 0
-    return chosen_cells(blocks, bereft & (sizes(blocks[firm], count) == 0))
+    beside = sizes(blocks[ndimage.binary_dilation(gone, EIGHT)], count) > 0
+    return chosen_cells(blocks, beside & (sizes(blocks[firm], count) == 0))
 
 
 def _label_annexes(fused: Labels, annexes: Mask) -> Labels:

@@ -197,7 +197,7 @@ def _members(x: Floats, y: Floats, labels: Labels, count: int) -> tuple[Floats, 
 
 
 def _present(labels: Labels, count: int) -> NDArray[np.integer]:
-    """Return the labels that occur, ascending; without sorting where they are as they should be."""
+    """Return the labels that occur, ascending; without sorting where all are in range."""
     if labels.size and labels.min() >= 1 and labels.max() <= count:
         return np.flatnonzero(np.bincount(labels, minlength=count + 1))
     return np.unique(labels)
@@ -242,7 +242,7 @@ def _buffered(x: Floats, y: Floats, labels: Labels, which: NDArray[np.intp], rea
 
 
 def _apart(shapes: Geometries, sliver_m2: float) -> Geometries:
-    """Take what two outlines have in common from the larger one, unless nothing would be left of it."""
+    """Remove the common area of two outlines from the larger one, unless that is all of it."""
     one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
     one, other = one[one < other], other[one < other]
     common = shapely.area(shapely.intersection(shapes[one], shapes[other])) > sliver_m2

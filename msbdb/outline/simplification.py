@@ -264,7 +264,7 @@ def _without_stairs(coords: Floats, arc: Ints, tolerance_m: float) -> tuple[Floa
     stair = np.flatnonzero((length[:-1] <= limit) & (turn[:-1] * turn[1:] < 0))
     on_stair = np.zeros(len(coords), dtype=np.bool_)
     on_stair[stair] = on_stair[stair + 1] = True
-    # An opposite turn at both ends means that the arc goes on beyond both.
+    # An opposite turn at both ends means that the arc continues beyond both.
     before, after = length[stair - 1], length[stair + 1]
     kept = ~on_stair
     kept[stair[(before > after + limit) & ~on_stair[stair - 1]]] = True

@@ -230,6 +230,7 @@ def _deep(cells: Ints, around: Ints, coverer: NDArray[np.int32], width: int) -> 
 @kernel
 def _near(rim: Ints, around: Ints, width: int) -> Mask:
     """Return which cells around lie near one of some cells, so that a disc on a point there may have its centre."""
+    # As in `_deep`, but from the cells that are not deep; windows of two cells may overlap, and set the same marks.
     near = np.zeros(around.size, dtype=np.bool_)
     at = np.zeros(WINDOW, dtype=np.int64)
     for cell in range(rim.size):

@@ -24,8 +24,8 @@ def grow(seeds: NDArray[np.int32], domain: NDArray[Any], connectivity: int) -> N
     Returns
     -------
     (H, W) ndarray of int32
-        The seeds, and for each cell that can be reached from one the value of the nearest, counted in steps inside
-        the domain; at equal distance that whose seed cell comes first in row order.
+        The seeds, and in each cell that a seed reaches the value of the nearest one. Distances count steps inside the
+        domain; at equal distance the seed cell that comes first in row order wins.
     """
     rows, cols = seeds.shape
     grown = seeds.copy()
@@ -70,6 +70,7 @@ def edges(labels: NDArray[np.int32]) -> NDArray[np.uint8]:
     (H, W) ndarray of uint8
         1 on boundary cells. Border: what lies outside of the array does not exist.
     """
+    # Each cell reads its neighbours and writes itself alone, so the order of the cells has no effect.
     rows, cols = labels.shape
     edge = np.zeros((rows, cols), dtype=np.uint8)
     for row in range(rows):

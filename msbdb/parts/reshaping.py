@@ -113,8 +113,8 @@ def cut(
     Returns
     -------
     Step
-        The largest piece of a cluster (of equal ones the first in row order) keeps its row and its id, the others
-        get rows of their own. A cluster without a piece that is large enough is dropped with all of its cells.
+        The largest piece of a cluster keeps its row and id; of equal ones the first in row order. The others get rows
+        of their own. A cluster without a piece that is large enough is dropped with all of its cells.
     """
     before = clusters.labels[level]
     labels, count = label_zones(zones, connectivity=connectivity)

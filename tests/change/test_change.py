@@ -9,7 +9,7 @@ from shapely.affinity import translate
 
 from msbdb.change.comparison import Comparison, compare
 from msbdb.change.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
-from msbdb.change.differences import estimate_offset, without_crumbs
+from msbdb.change.differences import estimate_offset, without_slivers
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
 from msbdb.params import ChangeParams
@@ -22,7 +22,7 @@ House = tuple[float, float, float, float, float]
 """West, south, east and north in metres from the corner, and the height."""
 
 ROW: list[House] = [(10.0 + 20 * n, 10.0, 22.0 + 20 * n, 22.0, 6.0 + n) for n in range(8)]
-"""Eight houses of 12 x 12 m that nothing happens to, so that the offset can be told."""
+"""Eight houses of 12 x 12 m that do not change, so that there is an offset."""
 
 
 def town(houses: list[House]) -> gpd.GeoDataFrame:
@@ -48,8 +48,8 @@ def compared(before: list[House], after: list[House], **options: object) -> Comp
 def kinds(found: Comparison) -> list[tuple[str, int, int]]:
     """Return kind, before and after of all rows that are no bare 'unchanged'."""
     rows = found.changes
-    told = rows[(rows["kind"] != "unchanged") | (rows["note"] != "")]
-    return list(zip(told["kind"], told["before"], told["after"], strict=True))
+    changed = rows[(rows["kind"] != "unchanged") | (rows["note"] != "")]
+    return list(zip(changed["kind"], changed["before"], changed["after"], strict=True))
 
 
 def test_thin_rests_of_a_footprint_are_dropped() -> None:
@@ -59,8 +59,8 @@ def test_thin_rests_of_a_footprint_are_dropped() -> None:
     wing = cells.copy()
     cells[5:25, 35] = True
     cells[30, [5, 9, 11]] = True
-    assert (without_crumbs(cells, SPEC, ChangeParams()) == wing).all()
-    assert (without_crumbs(cells & ~wing, SPEC, ChangeParams()) == (cells & ~wing)).all()
+    assert (without_slivers(cells, SPEC, ChangeParams()) == wing).all()
+    assert (without_slivers(cells & ~wing, SPEC, ChangeParams()) == (cells & ~wing)).all()
 
 
 def test_equal_towns_have_no_change() -> None:
@@ -121,7 +121,7 @@ def test_a_house_parted_by_demolition_splits() -> None:
 
 
 def test_a_row_that_is_cut_otherwise_is_unchanged() -> None:
-    """Neighbours that one survey tells apart and another does not are the same houses."""
+    """Neighbours that one survey separates and another does not are the same houses."""
     three: list[House] = [(20, 60, 30, 72, 8), (30, 60, 40, 72, 8), (40, 60, 50, 72, 8)]
     joined: list[House] = [(20, 60, 50, 72, 8)]
     for before, after in ((three, joined), (joined, three)):
@@ -147,7 +147,7 @@ def test_of_a_joined_row_only_the_extended_house_is_modified() -> None:
 
 
 def test_what_stood_before_is_not_new_and_what_stands_is_not_demolished() -> None:
-    """An extraction that misses a house, or finds it at last, is no change of the town."""
+    """A build that misses a house, or finds it later, is no change of the town."""
     known = [ground(ROW)]
     found = compare(town(ROW[:7]), town(ROW), heights=ground(ROW), earlier=known)
     assert kinds(found) == [("unchanged", -1, 7)]
@@ -193,7 +193,7 @@ def test_a_vertical_offset_is_told_and_is_no_change() -> None:
 
 
 def test_an_inventory_of_bare_footprints_is_compared_by_outlines_and_heights() -> None:
-    """Without earlier heights of the place, the buildings' own tell a rise."""
+    """Without earlier heights of the place, those of the buildings show a rise."""
     after = [*ROW[:6], (*ROW[6][:4], 25.0), (150, 10, 162, 30, 13)]
     found = compare(town(ROW), town(after), heights=ground(after))
     assert kinds(found) == [("modified", 6, 6), ("modified", 7, 7)]
@@ -228,7 +228,7 @@ def test_a_slender_building_that_is_gone_is_demolished() -> None:
 
 
 def test_an_inventory_of_bare_footprints_loses_only_what_is_open_now() -> None:
-    """A house that the extraction missed stands while its heights stand."""
+    """A house that a build missed is unchanged while its heights remain."""
     found = compare(town(ROW), town(ROW[:7]), heights=ground(ROW))
     assert kinds(found) == [("unchanged", 7, -1)]
     found = compare(town(ROW), town(ROW[:7]), heights=ground(ROW[:7]))
@@ -236,7 +236,7 @@ def test_an_inventory_of_bare_footprints_loses_only_what_is_open_now() -> None:
 
 
 def test_half_of_the_houses_raised_is_no_vertical_offset() -> None:
-    """Of two equal groups the one that stayed tells it."""
+    """Of two equal groups the one that stayed decides."""
     raised = [(*house[:4], house[4] + 4 * (n % 2)) for n, house in enumerate(ROW)]
     found = estimate_offset(town(ROW), town(raised), least_pairs=5)
     assert found.dz_m == 0
@@ -267,7 +267,7 @@ def test_a_building_that_an_earlier_survey_cut_is_whole_now_and_unchanged() -> N
 
 
 def test_a_slender_building_that_rises_as_a_whole_is_modified() -> None:
-    """No disc fits into it, but most of its cells tell the same; a part of it that rose is no change."""
+    """No disc fits into it, but most of its cells agree; a part of it that rose is no change."""
     slender: House = (20, 60, 60, 61.5, 6)
     found = compared([*ROW, slender], [*ROW, (*slender[:4], 10)])
     row = found.changes.iloc[8]
@@ -281,8 +281,8 @@ def test_a_slender_building_that_rises_as_a_whole_is_modified() -> None:
     assert kinds(part) == []
 
 
-def test_a_raised_house_of_which_the_later_extraction_sees_a_part_is_modified() -> None:
-    """Its heights tell; a crown that grew over an overlooked part of a roof does not."""
+def test_a_raised_house_that_the_later_build_sees_in_part_is_modified() -> None:
+    """Its heights decide; a crown that grew over a missed part of a roof does not count."""
     seen: House = (20, 60, 28, 75, 10)
     house: House = (20, 60, 38, 75, 6)
     raised = compare(

@@ -39,9 +39,9 @@ class Story:
     def _version(self, uid: int, state: State, survey: int | None) -> int:
         (west, south, east, north), height = state
         shape = box(west, south, east, north)
-        told = {"state": "unsure", "storeys": 1, "h_max": height, "h_p90": height, "area_m2": shape.area}
-        told |= {"volume_m3": height * shape.area, "attributes": None, "geometry": shapely.multipolygons([shape])}
-        self.versions.append({"version_id": len(self.versions) + 1, "uid": uid, "survey_id": survey, **told})
+        values = {"state": "unsure", "storeys": 1, "h_max": height, "h_p90": height, "area_m2": shape.area}
+        values |= {"volume_m3": height * shape.area, "attributes": None, "geometry": shapely.multipolygons([shape])}
+        self.versions.append({"version_id": len(self.versions) + 1, "uid": uid, "survey_id": survey, **values})
         return len(self.versions)
 
     def survey(
@@ -70,7 +70,7 @@ class Story:
         versions = gpd.GeoDataFrame(self.versions, crs=CRS).astype({"survey_id": "Int64"})
         return net_changes(rows, versions, pd.DataFrame(self.offsets))
 
-    def told(self) -> list[tuple[str, int | None, int | None]]:
+    def pairs(self) -> list[tuple[str, int | None, int | None]]:
         """Return kind and uids of the net change."""
         table = self.net().table
         pairs = [[None if pd.isna(v) else int(v) for v in table[name]] for name in ("uid_before", "uid_after")]
@@ -88,11 +88,11 @@ def still(uid: int) -> tuple[str, int, int, None, str]:
 
 
 def test_raised_and_then_demolished_is_demolished() -> None:
-    """Nothing is told of what it had become, and the state before is that of the beginning."""
+    """The states in between are not reported, and the state before is that of the beginning."""
     story = (
         Story({1: LEFT}).survey(("modified", 1, 1, (LEFT[0], 9.0), "height")).survey(("demolished", 1, None, None, ""))
     )
-    assert story.told() == [("demolished", 1, None)]
+    assert story.pairs() == [("demolished", 1, None)]
     row = story.net().table.iloc[0]
     assert (row["h_p90_before"], row["dh_m"], row["darea_m2"], row["times"]) == (6.0, -6.0, -100.0, 2)
     assert not row[["outline", "height", "parts"]].any()
@@ -106,7 +106,7 @@ def test_built_and_demolished_in_between_is_counted_only() -> None:
         .survey(still(1), ("new", None, 2, RIGHT, ""))
         .survey(still(1), ("demolished", 2, None, None, ""))
     )
-    assert story.told() == [("unchanged", 1, 1)]
+    assert story.pairs() == [("unchanged", 1, 1)]
     assert story.net().passing["uid"].tolist() == [2]
 
 
@@ -121,7 +121,7 @@ def test_modified_twice_is_modified_once_in_all_respects() -> None:
         .survey(still(1))
     )
     row = story.net().table.iloc[0]
-    assert story.told() == [("modified", 1, 1)]
+    assert story.pairs() == [("modified", 1, 1)]
     assert row[["outline", "height", "parts"]].all()
     assert (row["dh_m"], row["darea_m2"], row["times"], row["survey"]) == (3.0, 50.0, 2, "s2002")
     assert (row["overlap_m2"], row["iou"]) == (pytest.approx(100.0), pytest.approx(100 / 150))
@@ -135,7 +135,7 @@ def test_merged_and_then_modified_is_merged() -> None:
         .survey(("merged", 1, 1, BOTH, "outline"), ("merged", 2, 1, BOTH, "outline"))
         .survey(("modified", 1, 1, (BOTH[0], 12.0), "height"))
     )
-    assert story.told() == [("merged", 1, 1), ("merged", 2, 1)]
+    assert story.pairs() == [("merged", 1, 1), ("merged", 2, 1)]
     table = story.net().table
     assert table["height"].all()
     assert table["dh_m"].tolist() == [6.0, 6.0]
@@ -149,7 +149,7 @@ def test_merged_and_then_demolished_is_demolished_twice() -> None:
         .survey(("merged", 1, 1, BOTH, "outline"), ("merged", 2, 1, BOTH, "outline"))
         .survey(("demolished", 1, None, None, ""))
     )
-    assert story.told() == [("demolished", 1, None), ("demolished", 2, None)]
+    assert story.pairs() == [("demolished", 1, None), ("demolished", 2, None)]
 
 
 def test_what_was_joined_and_pulled_down_in_part_is_demolished() -> None:
@@ -159,7 +159,7 @@ def test_what_was_joined_and_pulled_down_in_part_is_demolished() -> None:
         .survey(("merged", 1, 1, BOTH, "outline"), ("merged", 2, 1, BOTH, "outline"))
         .survey(("modified", 1, 1, LEFT, "outline"))
     )
-    assert story.told() == [("modified", 1, 1), ("demolished", 2, None)]
+    assert story.pairs() == [("modified", 1, 1), ("demolished", 2, None)]
 
 
 def test_what_was_joined_and_parted_again_is_two_buildings() -> None:
@@ -169,7 +169,7 @@ def test_what_was_joined_and_parted_again_is_two_buildings() -> None:
         .survey(("merged", 1, 1, BOTH, "outline"), ("merged", 2, 1, BOTH, "outline"))
         .survey(("split", 1, 1, LEFT, "outline"), ("split", 1, 3, RIGHT, "outline"))
     )
-    assert story.told() == [("modified", 1, 1), ("modified", 2, 3)]
+    assert story.pairs() == [("modified", 1, 1), ("modified", 2, 3)]
 
 
 def test_split_and_then_demolished_in_part_is_modified() -> None:
@@ -179,7 +179,7 @@ def test_split_and_then_demolished_in_part_is_modified() -> None:
         .survey(("split", 1, 1, LEFT, "outline"), ("split", 1, 2, RIGHT, "outline"))
         .survey(still(1), ("demolished", 2, None, None, ""))
     )
-    assert story.told() == [("modified", 1, 1)]
+    assert story.pairs() == [("modified", 1, 1)]
     assert story.net().table["darea_m2"].tolist() == [-100.0]
 
 
@@ -190,25 +190,25 @@ def test_an_extension_that_was_parted_later_is_new() -> None:
         .survey(("modified", 1, 1, BOTH, "outline"))
         .survey(("split", 1, 1, LEFT, "outline"), ("split", 1, 2, RIGHT, "outline"))
     )
-    assert story.told() == [("modified", 1, 1), ("new", None, 2)]
+    assert story.pairs() == [("modified", 1, 1), ("new", None, 2)]
 
 
 def test_a_new_building_that_takes_an_old_one_in_goes_on_as_it() -> None:
-    """The larger one gives the identity; the pair is told by both."""
+    """The larger one gives the identity; both rows report the pair."""
     large: State = ((12, 0, 40, 10), 6.0)
     story = (
         Story({1: LEFT})
         .survey(still(1), ("new", None, 2, large, ""))
         .survey(("merged", 1, 2, ((0, 0, 40, 10), 6.0), "outline"), ("merged", 2, 2, ((0, 0, 40, 10), 6.0), "outline"))
     )
-    assert story.told() == [("modified", 1, 2)]
+    assert story.pairs() == [("modified", 1, 2)]
 
 
 def test_a_building_that_stood_before_counts_from_its_first_version() -> None:
-    """First told as unchanged, then gone: it was demolished, and never new."""
+    """First reported as unchanged, then gone: it was demolished, and never new."""
     story = Story({}).survey(("unchanged", None, 1, LEFT, ""), ("unchanged", None, 2, RIGHT, ""))
     story.survey(still(1), ("demolished", 2, None, None, ""))
-    assert story.told() == [("unchanged", 1, 1), ("demolished", 2, None)]
+    assert story.pairs() == [("unchanged", 1, 1), ("demolished", 2, None)]
     assert story.net().passing.empty
 
 
@@ -226,7 +226,7 @@ def test_a_period_without_a_survey_has_no_rows() -> None:
 
 @given(st.data())
 def test_rows_and_counts_add_up_over_any_history(data: st.DataObject) -> None:
-    """Each building of the beginning and of the end is told, and all that came is there, gone, or joined."""
+    """Each building of the beginning and of the end is reported, and all that came is there, gone, or joined."""
     story = Story({uid: ((20.0 * uid, 0, 20.0 * uid + 10, 10), 6.0) for uid in range(1, 4)})
     states, free = dict(story.states), 10
     first = set(states)

@@ -75,7 +75,7 @@ def test_classes_confirm_a_building(share, state):
 
 
 def test_without_classes_a_building_is_unsure():
-    """One witness is not enough."""
+    """Heights or classes alone are not enough."""
     assert set(buildings_from_parts(*build(classes=False))["state"]) == {"unsure"}
 
 

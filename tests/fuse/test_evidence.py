@@ -1,4 +1,4 @@
-"""Links between regions of two extractors, and what follows for the buildings."""
+"""Links between regions of two detectors, and the states of buildings that follow."""
 
 import numpy as np
 import pandas as pd
@@ -102,7 +102,7 @@ def test_nothing_gives_an_empty_table(table):
         assert len(links) == 0
 
 
-def test_labels_of_another_extraction_are_refused():
+def test_labels_of_another_build_are_refused():
     """Other lattices, and labels without an id, are named."""
     labels, flat = scene()
     with pytest.raises(GridMismatchError, match="part_flat_region must lie on one lattice"):
@@ -116,32 +116,32 @@ def test_labels_of_another_extraction_are_refused():
 STATES = ["confirmed", "confirmed", "unsure"]
 
 
-def heard(**shares):
-    """Return three buildings, of which the classes confirm two, after the extractors were heard."""
+def supported(**shares):
+    """Return three buildings with the support of detectors; the classes confirm the first two."""
     none = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share"), np.nan)
     buildings = pd.DataFrame({"state": STATES, **none})
     return with_support(buildings, {name: np.array(values) for name, values in shares.items()})
 
 
-def test_one_extractor_must_speak_for_the_building():
+def test_one_detector_must_support_the_building():
     """The classes' word stands where flat regions agree; neither alone confirms."""
-    buildings = heard(flatregions=[0.1, 0.0999, 0.9])
+    buildings = supported(flatregions=[0.1, 0.0999, 0.9])
     assert buildings["state"].tolist() == ["confirmed", "unsure", "unsure"]
     assert buildings["flat_share"].tolist() == [0.1, 0.0999, 0.9]
     assert buildings[["area3d_share", "adaptive_share"]].isna().all(axis=None)
 
 
-def test_half_of_the_extractors_are_enough():
-    """Of two one must speak for a building, of three two."""
-    two = heard(flatregions=[0.0, 0.0, 1.0], area3d=[0.5, 0.05, 1.0])
+def test_half_of_the_detectors_are_enough():
+    """One of two must support a building, or two of three."""
+    two = supported(flatregions=[0.0, 0.0, 1.0], area3d=[0.5, 0.05, 1.0])
     assert two["state"].tolist() == ["confirmed", "unsure", "unsure"]
-    three = heard(flatregions=[0.0, 0.0, 1.0], area3d=[0.5, 0.5, 1.0], adaptive=[0.2, 0.0, 1.0])
+    three = supported(flatregions=[0.0, 0.0, 1.0], area3d=[0.5, 0.5, 1.0], adaptive=[0.2, 0.0, 1.0])
     assert three["state"].tolist() == ["confirmed", "unsure", "unsure"]
     assert three["adaptive_share"].tolist() == [0.2, 0.0, 1.0]
 
 
-def test_where_no_extractor_was_heard_the_classes_decide():
+def test_without_other_detectors_the_classes_decide():
     """The state stays, and all shares are unknown."""
-    buildings = heard()
+    buildings = supported()
     assert buildings["state"].tolist() == STATES
     assert buildings.drop(columns="state").isna().all(axis=None)

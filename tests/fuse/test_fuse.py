@@ -78,7 +78,7 @@ def test_a_crown_that_leans_on_a_roof_is_cut():
 
 
 @pytest.mark.parametrize(("roughness", "probability"), [(0.02, 0.5), (0.2, 0.6)])
-def test_a_piece_stays_when_one_witness_calls_it_a_roof(roughness, probability):
+def test_a_piece_stays_when_one_measure_makes_it_a_roof(roughness, probability):
     """Beside a roof, a smooth piece stays whatever its echoes, and a rough one with a roof's echoes."""
     roots, regions = house(beside=PIECE)
     seen = evidence(np.full(SHAPE, 6.0), image(roughness, 0.02, PIECE), image(probability, 0.9, PIECE))
@@ -146,7 +146,7 @@ def test_an_annex_of_a_flat_region_gets_its_buildings_label():
 
 
 @pytest.mark.parametrize("doubt", [{"roughness": 0.2}, {"probability": 0.5}, {"height": 1.9}])
-def test_an_annex_needs_all_witnesses(doubt):
+def test_an_annex_needs_all_measures(doubt):
     """A rough, leafy or low piece of a flat region is not added."""
     roots, fused = annexed(**doubt)
     np.testing.assert_array_equal(fused, roots)

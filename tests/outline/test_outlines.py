@@ -214,7 +214,7 @@ SOME = {"method": "alpha", "spacing_m": 0.5, "simplify_m": 0.25}
     ],
 )
 def test_bad_input_is_refused(given_points, options, error, words):
-    """The message tells what is wrong."""
+    """The message says what is wrong."""
     x, labels, count = given_points
     x = np.array(x)
     with pytest.raises(error, match=words):

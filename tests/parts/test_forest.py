@@ -1,4 +1,4 @@
-"""The whole multi-scale extraction: invariants of the forest, ids, ledger, and what moves with the scene."""
+"""The tree of parts as a whole: invariants of the forest, ids, ledger, and what moves with the scene."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -34,7 +34,7 @@ def heights_of(storeys, *, cell_m=1.0, row=0, col=0):
 
 
 def params_of(*scales_m2, decides="spectral", **scale):
-    """Return default parameters with some scales; colours tell vegetation, as in the paper, unless stated."""
+    """Return default parameters with some scales; vegetation comes from colours, as in the paper, unless stated."""
     base = Params()
     return replace(
         base,
@@ -64,7 +64,7 @@ def podium():
 
 
 def nested(forest):
-    """Tell whether every cell of every part belongs to its father as well."""
+    """Return whether every cell of every part belongs to its father as well."""
     row_of = {part: row for row, part in enumerate(forest.parts["part_id"])}
     level_of = len(forest.labels) - forest.parts["scale"].to_numpy()
     for row, (father, level) in enumerate(zip(forest.parts["supid"], level_of, strict=True)):
@@ -237,7 +237,7 @@ def scenes(draw):
 
 
 def options():
-    """Draw the switches of the extraction."""
+    """Draw the switches of the detector."""
     return st.fixed_dictionaries(
         {
             "classes": st.booleans(),

@@ -1,4 +1,4 @@
-"""Each rule of the multi-scale extraction as a claim on a small array."""
+"""Each rule of the tree of parts as a claim on a small array."""
 
 from dataclasses import replace
 
@@ -252,7 +252,7 @@ class TestVegetation:
         assert step.dropped[["area", "reason"]].to_numpy().tolist() == [[64, "vegetation"]]
 
     def test_an_object_may_fall_into_pieces(self):
-        """A hedge through a roof leaves two parts, of which the larger keeps the row."""
+        """A hedge through a roof leaves two parts; the larger keeps the row."""
         roof = block((14, 20), (2, 2, 10, 16, 2))
         step = self.reshaped(roof, block((14, 20), (0, 6, 14, 4, 1)))
         assert living(step.clusters)["area"].tolist() == [80, 40]

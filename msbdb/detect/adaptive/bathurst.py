@@ -306,7 +306,7 @@ def describe(points: OffGround, labels: Labels, count: int, placed: PlacedPoints
     """
     mbr = bounding_rectangles(points, labels, count)
     unknown = ("height_scale_m", "compactness", "linearity", "direction_1", "direction_2")
-    shape = {
+    shape: dict[str, NDArray[np.generic] | str | float] = {
         "rule": RULE,
         "perimeter": 0,
         "mbr_m2": mbr,

@@ -92,7 +92,7 @@ class OffGround:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceEvidence:
-    """How the surface about each point looks; (N,) ndarrays of float32 from 0 to 1.
+    """The surface around each point, as (N,) ndarrays of float32 from 0 to 1.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _canonical(
 
 
 def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
-    """Measure planes in a small sphere about each point, and take their mean and that of the echoes in a wider disc."""
+    """Measure planes in a small sphere around each point, then the means of planes and echoes in a wider disc."""
     small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m)
     wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
     values = np.zeros((len(points), 2), dtype=np.float32)
@@ -335,6 +335,7 @@ def _means(points: Sorted, values: NDArray[np.float32], part: tuple[int, int], f
     index, x, y, radius_m = points
     limit = radius_m * radius_m
     width = values.shape[1]
+    # Sums in float64 go through the points in the order of the cells, so the means do not depend on the parts.
     sums = np.zeros(width, dtype=np.float64)
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)

@@ -107,7 +107,7 @@ def extract_area3d(
     crowns are nested too.
 
     The result does not depend on the points' order. Complexity: O(N log N) and O(N) a height scale. Border: a
-    building cut by the border is judged by what is left of it. Halo: none suffices, as components are of any extent.
+    building cut by the border is judged by its part inside. Halo: none suffices, as components are of any extent.
     """
     _require(cloud, heights, ndvi)
     order = _canonical_order(cloud, heights, ndvi)
@@ -148,9 +148,9 @@ def _require(cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.f
 def _canonical_order(
     cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.float32] | None
 ) -> NDArray[np.intp]:
-    """Return the index that sorts the points by place, and equal places by all else that counts.
+    """Return the index that sorts the points by place, and points at one place by all their other values.
 
-    Blocks come first, so that what lies together in the world lies together in memory, for the graph and neighbours.
+    Blocks come first: points near each other in plan lie near each other in memory, for the graph and neighbours.
     """
     (_, row), (cols, col) = (ranks(np.floor(values / BLOCK_M).astype(np.int64)) for values in (cloud.y, cloud.x))
     _, block = ranks(row * len(cols) + col)
@@ -165,7 +165,7 @@ def _prepare(
     spec: GridSpec,
     params: Params,
 ) -> tuple[tuple[OnSets, ...], tuple[float, ...]]:
-    """Build what all height scales share from the points in canonical order, for each area; choose the heights."""
+    """Return the input of all height scales for each area, from the points in canonical order, and the heights."""
     own, mask_m = params.area3d, params.surface.mask_m
     points = np.empty((len(cloud), 3), order="F")  # by columns, as the steps take single columns without a copy
     x, y, z = points.T

@@ -21,14 +21,14 @@ NEAREST = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointStructure:
-    """What the neighbourhood of each point looks like.
+    """The neighbourhood of each point.
 
     Parameters
     ----------
     curvature : (N,) ndarray of float64
         COC of Eq. 7, from 0 on a plane to 1/3 where points fill the space evenly.
     echo_share : (N,) ndarray of float64
-        Share of the neighbours whose pulse gave several echoes; 0 where nothing is known of echoes.
+        Share of the neighbours whose pulse gave several echoes; 0 without echo numbers.
     """
 
     curvature: NDArray[np.float64]
@@ -45,11 +45,11 @@ def measure_structure(
     points : (N, 3) ndarray of float64, metres
         Points of the on-set, from an origin nearby, so that squares keep their digits.
     several : (N,) ndarray of bool, optional
-        Which points are of pulses with several echoes; None where nothing is known of echoes.
+        Which points are of pulses with several echoes; None without echo numbers.
     neighbours : int
         K; the point itself is one of them. Of fewer points, all.
     thin_m : float
-        The first point in each cube of this side stands for all of them, and they get what it gets; 0 asks all points.
+        Side of a cube. The first point in each cube is measured, and all points in it get its values; 0 measures all.
 
     Notes
     -----
@@ -154,7 +154,7 @@ def smallest_share(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far from a region points return to it.
+    """The distances within which points return to a region.
 
     Parameters
     ----------
@@ -163,9 +163,9 @@ class Reach:
     step_m : float
         Points within this of the roof's height are of its level.
     wall_factor : float
-        Only echoes below that level return within so many times the distance, at least once.
+        Only echoes below that level return within so many times the distance, at least the distance itself.
     mask_m : float
-        Lower above ground, points return as feet of walls alone.
+        Points lower than this above ground return only as feet of walls.
     """
 
     level_m: float
@@ -197,7 +197,7 @@ def grow_regions(
     several: NDArray[np.bool_] | None,
     reach: Reach,
 ) -> NDArray[np.int32]:
-    """Give regions back the points beside, below and on them.
+    """Return labels in which the points beside, below and on a region belong to it.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def grow_regions(
     heights : (N,) ndarray of float64, metres
         Above ground.
     several : (N,) ndarray of bool, optional
-        Which points are of pulses with several echoes; None where nothing is known of echoes.
+        Which points are of pulses with several echoes; None without echo numbers.
     reach : Reach
         How far they may lie from a region.
 
@@ -221,11 +221,11 @@ def grow_regions(
 
     Notes
     -----
-    The neighbourhood of an eave, a ridge with chimneys or a wall fills the space as a crown does, so Eq. 7 takes them
-    where a roof is no wider than the neighbourhood. The height of the roof is that of the highest of the three
-    nearest points of regions. A crown over a roof is higher. What is lower is a wall or a lower roof where the pulse
-    ends there; where it goes on, half of it is leaves, and only what is near returns. Below the mask little is
-    building, but points right below a roof's edge are the feet of its walls.
+    The neighbourhood of an eave, a ridge with chimneys or a wall fills the space as a crown does. So Eq. 7 removes them
+    where a roof is no wider than the neighbourhood. The height of the roof is that of the highest of the three nearest
+    points of regions. A crown over a roof is higher. A lower point is a wall or a lower roof where its pulse ends
+    there. Lower points of pulses with several echoes are leaves in half of the cases, so only near ones return. Below
+    the mask little is building, but points right below a roof's edge are the feet of its walls.
     """
     members, asking = np.flatnonzero(labels > 0), np.flatnonzero(free & (labels == 0))
     if reach.level_m <= 0 or not members.size or not asking.size:

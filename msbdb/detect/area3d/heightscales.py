@@ -94,7 +94,7 @@ def histogram_minima(heights: NDArray[np.float64], tail_percent: float = 0.0) ->
 
     Examples
     --------
-    A hundred heights from 0 to 9.9 m, of which each occurs |h - 4 m| / 0.1 m + 1 times, have their minimum at 4 m:
+    Each height h from 0 to 9.9 m occurs |h - 4 m| / 0.1 m + 1 times, so the minimum is at 4 m:
 
     >>> bars = np.arange(100)
     >>> heights = np.repeat(bars / 10, 1 + np.abs(bars - 40))
@@ -129,9 +129,9 @@ class NormalisedCloud:
     heights : (N,) ndarray of float64, metres
         Above ground.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for.
+        Area of each point.
     several : (N,) ndarray of bool, optional
-        Which points are of pulses with several echoes; None where nothing is known of echoes.
+        Which points are of pulses with several echoes; None without echo numbers.
     ndvi : (N,) ndarray of float64, optional
         NaN where a point has none.
     place : (N,) ndarray of int64
@@ -156,7 +156,7 @@ class NormalisedCloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnSets:
-    """What all height scales of one area scale share.
+    """The input that all height scales of one area scale share.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ class _Level:
         return labels, rule[rule > 0]
 
     def grown(self, labels: Labels) -> Labels:
-        """Give the regions back what belongs to them beside, below and on them (ours)."""
+        """Return the regions with the points beside, below and on them that belong to them (ours)."""
         scene, own = self.scene, self.scene.params
         return grow_regions(
             scene.cloud.points,
@@ -308,7 +308,7 @@ class _Level:
         )
 
     def without_absorbed(self) -> int:
-        """Record what lies within accepted regions; return how many components of the on-set are left (C19)."""
+        """Record the components within accepted regions; return how many of the on-set are left (C19)."""
         stage, graph, on = "fusion", self.scene.graph, self.scene.cloud.heights >= self.height_m
         _, left = components(on & ~self.taken, graph)
         if not self.taken.any():
@@ -321,7 +321,7 @@ class _Level:
         return left
 
     def without_small(self, on: Mask, entered: int) -> int:
-        """Record what the opening took from the on-set; return how many components AOC left (C4 to C6)."""
+        """Record the components that the opening removed; return how many are left after AOC (C4 to C6)."""
         stage, graph = "opening", self.scene.graph
         labels, count = components((self.scene.cloud.heights >= self.height_m) & ~self.taken, graph)
         _, opened = components(on, graph)
@@ -335,12 +335,12 @@ class _Level:
         return opened
 
     def without_leaves(self, on: Mask, entered: int) -> tuple[Labels, int]:
-        """Take the crowns' points away, and what is smaller than T_a without them (C16); return the regions left."""
+        """Remove the points of crowns, and components smaller than T_a without them (C16); return the regions left."""
         stage, scene, smooth = "curvature", self.scene, self.scene.smooth
         labels, count = components(on & smooth, scene.graph)
         large = scene.areas(labels, count) >= scene.params.smallest_m2
         dropped = self.record(stage, labels, ~large, REST)
-        if self.number == 1:  # those of higher scales lie within
+        if self.number == 1:  # crowns at higher scales lie within those of the lowest
             leaves, number = components(on & ~smooth, scene.graph)
             dropped += self.record(stage, leaves, np.ones(number, dtype=np.bool_), LEAVES)
         labels, kept = renumber(labels, large)

@@ -90,7 +90,7 @@ def measure_shapes(
     labels : (N,) ndarray of int32
         1 to ``count`` without a gap; 0 for none.
     area_m2 : (N,) ndarray of float64
-        Area that each point stands for.
+        Area of each point.
     spacing_m : float
         Mean point spacing.
 
@@ -344,11 +344,13 @@ def find_edges(
     Returns
     -------
     (N,) ndarray of bool
-        True for a point of a region with (1) a sector without any point of the same region, or (2) a sector whose
-        nearest such point is farther than E_s. Points at the very same place lie in no sector.
+        True for edge points; False for inner points and for points of no region.
 
     Notes
     -----
+    An edge point has (1) a sector without any point of its region, or (2) a sector whose nearest such point is farther
+    than E_s. Points at the very same place lie in no sector.
+
     A sector holds its first side, counter-clockwise, and not its second. Both conditions together ask for a point in
     each sector no farther than the smaller of R and E_s. O(n) at a bounded density.
 

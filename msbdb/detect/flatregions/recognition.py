@@ -51,7 +51,7 @@ class FlatRegionLedger(Ledger):
         return self.write(stage, rows)
 
     def rejections(self) -> pd.DataFrame:
-        """Return all lost regions in the order of the stages."""
+        """Return all dropped regions in the order of the stages."""
         return REJECTION.typed(self.lost(REJECTION.empty()))
 
 
@@ -77,7 +77,7 @@ def clean(flat: NDArray[np.bool_], size_m: float, cell_m: float) -> NDArray[np.b
 
 
 def grow(labels: Labels, heights: Grid, *, steps: int, step_m: float, least_m: float) -> Labels:
-    """Give regions back the cells of their edges, ours.
+    """Return labels with the cells at the edges of regions added to them (ours).
 
     Parameters
     ----------

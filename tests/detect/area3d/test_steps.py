@@ -34,7 +34,7 @@ def lattice_points(width_m, height_m, step_m=0.5, turn_deg=0.0):
 
 
 def shapes_of(x, y, *, step_m=0.5, params=OURS):
-    """Measure the shape of one region of lattice points, each of which stands for a cell."""
+    """Measure the shape of one region of lattice points, one a cell."""
     labels = np.ones(len(x), dtype=np.int32)
     return measure_shapes(x, y, labels, 1, area_m2=np.full(len(x), step_m**2), spacing_m=step_m, params=params)
 

@@ -1,4 +1,4 @@
-"""Each step of the extraction of flat regions as a claim on a small array, and against its definition."""
+"""Each step of the detector of flat regions as a claim on a small array, and against its definition."""
 
 from dataclasses import replace
 from itertools import pairwise
