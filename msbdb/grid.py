@@ -133,8 +133,8 @@ class GridSpec:
     def tiles(self, size: int) -> list[tuple[int, int]]:
         """Return the numbers (row, column) of the tiles of ``size`` by ``size`` cells that the grid has cells of.
 
-        Tile (i, j) has the rows ``i * size`` to ``(i + 1) * size`` of the absolute lattice, and the columns by ``j`` in
-        the same way, so that neighbouring grids share their tiles. The order is row-major.
+        Tile (i, j) has the rows ``i * size`` to ``(i + 1) * size`` of the absolute lattice, and its columns by ``j`` in
+        the same way. So neighbouring grids share their tiles. The order is row-major.
 
         Raises
         ------

@@ -180,6 +180,7 @@ def _rim(windows: PointWindows, p: int, blocks: bool, rim: Index) -> int:
                 col = east
                 continue
             q = at[row, col]
+            # A cell on the rim lies partly outside of the window, so its point is compared itself.
             if q >= 0 and abs(u[q] - u[p]) <= half[p] and abs(v[q] - v[p]) <= half[p]:
                 rim[count] = q
                 count += 1

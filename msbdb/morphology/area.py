@@ -92,8 +92,8 @@ def area_open_close(values: NDArray[T], threshold_px: int, *, connectivity: int 
 
     Notes
     -----
-    AOC_s(f) = φ_s(γ_s(f)). An 8-connected island above a background, with all that it encloses, is filtered
-    independently of the others when the background around it has at least s cells (V12).
+    AOC_s(f) = φ_s(γ_s(f)). An 8-connected island above a background is filtered together with all that it
+    encloses. It is independent of other islands when the background around it has at least s cells (V12).
 
     Examples
     --------

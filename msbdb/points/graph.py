@@ -1,7 +1,8 @@
-"""Points connected in space: the graph of all pairs nearer than T_c (Cao & Wu, Definition 1), and clusters by distance.
+"""Points connected in space: the graph of all pairs nearer than T_c, and the components and clusters that it makes.
 
-The graph depends on the points alone, not on a height. So it is built once, and every on-set S_h and off-set is a
-choice of its points. `linked` gives the clusters alone, the tree of single linkage cut at a distance, without a graph.
+The graph (Cao & Wu, Definition 1) depends on the points alone, not on a height. So it is built once, and every on-set
+S_h and off-set is a choice of its points. `linked` gives the clusters alone, the tree of single linkage cut at a
+distance, without a graph.
 """
 
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ FEW = 64
 """Up to so many neighbours are sorted by insertion."""
 
 ROOT = -1
-"""Marks a point that is the first of its cluster so far."""
+"""Marks a point that is the first of its component or cluster so far."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,6 +210,78 @@ def _require_affordable(pairs: int, most: int, points: int, distance_m: float) -
             "drop duplicates, or cut the cloud into tiles."
         )
         raise ParameterError(msg)
+
+
+def components(mask: NDArray[np.bool_], graph: PointGraph) -> tuple[NDArray[np.int32], int]:
+    """Label the connected components of a set of points (Definition 2).
+
+    Parameters
+    ----------
+    mask : (N,) ndarray of bool
+        The set, such as an on-set.
+    graph : PointGraph
+        The connected points, from `connect`.
+
+    Returns
+    -------
+    labels : (N,) ndarray of int32
+        0 outside of the set, otherwise 1 to ``count`` in the order of the components' first points.
+    count : int
+        Number of components.
+
+    Raises
+    ------
+    InputError
+        When the set has not one boolean a point.
+
+    Notes
+    -----
+    Two points are in one component when a path of connected points of the set leads from one to the other. One pass
+    of union-find over the neighbours of the set's points: nearly O(N + E); 8 bytes a point.
+
+    Examples
+    --------
+    >>> graph = connect(np.arange(5.0), np.zeros(5), np.zeros(5), 1.5)
+    >>> components(np.array([True, True, False, True, True]), graph)
+    (array([1, 1, 0, 2, 2], dtype=int32), 2)
+    """
+    if mask.dtype != np.bool_ or mask.shape != (len(graph),):
+        msg = f"The set must be of {len(graph)} booleans, one a point; got {mask.dtype} of the shape {mask.shape}."
+        raise InputError(msg)
+    labels, count = _number_components(mask, graph.indptr, graph.indices)
+    return labels, int(count)
+
+
+@kernel
+def _number_components(
+    mask: NDArray[np.bool_], indptr: NDArray[np.int64], indices: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], int]:
+    """Join each point of the set to the earlier ones that it is connected to, under the earliest; then number them."""
+    node = np.full(mask.size, ROOT, dtype=np.int32)
+    for point in range(mask.size):
+        if not mask[point]:
+            continue
+        root = point  # no later point has joined it yet
+        for place in range(indptr[point], indptr[point + 1]):
+            other = indices[place]
+            if other > point:
+                break  # neighbours ascend; the later ones join this point when they come
+            if mask[other]:
+                its = find_root(node, other)
+                if its != root:
+                    node[max(root, its)] = min(root, its)
+                    root = min(root, its)
+    labels = np.zeros(mask.size, dtype=np.int32)
+    found = 0
+    for point in range(mask.size):
+        if mask[point]:
+            # Roots are the earliest points of their components, and a parent is earlier than its child.
+            if node[point] < 0:
+                found += 1
+                labels[point] = found
+            else:
+                labels[point] = labels[node[point]]
+    return labels, found
 
 
 class _LinkSearch(NamedTuple):

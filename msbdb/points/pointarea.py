@@ -19,7 +19,7 @@ from msbdb.errors import InputError, ParameterError
 from msbdb.labels import chosen_cells, sums
 from msbdb.morphology.area import find_root
 from msbdb.order import order_of
-from msbdb.points.graph import PointGraph
+from msbdb.points.graph import PointGraph, components
 from msbdb.threads import kernel
 
 T = TypeVar("T", bound=np.generic)
@@ -118,9 +118,10 @@ def area_open_close(
 
     Notes
     -----
-    AOC(z) = φ(γ(z)). The on-set of the result at h is AOC of the on-set S_h, for every h above the lowest value, up to
-    the highest value after the opening. As the closing comes last, an island of less area than T_a is on at all these
-    heights, be it a bird or a patch of ground. To get regions, drop the components of less area than T_a afterwards.
+    AOC(z) = φ(γ(z)). The on-set of the result at h is AOC of the on-set S_h. This holds for every h above the lowest
+    value, up to the highest value after the opening. As the closing comes last, an island of less area than T_a is on
+    at all these heights, be it a bird or a patch of ground. To get regions, drop the components of less area than T_a
+    afterwards.
 
     Examples
     --------
@@ -243,47 +244,6 @@ def build_point_scale_space(
     return PointScaleSpace(levels, tuple(float(threshold) for threshold in thresholds))
 
 
-def components(mask: NDArray[np.bool_], graph: PointGraph) -> tuple[NDArray[np.int32], int]:
-    """Label the connected components of a set of points (Definition 2).
-
-    Parameters
-    ----------
-    mask : (N,) ndarray of bool
-        The set, such as an on-set.
-    graph : PointGraph
-        The connected points, from `connect`.
-
-    Returns
-    -------
-    labels : (N,) ndarray of int32
-        0 outside of the set, otherwise 1 to ``count`` in the order of the components' first points.
-    count : int
-        Number of components.
-
-    Raises
-    ------
-    InputError
-        When the set has not one boolean a point.
-
-    Notes
-    -----
-    Two points are in one component when a path of connected points of the set leads from one to the other. One pass
-    of union-find over the neighbours of the set's points: nearly O(N + E); 8 bytes a point.
-
-    Examples
-    --------
-    >>> from msbdb.points.graph import connect
-    >>> graph = connect(np.arange(5.0), np.zeros(5), np.zeros(5), 1.5)
-    >>> components(np.array([True, True, False, True, True]), graph)
-    (array([1, 1, 0, 2, 2], dtype=int32), 2)
-    """
-    if mask.dtype != np.bool_ or mask.shape != (len(graph),):
-        msg = f"The set must be of {len(graph)} booleans, one a point; got {mask.dtype} of the shape {mask.shape}."
-        raise InputError(msg)
-    labels, count = _number(mask, graph.indptr, graph.indices)
-    return labels, int(count)
-
-
 def _filter(
     values: NDArray[T], graph: PointGraph, threshold: float, weights: NDArray[np.float64] | None, *, from_top: bool
 ) -> NDArray[T]:
@@ -379,35 +339,3 @@ def _absorb(
         else:
             node[point] = point if node[point] == LARGE else NONE
     return node
-
-
-@kernel
-def _number(
-    mask: NDArray[np.bool_], indptr: NDArray[np.int64], indices: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], int]:
-    """Join each point of the set to the earlier ones that it is connected to, under the earliest; then number them."""
-    node = np.full(mask.size, SMALL, dtype=np.int32)
-    for point in range(mask.size):
-        if not mask[point]:
-            continue
-        root = point  # no later point has joined it yet
-        for place in range(indptr[point], indptr[point + 1]):
-            other = indices[place]
-            if other > point:
-                break  # neighbours ascend; the later ones join this point when they come
-            if mask[other]:
-                its = find_root(node, other)
-                if its != root:
-                    node[max(root, its)] = min(root, its)
-                    root = min(root, its)
-    labels = np.zeros(mask.size, dtype=np.int32)
-    found = 0
-    for point in range(mask.size):
-        if mask[point]:
-            # Roots are the earliest points of their components, and a parent is earlier than its child.
-            if node[point] < 0:
-                found += 1
-                labels[point] = found
-            else:
-                labels[point] = labels[node[point]]
-    return labels, found

@@ -63,8 +63,8 @@ def density(points: PointCloud) -> float:
     """First echoes a square metre of covered ground.
 
     Covered are the 2 m cells that hold a first echo. Sparse points would cover more than their share, and islands far
-    apart would need many empty cells. So with less than one echo a cell of the bounding box the cells grow until the
-    cells with points hold four on average, up to `LARGEST_OCCUPANCY_M`.
+    apart would need many empty cells. With less than one echo a cell of the bounding box the cells grow, up to
+    `LARGEST_OCCUPANCY_M`, until the cells with points hold four on average.
 
     Raises
     ------

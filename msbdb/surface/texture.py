@@ -66,8 +66,8 @@ def roughness(samples: Samples, window_m: float) -> Field:
 
     Notes
     -----
-    With the plane z = a + b·e + c·n through the n samples of a window by least squares, roughness is the root of the
-    mean of the squared residuals.
+    A plane z = a + b·e + c·n is fitted to the samples of a window by least squares. Roughness is the root mean square
+    of its residuals.
 
     Border: windows are cut at the edge. Nodata: cells without a first echo have no weight.
 

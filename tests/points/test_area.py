@@ -8,14 +8,13 @@ from support import oracles
 from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.points.graph import connect
+from msbdb.points.graph import components, connect
 from msbdb.points.pointarea import (
     PointScaleSpace,
     area_closing,
     area_open_close,
     area_opening,
     build_point_scale_space,
-    components,
     open_close_on_set,
 )
 

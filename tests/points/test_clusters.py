@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.points.graph import connect, linked
-from msbdb.points.pointarea import components
+from msbdb.points.graph import components, connect, linked
 
 
 @settings(max_examples=100, deadline=None)

@@ -16,8 +16,7 @@ from msbdb.detect.pointregions import PlacedPoints, PointLedger
 from msbdb.grid import GridSpec
 from msbdb.labels import Labels, chosen_cells, region_means, renumber, sizes, sums
 from msbdb.params import Area3dParams
-from msbdb.points.graph import PointGraph, connect
-from msbdb.points.pointarea import components
+from msbdb.points.graph import PointGraph, components, connect
 
 logger = logging.getLogger(__name__)
 
