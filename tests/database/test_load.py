@@ -55,6 +55,7 @@ from msbdb.database import (
     read_run,
     read_scales,
     read_survey,
+    summarise_run,
     write_build,
 )
 from msbdb.database.dialects.dialect import dialect_of
@@ -304,6 +305,33 @@ def test_a_build_without_buildings_is_stored(engine: Engine) -> None:
     assert write_build(engine, empty).rows["part"] == 0
     assert_same_build(read_build(engine), empty)
     assert write_build(engine, empty).status == "unchanged"
+
+
+@pytest.mark.parametrize("buildings", [True, False])
+def test_a_summary_counts_the_rows_of_the_frames(engine: Engine, buildings: bool) -> None:
+    """Counted by SQL, the numbers are those of the tables that were read."""
+    build = small_build()
+    if not buildings:
+        build = replace(build, frames={name: frame.iloc[:0] for name, frame in build.frames.items()})
+    write_build(engine, build)
+    found, read = summarise_run(engine), read_build(engine)
+    frames = read.frames
+    assert (found.survey, found.run) == (read.survey, read.run)
+    assert found.rows == {name: len(frames[name]) for name in ("part", "building", "flat_region", "rejection")}
+    assert found.candidates == read.candidate_counts
+    assert found.footprint_m2 == pytest.approx(frames["building"]["area_m2"].sum())
+    assert found.volume_m3 == pytest.approx(frames["building"]["volume_m3"].sum())
+    assert found.highest_m == (frames["building"]["h_max"].max() if buildings else None)
+    assert found.scales_m2 == frames["scale"].sort_values("scale")["threshold_m2"].tolist()
+
+
+def test_a_missing_raster_is_named(engine: Engine) -> None:
+    """The error has the survey, the missing rasters and the next step."""
+    write_build(engine, small_build())
+    with engine.begin() as connection:
+        connection.execute(text("DELETE FROM run_state WHERE name = 'valid'"))
+    with pytest.raises(TableError, match=r"survey 'delft' .* needs the rasters ndsm_cm, structure, valid; .* db check"):
+        read_rasters(engine)
 
 
 def test_polygons_become_multipolygons(engine: Engine) -> None:
