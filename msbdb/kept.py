@@ -94,7 +94,11 @@ class Rasters:
         """
         missing = [name for name in REQUIRED_RASTERS if name not in rows]
         if missing:
-            msg = f"A run needs the rasters {', '.join(REQUIRED_RASTERS)}; got {', '.join(sorted(rows)) or 'none'}. Check the database with 'msbdb db check', and build the survey again."
+            there = ", ".join(sorted(rows)) or "none"
+            msg = (
+                f"A run needs the rasters {', '.join(REQUIRED_RASTERS)}; got {there}. "
+                "Check the database with 'msbdb db check', and build the survey again."
+            )
             raise TableError(msg)
         return cls(
             heights_cm=rows["ndsm_cm"].astype(np.int32),
