@@ -26,7 +26,7 @@ PER_METRE = 100
 _REGION_NAMES = {"flatregions": "flat", "area3d": "area3d", "adaptive": "adaptive"}
 """Names of the detectors' label rasters in the database."""
 
-_REQUIRED = ("ndsm_cm", "structure", "valid")
+REQUIRED_RASTERS = ("ndsm_cm", "structure", "valid")
 """Names of the rasters that every run has."""
 
 
@@ -92,11 +92,12 @@ class Rasters:
         TableError
             When a raster that every run has is missing.
         """
-        missing = [name for name in _REQUIRED if name not in rows]
+        missing = [name for name in REQUIRED_RASTERS if name not in rows]
         if missing:
+            there = ", ".join(sorted(rows)) or "none"
             msg = (
-                f"A run needs the rasters {', '.join(_REQUIRED)}; got {', '.join(sorted(rows)) or 'none'}, without "
-                f"{', '.join(missing)}. Check the database with 'msbdb db check', and build the survey again."
+                f"A run needs the rasters {', '.join(REQUIRED_RASTERS)}; got {there}. "
+                "Check the database with 'msbdb db check', and build the survey again."
             )
             raise TableError(msg)
         return cls(

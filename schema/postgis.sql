@@ -1230,27 +1230,27 @@ COMMENT ON COLUMN part_flat_region.part_share IS 'share of the part''s area that
 
 COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area that the part covers [1]';
 
-COMMENT ON VIEW footprint IS 'The footprints: the root parts, coarsest of their trees (V49), with the state of their building.';
+COMMENT ON VIEW footprint IS 'The footprints: the root parts, the coarsest of their trees (V49), with the state of their building.';
 
 COMMENT ON VIEW part_tree IS 'The parts as trees: the depth below the root, and the path of ids from the root down.';
 
-COMMENT ON VIEW building_summary IS 'One row a building for maps and tables: place, heights, volume, class, the shares that other extractors cover, and floor_area_m2, an estimate: each part counts its area once for every storey by which it rises above its father.';
+COMMENT ON VIEW building_summary IS 'One row for each building, for maps and tables: place, heights, volume, class, the shares that other detectors cover, and floor_area_m2, an estimate: each part counts its area once for every storey by which it rises above its father.';
 
-COMMENT ON VIEW part_evidence IS 'The parts with what other extractors say of them: the share of each that flat regions, candidates of area3d and candidates of adaptive cover, and their numbers; null for an extractor that was not run.';
+COMMENT ON VIEW part_evidence IS 'The parts with evidence from other detectors: the share that flat regions, candidates of area3d and candidates of adaptive cover, and the number of these regions; null for a detector that was not run.';
 
-COMMENT ON VIEW unexplained_flat_region IS 'The flat regions that no part explains: root parts cover less than 0.5 of them; explained_share is what they cover.';
+COMMENT ON VIEW unexplained_flat_region IS 'The flat regions that no part explains: root parts cover less than 0.5 of them; explained_share is that share.';
 
-COMMENT ON VIEW candidate_evidence IS 'The candidate regions with what other extractors say of them: explained_share is what root parts cover, flat_share what flat regions cover; null for an extractor that was not run.';
+COMMENT ON VIEW candidate_evidence IS 'The candidate regions with evidence from other detectors: explained_share is the share that root parts cover, flat_share the share that flat regions cover; null for a detector that was not run.';
 
-COMMENT ON VIEW unexplained_candidate IS 'The candidate regions that no part explains: root parts cover less than 0.5 of them; explained_share is what they cover.';
+COMMENT ON VIEW unexplained_candidate IS 'The candidate regions that no part explains: root parts cover less than 0.5 of them; explained_share is the share that they cover.';
 
-COMMENT ON VIEW building_evidence IS 'The buildings with their witnesses: whether the classes speak for each (1 or 0), and how many of the other extractors were heard and speak for it, covering at least 0.1 of it.';
+COMMENT ON VIEW building_evidence IS 'The buildings with their evidence: whether the classes confirm each (1 or 0), how many other detectors were run, and how many of these confirm it by covering at least 0.1 of it.';
 
-COMMENT ON VIEW footprint_current IS 'The inventory as it is now: the current version of each building, with the operators'' states winning over those found (found_state).';
+COMMENT ON VIEW footprint_current IS 'The present inventory: the current version of each building. An operator''s decision has priority over the detected state (found_state).';
 
 COMMENT ON VIEW building_history IS 'All versions of the inventory''s buildings, with the change by which each began and ended.';
 
-COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and classes (V53): how many samples lie on finest parts of each class, by survey; samples beside all parts are not counted.';
+COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and classes (V53): the number of samples on finest parts of each class, by survey; samples outside of all parts are not counted.';
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 

@@ -1,5 +1,5 @@
--- The inventory as it was on a day, operators' states winning over those found: the columns of footprint_current. For
--- PostGIS.
+-- The inventory on a day, with the columns of footprint_current; operators' decisions have priority over detected states.
+-- For PostGIS.
 CREATE FUNCTION footprint_at(day date)
 RETURNS TABLE (
   version_id bigint, uid bigint, valid_from text, valid_to text, source text, survey text, state text,

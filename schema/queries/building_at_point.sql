@@ -1,4 +1,4 @@
--- Which building stands at a point, and what is known of it? The point is looked for in the outlines themselves.
+-- Which building is at a point, and what are its attributes? The point must be inside the outline.
 --
 -- :easting = null  easting of the point, metres; null takes a point on the building of most parts
 -- :northing = null  northing of the point, metres; null takes a point on the building of most parts

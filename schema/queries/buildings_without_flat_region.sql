@@ -1,4 +1,4 @@
--- Which buildings have no flat evidence: no flat region on their footprint, or next to none?
+-- Which buildings have no flat region on their footprint, or almost none?
 --
 -- :share = 0  largest share of the footprint that flat regions may cover
 -- :survey = null  name of a survey; null takes all

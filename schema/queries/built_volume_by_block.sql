@@ -1,4 +1,4 @@
--- How much volume is built in each square block of the map? Buildings count where their centroid lies.
+-- What is the volume of buildings in each square block of the map? Buildings count where their centroid is.
 --
 -- :block_m = 100  side of a block, metres
 -- :survey = null  name of a survey; null takes all

@@ -1,4 +1,4 @@
--- How many candidate regions did each extractor on the points accept by which rule, and how many does no part explain?
+-- How many candidate regions did each detector on the points accept by each rule, and how many does no part explain?
 --
 -- :share = 0.5  smallest share of a region from which root parts explain it
 -- :survey = null  name of a survey; null takes all

@@ -1,4 +1,4 @@
--- What did each survey do to the inventory: how many buildings of each kind of change, and how much ground?
+-- How did each survey change the inventory: number of buildings and area by kind of change?
 SELECT e.number, e.date, s.name AS survey, c.kind, COUNT(*) AS changes, SUM(c.darea_m2) AS darea_m2
 FROM building_change AS c
 JOIN survey AS s ON s.survey_id = c.survey_id

@@ -1,4 +1,4 @@
--- Which buildings stand within a distance of one building, outline to outline, the nearest first?
+-- Which buildings are within a distance of one building, from outline to outline, the nearest first?
 --
 -- :building_id = null  the building; null takes the one of most parts
 -- :gap_m = 25  distance, metres

@@ -1,5 +1,5 @@
--- Which square blocks are built up the most? The share of the block's ground that footprints cover; a footprint counts
--- whole where its centroid lies, so that a share may exceed 1 in small blocks.
+-- Which square blocks have the largest built-up share? A footprint counts completely where its centroid is, so the
+-- share may exceed 1 in small blocks.
 --
 -- :block_m = 100  side of a block, metres
 -- :count = 10  how many to list

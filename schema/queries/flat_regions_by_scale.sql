@@ -1,4 +1,4 @@
--- How many parts of each scale does a flat region confirm, and which share of their area lies on flat regions?
+-- How many parts of each scale does a flat region confirm, and which share of their area is on flat regions?
 --
 -- :share = 0.5  smallest share of a part that flat regions must cover
 -- :survey = null  name of a survey; null takes all

@@ -1,4 +1,4 @@
--- What has become of one building: its versions, by what each began and ended, and how high it was?
+-- What is the history of one building: its versions, the changes that began and ended each, and its height?
 --
 -- :uid = null  the building of the inventory; null takes the one of most versions
 SELECT h.uid, h.valid_from, h.valid_to, h.survey, h.began_as, h.ended_as, h.state, h.storeys, h.h_p90, h.area_m2

@@ -1,6 +1,6 @@
--- What stood on a day, by state and source: how many buildings, with what area and volume?
+-- Which buildings existed on a day, by state and source: number, area and volume?
 --
--- :date = "9999-12-31"  the day, ISO 8601; the default takes the inventory as it is now
+-- :date = "9999-12-31"  the day, ISO 8601; the default takes the present inventory
 SELECT COALESCE(o.state, v.state) AS state, v.source, COUNT(*) AS buildings, SUM(v.area_m2) AS area_m2,
        SUM(v.volume_m3) AS volume_m3
 FROM building_version AS v

@@ -1,6 +1,6 @@
--- Which roofs did the parts overlook, though an extractor on the points and the flat regions both found them?
+-- Which roofs do the parts lack, although a detector on the points and the flat regions both found them?
 --
--- :explained = 0.5  share of the candidate region of which root parts must cover less
+-- :explained = 0.5  root parts must cover less than this share of the candidate region
 -- :flat = 0.5  smallest share of it that flat regions must cover
 -- :survey = null  name of a survey; null takes all
 WITH found AS MATERIALIZED (

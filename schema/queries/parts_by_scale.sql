@@ -1,4 +1,4 @@
--- How many parts does each scale hold, how many of them are roots, and how large are they?
+-- How many parts does each scale have, how many of them are roots, and how large are they?
 --
 -- :survey = null  name of a survey; null takes all
 SELECT s.name AS survey, c.scale, c.threshold_m2, COUNT(p.part_id) AS parts,

@@ -1,4 +1,4 @@
--- Of which parts is a building made? Its tree, fathers before children, each part below the one that holds it.
+-- Which parts does a building have? Its tree, fathers before children, each part below its father.
 --
 -- :building_id = null  the building; null takes the one of most parts
 WITH RECURSIVE chosen AS (

@@ -1,4 +1,4 @@
--- Which parts of the scale-space do both extractors on the points confirm?
+-- Which parts of the scale-space do both detectors on the points confirm?
 --
 -- :share = 0.5  smallest share of a part that the candidate regions of each must cover
 -- :survey = null  name of a survey; null takes all

@@ -1,4 +1,4 @@
--- Which footprints have no parts on finer scales: large, but plain roofs?
+-- Which footprints have no parts on finer scales: large but plain roofs?
 --
 -- :min_area_m2 = 50  smallest footprint that counts, square metres
 -- :survey = null  name of a survey; null takes all

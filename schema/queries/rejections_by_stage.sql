@@ -1,4 +1,4 @@
--- What was dropped on the way, by which extractor and stage, for what reason, and how much area?
+-- Which regions were dropped: number and area by detector, stage and reason?
 --
 -- :survey = null  name of a survey; null takes all
 SELECT s.name AS survey, j.method, j.stage, j.reason,

@@ -1,4 +1,4 @@
--- What does this database hold: which surveys, by which extractors (1 or 0) and version, and how much was found?
+-- Which surveys does this database have, by which detectors (1 or 0) and version, and how many objects?
 --
 -- :survey = null  name of a survey; null takes all
 SELECT s.name AS survey, s.date, s.epsg, s.density, s.cell_m, r.profile, r.version,

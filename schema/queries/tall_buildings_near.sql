@@ -1,4 +1,4 @@
--- Which buildings of at least so many storeys stand within a distance of a point, the nearest outline first?
+-- Which buildings of at least so many storeys are within a distance of a point, the nearest outline first?
 --
 -- :storeys = 5  fewest storeys
 -- :easting = null  easting of the point, metres; null takes the middle of all buildings

@@ -1,4 +1,4 @@
--- Which parts rise far above the part that carries them: towers on podiums, lift houses on roofs?
+-- Which parts are much higher than their father: towers on podiums, lift houses on roofs?
 --
 -- :storeys = 2  fewest storeys by which a part rises above its father
 -- :survey = null  name of a survey; null takes all

@@ -1,5 +1,5 @@
--- The buildings with their witnesses: whether the classes speak for each (1 or 0), and how many of the other extractors
--- were heard and speak for it, covering at least 0.1 of it.
+-- The buildings with their evidence: whether the classes confirm each (1 or 0), how many other detectors were run, and
+-- how many of these confirm it by covering at least 0.1 of it.
 SELECT b.building_id, s.name AS survey, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
        b.flat_share, b.area3d_share, b.adaptive_share,
        CASE WHEN root.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,

@@ -1,5 +1,5 @@
--- One row a building for maps and tables: place, heights, volume, class, the shares that other extractors cover, and
--- floor_area_m2, an estimate: each part counts its area once for every storey by which it rises above its father.
+-- One row for each building, for maps and tables: place, heights, volume, class, the shares that other detectors cover,
+-- and floor_area_m2, an estimate: each part counts its area once for every storey by which it rises above its father.
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.root_id, b.state, b.storeys,
        b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)

@@ -1,5 +1,5 @@
--- The candidate regions with what other extractors say of them: explained_share is what root parts cover, flat_share
--- what flat regions cover; null for an extractor that was not run.
+-- The candidate regions with evidence from other detectors: explained_share is the share that root parts cover,
+-- flat_share the share that flat regions cover; null for a detector that was not run.
 SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
        k.compactness, k.linearity, k.ndvi, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
        CASE WHEN multiscale.method IS NOT NULL THEN COALESCE((

@@ -1,4 +1,4 @@
--- The footprints: the root parts, coarsest of their trees (V49), with the state of their building.
+-- The footprints: the root parts, the coarsest of their trees (V49), with the state of their building.
 SELECT p.part_id, s.name AS survey, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
        p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
 FROM part AS p

@@ -1,5 +1,5 @@
--- Cross table of roof materials and classes (V53): how many samples lie on finest parts of each class, by survey;
--- samples beside all parts are not counted.
+-- Cross table of roof materials and classes (V53): the number of samples on finest parts of each class, by survey;
+-- samples outside of all parts are not counted.
 SELECT s.name AS survey, m.material, p.speindex, c.label AS class_label, COUNT(*) AS samples
 FROM roof_sample AS m
 JOIN part AS p ON ST_Intersects(p.geometry, m.geometry)

@@ -1,5 +1,5 @@
--- The candidate regions that no part explains: root parts cover less than 0.5 of them; explained_share is what they
--- cover.
+-- The candidate regions that no part explains: root parts cover less than 0.5 of them; explained_share is the
+-- share that they cover.
 SELECT k.candidate_id, s.name AS survey, k.method, k.rule, k.height_scale_m, k.points, k.area_m2, k.rectangularity,
        k.compactness, k.linearity, k.ndvi, k.h_max, k.h_mean, k.h_p50, k.h_p90, k.h_std, k.xcen, k.ycen,
        COALESCE((

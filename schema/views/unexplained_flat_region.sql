@@ -1,4 +1,4 @@
--- The flat regions that no part explains: root parts cover less than 0.5 of them; explained_share is what they cover.
+-- The flat regions that no part explains: root parts cover less than 0.5 of them; explained_share is that share.
 SELECT f.region_id, s.name AS survey, f.zone, f.lambda_low_m2, f.lambda_m2, f.gradient_sum, f.mean_gradient,
        f.area_m2, f.perimeter_m, f.compactness, f.h_max, f.h_mean, f.h_p50, f.h_p90, f.h_std, f.xcen, f.ycen,
        COALESCE((

@@ -199,6 +199,11 @@ CORRUPTIONS = [
         sql=("UPDATE run_state SET data = CAST('x' AS {blob}) WHERE name = 'ndsm_cm'",),
     ),
     Corruption(
+        "a raster that was deleted",
+        *("rasters", "run_state", f"run_id={RUN}, name=valid", "the raster is missing"),
+        sql=("DELETE FROM run_state WHERE name = 'valid'",),
+    ),
+    Corruption(
         "a raster beside the lattice",
         *("rasters", "run_state", f"run_id={RUN}, name=ndsm_cm", "its shape is [400, 100]"),
         sql=("UPDATE run_state SET shape = '[400, 100]' WHERE name = 'ndsm_cm'",),
@@ -500,13 +505,13 @@ def test_each_corruption_of_a_server_is_named(request: pytest.FixtureRequest, co
 
 
 def test_rows_that_cannot_be_read_do_not_end_the_check(request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    """What a check cannot cope with is told as its finding, and the other checks go on."""
+    """What a check cannot cope with is reported as a finding, and the other checks go on."""
     engine = file_of(request, tmp_path)
     wrong = ("UPDATE run SET counts = '[1, 2'", f"UPDATE part SET supid = 'none' WHERE part_id = {HOUSE}")
     plant(engine, Corruption("", "", "", "", "", spatialite=wrong))
     told = {(one.check, one.what.partition(":")[0]) for one in check_database(engine)}
     for check in ("forest", "ledger"):
-        assert (check, "the check cannot be made") in told
+        assert (check, "the check failed") in told
     assert ("values", "supid holds a value of type text") in told
 
 

@@ -102,7 +102,7 @@ def test_the_copy_goes_on_as_the_original_would(kept: Engine) -> None:
         ("DELETE FROM building_change WHERE kind = 'new'", "events", "inventory_event", "6 unchanged, 2 versions"),
         ("UPDATE building_change SET kind = 'modified' WHERE kind = 'new'", "events", "inventory_event", "2 modified"),
         ("UPDATE inventory_event SET number = 9 WHERE number = 2", "events", "inventory_event", "event 2 is missing"),
-        ("DELETE FROM inventory_event WHERE number = 3", "events", "building_change", "of no event"),
+        ("DELETE FROM inventory_event WHERE number = 3", "events", "building_change", "no event has its changes"),
         (
             "UPDATE building_change SET uid_after = (SELECT MIN(uid) FROM inventory_building) WHERE kind = 'new'",
             *("links", "building_change", "uid_after is"),

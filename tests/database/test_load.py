@@ -55,6 +55,7 @@ from msbdb.database import (
     read_run,
     read_scales,
     read_survey,
+    summarise_run,
     write_build,
 )
 from msbdb.database.dialects.dialect import dialect_of
@@ -129,7 +130,7 @@ def test_each_table_is_read_by_itself(engine: Engine) -> None:
 
 
 def test_candidates_are_read_by_method(engine: Engine) -> None:
-    """Both extractors' regions lie in one table, in order of ids; their links say what they share."""
+    """Both detectors' regions are in one table, in order of ids; the links have the shared area."""
     write_build(engine, small_build())
     area3d, adaptive = [TERRACE, SOUTH_WING, CRANE], [SLAB_CLUSTER, AWNING, HOUSE_CLUSTER, SHED_CLUSTER, PITCH_CLUSTER]
     assert read_candidates(engine)["candidate_id"].tolist() == [*area3d, *adaptive]
@@ -228,7 +229,7 @@ def test_surveys_live_side_by_side(engine: Engine) -> None:
 
 
 def test_a_survey_has_one_run(engine: Engine) -> None:
-    """Building it again with other extractors replaces it, there and back, and the run keeps its key."""
+    """Building it again with other detectors replaces it, there and back, and the run keeps its key."""
     both = write_build(engine, small_build())
     before = list(canonical_dump(engine))
     one = write_build(engine, small_build(method="multiscale"))
@@ -275,7 +276,7 @@ def test_candidates_go_with_their_links(engine: Engine) -> None:
 
 
 CANDIDATES = {
-    "another extractor": "method = 'multiscale'",
+    "another detector": "method = 'multiscale'",
     "no rule": "rule = ''",
     "a height scale of the adaptive filter": "method = 'adaptive'",
     "no points": "points = 0",
@@ -306,6 +307,33 @@ def test_a_build_without_buildings_is_stored(engine: Engine) -> None:
     assert write_build(engine, empty).status == "unchanged"
 
 
+@pytest.mark.parametrize("buildings", [True, False])
+def test_a_summary_counts_the_rows_of_the_frames(engine: Engine, buildings: bool) -> None:
+    """Counted by SQL, the numbers are those of the tables that were read."""
+    build = small_build()
+    if not buildings:
+        build = replace(build, frames={name: frame.iloc[:0] for name, frame in build.frames.items()})
+    write_build(engine, build)
+    found, read = summarise_run(engine), read_build(engine)
+    frames = read.frames
+    assert (found.survey, found.run) == (read.survey, read.run)
+    assert found.rows == {name: len(frames[name]) for name in ("part", "building", "flat_region", "rejection")}
+    assert found.candidates == read.candidate_counts
+    assert found.footprint_m2 == pytest.approx(frames["building"]["area_m2"].sum())
+    assert found.volume_m3 == pytest.approx(frames["building"]["volume_m3"].sum())
+    assert found.highest_m == (frames["building"]["h_max"].max() if buildings else None)
+    assert found.scales_m2 == frames["scale"].sort_values("scale")["threshold_m2"].tolist()
+
+
+def test_a_missing_raster_is_named(engine: Engine) -> None:
+    """The error has the survey, the missing rasters and the next step."""
+    write_build(engine, small_build())
+    with engine.begin() as connection:
+        connection.execute(text("DELETE FROM run_state WHERE name = 'valid'"))
+    with pytest.raises(TableError, match=r"survey 'delft' .* needs the rasters ndsm_cm, structure, valid; .* db check"):
+        read_rasters(engine)
+
+
 def test_polygons_become_multipolygons(engine: Engine) -> None:
     """Single outlines are stored as the declared type."""
     build = small_build()
@@ -330,9 +358,9 @@ BAD = {
     "an orphan": ("part", {"row": 1, "supid": 4711}, "father that does not exist"),
     "a missing height": ("part", {"h_max": np.nan}, "h_max is missing"),
     "an infinite area": ("building", {"area_m2": np.inf}, "area_m2 is missing or infinite"),
-    "an unknown scale": ("part", {"scale": 9}, "scale names nothing"),
-    "an unknown class": ("building", {"speindex": 9}, "speindex names nothing"),
-    "a building without root": ("building", {"root_id": SLAB}, "root_id names nothing"),
+    "an unknown scale": ("part", {"scale": 9}, "scale refers to no row"),
+    "an unknown class": ("building", {"speindex": 9}, "speindex refers to no row"),
+    "a building without root": ("building", {"root_id": SLAB}, "root_id refers to no row"),
     "a scale given twice": ("scale", {"scale": 2}, "scale is given twice"),
     "a flat region given twice": ("flat_region", {"region_id": WING}, "region_id is given twice"),
     "a link given twice": (
@@ -340,20 +368,20 @@ BAD = {
         {"row": 1, "part_id": PODIUM},
         "part_id with region_id is given twice",
     ),
-    "a link to no part": ("part_flat_region", {"part_id": 4711}, "part_id names nothing"),
-    "a link to no flat region": ("part_flat_region", {"region_id": 4711}, "region_id names nothing"),
+    "a link to no part": ("part_flat_region", {"part_id": 4711}, "part_id refers to no row"),
+    "a link to no flat region": ("part_flat_region", {"region_id": 4711}, "region_id refers to no row"),
     "an infinite perimeter": ("flat_region", {"perimeter_m": np.inf}, "perimeter_m is missing or infinite"),
     "a candidate given twice": ("candidate_region", {"candidate_id": CRANE}, "candidate_id is given twice"),
-    "a candidate of no extractor of the run": ("candidate_region", {"method": "multiscale"}, "method names nothing"),
-    "a region dropped by no extractor": ("rejection", {"method": "other"}, "method names nothing"),
+    "a candidate of no detector of the run": ("candidate_region", {"method": "multiscale"}, "method refers to no row"),
+    "a region dropped by no detector": ("rejection", {"method": "other"}, "method refers to no row"),
     "a candidate without points": ("candidate_region", {"area_m2": np.nan}, "area_m2 is missing"),
-    "a link to no candidate": ("part_candidate", {"candidate_id": 4711}, "candidate_id names nothing"),
-    "a link of no part": ("part_candidate", {"part_id": 4711}, "part_id names nothing"),
-    "a link of no flat region": ("flat_region_candidate", {"region_id": 4711}, "region_id names nothing"),
+    "a link to no candidate": ("part_candidate", {"candidate_id": 4711}, "candidate_id refers to no row"),
+    "a link of no part": ("part_candidate", {"part_id": 4711}, "part_id refers to no row"),
+    "a link of no flat region": ("flat_region_candidate", {"region_id": 4711}, "region_id refers to no row"),
     "a flat region linked to no candidate": (
         "flat_region_candidate",
         {"candidate_id": 4711},
-        "candidate_id names nothing",
+        "candidate_id refers to no row",
     ),
     "no geometry": ("part", {"geometry": None}, "is no MULTIPOLYGON"),
     "a line": ("part", {"geometry": shapely.LineString([(0, 0), (1, 1)])}, "is no MULTIPOLYGON"),
@@ -535,8 +563,8 @@ def test_views_show_what_parts_and_flat_regions_say_of_each_other(engine: Engine
     assert shares == [1 / 6, 0.2, 0.375, 0, None, None, None, None]
 
 
-def test_views_show_what_the_extractors_on_points_say(engine: Engine) -> None:
-    """Shares by method of parts and of candidates; null where an extractor was not run."""
+def test_views_show_evidence_of_the_detectors_on_points(engine: Engine) -> None:
+    """Shares by method of parts and of candidates; null where a detector was not run."""
     write_build(engine, small_build())
     write_build(engine, small_build("leiden", "area3d", shift=1000))
     write_build(engine, small_build("gouda", "multiscale", shift=2000))
@@ -574,8 +602,8 @@ def test_views_show_what_the_extractors_on_points_say(engine: Engine) -> None:
     assert left == [(CRANE, 0), (AWNING, 0.25), (PITCH_CLUSTER, 0)]
 
 
-def test_a_building_shows_its_witnesses(engine: Engine) -> None:
-    """Who was heard, and who covers enough of it to speak for it."""
+def test_a_building_shows_its_evidence(engine: Engine) -> None:
+    """The number of other detectors that were run, and of those that cover enough of it to confirm it."""
     write_build(engine, small_build())
     write_build(engine, small_build("leiden", "flatregions,multiscale", shift=1000))
     build = changed(small_build("gouda", "multiscale", shift=2000), "part", 3, building_share=0.4375)

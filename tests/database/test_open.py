@@ -333,7 +333,7 @@ def test_many_may_create_at_once(tmp_path: Path) -> None:
 
 AFTERWARDS = """
 import sys
-from msbdb.database import spatialite
+from msbdb.database.dialects import spatialite
 from sqlalchemy import make_url, text
 
 engine = spatialite.make_engine(make_url("sqlite://"), 1.0)

@@ -21,7 +21,7 @@ from support.sizes import sample
 import msbdb
 from msbdb.cli.main import cli
 from msbdb.database import check_target, open_database
-from msbdb.database.dialects.spatialite import _driver
+from msbdb.database.dialects.sqliteconnection import driver
 from msbdb.run import store
 
 
@@ -60,7 +60,7 @@ def dump(db):
 @contextlib.contextmanager
 def connect(path):
     """Open a file as another program would; by the same library, as two in one process drop each other's locks."""
-    connection = _driver().connect(str(path), isolation_level=None)
+    connection = driver().connect(str(path), isolation_level=None)
     try:
         yield connection
     finally:

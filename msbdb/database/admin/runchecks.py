@@ -14,6 +14,7 @@ from msbdb.database.runs.reading import build_of
 from msbdb.database.runs.writing import content_digest
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import MsbdbError
+from msbdb.kept import REQUIRED_RASTERS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,7 +90,9 @@ def check_rasters(connection: Connection) -> Iterator[Finding]:
         .join(SURVEY)
         .order_by(RUN_STATE.c.run_id, RUN_STATE.c.name)
     )
+    missing = {(run_id, name) for run_id in connection.scalars(select(RUN.c.run_id)) for name in REQUIRED_RASTERS}
     for run_id, name, dtype, shape, data, west, south, east, north, cell in connection.execute(query):
+        missing.discard((run_id, name))
         key = f"{by_id('run_state', 'run_id', run_id)}, name={name}"
         lattice = (round((north - south) / cell), round((east - west) / cell))
         try:
@@ -101,6 +104,9 @@ def check_rasters(connection: Connection) -> Iterator[Finding]:
             yield Finding(
                 "rasters", "run_state", key, f"its shape is {list(cells.shape)}", f"{list(lattice)}, the lattice"
             )
+    for run_id, name in missing:
+        key = f"{by_id('run_state', 'run_id', run_id)}, name={name}"
+        yield Finding("rasters", "run_state", key, "the raster is missing", "a row: every run has this raster")
 
 
 def check_content(connection: Connection) -> Iterator[Finding]:

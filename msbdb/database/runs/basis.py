@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from sqlalchemy import URL, Connection, Engine, select, text
+from sqlalchemy import URL, Connection, Engine, select
 
 from msbdb.database.dialects.connection import TIMEOUT_S, database_url, guarded
 from msbdb.database.dialects.dialect import dialect_of
@@ -17,14 +17,14 @@ from msbdb.database.schema.sqltables import SQL
 if TYPE_CHECKING:
     import pandas as pd
 
+RUN = SQL["run"]
+
+SPECTRAL_CLASS = SQL["spectral_class"]
+
+SURVEY = SQL["survey"]
+
 COLUMNS = ("speindex", "label", "labelled_by", "source", "cells", "ndvi", "brightness", "roughness_m")
 """Columns that identify a class over several builds; every schema has them."""
-
-_CLASSES = text(
-    f"SELECT {', '.join('c.' + name for name in COLUMNS)} FROM spectral_class AS c "  # noqa: S608  (our own names)
-    "JOIN run AS r ON r.run_id = c.run_id JOIN survey AS s ON s.survey_id = r.survey_id "
-    "WHERE s.name = :survey ORDER BY c.speindex"
-)
 
 
 def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> "pd.DataFrame":
@@ -57,12 +57,16 @@ def labelled_classes(connection: Connection, survey: str) -> "pd.DataFrame":
     """Return what ``read_labelled_classes`` does, as an open transaction sees it."""
     import pandas as pd
 
-    rows = [tuple(row) for row in connection.execute(_CLASSES, {"survey": survey})]
+    query = (
+        select(*(SPECTRAL_CLASS.c[name] for name in COLUMNS))
+        .join(RUN, RUN.c.run_id == SPECTRAL_CLASS.c.run_id)
+        .join(SURVEY, SURVEY.c.survey_id == RUN.c.survey_id)
+        .where(SURVEY.c.name == survey)
+        .order_by(SPECTRAL_CLASS.c.speindex)
+    )
+    rows = [tuple(row) for row in connection.execute(query)]
     found = pd.DataFrame(rows, columns=list(COLUMNS))
     return found[found["labelled_by"] == "operator"].reset_index(drop=True)
-
-
-RUN = SQL["run"]
 
 
 class OutdatedError(Exception):

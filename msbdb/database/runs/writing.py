@@ -299,7 +299,7 @@ def _values(values: "pd.Series") -> list[Any]:
 def _rejection_ids(build: KeptRun, frame: "pd.DataFrame") -> NDArray[np.int64]:
     """Return keys of ledger rows; rows with the same region, stage and reason are numbered.
 
-    A region's id is a digest already. Combined by exclusive or with a digest of method, stage, reason and number, it is
+    A region's id is a digest already. The key is this id XOR a digest of method, stage, reason and number. So it is
     unique among the rows with the same words, and almost certainly among all rows.
     """
     why = frame.groupby(["method", "stage", "reason"], sort=False).ngroup().rename("why")

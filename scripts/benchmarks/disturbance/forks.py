@@ -102,7 +102,7 @@ def serve() -> None:
         request = json.loads(line)
 
         def action(request: dict[str, Any] = request) -> int:
-            os.dup2(told.fileno(), 2)
+            os.dup2(messages.fileno(), 2)
             if "stage" in request:
                 stop_at(request["stage"], request["done"], request["signal"])
             elif "place" in request:
@@ -110,14 +110,14 @@ def serve() -> None:
             cli([*request["argv"]], prog_name="msbdb")
             return 0
 
-        with tempfile.TemporaryFile() as told, Path(os.devnull).open("w") as nothing:
+        with tempfile.TemporaryFile() as messages, Path(os.devnull).open("w") as nothing:
             out = os.dup(1)
             os.dup2(nothing.fileno(), 1)
             code = wait(fork(action))
             os.dup2(out, 1)
             os.close(out)
-            told.seek(0)
-            answer = {"code": code, "stderr": told.read().decode()}
+            messages.seek(0)
+            answer = {"code": code, "stderr": messages.read().decode()}
         sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()
 

@@ -179,9 +179,9 @@ class Server:
     def _cutting(self, target: str) -> Iterator[tuple[str, Callable[[], None]]]:
         """Return the same database by another way, and what cuts this way while both ends live on."""
         with tempfile.TemporaryDirectory(prefix="wire.") as name:
-            ready, told = os.pipe()
-            process = fork(lambda: _forward(Path(name), self.folder, told))
-            os.close(told)
+            ready, reported = os.pipe()
+            process = fork(lambda: _forward(Path(name), self.folder, reported))
+            os.close(reported)
             os.read(ready, 1)
             os.close(ready)
             try:
@@ -197,12 +197,12 @@ class Server:
 SOCKET = ".s.PGSQL.5432"
 
 
-def _forward(here: Path, there: Path, told: int) -> int:
+def _forward(here: Path, there: Path, reported: int) -> int:
     """Hand on what comes through a socket of ours to the server's, and back, until the process is killed."""
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(str(here / SOCKET))
     listener.listen()
-    os.write(told, b"r")
+    os.write(reported, b"r")
     other: dict[socket.socket, socket.socket] = {}
     while True:
         for ready in select.select([listener, *other], [], [])[0]:

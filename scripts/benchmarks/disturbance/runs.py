@@ -1,7 +1,7 @@
-"""Writers that are disturbed, and what must hold afterwards.
+"""Disturbed writers, and the checks afterwards.
 
 A job is a command that writes. Undisturbed, it takes a database through known states, each committed by itself. After
-a disturbance the database must be sound and in one of these states, not before the last one that the job told of; and
+a disturbance the database must be sound and in one of these states, not before the last one that the job reported; and
 the same command must then bring it to the last state.
 """
 
@@ -123,7 +123,7 @@ class Running:
     def __init__(self, step: Step, target: str, before: Callable[[], None] = lambda: None) -> None:
         self.reading, writing = os.pipe()
         self.words = tempfile.TemporaryFile()  # noqa: SIM115  (goes with this object)
-        self.told = b""
+        self.reported = b""
 
         def progress(stage: str, done: int, total: int) -> None:
             if stage in WRITING:
@@ -144,9 +144,9 @@ class Running:
         os.close(writing)
 
     def read(self) -> bytes:
-        """Return the next thing told, nothing at the end."""
+        """Return the next report, nothing at the end."""
         word = os.read(self.reading, 1)
-        self.told += word
+        self.reported += word
         return word
 
     def timed(self) -> Times:
@@ -162,7 +162,7 @@ class Running:
 
     def sleep(self, moment: float, stage: int | None) -> None:
         """Wait until so long after the begin, or after the begin of a stage that writes."""
-        while stage is not None and self.told.count(b"w") <= stage and self.read():
+        while stage is not None and self.reported.count(b"w") <= stage and self.read():
             pass
         since = self.begin if stage is None else time.monotonic()
         time.sleep(max(0.0, since + moment - time.monotonic()))
@@ -307,8 +307,8 @@ def _run(case: Case, outcome: Outcome) -> None:
     require(outcome.ended in allowed, f"it ended {outcome.ended}: {outcome.said}")
     places.settle(target)
     number, outcome.left = state_of(course, job, target)
-    told = len(job.steps) if outcome.ended == "done" else run.told.count(b"d")
-    require(number >= told, f"it told of {told} commits, and {number} are there")
+    commits = len(job.steps) if outcome.ended == "done" else run.reported.count(b"d")
+    require(number >= commits, f"it reported {commits} commits, but the database has {number}")
     run = Running(job.whole, target)
     times = run.timed()
     if outcome.left == "absent":

@@ -62,7 +62,7 @@ SLAB_CLUSTER, AWNING, HOUSE_CLUSTER, SHED_CLUSTER, PITCH_CLUSTER = (BASE + n for
 """The candidate regions of the adaptive filter."""
 
 EVERY = "adaptive,area3d,flatregions,multiscale"
-"""All extractors."""
+"""All detectors."""
 
 HOSTILE = "x'; DROP TABLE part; --"
 """A name of a survey that is harmless only where it is quoted."""
@@ -71,7 +71,7 @@ HOSTILE = "x'; DROP TABLE part; --"
 def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, **run: Any) -> KeptRun:
     """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database.
 
-    An extractor that ``method`` does not name gives no regions, and buildings that know nothing of it.
+    A detector that is not in ``method`` has no regions, and buildings have null as its share.
     """
     methods = method.split(",")
     parts = _parts(shift)
@@ -83,7 +83,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
     links = _links(parts, regions, PART_FLAT_REGION)
     part_candidates = _links(parts, candidates, PART_CANDIDATE)
     made_by = part_candidates["candidate_id"].map(candidates.set_index("candidate_id")["method"])
-    heard = {"flatregions": links} | {name: part_candidates[made_by == name] for name in POINT_DETECTORS}
+    links_of = {"flatregions": links} | {name: part_candidates[made_by == name] for name in POINT_DETECTORS}
     frames: dict[str, pd.DataFrame] = {
         "scale": _frame(SCALE, [(1, 200, 200.0), (2, 50, 50.0), (3, 20, 20.0)]),
         "part": parts,
@@ -107,7 +107,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
             ],
             [shapely.Point(WEST + x, SOUTH + y) for x, y in ((150, 20), (160, 20), (20, 15))],
         ),
-        "building": _buildings(parts, {name: found for name, found in heard.items() if name in methods}),
+        "building": _buildings(parts, {name: found for name, found in links_of.items() if name in methods}),
         "flat_region": regions,
         "part_flat_region": links,
         "candidate_region": candidates,
@@ -178,10 +178,10 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> KeptRun
             )
         )
     parts = pd.concat(rows, ignore_index=True)[[*PART.names, "geometry"]]
-    witnesses = (FLAT_REGION, PART_FLAT_REGION, CANDIDATE_REGION, PART_CANDIDATE, FLAT_REGION_CANDIDATE)
-    none = {table.name: base.frames[table.name][:0] for table in witnesses}
-    heard = dict.fromkeys(POINT_DETECTORS, none["part_candidate"]) | {"flatregions": none["part_flat_region"]}
-    frames = {**base.frames, **none, "part": parts, "building": _buildings(parts, heard)}
+    evidence = (FLAT_REGION, PART_FLAT_REGION, CANDIDATE_REGION, PART_CANDIDATE, FLAT_REGION_CANDIDATE)
+    none = {table.name: base.frames[table.name][:0] for table in evidence}
+    links_of = dict.fromkeys(POINT_DETECTORS, none["part_candidate"]) | {"flatregions": none["part_flat_region"]}
+    frames = {**base.frames, **none, "part": parts, "building": _buildings(parts, links_of)}
     lattice = max(-(-count // cols), 5), max(cols, 20)
     north, east = (20.0 * cells for cells in lattice)
     survey = replace(base.survey, epsg=epsg, cell_m=20.0, bounds=(WEST, SOUTH, WEST + east, SOUTH + north))
@@ -342,10 +342,10 @@ def _links(ones: gpd.GeoDataFrame, others: gpd.GeoDataFrame, table: Table) -> pd
     return _frame(table, rows)
 
 
-def _buildings(parts: pd.DataFrame, heard: Mapping[str, pd.DataFrame]) -> gpd.GeoDataFrame:
-    """Return the roots as buildings; the footprint's mean height stands for all cells.
+def _buildings(parts: pd.DataFrame, links_of: Mapping[str, pd.DataFrame]) -> gpd.GeoDataFrame:
+    """Return the roots as buildings; the footprint's mean height is used for all cells.
 
-    ``heard`` has the links of the parts to the regions of each extractor that was run.
+    ``links_of`` has the links of the parts to the regions of each detector that was run.
     """
     trees = parts.groupby("root_id")
     roots = parts[parts["supid"] == 0].set_index("root_id", drop=False)
@@ -367,7 +367,7 @@ def _buildings(parts: pd.DataFrame, heard: Mapping[str, pd.DataFrame]) -> gpd.Ge
             **dict.fromkeys(EXTRACTOR_SHARES.values(), np.nan),
         }
     ).reset_index(drop=True)
-    for name, links in heard.items():
+    for name, links in links_of.items():
         covered = links.groupby("part_id")["part_share"].sum()
         made[EXTRACTOR_SHARES[name]] = made["root_id"].map(covered).fillna(0.0)
     made["state"] = made["state"].astype("str")
