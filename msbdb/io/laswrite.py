@@ -8,6 +8,7 @@ records that it knows, and does not know wave packets.
 import os
 import shutil
 import struct
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from laspy.header import Version
 from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import NDArray
 
-from msbdb.errors import FileError, InputError
+from msbdb.errors import FileError, InputError, MsbdbWarning
 from msbdb.io.files import write_atomic
 from msbdb.io.las import Progress, read_chunks
 from msbdb.io.lasheader import COMPRESSION, COPC, LasInfo, decoding, read_las_header
@@ -47,11 +48,10 @@ KEEP_BYTES = "surrogateescape"
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written: the points, how many have another class than before, and what could not be kept."""
+    """What was written: the number of points, and how many of them have another class than before."""
 
     points: int
     changed: int
-    notices: tuple[str, ...]
 
 
 def write_classes(
@@ -94,6 +94,11 @@ def write_classes(
     NodataError
         If the source holds no points.
 
+    Warns
+    -----
+    MsbdbWarning
+        If the source is COPC, whose octree is not written.
+
     Notes
     -----
     The class of formats 0 to 5 shares its byte with the flags synthetic, key-point and withheld, which stay. The
@@ -128,8 +133,10 @@ def write_classes(
                 if progress is not None:
                     progress("write", done, info.points)
         _finish(target, info, header)
-    octree = f"{source.name} is COPC; {out.name} has its points in the same order, but not its octree."
-    return Written(info.points, changed, (octree,) if info.is_copc else ())
+    if info.is_copc:
+        msg = f"{source.name} is COPC; {out.name} has its points in the same order, but not its octree."
+        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+    return Written(info.points, changed)
 
 
 def check_output(source: Path, out: Path, *, overwrite: bool) -> None:
