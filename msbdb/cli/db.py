@@ -66,7 +66,7 @@ def upgrade(*, db: str, as_json: bool) -> None:
 
 @command(
     "downgrade",
-    examples=("msbdb db downgrade town.sqlite", "msbdb db downgrade town.sqlite --to 0002 --force"),
+    examples=("msbdb db downgrade town.sqlite", "msbdb db downgrade town.sqlite --to 0001 --force"),
 )
 @shared("db")
 @click.option("--to", metavar="REVISION", help="The schema to go back to. [default: the one before]")
@@ -107,7 +107,7 @@ def check(*, db: str, as_json: bool) -> None:
         emit_table([asdict(found) for found in findings])
         click.echo(f"{len(findings)} findings in {_shown(db)}.")
     else:
-        click.echo(f"{len(CHECKS)} checks were passed by {_shown(db)}.")
+        click.echo(f"{len(CHECKS)} checks passed: {_shown(db)}.")
     if findings:
         raise click.exceptions.Exit(UNSOUND)
 

@@ -1,13 +1,11 @@
-"""What a database holds, as plain values, as a map on a hillshade, and as layers for other programs."""
+"""What a database holds, as plain values, as a map on a hillshade, and as layers for other programs.
+
+Each function imports what it alone needs, so that a summary and an export are quick.
+"""
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
-
-import geopandas as gpd
-import numpy as np
-from numpy.typing import NDArray
-from pyproj import CRS
+from typing import TYPE_CHECKING, Any
 
 from msbdb.database import (
     Engine,
@@ -24,9 +22,15 @@ from msbdb.database import (
     shown,
 )
 from msbdb.errors import InputError
-from msbdb.grid import Grid
-from msbdb.kept import KeptRun, heights_of, lattice_of
 from msbdb.params import POINT_DETECTORS, Params, with_values
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msbdb.grid import Grid
+    from msbdb.kept import KeptRun
 
 NOT_FUSED = (
     "The survey '{survey}' has no fused footprints. Build it again with the detectors multiscale and flatregions; "
@@ -49,7 +53,7 @@ def info_of(db: str | Path) -> dict[str, Any]:
     return {"database": where, "runs": found}
 
 
-def _counts(build: KeptRun) -> dict[str, Any]:
+def _counts(build: "KeptRun") -> dict[str, Any]:
     """Count what a run holds."""
     parts, buildings = build.frames["part"], build.frames["building"]
     return {
@@ -69,6 +73,9 @@ def _counts(build: KeptRun) -> dict[str, Any]:
 
 def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
     """Draw a map; see `msbdb.api.view`."""
+    import geopandas as gpd
+    from pyproj import CRS
+
     from msbdb.view.buildingmap import draw_map
     from msbdb.view.regionmap import draw_candidates, draw_zones
 
@@ -120,7 +127,7 @@ def has_together(engine: Engine, survey: str | None = None) -> bool:
     return read_rasters(engine, survey).fused is not None
 
 
-def read_together(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame:
+def read_together(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
     """Return the fused footprints of parts and flat regions, measured again: a row a building, in order of the ids.
 
     Parameters
@@ -142,6 +149,10 @@ def read_together(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame
     InputError
         When the survey was built without one of the two detectors, or by an msbdb that did not fuse them.
     """
+    import geopandas as gpd
+    import numpy as np
+
+    from msbdb.kept import heights_of, lattice_of
     from msbdb.labels import reorder, sizes
     from msbdb.outline.polygons import polygonise
     from msbdb.outline.simplification import simplify_coverage
@@ -163,8 +174,10 @@ def read_together(engine: Engine, survey: str | None = None) -> gpd.GeoDataFrame
     return gpd.GeoDataFrame(rows, geometry=shapes, crs=spec.crs)
 
 
-def _measured(labels: NDArray[np.int32], count: int, heights: Grid) -> dict[str, NDArray[np.float64]]:
+def _measured(labels: "NDArray[np.int32]", count: int, heights: "Grid") -> "dict[str, NDArray[np.float64]]":
     """Return heights, areas and volumes of labelled footprints."""
+    import numpy as np
+
     from msbdb.labels import height_statistics, order_heights, sizes, sums
 
     found = height_statistics(labels, slice(0, count), order_heights(heights, labels > 0))

@@ -75,5 +75,5 @@ def town_build(
     parts = outline_parts(found.forest, ndsm, params.vector).assign(speindex=0)
     frames = make_frames(scene, {"multiscale": found}, found.forest, parts)
     counts = Counts(found.counts, count_cells(ndsm, cover), {"colours_decide": 0, "green_decides": 0}, {})
-    run = Run("multiscale", "default", version, dict(as_dict(params)), counts, {}, ())
+    run = Run(("multiscale",), "default", version, dict(as_dict(params)), counts, {}, ())
     return KeptRun(survey, run, frames, Rasters.of_heights(ndsm, roofs))

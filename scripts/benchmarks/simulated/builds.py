@@ -229,12 +229,12 @@ def counts_of(frames: Mapping[str, pd.DataFrame]) -> Counts:
     """Return counts that agree with the parts and the ledger: each stage keeps what will be parts."""
     kept = len(frames["part"])
     dropped = {str(stage): int(rows) for stage, rows in frames["rejection"].groupby("stage").size().items()}
-    regions = {
+    stages = {
         stage: {"in": kept + rows, "pieces": 0, "kept": kept, "dropped": rows}
         for stage, rows in (dropped | {"fake fathers": 0}).items()
     }
     cells = {"all": 40_000, "valid": 40_000, "building": 13_333, "vegetation": 13_333}
-    return Counts(regions, cells, {"colours_decide": 1, "green_decides": 0}, {})
+    return Counts({"multiscale": stages}, cells, {"colours_decide": 1, "green_decides": 0}, {})
 
 
 def slope(shape: tuple[int, int]) -> Rasters:
