@@ -292,11 +292,11 @@ def test_refusals(tmp_path):
     for path in (source, link, tmp_path / "." / "in.laz"):
         with pytest.raises(InputError, match="source itself"):
             write_classes(source, path, classes, overwrite=True)
-    with pytest.raises(FileError, match="there already"):
+    with pytest.raises(FileError, match="exists already"):
         write_classes(source, there, classes)
     with pytest.raises(InputError, match=r"\.las or \.laz"):
         write_classes(source, tmp_path / "out.txt", classes)
-    with pytest.raises(FileError, match="no folder"):
+    with pytest.raises(FileError, match="does not exist"):
         write_classes(source, tmp_path / "none" / "out.laz", classes)
     for wrong in (classes[:-1], classes.astype(np.int64)):
         with pytest.raises(InputError, match="700 points"):

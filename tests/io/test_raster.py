@@ -194,7 +194,7 @@ def test_written_grids_read_back(tmp_path):
         assert dataset.compression.name == "deflate"
         assert dataset.profile["tiled"]
     assert [file.name for file in tmp_path.iterdir()] == ["out.tif"]
-    with pytest.raises(FileError, match="Name a folder"):
+    with pytest.raises(FileError, match="Choose a folder"):
         write_grid(tmp_path / "none" / "out.tif", grid)
 
 

@@ -127,7 +127,7 @@ def test_one_extractor_alone_has_nothing_together(folder, tmp_path, extract):
     assert not set(RASTERS) & set(kept(db))
     with msbdb.open(db) as opened:
         opened.export(tmp_path / "one.gpkg")
-        with pytest.raises(InputError, match=r"'one' has no fused footprints .* multiscale and flatregions"):
+        with pytest.raises(InputError, match=r"'one' has no fused footprints\..* multiscale and flatregions"):
             opened.together()
     assert "together" not in pyogrio.list_layers(tmp_path / "one.gpkg")[:, 0]
 
