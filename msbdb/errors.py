@@ -45,7 +45,7 @@ class SchemaVersionError(DatabaseError):
 
 
 class LoadError(DatabaseError):
-    """Rows were refused by the database; nothing was written."""
+    """The database refused rows; it is unchanged."""
 
 
 class MissingDependencyError(MsbdbError, ImportError):
@@ -53,8 +53,8 @@ class MissingDependencyError(MsbdbError, ImportError):
 
 
 class MsbdbWarning(UserWarning):
-    """Something was assumed, converted or left out; the result is still right."""
+    """A notice: an assumption, a conversion, or data that were left out; the result is still right."""
 
 
 class PassingNotice(MsbdbWarning):
-    """A notice of one call alone, which is no part of what a run keeps."""
+    """A notice of one call alone, which the run does not keep."""

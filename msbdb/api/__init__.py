@@ -1,6 +1,6 @@
 """What users call: build, update, relabel, classify, evaluate, view, export, changes, imports, open.
 
-The modules here declare the public functions and their reports; what takes time to import is imported when it is used.
+The modules here declare the public functions. Libraries that take time to load are imported when they are used.
 """
 
 from msbdb.api.build import build

@@ -41,7 +41,7 @@ def build(
     db : str or path
         A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
     survey : str, optional
-        Name of the survey; the first file's name by default. Building it again replaces it, or changes nothing.
+        Name of the survey; the first file's name by default. Building it again replaces it, if anything differs.
     date : str, optional
         When the data were taken, ISO 8601.
     crs : str, optional
@@ -55,8 +55,8 @@ def build(
     profile : str
         Name of the profile that the parameters come from.
     extract : sequence of str
-        ``multiscale`` finds buildings as trees of parts; ``flatregions`` finds flat regions, and ``area3d`` and
-        ``adaptive`` find candidate regions on the points themselves, as their evidence.
+        The detectors: ``multiscale`` finds buildings as trees of parts, ``flatregions`` finds flat regions, ``area3d``
+        and ``adaptive`` find candidate regions among the points. The last three are evidence for the buildings.
     denoising_figure : path, optional
         PNG of the surface before and after the denoising for the flat regions.
     progress : callable, optional
@@ -69,7 +69,7 @@ def build(
     Raises
     ------
     MsbdbError
-        One of its kinds, when the inputs or the database cannot be used. Nothing is written then.
+        One of its kinds, when the inputs or the database cannot be used. The database is then unchanged.
     """
     from msbdb.database import check_target, read_labelled_classes
     from msbdb.run.compose import Job, choose_detectors, run_survey

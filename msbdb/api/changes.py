@@ -1,12 +1,9 @@
 """What changed in the inventory between two dates."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msbdb.run.reports import Changes
-
-if TYPE_CHECKING:
-    pass
 
 
 def changes(
@@ -20,21 +17,21 @@ def changes(
     out: Path | None = None,
     figure: Path | None = None,
 ) -> Changes:
-    """Tell what changed in the inventory between two dates.
+    """Report what changed in the inventory between two dates.
 
     Parameters
     ----------
     db : str or path
         The database.
     since, until : str, optional
-        From the state at the end of the one day to that of the other, ISO 8601; from before the first survey, and to
-        the present, by default.
+        The first and the last day of the period, ISO 8601; the states at the end of both days are compared. By default
+        from before the first survey, and to the present.
     survey : str, optional
-        What this one did, and no net change.
+        Report what this survey changed, in place of the net change.
     each : bool
-        What each survey did, one after the other, and no net change.
+        Report what each survey changed, one after the other, in place of the net change.
     aoi : path, optional
-        Polygons: buildings that meet them, and those of them that no survey saw.
+        Polygons: buildings that meet them, and those of them that no survey covered.
     out : path, optional
         A GeoPackage, GeoJSON or CSV of the rows, by its ending.
     figure : path, optional
@@ -47,7 +44,7 @@ def changes(
     Raises
     ------
     InputError
-        When there is nothing to draw, or the endings are unknown.
+        When no building is left to draw, or an ending is unknown.
     """
     from msbdb.run.changes import changes_of
 
@@ -55,7 +52,7 @@ def changes(
 
 
 def summary(found: Changes) -> dict[str, Any]:
-    """Return the changes as plain values for JSON: counts, and a record for each row that is no 'unchanged'."""
+    """Return the changes as plain values for JSON: counts, and a record for each row that is not 'unchanged'."""
     from msbdb.run.changes import records_of
 
     return {"counts": found.counts, "in_between": found.in_between, "changes": records_of(found)}

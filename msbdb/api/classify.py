@@ -1,4 +1,4 @@
-"""Write buildings back into the points, as class 6."""
+"""Classify the points of a file: those of buildings get class 6."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ def classify(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ClassifyReport:
-    """Find the buildings among the points of a file, and write it with them in class 6.
+    """Detect the buildings among the points of a file, and write a copy with these points in class 6.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ def classify(
     out : path
         LAS or LAZ, by its ending; everything but the classes is as in the source.
     extract : sequence of str
-        The extractors; with several, a point that any of them takes is a building. For ``area3d`` and ``adaptive``
-        the points of their candidate regions are taken, for ``multiscale`` and ``flatregions`` those in the cells of
-        a part or flat region that are as high above ground as the mask, ``surface.mask_m``.
+        The detectors; with several, a point that any of them finds is a building. ``area3d`` and ``adaptive`` find
+        points. Of ``multiscale`` and ``flatregions``, the points in the cells of a part or flat region count. They must
+        be at least ``surface.mask_m`` above ground.
     crs, ortho_crs : str, optional
         CRS of points and orthophotos that state none.
     ortho : sequence of path
@@ -47,7 +47,7 @@ def classify(
     profile : str
         Name of the profile that the parameters come from.
     keep : bool
-        Leave points in class 6 that are so in the source, found or not; otherwise they become unclassified (1).
+        Keep the points of class 6 of the source in class 6, found or not; otherwise they become unclassified (1).
     overwrite : bool
         Replace ``out`` if it exists.
     progress : callable, optional
@@ -60,7 +60,7 @@ def classify(
     Raises
     ------
     MsbdbError
-        One of its kinds, when the file cannot be used or written. Nothing is written then.
+        One of its kinds, when the file cannot be used or written. No file is written then.
     """
     from msbdb.run.classify import classify_points
     from msbdb.run.prepare import Inputs

@@ -41,9 +41,8 @@ def evaluate(
     survey : str, optional
         Not needed where the database holds one.
     of : {'buildings', 'confirmed', 'together', 'parts', 'flatregions', 'area3d', 'adaptive'}
-        What is compared: the buildings' footprints, those of the confirmed ones, those that parts and flat regions
-        give together, the parts of all scales, the flat regions alone, or the candidate regions of an extractor on
-        points.
+        What is compared: all buildings, the confirmed ones, the fused footprints (``together``), the parts of all
+        scales, the flat regions, or the candidate regions of a detector on points.
     """
     from msbdb.run.evaluate import evaluate_survey
 
@@ -71,14 +70,14 @@ def evaluate_points(
     found : str or path
         A LAS or LAZ file of the same points whose class 6 was found, or a database.
     reference : path
-        A LAS or LAZ file. Its noise points (classes 7 and 18), and points of absurd coordinates, are not scored; with
-        a database, neither are withheld and lone points, which no build reads.
+        A LAS or LAZ file. Its noise points (classes 7 and 18) and points with absurd coordinates are not scored. With a
+        database, withheld and lone points are not scored either, because no build reads them.
     crs : str, optional
         CRS of files that state none.
     survey : str, optional
         Survey of the database; not needed where it holds one.
     of : str
-        What of the database is compared, as for `msbdb.api.reports.evaluate`.
+        What of the database is compared, as for `msbdb.api.evaluate`.
 
     Returns
     -------
@@ -94,8 +93,8 @@ def evaluate_points(
     Notes
     -----
     The database keeps heights above ground on the lattice, and no points. A point of the reference counts as found
-    when its cell's centre lies in an outline, and it is at least as high as the run's mask above the terrain; the
-    terrain is the surface of the reference's own first echoes less the height that the database has there.
+    when its cell's centre lies in an outline and it is high enough above the terrain, by the run's mask. The terrain
+    is the surface of the reference's own first echoes, minus the height that the database has there.
     """
     from msbdb.run.evaluate import evaluate_file
 

@@ -1,4 +1,4 @@
-"""Bring into the inventory what people have: footprints, roof samples, and decisions on buildings."""
+"""Import footprints and roof samples into the inventory, and an operator's decisions on buildings."""
 
 import datetime
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ def import_inventory(
     id_column: str | None = None,
     crs: str | None = None,
 ) -> ImportReport:
-    """Take the footprints of a file as the inventory that surveys update from now on (V49).
+    """Import the footprints of a file as the inventory that later surveys update (V49).
 
     Parameters
     ----------
     db : str or path
-        The database; made in the file's CRS where there is none.
+        The database; made in the file's CRS if it is missing.
     file : path
         Polygons in any vector format.
     name : str, optional
@@ -33,12 +33,12 @@ def import_inventory(
     layer : str, optional
         Its layer; needed if there are several.
     date : str, optional
-        The day from which the footprints hold, ISO 8601; since ever by default.
+        The day from which the footprints hold, ISO 8601; always by default.
     mapping : mapping of str to str, optional
         Columns by what they become: ``height`` (metres above ground) and ``storeys`` are measures of the buildings,
         any other name is the attribute's own.
     id_column : str, optional
-        Column that tells the buildings apart; by default their places do.
+        Column with an id for each building; by default the places of the buildings serve.
     crs : str, optional
         The CRS of a file that states none.
 
@@ -68,12 +68,12 @@ def import_roof_samples(
     mapping: Mapping[str, str] | None = None,
     crs: str | None = None,
 ) -> ImportReport:
-    """Take points at which the material of a roof is known (V53).
+    """Import points at which the material of a roof is known (V53).
 
     Parameters
     ----------
     db : str or path
-        A database that is there.
+        A database that exists.
     file : path
         Points in any vector format.
     layer : str, optional
@@ -100,7 +100,7 @@ def import_roof_samples(
 
 
 def set_state(db: str | Path, uid: int, state: str | None, *, operator: str, note: str = "") -> dict[str, Any] | None:
-    """Write an operator's word on a building of the inventory; None takes it back.
+    """Write an operator's decision on a building of the inventory; None takes it back.
 
     Parameters
     ----------
@@ -109,22 +109,22 @@ def set_state(db: str | Path, uid: int, state: str | None, *, operator: str, not
     uid : int
         The building.
     state : {'confirmed', 'refuted', None}
-        What the operator says; it wins over what the extractors say, whatever is built or updated.
+        The decision; it takes precedence over the detectors, and is kept through every build and update.
     operator, note : str
-        Who says so, and why.
+        Who decides, and why.
 
     Returns
     -------
     mapping, optional
-        The word that this one takes the place of: ``state``, ``operator``, ``note`` and ``decided_at``.
+        The decision that this one replaces: ``state``, ``operator``, ``note`` and ``decided_at``.
 
     Raises
     ------
     InputError
-        When there is no such building, or nobody is named.
+        When the building does not exist, or the operator's name is empty.
     """
     if not operator.strip():
-        msg = "A manual state needs the name of its operator. Give one."
+        msg = "A manual state needs the name of its operator. Give one by --operator."
         raise InputError(msg)
     from msbdb.database import opened, write_state
 

@@ -1,4 +1,4 @@
-"""A database in hand: its tables as frames, for people who work in Python."""
+"""An open database: its tables as data frames, for users of Python."""
 
 from pathlib import Path
 from types import TracebackType
@@ -63,8 +63,8 @@ class Inventory:
         return self._read.read_flat_regions(self.engine, survey)
 
     def together(self, survey: str | None = None) -> "gpd.GeoDataFrame":
-        """Return the fused footprints of parts and flat regions, with their heights measured anew."""
-        from msbdb.run.store import read_together
+        """Return the fused footprints of parts and flat regions, with their heights measured again."""
+        from msbdb.run.outputs import read_together
 
         return read_together(self.engine, survey)
 
@@ -110,6 +110,6 @@ def open(db: str | Path) -> Inventory:
     Raises
     ------
     DatabaseError
-        When there is none, or it cannot be read.
+        When it does not exist, or cannot be read.
     """
     return Inventory(db)

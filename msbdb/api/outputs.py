@@ -1,11 +1,11 @@
-"""What a database holds, as words, as a map, and as files for other programs."""
+"""What a database holds: as plain values, as a map, and as files for other programs."""
 
 from pathlib import Path
 from typing import Any
 
 
 def info(db: str | Path) -> dict[str, Any]:
-    """Tell what a database holds: a record a run, with its survey, counts and notices."""
+    """Return what a database holds: a record a run, with its survey, counts and notices."""
     from msbdb.run.outputs import info_of
 
     return info_of(db)

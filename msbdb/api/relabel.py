@@ -1,4 +1,4 @@
-"""Look at the land-cover classes of a survey, and label them otherwise."""
+"""The land-cover classes of a survey, and other labels for them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,17 +22,17 @@ def classes(db: str | Path, survey: str | None = None) -> "pd.DataFrame":
 def relabel(
     db: str | Path, labels: Mapping[int, str], *, survey: str | None = None, progress: Progress | None = None
 ) -> BuildReport:
-    """Give classes the operator's labels (V36), and run the build again from there on.
+    """Give classes the operator's labels (V36), and repeat the build from there on.
 
     The source data are not needed: the heights and class maps of the run are in the database. Labels that others give
-    to the same survey meanwhile are kept.
+    to the same survey at the same time are kept.
 
     Raises
     ------
     InputError
         When a class, a label or the survey does not exist.
     DatabaseError
-        When the database cannot be written, or the survey was built anew meanwhile, so that its classes are others.
+        When the database cannot be written, or the survey was built again meanwhile, so that its classes changed.
     """
     from msbdb.run.store import relabel_survey
 

@@ -1,4 +1,4 @@
-"""Bring a survey into the living inventory."""
+"""Update the inventory by a survey."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +30,7 @@ def update(
     survey, date : str
         Name of the survey, and when the data were taken, ISO 8601.
     aoi : path, optional
-        Polygons in any vector format: only buildings in them take part.
+        Polygons in any vector format: only buildings in them are compared.
     progress : callable, optional
         Called with stage, steps done and steps in all.
     **options
@@ -70,7 +70,7 @@ def advance(db: str | Path, survey: str, *, aoi: Path | None = None) -> AdvanceR
     survey : str
         Name of the survey, which must have a date.
     aoi : path, optional
-        Polygons: only buildings in them take part.
+        Polygons: only buildings in them are compared.
 
     Returns
     -------
@@ -79,15 +79,15 @@ def advance(db: str | Path, survey: str, *, aoi: Path | None = None) -> AdvanceR
     Raises
     ------
     InputError
-        When there is no such survey, it has no date, or something later was applied to the same place already.
+        When the survey does not exist or has no date, or a later one was applied to the same place already.
     DatabaseError
         When the database cannot be written, or others keep changing the same place.
 
     Notes
     -----
-    The last survey of a place may be applied again: what it did is taken back and done anew. The same content changes
-    nothing. The comparison is made outside of the transaction, which begins with the question whether what it was
-    made from still holds; if not, it is made again (`ATTEMPTS` times).
+    The last survey of a place may be applied again: its changes are taken back and computed again. The same content
+    leaves the inventory unchanged. The comparison is computed before the transaction. The transaction first checks that
+    its basis is unchanged; if not, the comparison is computed again, at most `ATTEMPTS` times.
     """
     from msbdb.run.update import advance_inventory
 

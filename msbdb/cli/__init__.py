@@ -1,1 +1,1 @@
-"""The command line: a thin shell around the pipeline, and the only home of click and rich."""
+"""The command line: a thin shell around `msbdb.api`, and the only home of click and rich."""

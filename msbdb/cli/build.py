@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msbdb.cli.command import command, notice
-from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, F, crs_name, extractors, iso_date, scales_m2, setting, shared
+from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, F, crs_name, detectors, iso_date, scales_m2, setting, shared
 from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 from msbdb.params import DETECTORS, PROFILES, Params
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from msbdb.run.reports import BuildReport
 
 Z_UNITS = ("auto", "m", "ft", "us-ft")
-
 
 _HEIGHTS = (
     click.option(
@@ -65,12 +64,12 @@ _VALUES = (
     ),
     click.option(
         "--extract",
-        type=extractors,
+        type=detectors,
         default=",".join(DETECTORS),
         show_default=True,
         metavar="NAME,NAME",
-        help="Extractors: multiscale finds buildings as trees of parts, flatregions finds flat regions, area3d and "
-        "adaptive find candidate regions on the points themselves, as evidence.",
+        help="The detectors to run. multiscale finds buildings as trees of parts, flatregions finds flat regions. "
+        "area3d and adaptive find candidate regions among the points, as evidence.",
     ),
     click.option(
         "--denoising-figure",
@@ -89,7 +88,7 @@ def inputs(function: F) -> F:
 
 
 def values(function: F) -> F:
-    """Decorate a command with the options of CRS, units, parameters and extractors, and of the map."""
+    """Decorate a command with the options of CRS, units, parameters, detectors and the map."""
     return _decorated(function, _VALUES)
 
 
@@ -118,8 +117,9 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
 def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401
     """Build or extend a database of buildings from one survey.
 
-    Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes tell roofs from trees; an
-    orthophoto, or the colours of the points, add spectral classes. Building the same survey again changes nothing.
+    Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes separate roofs from trees. An
+    orthophoto, or the colours of the points, adds spectral classes. Building the same survey again leaves the database
+    unchanged.
     """
     check_inputs(given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
@@ -166,7 +166,7 @@ def emit_report(report: "BuildReport") -> None:
         "flat regions": report.flat_regions,
         **{f"{name} regions": count for name, count in report.candidate_regions.items()},
         "rejected regions": report.rejected,
-        "database": "written" if report.changed else "unchanged: this build was there already",
+        "database": "written" if report.changed else "unchanged: it has this build already",
         "seconds": float(sum(report.timings.values())),
     }
     emit_pairs(pairs)

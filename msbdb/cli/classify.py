@@ -7,7 +7,7 @@ import click
 
 from msbdb.cli.build import Z_UNITS, parameters
 from msbdb.cli.command import command, notice
-from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, crs_name, extractors, setting, shared
+from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, crs_name, detectors, setting, shared
 from msbdb.cli.output import emit_json, emit_pairs, progress_bars
 from msbdb.params import PROFILES
 
@@ -24,12 +24,12 @@ from msbdb.params import PROFILES
 @click.argument("out", type=OUTPUT_FILE, metavar="OUT")
 @click.option(
     "--extract",
-    type=extractors,
+    type=detectors,
     default="area3d",
     show_default=True,
     metavar="NAME,NAME",
-    help="Extractors: area3d and adaptive take points, multiscale and flatregions the points in what they find; "
-    "with several, a point that any of them takes.",
+    help="The detectors to run. area3d and adaptive classify points; of multiscale and flatregions, the points in "
+    "their regions count. With several detectors, a point that any of them finds is a building.",
 )
 @click.option("--crs", type=crs_name, metavar="EPSG", help="The points' CRS where the file does not state it.")
 @click.option(
@@ -55,15 +55,15 @@ from msbdb.params import PROFILES
     metavar="SECTION.NAME=VALUE",
     help="One value over all others; repeatable.",
 )
-@click.option("--keep", is_flag=True, help="Leave points in class 6 that are so in IN, found or not.")
+@click.option("--keep", is_flag=True, help="Keep the points of class 6 of IN in class 6, found or not.")
 @click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
 @shared("json")
 def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:  # noqa: ANN401
-    """Write the points again with the buildings in class 6.
+    """Write a copy of the points with the buildings in class 6.
 
-    IN is LAS, LAZ or COPC; OUT is LAS or LAZ, as its name ends, and has the same points in the same order. Nothing but
-    classes changes: points found to be buildings get class 6, those of class 6 that were not found become 1,
-    unclassified, and all others keep their class.
+    IN is LAS, LAZ or COPC. OUT is LAS or LAZ, by its ending, and has the same points in the same order. Only classes
+    change: points of buildings get class 6. Points of class 6 that were not found get class 1, unclassified. All others
+    keep their class.
     """
     params = parameters(options["profile"], options.pop("params_file"), options.pop("settings"), None)
     from msbdb import api

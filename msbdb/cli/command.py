@@ -25,7 +25,7 @@ class Command(click.Command):
     Parameters
     ----------
     examples : tuple of str
-        Command lines that work as they stand, given the files; they close the help and stand in the docs.
+        Complete command lines; they end the help and are part of the docs.
     """
 
     def __init__(self, *args: Any, examples: tuple[str, ...] = (), **kwargs: Any) -> None:  # noqa: ANN401
@@ -47,9 +47,9 @@ class Command(click.Command):
                     formatter.write(f"{'':>{formatter.current_indent}}{example}\n")
 
     def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401
-        """Run the command; say what went wrong in one line, with the traceback only under ``--debug``."""
+        """Run the command; report a failure in one line, with the traceback only under ``--debug``."""
         debug = bool(ctx.params.pop("debug", False))
-        with _told(ctx.params.pop("verbose", 0), ctx):
+        with _reporting(ctx.params.pop("verbose", 0), ctx):
             failure: Exception
             try:
                 return super().invoke(ctx)
@@ -62,7 +62,7 @@ class Command(click.Command):
                 raise click.exceptions.Exit(INTERRUPTED) from None
             except MemoryError as error:
                 failure = error
-                message = "The memory is not enough for this input. Cut it into smaller tiles, or take larger cells."
+                message = "The memory is not enough for this input. Cut it into smaller tiles, or choose larger cells."
             except OSError as error:
                 failure = error
                 message = f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}."
@@ -112,7 +112,7 @@ def _repeats(param: click.Parameter) -> bool:
 
 
 @contextmanager
-def _told(verbose: int, ctx: click.Context) -> Iterator[None]:
+def _reporting(verbose: int, ctx: click.Context) -> Iterator[None]:
     """Send log records and notices to the standard error while a command runs."""
     handler = _ConsoleHandler()
     package = logging.getLogger("msbdb")
@@ -147,7 +147,7 @@ class _ConsoleHandler(logging.Handler):
 
 
 def notice(message: str, shown: set[str]) -> None:
-    """Tell the user of something that was assumed, once."""
+    """Show the user a notice, once."""
     if message not in shown:
         shown.add(message)
         stderr_console().print(f"Notice: {message}", markup=False, highlight=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""``msbdb db``: looking after a database."""
+"""``msbdb db``: the commands that look after a database."""
 
 import sys
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ from msbdb.cli.options import OUTPUT_FILE, crs_name, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
 
 UNSOUND = 1
-"""Exit code of a check that found something."""
+"""Exit code of a check with findings."""
 
 
 class Commands(click.Group):
@@ -33,7 +33,7 @@ class Commands(click.Group):
 
 @click.group("db", cls=Commands)
 def db() -> None:
-    """Look after a database: make, check, dump and copy it, change its schema, and say who may do what."""
+    """Look after a database: make, check, dump and copy it, change its schema, and grant roles."""
 
 
 @command("create", examples=("msbdb db create town.sqlite --crs EPSG:28992",))
@@ -41,7 +41,7 @@ def db() -> None:
 @click.option("--crs", type=crs_name, required=True, metavar="EPSG", help="The database's one CRS, like EPSG:28992.")
 @shared("json")
 def create(*, db: str, crs: str, as_json: bool) -> None:
-    """Create an empty database; one that is there is left as it is.
+    """Create an empty database; one that exists stays unchanged.
 
     The CRS must be projected, in metres. 'msbdb build' creates a database by itself in the CRS of its data.
     """
@@ -51,47 +51,47 @@ def create(*, db: str, crs: str, as_json: bool) -> None:
     if as_json:
         emit_json({"database": _shown(db), "crs": crs, "created": made})
     else:
-        click.echo(f"{'Created' if made else 'Left as it was:'} {_shown(db)}.")
+        click.echo(f"{'Created' if made else 'It exists already, unchanged:'} {_shown(db)}.")
 
 
 @command("upgrade", examples=("msbdb db upgrade town.sqlite",))
 @shared("db", "json")
 def upgrade(*, db: str, as_json: bool) -> None:
-    """Bring the schema of a database to this msbdb's; nothing in it is lost."""
+    """Upgrade the schema of a database to this msbdb's, without loss."""
     from msbdb.database import upgrade_schema
 
     before, after = upgrade_schema(db)
-    _tell_schema(db, before, after, [], as_json=as_json)
+    _emit_schema(db, before, after, [], as_json=as_json)
 
 
 @command(
     "downgrade",
-    examples=("msbdb db downgrade town.sqlite", "msbdb db downgrade town.sqlite --to 0002 --force"),
+    examples=("msbdb db downgrade town.sqlite", "msbdb db downgrade town.sqlite --to 0001 --force"),
 )
 @shared("db")
-@click.option("--to", metavar="REVISION", help="The schema to go back to.  [default: the one before]")
-@click.option("--force", is_flag=True, help="Also where rows or values are lost.")
+@click.option("--to", metavar="REVISION", help="The schema to go back to. [default: the one before]")
+@click.option("--force", is_flag=True, help="Change it even if rows or values are lost.")
 @shared("json")
 def downgrade(*, db: str, to: str | None, force: bool, as_json: bool) -> None:
-    """Bring the schema of a database to an older msbdb's.
+    """Change the schema of a database to that of an older msbdb.
 
-    What the older schema has no place for would be lost: then nothing is changed, and it is said what, unless --force
-    is given.
+    Where the older schema has no place for rows or values, the command lists them and leaves the database unchanged.
+    With --force they are deleted.
     """
     from msbdb.database import downgrade_schema
 
     before, after, lost = downgrade_schema(db, to, force=force)
-    _tell_schema(db, before, after, [str(loss) for loss in lost], as_json=as_json)
+    _emit_schema(db, before, after, [str(loss) for loss in lost], as_json=as_json)
 
 
 @command("check", examples=("msbdb db check town.sqlite", "msbdb db check town.sqlite --json"))
 @shared("db", "json")
 def check(*, db: str, as_json: bool) -> None:
-    """Hold every row against what msbdb promises of it, and say row by row what is wrong.
+    """Check every row of a database, and report row by row what is wrong.
 
-    Keys and rules (also where they were not enforced), the forest of parts, buildings and their trees, geometries with
-    their SRIDs, extents and spatial indexes, the ledger, the kept rasters, the digest of what each run wrote, and the
-    intervals of the inventory's versions. Nothing is changed. The exit code is 1 when something is wrong.
+    Checked are keys and rules, the forest of parts, and the buildings with their trees. Geometries are checked with
+    their SRIDs, extents and spatial indexes. The ledger, the kept rasters, the digest of each run, and the intervals of
+    the inventory's versions follow. The database stays unchanged. The exit code is 1 when there are findings.
     """
     from dataclasses import asdict
 
@@ -107,7 +107,7 @@ def check(*, db: str, as_json: bool) -> None:
         emit_table([asdict(found) for found in findings])
         click.echo(f"{len(findings)} findings in {_shown(db)}.")
     else:
-        click.echo(f"{len(CHECKS)} checks found nothing wrong in {_shown(db)}.")
+        click.echo(f"{len(CHECKS)} checks passed: {_shown(db)}.")
     if findings:
         raise click.exceptions.Exit(UNSOUND)
 
@@ -115,9 +115,9 @@ def check(*, db: str, as_json: bool) -> None:
 @command("dump", examples=("msbdb db dump town.sqlite", "msbdb db dump town.sqlite --provenance --out town.txt"))
 @shared("db")
 @click.option("--provenance", is_flag=True, help="Also the source files and the notices that name them.")
-@click.option("--out", type=OUTPUT_FILE, metavar="FILE", help="Write to this file, whole or not at all.")
+@click.option("--out", type=OUTPUT_FILE, metavar="FILE", help="Write to this file, complete or not at all.")
 def dump(*, db: str, provenance: bool, out: Path | None) -> None:
-    """Print the content as text, byte for byte the same for the same content in either kind of database.
+    """Print the content as text: equal content gives equal bytes, in SpatiaLite and in PostGIS.
 
     A line of names for each table and a line for each row, as JSON. Timings are left out.
     """
@@ -141,7 +141,7 @@ def dump(*, db: str, provenance: bool, out: Path | None) -> None:
 def copy(*, source: str, target: str, as_json: bool) -> None:
     """Copy a database into another, of the same or the other kind.
 
-    All rows go over in one transaction: TO must be new or empty, and stays so when the copy does not come to its end.
+    All rows are written in one transaction. TO must be new or empty, and stays so if the copy fails.
     """
     from msbdb.database import copy_database
 
@@ -159,13 +159,13 @@ def copy(*, source: str, target: str, as_json: bool) -> None:
     "--role",
     type=click.Choice(("reader", "operator", "owner", "none")),
     required=True,
-    help="reader selects; operator also changes builds, states and samples; owner does all; none does nothing.",
+    help="reader selects; operator also changes builds, states and samples; owner does all; none has no rights.",
 )
 @click.option("--to", "user", required=True, metavar="USER", help="A user of the PostgreSQL server.")
 def grant(*, db: str, role: str, user: str) -> None:
     """Give a user of a PostGIS database a role, in place of the one that it had.
 
-    Rights outlive upgrades of the schema. A SpatiaLite file has none but those of the file system.
+    Rights are kept through upgrades of the schema. A SpatiaLite file has only the rights of the file system.
     """
     from msbdb.database import grant_role, open_database
 
@@ -187,13 +187,13 @@ def _shown(target: str) -> str:
     return shown(database_url(target))
 
 
-def _tell_schema(target: str, before: str, after: str, lost: list[str], *, as_json: bool) -> None:
-    """Tell which schema a database had and has."""
-    told: dict[str, Any] = {"database": _shown(target), "before": before, "after": after, "lost": lost}
+def _emit_schema(target: str, before: str, after: str, lost: list[str], *, as_json: bool) -> None:
+    """Print which schema a database had and has."""
+    found: dict[str, Any] = {"database": _shown(target), "before": before, "after": after, "lost": lost}
     if as_json:
-        emit_json(told)
+        emit_json(found)
     else:
-        emit_pairs(told)
+        emit_pairs(found)
 
 
 def _write_lines(lines: Iterable[bytes], file: Any) -> None:  # noqa: ANN401  (any binary stream)

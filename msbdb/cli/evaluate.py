@@ -12,10 +12,10 @@ from msbdb.cli.output import emit, emit_json
 from msbdb.params import REGION_DETECTORS, EvaluateParams
 
 BY_AREA = ("layer", "aoi", "height", "overlap", "cell_m")
-"""Options that mean nothing by point."""
+"""Options without effect by point."""
 
 BY_DATABASE = ("of", "survey")
-"""Options that mean nothing for a file of points."""
+"""Options without effect for a file of points."""
 
 
 @command(
@@ -72,7 +72,7 @@ BY_DATABASE = ("of", "survey")
 def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **options: Any) -> None:  # noqa: ANN401
     """Compare the footprints of a database, or the class 6 of a point file, with a reference.
 
-    The report counts by area, by object (all, and those over 50 m2), by shape and by height, as the papers do; by
+    The report counts by area, by object (all, and those over 50 m2), by shape and by height, as the papers do. By
     point, it counts points. A point file is compared with a classified one of the same points.
     """
     from msbdb import api

@@ -1,12 +1,6 @@
-"""``msbdb update``: a survey brought into the living inventory.
+"""``msbdb update``, ``import``, ``state`` and ``changes``: the commands of the inventory."""
 
-``msbdb import``: what an office has already, as the starting point of the inventory, and roof samples.
-
-``msbdb state``: an operator's word on a building of the inventory.
-
-``msbdb changes``: what became of the buildings of the inventory between two dates.
-"""
-
+import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +8,17 @@ import click
 
 from msbdb.cli.build import check_inputs, emit_report, inputs, parameters, values
 from msbdb.cli.command import command, notice
-from msbdb.cli.options import INPUT_FILE, iso_date, shared
-from msbdb.cli.output import emit_json, emit_pairs, progress_bars
+from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, assignment, crs_name, iso_date, shared
+from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
 
 if TYPE_CHECKING:
     from msbdb.run.reports import AdvanceReport
 
-import getpass
+SHOWN = ("date", "survey", "kind", "uid_before", "uid_after", "dh_m", "darea_m2", "note")
+"""Columns of the changes that are printed."""
 
-from msbdb.cli.options import OUTPUT_FILE, assignment, crs_name
-from msbdb.cli.output import emit_table
+MOST = 50
+"""Rows of the changes that are printed; a file takes them all."""
 
 
 @command(
@@ -43,15 +38,15 @@ from msbdb.cli.output import emit_table
     metavar="DATE",
     help="When the data were taken: 2021-05-31, 2021-05 or 2021.",
 )
-@click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: only buildings in them take part.")
+@click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: only buildings in them are compared.")
 @values
 @shared("json")
 def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401
     """Build a survey and update the inventory by it.
 
     The survey's buildings are compared with those of the inventory: each is unchanged, modified, new, demolished,
-    merged or split, and keeps its identity. Surveys come in the order of their dates. The last one of a place may be
-    repeated; the same content changes nothing. After an interruption, run the command again.
+    merged or split, and keeps its identity. Update surveys in the order of their dates. The last one of a place may be
+    repeated; the same content leaves the inventory unchanged. After an interruption, run the command again.
     """
     check_inputs(given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
@@ -82,7 +77,7 @@ def emit_advance(report: "AdvanceReport") -> None:
         **counts,
         "new versions": report.counts["versions"],
         "offset, m": f"{offset['dx_m']:.2f} east, {offset['dy_m']:.2f} north, {offset['dz_m']:.2f} up",
-        "told by": f"{offset['pairs']} pairs of buildings",
+        "measured on": f"{offset['pairs']} pairs of buildings",
     }
     emit_pairs(pairs, "Inventory")
 
@@ -100,14 +95,12 @@ def emit_advance(report: "AdvanceReport") -> None:
     "what",
     type=click.Choice(["inventory", "roof-samples"]),
     required=True,
-    help="Footprints that surveys update from now on, or points with the material of a roof.",
+    help="Footprints that later surveys update, or points with the material of a roof.",
 )
 @click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL.")
 @click.option("--name", metavar="NAME", help="Name of the imported inventory. [default: the file's name]")
 @click.option("--layer", metavar="NAME", help="The layer to read, where the file has several.")
-@click.option(
-    "--date", type=iso_date, metavar="DATE", help="The day from which the footprints hold. [default: since ever]"
-)
+@click.option("--date", type=iso_date, metavar="DATE", help="The day from which the footprints hold. [default: always]")
 @click.option(
     "--map",
     "mapping",
@@ -118,7 +111,10 @@ def emit_advance(report: "AdvanceReport") -> None:
     "are attributes; repeatable.",
 )
 @click.option(
-    "--id", "id_column", metavar="COLUMN", help="Column that tells the buildings apart, else their places do."
+    "--id",
+    "id_column",
+    metavar="COLUMN",
+    help="Column with an id for each building. [default: the places of the buildings]",
 )
 @click.option("--crs", type=crs_name, metavar="EPSG", help="The file's CRS where it does not state it, like EPSG:2154.")
 @shared("json")
@@ -135,10 +131,10 @@ def import_(
     crs: str | None,
     as_json: bool,
 ) -> None:
-    """Take footprints as the start of the inventory, or roof samples.
+    """Import footprints as the start of the inventory, or roof samples.
 
     FILE is of any vector format. All its columns are kept as attributes of the buildings through every update. The
-    first survey measures the buildings and tells what has changed since.
+    first survey measures the buildings, and reports what has changed since.
     """
     from msbdb import api
 
@@ -166,27 +162,22 @@ def import_(
 @click.argument("uid", type=click.IntRange(min=1), metavar="UID")
 @click.argument("state", type=click.Choice(["confirmed", "refuted", "auto"]), metavar="STATE")
 @click.option("--note", default="", metavar="TEXT", help="Why.")
-@click.option("--operator", metavar="NAME", help="Who says so. [default: the user's name]")
+@click.option("--operator", metavar="NAME", help="Who decides it. [default: the user's name]")
 def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> None:
     """Confirm or refute a building by hand, or take that back.
 
-    UID is the building's number in the inventory (column uid of footprint_current). The operator's word wins over what
-    the extractors say, and holds through every rebuild and update. The last word stands; the one before it is told.
+    UID is the building's number in the inventory (column uid of footprint_current). The operator's decision takes
+    precedence over the detectors, and is kept through every rebuild and update. A later decision replaces it, and the
+    command prints the replaced one.
     """
     from msbdb import api
 
-    word = None if state == "auto" else state
-    before = api.set_state(db, uid, word, operator=operator or getpass.getuser(), note=note)
-    click.echo(f"Building {uid}: {'as the extractors say' if word is None else word}.")
+    decision = None if state == "auto" else state
+    before = api.set_state(db, uid, decision, operator=operator or getpass.getuser(), note=note)
+    click.echo(f"Building {uid}: {decision or 'decided by the detectors'}.")
     if before is not None:
         why = f" ({before['note']})" if before["note"] else ""
         click.echo(f"Before: {before['state']} by {before['operator']}, {before['decided_at']}{why}.")
-
-
-SHOWN = ("date", "survey", "kind", "uid_before", "uid_after", "dh_m", "darea_m2", "note")
-
-MOST = 50
-"""Rows that are printed; a file takes them all."""
 
 
 @command(
@@ -223,25 +214,25 @@ def changes(
     figure: Path | None,
     as_json: bool,
 ) -> None:
-    """Tell what became of the buildings between two dates.
+    """Report how the buildings changed between two dates.
 
-    The net change, a row a building: unchanged, modified (outline, height or parts), new, demolished, merged or split,
-    with state, heights and area before and after. What surveys did one after the other is told as one change: raised
-    and then demolished is demolished. Buildings that came and went in between are only counted; --each shows them.
-    Unchanged ones are counted and not printed.
+    The result is the net change, a row a building: unchanged, modified (outline, height or parts), new, demolished,
+    merged or split. State, heights and area are given before and after. Changes by several surveys count as one: raised
+    and then demolished is demolished. Buildings that were new and then demolished between the dates are only counted;
+    --each shows them. Unchanged buildings are counted and not printed.
     """
     from msbdb import api
 
     found = api.changes(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
-    told = api.summary(found)
+    summary = api.summary(found)
     if as_json:
-        emit_json(told)
+        emit_json(summary)
         return
     if not found.counts and not found.in_between:
         click.echo("No survey of the period saw a building there.")
         return
-    emit_pairs(found.counts | ({"came and went in between": found.in_between} if found.in_between else {}))
-    rows = told["changes"]
+    emit_pairs(found.counts | ({"new and demolished in between": found.in_between} if found.in_between else {}))
+    rows = summary["changes"]
     if rows:
         emit_table([{name: row[name] for name in SHOWN} for row in rows[:MOST]], "Changes")
     if len(rows) > MOST:

@@ -1,4 +1,4 @@
-"""The program ``msbdb``: its commands, and nothing that takes time to import."""
+"""The program ``msbdb``: its commands; libraries that take time to import are loaded by the commands that need them."""
 
 import click
 

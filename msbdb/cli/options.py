@@ -57,12 +57,12 @@ def scales_m2(text: str) -> tuple[float, ...]:
         raise click.BadParameter(msg) from None
 
 
-def extractors(text: str) -> tuple[str, ...]:
-    """Return the names of extractors in a list like multiscale,flatregions.
+def detectors(text: str) -> tuple[str, ...]:
+    """Return the names of detectors in a list like multiscale,flatregions.
 
     Examples
     --------
-    >>> extractors("multiscale, flatregions")
+    >>> detectors("multiscale, flatregions")
     ('multiscale', 'flatregions')
     """
     return tuple(name.strip() for name in text.split(",") if name.strip())
@@ -123,9 +123,9 @@ def setting(text: str) -> tuple[str, str, object]:
 
 SHARED: dict[str, Callable[[F], F]] = {
     "db": click.argument("db", metavar="DB"),
-    "survey": click.option("--survey", metavar="NAME", help="The survey to take, where the database holds several."),
+    "survey": click.option("--survey", metavar="NAME", help="The survey to use, where the database holds several."),
     "json": click.option("as_json", "--json", is_flag=True, help="Print the result as JSON on the standard output."),
-    "verbose": click.option("-v", "--verbose", count=True, help="Tell more: -v the stages, -vv the details."),
+    "verbose": click.option("-v", "--verbose", count=True, help="Print more: -v the stages, -vv the details."),
     "debug": click.option("--debug", is_flag=True, help="Show the traceback of an error."),
 }
 """Every option that more than one command takes, by name."""

@@ -179,7 +179,7 @@ def _heading(title: str) -> None:
 def _print(table: "Table") -> None:
     """Print a table; where the output is no terminal, as wide as it needs to be, so that no cell is cut.
 
-    Cells are data, in which nothing is markup: a survey may be called '[/red]'.
+    Cells are data without markup: a survey may be called '[/red]'.
     """
     from rich.console import Console
 

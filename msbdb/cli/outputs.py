@@ -1,11 +1,4 @@
-"""``msbdb info``: what a database holds.
-
-``msbdb view``: a map of the buildings.
-
-``msbdb export``: layers for other programs.
-
-``msbdb classes``: the spectral classes, and the operator's right to overrule their labels (V36).
-"""
+"""``msbdb info``, ``view``, ``export`` and ``classes``: the commands that show what a database holds."""
 
 from pathlib import Path
 from typing import Any
@@ -22,9 +15,9 @@ from msbdb.params import REGION_DETECTORS
 @command("info", examples=("msbdb info town.sqlite", "msbdb info postgresql://me@localhost/town --json"))
 @shared("db", "json")
 def info(*, db: str, as_json: bool) -> None:
-    """Tell what a database holds.
+    """Show what a database holds.
 
-    Its surveys with their sources, its runs with their counts, and the version of its schema. With --json also what
+    The surveys with their sources, the runs with their counts, and the version of the schema. With --json also what
     each run decided itself: the ground filter, the scales, the scaling of the bands and the centres of the classes.
     """
     from msbdb import api
@@ -53,10 +46,10 @@ def info(*, db: str, as_json: bool) -> None:
 )
 @shared("survey")
 def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
-    """Draw a map of the buildings, or of what another extractor found.
+    """Draw a map of the buildings, or of the regions of another detector, on a hillshade of the surface.
 
-    Parts of buildings are outlined by scale and filled by height, flat regions are coloured by their zone, candidate
-    regions by the height scale that accepted them or by their height, on a hillshade of the surface.
+    Parts of buildings are outlined by scale and filled by height. Flat regions are coloured by their zone. Candidate
+    regions are coloured by the height scale that accepted them, or by their height.
     """
     from msbdb import api
 
@@ -79,10 +72,9 @@ def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
 def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     """Write footprints and parts to a file.
 
-    OUT names the format by its ending: .gpkg (GeoPackage with the layers footprint, part, flat_region,
-    candidate_region and, where there are any, together: the footprints of parts and flat regions together), .shp
-    (Shapefile of the parts with the paper's names of at most ten characters) or .geojson (the parts in longitude and
-    latitude).
+    The ending of OUT decides the format. A GeoPackage (.gpkg) has the layers footprint, part, flat_region and
+    candidate_region, and the fused footprints as layer together. A Shapefile (.shp) has the parts, under the paper's
+    names of at most ten characters. GeoJSON (.geojson) has the parts in longitude and latitude.
     """
     from msbdb import api
 
@@ -99,13 +91,18 @@ def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
 )
 @shared("db")
 @click.option(
-    "--set", "labels", type=class_label, multiple=True, metavar="CLASS=LABEL", help="Label a class anew; repeatable."
+    "--set",
+    "labels",
+    type=class_label,
+    multiple=True,
+    metavar="CLASS=LABEL",
+    help="Give a class another label; repeatable.",
 )
 @shared("survey", "json")
 def classes(*, db: str, labels: tuple[tuple[int, str], ...], survey: str | None, as_json: bool) -> None:
-    """List the land-cover classes, or label them anew.
+    """List the land-cover classes, or give them other labels.
 
-    Without --set, the classes of a survey are listed with their statistics. A new label runs the build again from the
+    Without --set, the classes of a survey are listed with their statistics. A new label repeats the build from the
     classes on, without the source data. The labels are building, vegetation, shadow, water and other.
     """
     from msbdb import api

@@ -1,4 +1,4 @@
-"""How well extracted buildings agree with a reference: the one metric module (X1)."""
+"""Agreement of detected buildings with a reference: one set of measures for all papers (X1)."""
 
 from msbdb.evaluate.bypoint import PointEvaluation, PointScores, match_points, score_points
 from msbdb.evaluate.evaluation import Evaluation, evaluate

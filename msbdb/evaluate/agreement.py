@@ -1,11 +1,7 @@
-"""Completeness, correctness and quality, by their usual definitions.
+"""Completeness, correctness and quality by their usual definitions, and the agreement by area.
 
-Vu et al. 2009 (V55), Mongus et al. 2013 (M25), the adaptive filter's slides (S9) and Cao & Wu (C21, whose two names
-are swapped in print, A16) mean the same three numbers.
-
-Measures as nested plain values: what a report hands to JSON and to tables.
-
-Agreement by area, on a grid of cells.
+Vu et al. 2009 (V55), Mongus et al. 2013 (M25), the adaptive filter's slides (S9) and Cao & Wu (C21) mean the same three
+numbers. In print, Cao & Wu swap two of the names (A16).
 """
 
 import math
@@ -15,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Mask = NDArray[np.bool_]
+
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Shares of what was found and of what is true; NaN where there is nothing to divide by.
+    """Shares of what was found and of what is true; NaN where the divisor is 0.
 
     Attributes
     ----------
@@ -110,9 +108,6 @@ def flat(values: dict[str, Any], prefix: str = "") -> list[tuple[str, float | No
         else:
             leaves.append((prefix + name, value))
     return leaves
-
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

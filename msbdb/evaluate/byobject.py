@@ -1,4 +1,4 @@
-"""Agreement by object, on both sides, whatever was merged or split (V55, S9, S10)."""
+"""Agreement by object, counted on both sides, also where objects were merged or split (V55, S9, S10)."""
 
 from dataclasses import dataclass
 
@@ -103,8 +103,8 @@ def score_objects(
 ) -> ObjectScore:
     """Count the objects that the other side covers, each side on its own.
 
-    An object is covered when at least the share of its scored area is building on the other side, be it in one
-    object or in many; so a merged row of houses is found, and shows in the fusion rate alone.
+    An object is covered when at least the share of its scored area is building on the other side, in one object or in
+    several. So a merged row of houses counts as found; only the fusion rate shows the merge.
 
     Parameters
     ----------

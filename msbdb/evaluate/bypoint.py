@@ -70,7 +70,7 @@ class PointEvaluation:
     Attributes
     ----------
     matched : str
-        How each point of the reference found its prediction: ``order``, ``coordinates`` or ``footprints``.
+        How each point of the reference was matched: ``order``, ``coordinates`` or ``footprints``.
     points : PointScores
         The counts and rates.
     """
@@ -133,14 +133,14 @@ def match_points(predicted: PointCloud, reference: PointCloud) -> tuple[NDArray[
 
     Notes
     -----
-    Where several points of the prediction share a place, their order in the file decides nothing, and any may be
-    taken. Cost: linear in order, N log N by coordinates.
+    Where several points of the prediction share a place, any of them may be
+    matched. Cost: linear in order, N log N by coordinates.
     """
     if horizontal(predicted.crs) != horizontal(reference.crs):
         msg = f"The points are in '{predicted.crs.name}', the reference in '{reference.crs.name}'; reproject one."
         raise CRSError(msg)
     if not len(reference):
-        msg = "The reference holds no points."
+        msg = "The reference holds no points. Give a file of the evaluated place."
         raise NodataError(msg)
     if len(predicted) == len(reference) and _agree(predicted, reference):
         return np.arange(len(reference), dtype=np.int64), "order"
@@ -164,6 +164,6 @@ def _agree(one: PointCloud, other: PointCloud) -> bool:
 
 def _nearest(among: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
     """Return the index of the nearest of some points to each of others, and how many have none."""
-    # The largest distance itself is not taken by the tree.
+    # The tree excludes the largest distance itself.
     distance, index = cKDTree(among).query(points, distance_upper_bound=np.nextafter(WITHIN_M, 1.0), workers=-1)
     return index.astype(np.int64), int(np.count_nonzero(~np.isfinite(distance)))

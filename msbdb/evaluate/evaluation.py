@@ -126,8 +126,8 @@ def evaluate(
 
     Notes
     -----
-    Areas are counted in cells; of each side's objects the scored part is compared, and those with less than half of
-    their area in scored cells cover others but do not count.
+    Areas are counted in cells. Of each object the scored part is compared. Objects with less than half of their area in
+    scored cells cover others, but are not counted.
     """
     params = params or EvaluateParams()
     crs = _projected(extracted)
@@ -147,7 +147,7 @@ def evaluate(
 def _projected(extracted: gpd.GeoDataFrame) -> CRS:
     """Return the CRS of the footprints, which must be in metres."""
     if extracted.crs is None:
-        msg = "The extraction has no CRS."
+        msg = "The detected buildings have no CRS. Set one before the comparison."
         raise CRSError(msg)
     crs = CRS.from_user_input(extracted.crs)
     require_metric(crs)

@@ -1,9 +1,4 @@
-"""Distances between matched outlines.
-
-Differences in height between matched buildings.
-
-Differences in shape between matched buildings (V57 to V59).
-"""
+"""Differences between matched buildings: distances of their outlines, heights, and shape (V57 to V59)."""
 
 import math
 from dataclasses import dataclass
@@ -57,14 +52,14 @@ def score_boundary(
     extracted, reference : (G,) ndarray of polygonal geometries
         Outlines of the matched buildings, with their holes.
     scored : (H, W) ndarray of bool
-        Samples in other cells are left out, for there the outline may be the data's edge.
+        Samples in other cells are left out, because the outline there may be the edge of the data.
     spec : GridSpec
         The lattice of ``scored``.
     step_m : float
         Largest distance between two samples; they are spread evenly on each ring.
     cap_m : float
-        Samples farther than this from the other outline are no counterpart of it (a part that is missing or added,
-        which the areas tell) and do not enter the RMS.
+        Samples farther than this from the other outline do not enter the RMS: they belong to a part that is missing or
+        added, which the areas show.
     """
     lines_e, lines_r = shapely.boundary(extracted), shapely.boundary(reference)
     distance, group = (
@@ -156,7 +151,7 @@ class ShapeScore:
     Attributes
     ----------
     buildings : int
-        Number of matched groups; a group stands for one building.
+        Number of matched groups; a group is one building.
     reference_m2, difference_m2, reference_only_m2, extracted_only_m2 : float
         Means over the buildings of A, of |A - B|, of A without B (called under-segmentation by V59) and of B
         without A (over-segmentation), m2.

@@ -169,7 +169,7 @@ def polygon_side(outlines: Geometries, height_m: NDArray[np.float64], spec: Grid
 def point_side(reference: PointReference, spec: GridSpec, params: EvaluateParams) -> tuple[Side, Mask, Mask]:
     """Put classified points on the grid.
 
-    A cell is building when at least half of its first echoes are: what is seen from above, and no wall below an eave.
+    A cell is building when at least half of its first echoes are: the view from above, without walls below eaves.
     Cells without a first echo take the class of the nearest cell with one, up to ``max_gap_m`` between their centres;
     farther cells are not known. Objects are the 8-connected components of at least ``min_object_m2``.
 

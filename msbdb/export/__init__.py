@@ -1,4 +1,4 @@
-"""Parts and buildings for other programs: one module a format."""
+"""Layers and changes as files for other programs."""
 
 from msbdb.export.formats import FORMATS, export
 

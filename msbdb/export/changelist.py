@@ -14,6 +14,7 @@ IDS = ("change_id", "uid_before", "uid_after", "version_before", "version_after"
 """Columns that GeoJSON writes as strings, as numbers above 2^53 are rounded in browsers."""
 
 FORMATS = (".gpkg", ".geojson", ".json", ".csv")
+"""The endings that are written."""
 
 
 def write_changes(table: gpd.GeoDataFrame, path: Path) -> None:
@@ -25,7 +26,7 @@ def write_changes(table: gpd.GeoDataFrame, path: Path) -> None:
         As `msbdb.database.read_changes` or `msbdb.change.netchange.net_changes` gives it.
     path : Path
         Ends in .gpkg (layer ``change``), .geojson (longitude and latitude, ids as strings) or .csv (the coordinates of
-        a point inside each footprint as ``easting`` and ``northing``). A file that is there is replaced.
+        a point inside each footprint as ``easting`` and ``northing``). An existing file is replaced.
 
     Raises
     ------

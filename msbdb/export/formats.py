@@ -1,4 +1,4 @@
-"""The choice of the format by the file's suffix."""
+"""Layers of a survey as GeoPackage, Shapefile or GeoJSON; the ending of the file's name decides."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,7 +9,27 @@ from msbdb.errors import FileError, InputError
 from msbdb.io.vector import existing_files, write_layers
 
 IDS = ("part_id", "supid", "root_id")
-"""Columns written as strings."""
+"""Columns that GeoJSON writes as strings."""
+
+FIELDS = {
+    "part_id": "ID",
+    "supid": "SUPID",
+    "supscale": "SUPSCALE",
+    "scale": "SCALE",
+    "hindex": "H",
+    "xo": "XO",
+    "yo": "YO",
+    "xcen": "XCEN",
+    "ycen": "YCEN",
+    "area_m2": "AREA",
+    "speindex": "SPE",
+    "stddis": "STDDIS",
+}
+"""The paper's name of each column of ``PART`` that it has (V26); none is longer than the 10 characters of a DBF."""
+
+Layers = Mapping[str, gpd.GeoDataFrame]
+
+Writer = Callable[[Layers, Path], None]
 
 
 def write_geojson(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
@@ -21,13 +41,13 @@ def write_geojson(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
         ``part``, the table ``PART`` with geometry and CRS. Other layers are not written: GeoJSON holds one, and the
         roots are in it.
     path : Path
-        The file to write_geojson or replace.
+        The file to write or replace.
 
     Notes
     -----
     Coordinates are WGS 84 longitude and latitude with 7 decimals (about 1 cm), shells counter-clockwise; all other
-    columns keep their metric units. The ids are strings, and so is each feature's ``id``: they exceed 2^53, above
-    which JSON numbers are rounded in browsers.
+    columns keep their metric units. The ids are strings, and so is each feature's ``id``: they exceed 2^53, and
+    browsers round larger JSON numbers.
     """
     frame = layers["part"].copy()
     for column in IDS:
@@ -52,26 +72,9 @@ def write_geopackage(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None
     layers : mapping of str to GeoDataFrame
         Declared tables of multipolygons with geometry and CRS.
     path : Path
-        The file to write_geopackage or replace.
+        The file to write or replace.
     """
     write_layers(path, dict(layers), "GPKG", geometry_type="MultiPolygon")
-
-
-FIELDS = {
-    "part_id": "ID",
-    "supid": "SUPID",
-    "supscale": "SUPSCALE",
-    "scale": "SCALE",
-    "hindex": "H",
-    "xo": "XO",
-    "yo": "YO",
-    "xcen": "XCEN",
-    "ycen": "YCEN",
-    "area_m2": "AREA",
-    "speindex": "SPE",
-    "stddis": "STDDIS",
-}
-"""The paper's name of each column of ``PART`` that it has (V26); none is longer than the 10 characters of a DBF."""
 
 
 def write_shapefile(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
@@ -94,21 +97,17 @@ def write_shapefile(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
     write_layers(path, {path.stem: frame}, "ESRI Shapefile", geometry_type="MultiPolygon", encoding="UTF-8")
 
 
-Layers = Mapping[str, gpd.GeoDataFrame]
-
-Writer = Callable[[Layers, Path], None]
-
 FORMATS: dict[str, Writer] = {
     ".gpkg": write_geopackage,
     ".shp": write_shapefile,
     ".geojson": write_geojson,
     ".json": write_geojson,
 }
-"""The writer of each suffix."""
+"""The writer of each ending."""
 
 
 def export(layers: Layers, path: Path, *, overwrite: bool = False) -> None:
-    """Write the layers of a survey in the format that the suffix names.
+    """Write the layers of a survey in the format that the ending names.
 
     Parameters
     ----------
@@ -123,16 +122,16 @@ def export(layers: Layers, path: Path, *, overwrite: bool = False) -> None:
     Raises
     ------
     InputError
-        For another suffix.
+        For another ending.
     FileError
-        When a file is there already, or cannot be written.
+        When a file exists already, or cannot be written.
     """
     writer = FORMATS.get(path.suffix.lower())
     if writer is None:
-        msg = f"The format is told by the ending, one of {', '.join(FORMATS)}; got '{path.name}'."
+        msg = f"The ending of the file's name decides the format: {', '.join(FORMATS)}. Got '{path.name}'."
         raise InputError(msg)
     found = existing_files(path)
     if found and not overwrite:
-        msg = f"{', '.join(str(file) for file in found)} is there already. Remove it, or ask for it to be overwritten."
+        msg = f"{', '.join(str(file) for file in found)} exists already. Delete it, or add --overwrite."
         raise FileError(msg)
     writer(layers, path)

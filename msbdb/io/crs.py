@@ -1,8 +1,8 @@
-"""The CRS policy: what a file states, what the user states, and the one metric CRS that comes of it.
+"""The CRS policy: from what a file states and what the user states to one metric CRS.
 
-Coordinates leave this room in a projected CRS in metres. A CRS in feet is converted to its metric twin (the CRS of
-the same datum, method and projection parameters) by exact scaling where EPSG has one, and reprojected to its UTM zone
-otherwise; heights in feet are scaled. A geographic CRS is refused, as reprojecting is the user's decision.
+Coordinates leave this room in a projected CRS in metres. A CRS in feet is scaled exactly to its metric twin: EPSG's CRS
+of the same datum, method and projection parameters. Without a twin it is reprojected to its UTM zone. Heights in feet
+are scaled. A geographic CRS is refused, because reprojecting is the user's decision.
 """
 
 import copy
@@ -50,7 +50,7 @@ class Reference:
     xy_factor, z_factor : float
         Metres in a unit of the file.
     transformer : Transformer, optional
-        From ``source`` to ``crs``, where scaling does not do.
+        From ``source`` to ``crs``, where scaling is not enough.
     notices : tuple of str
         What was converted or assumed, without the file's name.
     """
@@ -122,7 +122,7 @@ def canonical(crs: CRS) -> CRS:
 
 
 def has_unknown_datum(crs: CRS) -> bool:
-    """Whether the CRS carries no datum that could be told from another."""
+    """Whether the CRS has no known datum."""
     datum = crs.geodetic_crs.datum if crs.geodetic_crs else None
     return datum is None or datum.name.lower().startswith(("unknown", "unnamed", "not specified", "not_specified"))
 
@@ -169,13 +169,13 @@ def settle(found: CRS | None, stated: CrsLike | None, where: str) -> CRS:
     Raises
     ------
     CRSError
-        If there is none, or the two differ.
+        If neither states one, or the two differ.
     """
     usable = found is not None and not split_crs(found)[0].is_engineering
     own = canonical(found) if found is not None and usable else None
     if stated is None:
         if own is None:
-            said = f" (its header only says '{found.name}')" if found is not None else ""
+            said = f" (its header has only '{found.name}')" if found is not None else ""
             msg = f"{where} states no CRS{said}. State it with --crs, for instance --crs EPSG:2154."
             raise CRSError(msg)
         return own
@@ -186,7 +186,7 @@ def settle(found: CRS | None, stated: CrsLike | None, where: str) -> CRS:
     heights_differ = my_heights is not None and your_heights is not None and my_heights != your_heights
     if heights_differ or not same_crs(canonical(mine), canonical(yours)):
         msg = (
-            f"{where} says that its CRS is {name_of(own)}, but {name_of(wanted)} was stated. "
+            f"{where} has the CRS {name_of(own)}, but {name_of(wanted)} was stated. "
             "Leave --crs out to trust the file, or correct the file's header."
         )
         raise CRSError(msg)
@@ -244,7 +244,7 @@ def reference(
 
 
 def _metric_target(crs: CRS, bounds: Bounds, notices: list[str]) -> tuple[CRS, Transformer | None]:
-    """Return the metric CRS for a projected one, and the transformer where scaling does not do."""
+    """Return the metric CRS for a projected one, and the transformer where scaling is not enough."""
     axis = crs.axis_info[0]
     if axis.unit_conversion_factor == 1.0:
         return crs, None

@@ -1,4 +1,4 @@
-"""Files as wholes: writing one that appears complete or not at all, and the record of one that was read."""
+"""Whole files: writing one that appears complete or not at all, and the record of one that was read."""
 
 import hashlib
 import os
@@ -16,20 +16,22 @@ from msbdb.tables import Source
 def write_atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a path to write to; on success all files written beside it take their places, on failure none does.
 
-    The file is written under its own name in a hidden folder beside the target, so that formats of several files
-    (a shapefile's .shp, .shx and .dbf) work and every move is a rename within one file system. The main file is
-    moved last.
+    The file is written under its own name in a hidden folder beside the target. So formats of several files work (a
+    Shapefile's .shp, .shx and .dbf), and every move is a rename within one file system. The main file is moved last.
 
     Raises
     ------
     FileError
-        If the folder is missing or not writable, the disk is full, or nothing was written.
+        If the folder is missing or not writable, the disk is full, or no file was written.
     """
     target = Path(path)
     try:
         folder = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     except OSError as error:
-        msg = f"{target} cannot be written: {error.strerror} ({target.parent}). Name a folder that exists and is yours."
+        msg = (
+            f"{target} cannot be written: {error.strerror} ({target.parent}). "
+            "Choose a folder that exists and that you may write to."
+        )
         raise FileError(msg) from error
     try:
         yield folder / target.name
@@ -37,7 +39,7 @@ def write_atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     except FileError:
         raise
     except OSError as error:
-        msg = f"{target} cannot be written: {error.strerror or error}. Name another file, or free some space."
+        msg = f"{target} cannot be written: {error.strerror or error}. Choose another file, or free some space."
         raise FileError(msg) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -47,7 +49,7 @@ def _move(folder: Path, target: Path) -> None:
     """Move all files of a folder to their places, the main one last."""
     written = sorted(folder.iterdir(), key=lambda file: (file.name == target.name, file.name))
     if not written or written[-1].name != target.name:
-        msg = f"{target} was not written."
+        msg = f"{target} was not written: its writer left no file of this name. Report it as a bug in msbdb."
         raise FileError(msg)
     for file in written:
         _flush(file)

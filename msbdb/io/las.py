@@ -1,12 +1,13 @@
 """Reading points from LAS, LAZ and COPC files of any point format, in chunks, on all cores.
 
-Points are dropped that are withheld, noise (classes 7 and 18), or absurd in their coordinates; the notices count
-them, and ``read_points_indexed`` tells which are left. Class 17 stays: by the book it is a bridge deck, but some
-surveys mark strip overlap with it, roofs included.
+Withheld points, noise (classes 7 and 18) and points with absurd coordinates are dropped. A notice counts them, and
+``read_points_indexed`` returns the places of the others. Class 17 is kept: the standard says bridge deck, but some
+surveys mark strip overlap with it, roofs included. What a person should know is warned as `MsbdbWarning`.
 """
 
 import logging
 import os
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 from laspy import DecompressionSelection as Fields
 from numpy.typing import NDArray
 
-from msbdb.errors import CRSError, InputError, NodataError
+from msbdb.errors import CRSError, InputError, MsbdbWarning, NodataError
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
 from msbdb.io.lasheader import (
@@ -38,7 +39,6 @@ logging.getLogger("laspy").addHandler(logging.NullHandler())
 CHUNK_POINTS = 1_000_000
 """Points in memory in their raw form at a time."""
 
-
 MAX_EASTING_M = 1e8
 """Beyond it no projected CRS has a point: the largest false origins, with a zone's number in front, end at 6.1e7."""
 
@@ -50,7 +50,7 @@ EXTRA_NAMES = {"red": "red", "green": "green", "blue": "blue", "nir": "nir", "in
 """Names of extra bytes, in lower case, that hold a colour."""
 
 Progress = Callable[[str, int, int], None]
-
+"""Called with the step's name, the points done and the points in all."""
 
 DTYPES = {
     "x": np.float64,
@@ -67,7 +67,7 @@ class _Columns:
     """The columns of all points, filled file by file; ``filled`` counts the rows in use, ``seen`` what was offered."""
 
     def __init__(self, points: int, colour_names: tuple[str, ...], *, indexed: bool, noise: bool) -> None:
-        """Make room for that many points, with their places in the files if ``indexed``, and with noise if so told."""
+        """Make room for that many points; ``indexed`` keeps their places in the files, ``noise`` keeps noise points."""
         self.arrays: dict[str, NDArray[Any]] = {name: np.empty(points, dtype) for name, dtype in DTYPES.items()}
         self.arrays["colours"] = np.empty((points, len(colour_names)), dtype=np.uint16)
         self.index = np.empty(points if indexed else 0, dtype=np.int64)
@@ -77,8 +77,8 @@ class _Columns:
         self.dropped: Counter[str] = Counter()
         self._notices: dict[str, list[str]] = {}
 
-    def tell(self, notice: str, *files: str) -> None:
-        """Keep a notice, of the files or of all points."""
+    def note(self, notice: str, *files: str) -> None:
+        """Keep a notice about files, or about all points."""
         self._notices.setdefault(notice, []).extend(files)
 
     @property
@@ -109,7 +109,7 @@ def read_points(
     crs: CrsLike | None = None,
     z_unit: str = "auto",
     progress: Progress | None = None,
-) -> tuple[PointCloud, list[str]]:
+) -> PointCloud:
     """Read the points of one or many files of one survey, in metres.
 
     Parameters
@@ -125,12 +125,10 @@ def read_points(
 
     Returns
     -------
-    cloud : PointCloud
+    PointCloud
         All points that were kept, in the files' order. 8-bit colours in the 16-bit fields (no value of a file above
         255) are multiplied by 257. Echoes are None where all are zero; intensity and colours where one value is
         everywhere. Colours are kept if every file has them.
-    notices : list of str
-        What was dropped, converted or assumed, with counts.
 
     Raises
     ------
@@ -140,9 +138,13 @@ def read_points(
         If the CRS is missing, geographic, in conflict with ``crs``, or not the same in all files.
     NodataError
         If no points are left.
+
+    Warns
+    -----
+    MsbdbWarning
+        What was dropped, converted or assumed, with counts; each kind once, after all files are read.
     """
-    cloud, _, notices = _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=False, noise=False)
-    return cloud, notices
+    return _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=False, noise=False)[0]
 
 
 def read_points_indexed(
@@ -152,8 +154,8 @@ def read_points_indexed(
     z_unit: str = "auto",
     noise: bool = False,
     progress: Progress | None = None,
-) -> tuple[PointCloud, NDArray[np.int64], list[str]]:
-    """Read points as `read_points` does, and tell which points of the files they are.
+) -> tuple[PointCloud, NDArray[np.int64]]:
+    """Read points as `read_points` does, with their places in the files.
 
     Parameters
     ----------
@@ -168,12 +170,15 @@ def read_points_indexed(
         The N points that were kept.
     index : (N,) ndarray of int64
         For each of them its number in the file, from 0, rising; over many files it runs on.
-    notices : list of str
-        What was dropped, converted or assumed, with counts.
 
     Raises
     ------
     MsbdbError
+        As `read_points` does.
+
+    Warns
+    -----
+    MsbdbWarning
         As `read_points` does.
     """
     return _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=True, noise=noise)
@@ -187,8 +192,8 @@ def _read(
     progress: Progress | None,
     indexed: bool,
     noise: bool,
-) -> tuple[PointCloud, NDArray[np.int64], list[str]]:
-    """Return the points, their places in the files where these are asked for, and the notices."""
+) -> tuple[PointCloud, NDArray[np.int64]]:
+    """Return the points, and their places in the files where these are asked for; warn of what the notices say."""
     chosen = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not chosen:
         msg = "No point files were given; name at least one LAS, LAZ or COPC file."
@@ -196,15 +201,29 @@ def _read(
     files = [read_las_header(path) for path in chosen]
     references = _references(files, crs, z_unit)
     colours = [set(_colour_fields(info)) for info in files]
-    total = sum(info.points for info in files)
     common = tuple(name for name in COLOURS if name in set.intersection(*colours))
-    columns = _Columns(total, common, indexed=indexed, noise=noise)
+    columns = _Columns(sum(info.points for info in files), common, indexed=indexed, noise=noise)
     for info, each in zip(files, references, strict=True):
         for notice in each.notices:
-            columns.tell(notice, info.path.name)
+            columns.note(notice, info.path.name)
     partly = set.union(*colours).difference(columns.colour_names)
     if partly:
-        columns.tell(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
+        columns.note(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
+    has_echoes = _fill(files, references, columns, progress)
+    cloud, index = _finish(columns, references, has_echoes=has_echoes)
+    wrong_place = misplaced(cloud.crs, cloud.bounds)
+    if wrong_place is not None:
+        columns.note(wrong_place)
+    for notice in columns.notices:
+        warnings.warn(notice, MsbdbWarning, stacklevel=3)
+    return cloud, index
+
+
+def _fill(
+    files: Sequence[LasInfo], references: Sequence[Reference], columns: _Columns, progress: Progress | None
+) -> bool:
+    """Fill the columns file by file; return whether any file has echo numbers."""
+    total = sum(info.points for info in files)
     echoes: list[bool] = []
     done = 0
     for info, each in zip(files, references, strict=True):
@@ -216,17 +235,13 @@ def _read(
         if columns.filled > begin:
             own = {name: column[begin : columns.filled] for name, column in columns.arrays.items()}
             if _widen_colours(own["colours"]):
-                columns.tell("colours of 8 bits (none above 255) were multiplied by 257.", info.path.name)
+                columns.note("colours of 8 bits (none above 255) were multiplied by 257.", info.path.name)
             if _leaves_bounds(info, each, own):
-                columns.tell("points lie outside of the bounds in the header, which is not trusted.", info.path.name)
+                columns.note("points lie outside of the bounds in the header, which is not trusted.", info.path.name)
             echoes.append(_settle_echoes(own))
             if not echoes[-1]:
-                columns.tell("no echo information, so that every point counts as a first echo.", info.path.name)
-    cloud, index = _finish(columns, references, has_echoes=any(echoes))
-    wrong_place = misplaced(cloud.crs, cloud.bounds)
-    if wrong_place is not None:
-        columns.tell(wrong_place)
-    return cloud, index, columns.notices
+                columns.note("no echo information, so that every point counts as a first echo.", info.path.name)
+    return any(echoes)
 
 
 def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str) -> list[Reference]:
@@ -373,22 +388,22 @@ def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]
 def _finish(
     columns: _Columns, references: Sequence[Reference], *, has_echoes: bool
 ) -> tuple[PointCloud, NDArray[np.int64]]:
-    """Drop lone points, leave out what says nothing, and count in the notices; return the points' places, too."""
+    """Drop lone points, leave out constant attributes, and count in the notices; return the points' places, too."""
     used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
     index = columns.index[: columns.filled]
     lone = np.zeros(columns.filled, dtype=np.bool_) if columns.noise else lone_points(used["x"], used["y"], used["z"])
     columns.dropped["far from all others"] = int(lone.sum())
     for why, count in columns.dropped.items():
         if count:
-            columns.tell(f"{count} points {why} were dropped.")
+            columns.note(f"{count} points {why} were dropped.")
     if lone.all():  # also where nothing is left to be lone
         msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
         raise NodataError(msg)
     colours, intensity = used["colours"], used["intensity"]
-    kept = _telling(colours, columns.colour_names)
+    kept = _varied_colours(colours, columns.colour_names)
     if len(kept) < len(columns.colour_names):
         plain = ", ".join(name for i, name in enumerate(columns.colour_names) if i not in kept)
-        columns.tell(f"colours that are the same for all points were left out: {plain}.")
+        columns.note(f"colours that are the same for all points were left out: {plain}.")
         colours = colours[:, kept]
     cloud = PointCloud(
         used["x"],
@@ -409,8 +424,8 @@ def _finish(
     return cloud.take(~lone), index[~lone] if columns.indexed else index
 
 
-def _telling(colours: NDArray[np.uint16], names: tuple[str, ...]) -> list[int]:
-    """Return the columns of the colours that say something: not one value everywhere; red, green, blue together."""
+def _varied_colours(colours: NDArray[np.uint16], names: tuple[str, ...]) -> list[int]:
+    """Return the columns of the colours that vary; red, green and blue are kept together."""
     varied = [bool(len(colours)) and bool(colours[:, i].min() != colours[:, i].max()) for i in range(len(names))]
     visible = any(varies for varies, name in zip(varied, names, strict=True) if name != "nir")
     return [i for i, name in enumerate(names) if (varied[i] if name == "nir" else visible)]

@@ -1,7 +1,7 @@
-"""The header of a LAS or LAZ file: a check of its own claims, before any library trusts them, and its CRS.
+"""The header of a LAS or LAZ file: checked before any library trusts it, and its CRS.
 
-The readers below this one allocate what a header promises and loop as often as it says. So every count and offset is
-held against the size of the file first; a file that passes is read in bounded time and memory.
+The libraries allocate and loop as a header promises. So every count and offset is first compared with the size of the
+file. A file that passes is read in bounded time and memory.
 """
 
 import io
@@ -43,21 +43,20 @@ PROJECTION, COMPRESSION, COPC = "LASF_Projection", "laszip encoded", "copc"
 
 LAZ_RECORD = (COMPRESSION, 22204)
 ANY_CHUNK_SIZE = 0xFFFFFFFF
-"""A LAZ chunk size that says that every chunk has its own, as in COPC."""
-
+"""A LAZ chunk size that means that every chunk has its own, as in COPC."""
 
 WKT, DIRECTORY, DOUBLES, TEXTS = 2112, 34735, 34736, 34737
 """Record numbers in LAS; those of the GeoTIFF keys are also the tags' numbers in TIFF."""
 
 LINEAR_UNITS_KEY, VERTICAL_UNITS_KEY = 3076, 4099
-"""A linear unit is an EPSG code from 9001 on; any other is damage, of which PROJ would complain on the terminal."""
+"""A linear unit is an EPSG code from 9001 on; any other is damage, and PROJ would print a complaint on the terminal."""
 
 UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
 
 
 @dataclass(frozen=True, slots=True)
 class LasInfo:
-    """What the header of a sound file says.
+    """The header of a file that passed the checks.
 
     Attributes
     ----------
@@ -126,7 +125,7 @@ def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
 def decoding(path: Path) -> Iterator[None]:
     """Turn every failure of the LAS libraries into a ``FileError``.
 
-    The decompressor's panics are no ``Exception``; they are told by their module, so that an interrupt passes.
+    The decompressor's panics are no ``Exception``. Their module identifies them, so that an interrupt passes.
     """
     try:
         yield
@@ -145,7 +144,7 @@ LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 
 
 class _Checker:
-    """One file under check; every method raises ``FileError`` for what it finds wrong."""
+    """The check of one file; every method raises ``FileError`` when its check fails."""
 
     def __init__(self, path: Path, size: int, file: BinaryIO) -> None:
         self.path, self.size, self.file = path, size, file
@@ -153,7 +152,7 @@ class _Checker:
     def require(self, holds: bool, otherwise: str) -> None:
         """Raise for a damaged file unless the condition holds."""
         if not holds:
-            msg = f"{self.path} is not a sound LAS or LAZ file: {otherwise}. Fetch or export it again."
+            msg = f"{self.path} is not a valid LAS or LAZ file: {otherwise}. Fetch or export it again."
             raise FileError(msg)
 
     def read(self, offset: int, count: int) -> bytes:

@@ -1,13 +1,13 @@
-"""Writing a LAS or LAZ file that is another one but for the classes of some points.
+"""Writing a copy of a LAS or LAZ file with other classes of some points.
 
-laspy writes the points. What it would rewrite is handed to it, or put back after it, as the bytes of the source: it
-counts and bounds the points anew, writes today's date where there is none and zeros as legacy counts, rewrites the
-records that it knows, and does not know wave packets.
+laspy writes the points. It would also change other bytes: counts, bounds, the date, legacy counts, the records that it
+knows, and wave packets. These are given to it, or written again after it, as the bytes of the source.
 """
 
 import os
 import shutil
 import struct
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from laspy.header import Version
 from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import NDArray
 
-from msbdb.errors import FileError, InputError
+from msbdb.errors import FileError, InputError, MsbdbWarning
 from msbdb.io.files import write_atomic
 from msbdb.io.las import Progress, read_chunks
 from msbdb.io.lasheader import COMPRESSION, COPC, LasInfo, decoding, read_las_header
@@ -47,11 +47,10 @@ KEEP_BYTES = "surrogateescape"
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written: the points, how many have another class than before, and what could not be kept."""
+    """What was written: the number of points, and how many of them have another class than before."""
 
     points: int
     changed: int
-    notices: tuple[str, ...]
 
 
 def write_classes(
@@ -63,14 +62,14 @@ def write_classes(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Written:
-    """Copy a LAS, LAZ or COPC file with other classes of some points and everything else as it is.
+    """Copy a LAS, LAZ or COPC file with other classes of some points, and everything else unchanged.
 
     Parameters
     ----------
     source : path
         LAS 1.0 to 1.4, LAZ or COPC, of point formats 0 to 10.
     out : path
-        Ends in .las or .laz, whichever the source is; appears whole or not at all.
+        Ends in .las or .laz, whatever the source is; appears complete or not at all.
     classes : (N,) ndarray of uint8
         The class of each point of the file, in its order.
     where : (N,) ndarray of bool, optional
@@ -94,15 +93,20 @@ def write_classes(
     NodataError
         If the source holds no points.
 
+    Warns
+    -----
+    MsbdbWarning
+        If the source is COPC, whose octree is not written.
+
     Notes
     -----
     The class of formats 0 to 5 shares its byte with the flags synthetic, key-point and withheld, which stay. The
-    ending of ``out`` says whether it is compressed; the record of the compression comes, goes or changes with it, and
-    records after the points move to where the points end. COPC counts the bytes of its compressed chunks, so that
-    points compressed anew are plain LAZ: its own records are left out, and its points keep their order.
+    ending of ``out`` decides whether it is compressed. The record of the compression is added, removed or changed to
+    fit, and records after the points move to where the points end. COPC counts the bytes of its compressed chunks.
+    Points that are compressed again are therefore plain LAZ: the records of COPC are left out, the order is kept.
 
-    Not kept are, in the heads of records before the points, the reserved bytes, those behind the end of a text, and
-    the last of 32 characters of a description.
+    In the heads of records before the points, some bytes are not kept: the reserved ones, those behind the end of a
+    text, and the last of 32 characters of a description.
     """
     source, out = Path(source), Path(out)
     check_output(source, out, overwrite=overwrite)
@@ -128,12 +132,14 @@ def write_classes(
                 if progress is not None:
                     progress("write", done, info.points)
         _finish(target, info, header)
-    octree = f"{source.name} is COPC; {out.name} has its points in the same order, but not its octree."
-    return Written(info.points, changed, (octree,) if info.is_copc else ())
+    if info.is_copc:
+        msg = f"{source.name} is COPC; {out.name} has its points in the same order, but not its octree."
+        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+    return Written(info.points, changed)
 
 
 def check_output(source: Path, out: Path, *, overwrite: bool) -> None:
-    """Refuse an output that is the source, has another ending, is there already, or has no folder.
+    """Refuse an output that is the source, has another ending, exists already, or has no folder.
 
     Raises
     ------
@@ -141,18 +147,18 @@ def check_output(source: Path, out: Path, *, overwrite: bool) -> None:
         As `write_classes` does.
     """
     if out.suffix.lower() not in (".las", ".laz") or out.name.lower().endswith(".copc.laz"):
-        msg = f"Points are written as .las or .laz, and not as COPC; got '{out.name}'. Name it so, without '.copc'."
+        msg = f"Points are written as .las or .laz, not as COPC; got '{out.name}'. Choose such a name, without '.copc'."
         raise InputError(msg)
     if not out.parent.is_dir():
-        msg = f"{out} cannot be written: there is no folder {out.parent}. Name a folder that exists and is yours."
+        msg = f"{out} cannot be written: the folder {out.parent} does not exist. Choose one that exists."
         raise FileError(msg)
     if not out.exists():
         return
     if source.exists() and out.samefile(source):
-        msg = f"{out} is the source itself, which is never overwritten. Name another file."
+        msg = f"{out} is the source itself, which is never overwritten. Choose another name."
         raise InputError(msg)
     if not overwrite:
-        msg = f"{out} is there already. Remove it, or ask for it to be overwritten."
+        msg = f"{out} exists already. Delete it, or add --overwrite."
         raise FileError(msg)
 
 
@@ -176,7 +182,7 @@ def _header_to_write(info: LasInfo) -> laspy.LasHeader:
         header = laspy.LasHeader.read_from(file)
         header.version = max(header.version, LEAST_VERSION)
     if header.number_of_evlrs and header.start_of_first_evlr < info.points_end:
-        msg = f"{info.path} is not a sound LAS or LAZ file: its extended records begin before its points end."
+        msg = f"{info.path} is not a valid LAS or LAZ file: its extended records begin before its points end."
         raise FileError(msg)
     header.vlrs[:] = [record for record in info.records if record.user_id not in (COMPRESSION, COPC)]
     return header
@@ -192,7 +198,7 @@ def _writer(target: BinaryIO, header: laspy.LasHeader, out: Path, *, packed: boo
         with np.errstate(over="ignore", invalid="ignore"), laspy.LasWriter(target, header, **how) as writer:
             yield writer
     except (lazrs.LazrsError, laspy.LaspyException, ValueError) as error:
-        msg = f"{out} cannot be written: {error}. Name another file, or free some space."
+        msg = f"{out} cannot be written: {error}. Choose another file, or free some space."
         raise FileError(msg) from error
 
 

@@ -43,7 +43,7 @@ COMPOSITES = {
     "rgbi": ("red", "green", "blue", "nir"),
     "rgbnir": ("red", "green", "blue", "nir"),
 }
-"""Words in a file's name that tell its bands in order; false-colour files often claim to be red, green and blue."""
+"""Words in a file's name that give its bands in order; false-colour files are often declared as red, green and blue."""
 
 ORDER = ("red", "green", "blue", "nir", "intensity")
 
@@ -97,7 +97,7 @@ def read_bands(
     """
     chosen = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not chosen:
-        msg = "No images were given; name at least one."
+        msg = "No images were given. Give at least one by --ortho."
         raise InputError(msg)
     mosaic: dict[str, NDArray[np.float32]] = {}
     apart: list[str] = []
@@ -113,7 +113,7 @@ def read_bands(
         empty = ", ".join(name for name, any_seen in seen.items() if not any_seen) or "any band"
         msg = (
             f"No pixel of {empty} falls onto the lattice {tuple(round(b, 1) for b in spec.bounds)} in "
-            f"'{spec.crs.name}'; apart from it lie {'; '.join(apart) or 'none'}. Give images of the same place."
+            f"'{spec.crs.name}'; images outside of it: {'; '.join(apart) or 'none'}. Give images of the same place."
         )
         raise GridMismatchError(msg)
     names = tuple(sorted(mosaic, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name)))
@@ -156,7 +156,7 @@ def _seen(dataset: rasterio.DatasetReader, window: Window, indexes: list[int]) -
     """Return which pixels of a window have a value: not nodata in every band, nor transparent."""
     if ColorInterp.alpha not in [dataset.colorinterp[i - 1] for i in indexes]:
         return np.asarray(dataset.dataset_mask(window=window) != 0)
-    # A band that is only called alpha would mask all others: its name says that it is an image band.
+    # A band that is only called alpha would mask all others; its name shows that it is an image band.
     seen = np.zeros((window.height, window.width), dtype=np.bool_)
     for i in indexes:
         nodata = dataset.nodatavals[i - 1]
@@ -199,8 +199,8 @@ def _names(dataset: rasterio.DatasetReader, given: Sequence[str] | None) -> dict
     words = re.split(r"[^a-z]+", file.stem.lower())
     colours = dataset.colorinterp
     described = [BAND_WORDS.get((text or "").strip().lower()) for text in dataset.descriptions]
-    # GDAL calls a fourth band alpha unless it is told otherwise, so that a name for every band, or the band's own,
-    # counts for more.
+    # GDAL calls a fourth band alpha unless the file states otherwise. So a name for every band, or the band's own,
+    # takes precedence.
     all_named = len(given) == dataset.count if given is not None else _from_words(words, dataset.count) is not None
     named = [all_named or (given is None and text is not None) for text in described]
     indexes = [i for i in dataset.indexes if named[i - 1] or colours[i - 1] != ColorInterp.alpha]

@@ -26,10 +26,10 @@ from msbdb.io.files import write_atomic
 logger = logging.getLogger(__name__)
 
 SENTINELS = (-9999.0, -99999.0, -999999.0, -32768.0, -32767.0)
-"""Heights that stand for 'no value' even where the file does not say so; no place on earth is that low."""
+"""Heights that mean 'no value' even where the file does not declare it; no place on earth is that low."""
 
 LARGEST_HEIGHT_M = 1e5
-"""Heights beyond it, such as float32's lowest number, stand for 'no value' as well."""
+"""Heights beyond it, such as float32's lowest number, mean 'no value' as well."""
 
 BAND_UNITS = {
     "m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m",
@@ -182,7 +182,7 @@ def align_grid(grid: Grid, onto: GridSpec, *, role: str = "DTM", resampling: str
 
 
 def write_grid(path: str | os.PathLike[str], grid: Grid) -> None:
-    """Write a grid as a GeoTIFF, tiled and compressed; the file appears whole or not at all.
+    """Write a grid as a GeoTIFF, tiled and compressed; the file appears complete or not at all.
 
     Floating-point values get the nodata value -9999 where not valid; whole numbers and masks are written as they
     are, with a mask of their own where a cell is not valid.
@@ -252,7 +252,7 @@ def raster_bounds(dataset: rasterio.DatasetReader) -> Bounds:
 
 
 def warp(source: NDArray[np.float32], transform: Affine, crs: CRS, onto: GridSpec, method: str) -> NDArray[np.float32]:
-    """Resample (H, W) float32 values, NaN where there is none, onto a lattice; NaN where nothing falls."""
+    """Resample (H, W) float32 values onto a lattice; NaN means no value, in the source and in the result."""
     methods = {"nearest": Resampling.nearest, "bilinear": Resampling.bilinear, "average": Resampling.average}
     if method not in methods:
         msg = f"The resampling must be one of {', '.join(methods)}; got {method!r}."

@@ -1,4 +1,4 @@
-"""Reading polygons and points, such as reference footprints, from any vector format; writing layers, all or nothing."""
+"""Reading polygons and points from any vector format, such as reference footprints; writing layers."""
 
 import logging
 import os
@@ -76,7 +76,10 @@ def read_polygons(
     geometry[broken] = shapely.make_valid(geometry[broken])
     geometry = np.array([_areas_of(each) for each in geometry], dtype=object)
     kept = ~shapely.is_missing(geometry) & ~shapely.is_empty(geometry)
-    for count, what in ((int(broken.sum()), "repaired"), (int((~kept).sum()), "left out, being no polygons")):
+    for count, what in (
+        (int(broken.sum()), "repaired"),
+        (int((~kept).sum()), "left out, because they are no polygons"),
+    ):
         if count:
             warnings.warn(f"{path.name}: {count} geometries were {what}.", MsbdbWarning, stacklevel=2)
     if not kept.any():
@@ -128,7 +131,9 @@ def read_point_features(
         raise NodataError(msg)
     if not kept.all():
         warnings.warn(
-            f"{path.name}: {(~kept).sum()} geometries were left out, being no points.", MsbdbWarning, stacklevel=2
+            f"{path.name}: {(~kept).sum()} geometries were left out, because they are no points.",
+            MsbdbWarning,
+            stacklevel=2,
         )
     frame = frame.set_geometry(gpd.GeoSeries(geometry, index=frame.index, crs=frame.crs))[kept].reset_index(drop=True)
     return frame if to is None else frame.to_crs(parse_crs(to))
@@ -142,7 +147,7 @@ def _read(path: Path, layer: str | None) -> gpd.GeoDataFrame:
     try:
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
         if layer is None and len(layers) > 1:
-            msg = f"{path} has the layers {', '.join(layers)}; name the one to read."
+            msg = f"{path} has the layers {', '.join(layers)}; choose one by --layer."
             raise InputError(msg)
         frame = pyogrio.read_dataframe(path, layer=layer if layer is not None or not layers else layers[0])
     except (DataSourceError, DataLayerError) as error:
@@ -169,7 +174,7 @@ def _areas_of(geometry: shapely.Geometry | None) -> shapely.Geometry | None:
 def write_layer(
     frame: gpd.GeoDataFrame, path: str | os.PathLike[str], layer: str | None = None, driver: str = "GPKG"
 ) -> None:
-    """Write one layer into a new file of any vector format, which takes the place of an old one, whole or not at all.
+    """Write one layer into a new file of any vector format, which replaces an old one, complete or not at all.
 
     Parameters
     ----------
@@ -187,7 +192,7 @@ def write_layer(
 
 
 def write_layers(path: Path, layers: dict[str, gpd.GeoDataFrame], driver: str, **options: object) -> None:
-    """Write layers into a new vector file, which takes the place of an old one.
+    """Write layers into a new vector file, which replaces an old one.
 
     Parameters
     ----------
@@ -209,12 +214,12 @@ def write_layers(path: Path, layers: dict[str, gpd.GeoDataFrame], driver: str, *
 
     Notes
     -----
-    The layers are written into a temporary folder beside the file and moved over when complete, so that a reader
-    sees the old file or the new one. A Shapefile consists of several files, which are moved one by one, the .shp
-    last; a crash between the moves is the one way to a mixture.
+    The layers are written into a temporary folder beside the file, and moved when complete: a reader sees the old file
+    or the new one. A Shapefile consists of several files, which are moved one by one, the .shp last. A crash between
+    the moves can leave a mixture of old and new files.
 
-    GDAL says nothing when the disk is full as it closes a file, and the last few kB are lost. So a little room must
-    be left after it.
+    GDAL reports no error when the disk is full as it closes a file, and the last few kB are lost. So some free space is
+    required after it.
     """
     for name, frame in layers.items():
         if frame.crs is None:

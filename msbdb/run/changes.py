@@ -22,13 +22,15 @@ from msbdb.run.reports import Changes
 from msbdb.view.changemap import draw_changes
 
 NOT_SURVEYED = "not surveyed"
+"""Kind of a building within the area of interest that no survey of the period covered."""
 
 END = "9999-12-31"
+"""A day after all surveys."""
 
 LARGEST_MAP = 4000
 """Cells a side beyond which a map of several surveys is made of larger cells."""
 
-NOWHERE = Offset(0.0, 0.0, 0.0, 0, float("nan"))
+NO_OFFSET = Offset(0.0, 0.0, 0.0, 0, float("nan"))
 
 
 def changes_of(
@@ -67,14 +69,14 @@ def changes_of(
 
 
 def _with_unseen(table: gpd.GeoDataFrame, standing: gpd.GeoDataFrame, area: shapely.Geometry) -> gpd.GeoDataFrame:
-    """Add the buildings within an area that no survey of the period saw."""
+    """Add the buildings within an area that no survey of the period covered."""
     seen = set(table["uid_before"].dropna()) | set(table["uid_after"].dropna())
     unseen = standing[standing.intersects(area) & ~standing["uid"].isin(seen)]
     if unseen.empty:
         return table
-    told = {"uid": "uid_before", "version_id": "version_before", "state": "state_before", "storeys": "storeys_before"}
-    told |= {name: f"{name}_before" for name in ("h_max", "h_p90", "area_m2", "volume_m3", "attributes")}
-    rows = unseen[[*told, "geometry"]].rename(columns=told)
+    names = {"uid": "uid_before", "version_id": "version_before", "state": "state_before", "storeys": "storeys_before"}
+    names |= {name: f"{name}_before" for name in ("h_max", "h_p90", "area_m2", "volume_m3", "attributes")}
+    rows = unseen[[*names, "geometry"]].rename(columns=names)
     rows = rows.assign(
         kind=NOT_SURVEYED, survey="", date="", note="", outline=False, height=False, parts=False, times=0
     )
@@ -83,17 +85,20 @@ def _with_unseen(table: gpd.GeoDataFrame, standing: gpd.GeoDataFrame, area: shap
 
 
 def _period(since: str | None, until: str | None, in_between: int) -> str:
-    """Return a period, and what came and went in it, in words."""
+    """Return a period, and the number of buildings that were new and demolished in it, in words."""
     words = [f"after {since}" if since else "", f"up to {until}" if until else ""]
     period = ", ".join(word for word in words if word) or "all surveys"
-    return f"{period} · {in_between} came and went in between" if in_between else period
+    return f"{period} · {in_between} new and demolished in between" if in_between else period
 
 
 def _draw(engine: Engine, table: gpd.GeoDataFrame, rows: gpd.GeoDataFrame, figure: Path, period: str) -> None:
     """Draw the table on the heights of the surveys that saw its buildings, the latest on top."""
     names = rows.sort_values("date", kind="stable")["survey"].unique()[::-1]
     if not len(names):
-        msg = f"There is nothing to draw: no survey of the period ({period}) saw a building there."
+        msg = (
+            f"No building can be drawn: no survey of the period ({period}) covers one there. "
+            "Choose other dates or another area."
+        )
         raise InputError(msg)
     relief = _relief([_heights(engine, str(name)) for name in names])
     place = CRS.from_user_input(table.crs).name
@@ -114,13 +119,13 @@ def _relief(grids: list[Grid]) -> Grid:
     west, south = bounds[:, :2].min(axis=0).tolist()
     east, north = bounds[:, 2:].max(axis=0).tolist()
     cell = max(min(grid.spec.cell_m for grid in grids), (east - west) / LARGEST_MAP, (north - south) / LARGEST_MAP)
-    return earlier_heights(grids, lattice((west, south, east, north), cell, grids[0].spec.crs), NOWHERE)
+    return earlier_heights(grids, lattice((west, south, east, north), cell, grids[0].spec.crs), NO_OFFSET)
 
 
 def records_of(found: Changes) -> list[dict[str, Any]]:
     """Return a record of plain values for each row that is not 'unchanged'."""
-    told = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
-    plain = pd.DataFrame(told.drop(columns="geometry")).astype(object)
+    changed = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
+    plain = pd.DataFrame(changed.drop(columns="geometry")).astype(object)
     return [
         {str(name): value for name, value in row.items()}
         for row in plain.where(plain.notna(), None).to_dict(orient="records")

@@ -1,6 +1,5 @@
-"""Buildings written back into the points: a LAS or LAZ file whose class 6 is what an extractor found."""
+"""Classification of points: a copy of a LAS or LAZ file whose class 6 is what the detectors found."""
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
-from msbdb.errors import MsbdbWarning
 from msbdb.grid import GridSpec
 from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
@@ -41,19 +39,17 @@ def classify_points(
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)
         with stages.stage("read"):
-            cloud, index, found = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
-            for message in found:
-                warnings.warn(message, MsbdbWarning, stacklevel=2)
+            cloud, index = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
         scene, params = prepare(inputs, cloud, params, stages, Label(inputs.default_survey()), evidence=False)
         heights = heights_above(cloud, scene.require_surface().dtm)
         regions = detect(scene, methods, params, stages)
-    taken = np.zeros(len(cloud), dtype=np.bool_)
-    for one in regions.values():
-        taken |= _points_of(one, scene, heights, params)
-    stale = np.zeros_like(taken) if keep else _stale(cloud, taken)
-    with stages.stage("write"):
-        classes, where = _as_in_file(read_las_header(source).points, index, taken, stale)
-        written = write_classes(source, out, classes, where=where, overwrite=overwrite, progress=progress)
+        taken = np.zeros(len(cloud), dtype=np.bool_)
+        for one in regions.values():
+            taken |= _points_of(one, scene, heights, params)
+        stale = np.zeros_like(taken) if keep else _stale(cloud, taken)
+        with stages.stage("write"):
+            classes, where = _as_in_file(read_las_header(source).points, index, taken, stale)
+            written = write_classes(source, out, classes, where=where, overwrite=overwrite, progress=progress)
     return ClassifyReport(
         points=written.points,
         read=len(cloud),
@@ -61,7 +57,7 @@ def classify_points(
         changed=written.changed,
         demoted=int(np.count_nonzero(stale)),
         regions={name: len(one.table) for name, one in regions.items()},
-        notices=(*notices.kept, *notices.passing, *written.notices),
+        notices=(*notices.kept, *notices.passing),
         timings=stages.rounded(),
     )
 

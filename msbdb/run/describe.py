@@ -1,20 +1,24 @@
-"""Description: from parts and regions on the lattice to outlines and to the tables that the database takes."""
+"""Description: from parts and regions on the lattice to the tables, rasters and counts that the database keeps."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.buildings import buildings_from_parts, covered_shares, link_labels, with_support
 from msbdb.grid import Grid, GridSpec
+from msbdb.kept import Rasters
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
-from msbdb.params import POINT_DETECTORS, VectorParams
+from msbdb.params import POINT_DETECTORS, Params, VectorParams
 from msbdb.parts.forest import Forest
+from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import (
     BUILDING,
     CANDIDATE_REGION,
@@ -29,6 +33,49 @@ from msbdb.tables import (
     validate,
     validate_parts,
 )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Description:
+    """What one run found, as the database keeps it.
+
+    Parameters
+    ----------
+    frames : dict of str to DataFrame
+        The tables of the run by name.
+    rasters : Rasters
+        The kept rasters of the scene, the regions and the fused footprints.
+    counts : dict
+        By detector and stage: regions in, kept and dropped.
+    """
+
+    frames: dict[str, pd.DataFrame]
+    rasters: Rasters
+    counts: dict[str, dict[str, dict[str, int]]]
+
+
+def describe(
+    scene: Scene, regions: Mapping[str, Regions], forest: Forest, fused: NDArray[np.int32] | None, params: Params
+) -> Description:
+    """Return the tables, rasters and counts of a run.
+
+    Parameters
+    ----------
+    scene : Scene
+        Heights, land cover and evidence.
+    regions : mapping of str to Regions
+        Of each detector that was run.
+    forest : Forest
+        The parts; empty where the multi-scale detector was not run.
+    fused : (H, W) ndarray of int32, optional
+        Fused footprints; None where one of their two detectors was not run.
+    params : Params
+        Section ``vector``.
+    """
+    parts = outline_parts(forest, scene.heights, params.vector)
+    counts = {"multiscale": forest.counts} | {name: found.counts for name, found in regions.items()}
+    some = {name: stages for name, stages in counts.items() if stages}
+    return Description(make_frames(scene, regions, forest, parts), _rasters(scene, regions, fused), some)
 
 
 def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDataFrame:
@@ -62,7 +109,7 @@ def make_frames(
     scene : Scene
         Heights and land cover.
     regions : mapping of str to Regions
-        Of each detector that was run, also where it found nothing.
+        Of each detector that was run, also one without any region.
     forest : Forest
         The parts; empty where none were sought.
     parts : GeoDataFrame
@@ -113,3 +160,51 @@ def no_regions(method: str, table: Table, spec: GridSpec) -> Regions:
 def _joined(first: pd.DataFrame, others: list[pd.DataFrame]) -> pd.DataFrame:
     """Return the rows of all frames as one frame of the first one's kind."""
     return pd.concat([first, *others], ignore_index=True)
+
+
+def count_cells(heights: Grid, cover: Cover) -> dict[str, int]:
+    """Count the cells: all, valid, and a class label each."""
+    labels = cover.classes.labels
+    found = np.bincount(cover.classes.index.ravel(), minlength=256)
+    by_label: dict[str, int] = {}
+    for index, label in sorted(labels.items()):
+        by_label[label] = by_label.get(label, 0) + int(found[index])
+    return {"all": int(heights.valid.size), "valid": int(np.count_nonzero(heights.valid)), **by_label}
+
+
+def describe_choices(scene: Scene, params: Params) -> dict[str, object]:
+    """Return what a run decided itself, to be kept with it (V21, X2): ground filter, scales, fit of the classes.
+
+    Parameters
+    ----------
+    scene : Scene
+        As prepared. The ground filter is ``given`` for a terrain raster; the fit of the classes by colour is None
+        without imagery.
+    params : Params
+        With the scales that were used.
+    """
+    model = scene.cover.model
+    return {
+        "ground_filter": scene.require_surface().ground_filter,
+        "scales_m2": list(params.scale.scales_m2),
+        "spectral": model.as_dict() if model else None,
+    }
+
+
+def _rasters(scene: Scene, regions: Mapping[str, Regions], fused: NDArray[np.int32] | None) -> Rasters:
+    """Return the rasters that the database keeps."""
+    cover, flat = scene.cover, regions.get("flatregions")
+    rasters = Rasters.of_heights(scene.heights, cover.structure.index)
+    if fused is not None and scene.evidence is not None:
+        rasters = replace(
+            rasters,
+            fused=fused,
+            roughness_mm=scene.evidence.roughness_mm,
+            roof_probability=scene.evidence.roof_probability,
+        )
+    return replace(
+        rasters,
+        spectral=None if cover.spectral is None else cover.spectral.index,
+        regions={name: found.labels for name, found in regions.items() if name != "multiscale"},
+        firm=None if flat is None else flat.firm,
+    )

@@ -38,7 +38,7 @@ from msbdb.outline.polygons import rasterise
 from msbdb.params import POINT_DETECTORS, Params, with_values
 from msbdb.points.cloud import BUILDING_CLASS, NOISE_CLASSES, PointCloud
 from msbdb.run.classify import points_in
-from msbdb.run.store import read_together
+from msbdb.run.outputs import read_together
 from msbdb.surface import grid_surface
 
 POINT_SUFFIXES = {".las", ".laz"}
@@ -67,7 +67,7 @@ def evaluate_survey(
     area = read_polygons(aoi, to=spec.crs) if aoi else None
     params = EvaluateParams(overlap=overlap, cell_m=cell_m)
     if Path(reference).suffix.lower() in POINT_SUFFIXES:
-        points, _ = read_points([reference], crs=crs)
+        points = read_points([reference], crs=crs)
         truth = points.in_class(BUILDING_CLASS)
         given = PointReference(points.x, points.y, truth, points.crs, points.first_echo)
         return score(outlines, given, aoi=area, params=params)
@@ -111,7 +111,7 @@ def compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
     if of in POINT_DETECTORS:
         return read_candidates(engine, survey, of)
     known = ", ".join(("buildings", "confirmed", "together", "parts", "flatregions", *POINT_DETECTORS))
-    msg = f"There is nothing called '{of}' to evaluate; there are {known}."
+    msg = f"'{of}' cannot be evaluated. Choose one of {known}."
     raise InputError(msg)
 
 
@@ -123,11 +123,11 @@ def evaluate_file(
         msg = f"By point, the reference must be a LAS or LAZ file whose class 6 is the truth; got '{reference.name}'."
         raise InputError(msg)
     of_points = Path(found).suffix.lower() in POINT_SUFFIXES
-    truth, _, _ = read_points_indexed(reference, crs=crs, noise=of_points)
+    truth, _ = read_points_indexed(reference, crs=crs, noise=of_points)
     if not of_points:
         taken = _taken(found, truth, survey, of)
         return PointEvaluation("footprints", score_points(taken, truth.in_class(BUILDING_CLASS)))
-    predicted, _, _ = read_points_indexed(Path(found), crs=crs, noise=True)
+    predicted, _ = read_points_indexed(Path(found), crs=crs, noise=True)
     index, matched = match_points(predicted, truth)
     scored = ~truth.in_class(*NOISE_CLASSES)
     mine, theirs = predicted.in_class(BUILDING_CLASS)[index], truth.in_class(BUILDING_CLASS)

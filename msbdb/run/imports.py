@@ -1,4 +1,4 @@
-"""What people bring into the inventory: footprints that an office has, roof samples, and their word on buildings."""
+"""Import of footprints and roof samples into the inventory."""
 
 import hashlib
 import json
@@ -18,7 +18,7 @@ from msbdb.run.reports import ImportReport
 from msbdb.tables import EXTRACTOR_SHARES
 
 SINCE_EVER = "0001-01-01"
-"""Day from which an inventory of unknown age holds."""
+"""First day of an inventory of unknown age."""
 
 MEASURED = ("storeys", "h_max", "h_mean", "h_p50", "h_p90", "volume_m3", "parts", *EXTRACTOR_SHARES.values())
 
@@ -34,7 +34,7 @@ def take_inventory(
     id_column: str | None,
     crs: str | None,
 ) -> ImportReport:
-    """Take the footprints of a file as the inventory; see `msbdb.api.import_inventory`."""
+    """Import the footprints of a file as the inventory; see `msbdb.api.import_inventory`."""
     frame = read_polygons(file, layer=layer, crs=crs)
     engine = _opened_or_created(db, frame)
     try:
@@ -50,7 +50,7 @@ def take_inventory(
 def take_samples(
     db: str | Path, file: Path, *, layer: str | None, mapping: Mapping[str, str], crs: str | None
 ) -> ImportReport:
-    """Take points at which the material of a roof is known; see `msbdb.api.import_roof_samples`."""
+    """Import points at which the material of a roof is known; see `msbdb.api.import_roof_samples`."""
     columns = {"material": "material", **mapping}
     with opened(db) as engine:
         frame = read_point_features(file, layer=layer, crs=crs, to=database_crs_of(engine))
@@ -58,7 +58,7 @@ def take_samples(
         material = frame[columns["material"]].astype("string").fillna("").str.strip()
         if (material == "").any():
             row = int(np.flatnonzero(material == "")[0]) + 1
-            msg = f"{file.name} has a sample without a material, first in row {row}. Complete or remove it."
+            msg = f"{file.name} has a sample without a material, first in row {row}. Complete or delete it."
             raise InputError(msg)
         note = frame[columns["note"]].astype("string").fillna("") if "note" in columns else ""
         attributes = _attributes(frame.drop(columns=["geometry", *columns.values()]), {})
@@ -80,7 +80,7 @@ def _opened_or_created(db: str | Path, frame: gpd.GeoDataFrame) -> Engine:
 
 
 def _as_versions(frame: gpd.GeoDataFrame, mapping: dict[str, str], id_column: str | None) -> gpd.GeoDataFrame:
-    """Return footprints with what a version tells, and a key each."""
+    """Return footprints with the columns of a version, and a key each."""
     _require_columns(frame, mapping | ({"id": id_column} if id_column else {}))
     rows = gpd.GeoDataFrame({"key": _keys(frame, id_column)}, geometry=frame.geometry.to_numpy(), crs=frame.crs)
     rows = rows.assign(state="unsure", area_m2=frame.area.to_numpy(), **dict.fromkeys(MEASURED, None))
@@ -94,12 +94,15 @@ def _as_versions(frame: gpd.GeoDataFrame, mapping: dict[str, str], id_column: st
 
 
 def _keys(frame: gpd.GeoDataFrame, id_column: str | None) -> list[str]:
-    """Return words that tell footprints apart: the office's own ids, or the places."""
+    """Return a unique key for each footprint: the file's own ids, or the places."""
     if id_column is not None:
         ids = frame[id_column].astype("string")
         twice = ids[ids.duplicated() | ids.isna()]
         if len(twice):
-            msg = f"The column '{id_column}' does not tell the buildings apart: '{twice.iloc[0]}' is missing or twice."
+            msg = (
+                f"The column '{id_column}' is no id of the buildings: '{twice.iloc[0]}' is missing or twice. "
+                "Choose another column."
+            )
             raise InputError(msg)
         return [str(value) for value in ids]
     corners = np.round(shapely.bounds(frame.geometry.to_numpy()) * 1000).astype(np.int64)
@@ -113,16 +116,16 @@ def _require_columns(frame: gpd.GeoDataFrame, columns: Mapping[str, str]) -> Non
     for name, column in columns.items():
         if column not in frame.columns:
             there = ", ".join(str(c) for c in frame.columns if c != "geometry") or "none"
-            msg = f"There is no column '{column}' to take as '{name}'; the columns are {there}."
+            msg = f"There is no column '{column}' to use as '{name}'; the columns are {there}."
             raise ParameterError(msg)
 
 
 def _numbers(frame: gpd.GeoDataFrame, column: str) -> "pd.Series[float]":
-    """Return a column of numbers, NaN where there is none."""
+    """Return a column of numbers, NaN for a missing one."""
     try:
         numbers: pd.Series[float] = pd.to_numeric(frame[column].reset_index(drop=True)).astype("float64")
     except (TypeError, ValueError) as error:
-        msg = f"The column '{column}' holds what is no number: {error}."
+        msg = f"The column '{column}' holds a value that is no number: {error}. Correct it, or leave the column out."
         raise ParameterError(msg) from error
     return numbers
 

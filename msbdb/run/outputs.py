@@ -1,10 +1,14 @@
-"""What a database holds, as plain values, as a map on a hillshade, and as layers for other programs."""
+"""What a database holds, as plain values, as a map on a hillshade, and as layers for other programs.
+
+Each function imports what it alone needs, so that a summary and an export are quick.
+"""
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msbdb.database import (
+    Engine,
     RunSummary,
     list_runs,
     opened,
@@ -13,10 +17,26 @@ from msbdb.database import (
     read_candidates,
     read_flat_regions,
     read_parts,
+    read_rasters,
+    read_run,
+    read_survey,
     shown,
     summarise_run,
 )
-from msbdb.params import POINT_DETECTORS
+from msbdb.errors import InputError
+from msbdb.params import POINT_DETECTORS, Params, with_values
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msbdb.grid import Grid
+
+NOT_FUSED = (
+    "The survey '{survey}' has no fused footprints. Build it again with the detectors multiscale and flatregions; "
+    "'msbdb classes --set' cannot replace what an older msbdb did not keep."
+)
 
 
 def info_of(db: str | Path) -> dict[str, Any]:
@@ -89,7 +109,6 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
     from msbdb.export import export
-    from msbdb.run.store import has_together, read_together
 
     with opened(db) as engine:
         layers = {
@@ -101,3 +120,71 @@ def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bo
         if has_together(engine, survey):
             layers["together"] = read_together(engine, survey)
     export(layers, out, overwrite=overwrite)
+
+
+def has_together(engine: Engine, survey: str | None = None) -> bool:
+    """Return whether a survey has fused footprints of parts and flat regions."""
+    return read_rasters(engine, survey).fused is not None
+
+
+def read_together(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
+    """Return the fused footprints of parts and flat regions, measured again: a row a building, in order of the ids.
+
+    Parameters
+    ----------
+    engine : Engine
+        An open database.
+    survey : str, optional
+        Not needed where the database holds one.
+
+    Returns
+    -------
+    GeoDataFrame
+        ``building_id``, ``root_id``, ``state`` and ``storeys`` of the building; ``h_max``, ``h_mean``, ``h_p50`` and
+        ``h_p90`` (m), ``area_m2`` and ``volume_m3`` (heights below 0 count as 0) of the fused footprint's cells, and
+        its outline. Buildings without any cell in the fused footprints have no row.
+
+    Raises
+    ------
+    InputError
+        When the survey was built without one of the two detectors, or by an msbdb that did not fuse them.
+    """
+    import geopandas as gpd
+    import numpy as np
+
+    from msbdb.kept import heights_of, lattice_of
+    from msbdb.labels import reorder, sizes
+    from msbdb.outline.polygons import polygonise
+    from msbdb.outline.simplification import simplify_coverage
+
+    record, rasters = read_survey(engine, survey), read_rasters(engine, survey)
+    if rasters.fused is None:
+        raise InputError(NOT_FUSED.format(survey=record.name))
+    values: dict[str, object] = read_run(engine, survey).parameters
+    params = with_values(Params(), values)  # type: ignore[arg-type]  # plain nested values
+    spec = lattice_of(record)
+    buildings = read_buildings(engine, survey)
+    kept = rasters.fused
+    there = np.flatnonzero(sizes(kept, len(buildings)))
+    labels = reorder(kept, there, len(buildings))
+    rows = buildings.iloc[there][["building_id", "root_id", "state", "storeys"]].reset_index(drop=True)
+    rows = rows.assign(**_measured(labels, len(there), heights_of(record, rasters)))
+    outlines = polygonise(labels, spec, len(there)) if len(there) else np.empty(0, dtype=object)
+    shapes = list(simplify_coverage(outlines, params.vector.simplify_px * spec.cell_m)) if len(there) else []
+    return gpd.GeoDataFrame(rows, geometry=shapes, crs=spec.crs)
+
+
+def _measured(labels: "NDArray[np.int32]", count: int, heights: "Grid") -> "dict[str, NDArray[np.float64]]":
+    """Return heights, areas and volumes of labelled footprints."""
+    import numpy as np
+
+    from msbdb.labels import height_statistics, order_heights, sizes, sums
+
+    found = height_statistics(labels, slice(0, count), order_heights(heights, labels > 0))
+    above = np.where(heights.valid, np.maximum(np.asarray(heights.values, dtype=np.float64), 0), 0)
+    cell_m2 = heights.spec.cell_area_m2
+    return {
+        **{name: found[name].to_numpy() for name in ("h_max", "h_mean", "h_p50", "h_p90")},
+        "area_m2": sizes(labels, count) * cell_m2,
+        "volume_m3": sums(labels, above, count) * cell_m2,
+    }

@@ -31,10 +31,14 @@ from msbdb.tables import Source, Survey
 
 logger = logging.getLogger(__name__)
 
+NO_IMAGERY = "There is no imagery: height texture and echoes alone separate roofs from vegetation."
+
+NO_ECHOES = "No pulse has a second echo, or none is recorded: height texture alone separates roofs from vegetation."
+
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """The files of a build, and what the user states of them."""
+    """The files of a build, and what the user states about them."""
 
     points: tuple[Path, ...] = ()
     ortho: tuple[Path, ...] = ()
@@ -62,7 +66,7 @@ class Inputs:
         yield from ((path, "ortho") for path in self.ortho)
 
     def stated(self) -> dict[str, str]:
-        """Return what the user stated of the files, as far as it is not the default."""
+        """Return what the user stated about the files, where it is not the default."""
         words = {"crs": self.crs, "ortho_crs": self.ortho_crs, "z_unit": self.z_unit if self.z_unit != "auto" else None}
         return {name: str(word) for name, word in words.items() if word is not None}
 
@@ -80,15 +84,12 @@ def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:
     """Read the points, where the build is from points."""
     if not inputs.points:
         return None
-    cloud, notices = read_points(inputs.points, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
-    for notice in notices:
-        warnings.warn(notice, MsbdbWarning, stacklevel=2)
-    return cloud
+    return read_points(inputs.points, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a survey is called, when it was flown, and the classes that an operator labelled in it before."""
+    """The name and date of a survey, and the classes that an operator labelled in it before."""
 
     name: str
     date: str = ""
@@ -141,6 +142,15 @@ def prepare(
     return Scene(record, surface.ndsm, cover, kept, surface=surface, cloud=cloud, bands=bands), params
 
 
+def note_missing_sources(scene: Scene) -> None:
+    """Give notice of sources that are missing, without which buildings are harder to recognise."""
+    echoes = scene.cloud is not None and scene.cloud.has_echoes
+    if scene.cover.spectral is None:
+        warnings.warn(NO_IMAGERY, MsbdbWarning, stacklevel=2)
+    if not echoes:
+        warnings.warn(NO_ECHOES, MsbdbWarning, stacklevel=2)
+
+
 def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Surface:
     """Build the surface from the points, or take it from the rasters."""
     if cloud is not None:
@@ -156,41 +166,8 @@ def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Su
     return surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm))
 
 
-def without_gaps(dtm: Grid, dsm: Grid) -> Grid:
-    """Interpolate the terrain where it has no value but the surface has one: often under the middle of buildings."""
-    gaps = int(np.count_nonzero(dsm.valid & ~dtm.valid))
-    if not gaps:
-        return dtm
-    share = 100 * gaps / np.count_nonzero(dsm.valid)
-    msg = f"The DTM has no value in {gaps} cells of the DSM ({share:.1f} %); they were interpolated."
-    warnings.warn(msg, MsbdbWarning, stacklevel=2)
-    return interpolate_ground(dtm.values, dtm.valid, dtm.spec)
-
-
-def flat_ground(ndsm: Grid) -> Grid:
-    """Return the terrain of heights that are above ground already: zero everywhere."""
-    return Grid(np.zeros(ndsm.spec.shape, dtype=np.float32), np.ones(ndsm.spec.shape, dtype=np.bool_), ndsm.spec)
-
-
-def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:
-    """Write down the survey."""
-    spec: GridSpec = surface.ndsm.spec
-    vertical = cloud.vertical_crs if cloud is not None else None
-    return Survey(
-        name=name,
-        date=date,
-        crs_wkt=spec.crs.to_wkt(),
-        epsg=spec.crs.to_epsg() or 0,
-        vertical_crs=vertical.name if vertical is not None else "",
-        density=round(surface.density, 6),
-        cell_m=spec.cell_m,
-        bounds=spec.bounds,
-        sources=inputs.sources(),
-    )
-
-
 def build_surface(points: PointCloud, params: Params) -> Surface:
-    """Grid the first echoes, tell the ground, and subtract it (V13 to V16).
+    """Grid the first echoes, detect the ground, and subtract it (V13 to V16).
 
     Parameters
     ----------
@@ -211,3 +188,36 @@ def build_surface(points: PointCloud, params: Params) -> Surface:
     dtm, name = terrain(points, spec, params.ground)
     logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)
     return Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
+
+
+def without_gaps(dtm: Grid, dsm: Grid) -> Grid:
+    """Interpolate the terrain where it has no value but the surface has one: often under the middle of buildings."""
+    gaps = int(np.count_nonzero(dsm.valid & ~dtm.valid))
+    if not gaps:
+        return dtm
+    share = 100 * gaps / np.count_nonzero(dsm.valid)
+    msg = f"The DTM has no value in {gaps} cells of the DSM ({share:.1f} %); they were interpolated."
+    warnings.warn(msg, MsbdbWarning, stacklevel=2)
+    return interpolate_ground(dtm.values, dtm.valid, dtm.spec)
+
+
+def flat_ground(ndsm: Grid) -> Grid:
+    """Return the terrain of heights that are above ground already: zero everywhere."""
+    return Grid(np.zeros(ndsm.spec.shape, dtype=np.float32), np.ones(ndsm.spec.shape, dtype=np.bool_), ndsm.spec)
+
+
+def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:
+    """Return the record of the survey: place, time, density, CRS and files."""
+    spec: GridSpec = surface.ndsm.spec
+    vertical = cloud.vertical_crs if cloud is not None else None
+    return Survey(
+        name=name,
+        date=date,
+        crs_wkt=spec.crs.to_wkt(),
+        epsg=spec.crs.to_epsg() or 0,
+        vertical_crs=vertical.name if vertical is not None else "",
+        density=round(surface.density, 6),
+        cell_m=spec.cell_m,
+        bounds=spec.bounds,
+        sources=inputs.sources(),
+    )

@@ -1,4 +1,4 @@
-"""What the public functions return: counts, sentences for people and seconds a stage, as plain values."""
+"""What the public functions return: counts, notices and seconds a stage, as plain values."""
 
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BuildReport:
-    """What a build did: counts, sentences for people, seconds a stage, and whether the database changed."""
+    """What a build did: counts, notices, seconds a stage, and whether the database changed."""
 
     survey: str
     buildings: int
@@ -31,7 +31,7 @@ class AdvanceReport:
     """What an update did to the inventory.
 
     ``status`` is 'created', 'replaced' or 'unchanged'; ``counts`` has the buildings by kind of change and the
-    ``versions`` that were written; ``offset`` tells how the survey lies to the inventory.
+    ``versions`` that were written; ``offset`` is the measured offset of the survey to the inventory.
     """
 
     survey: str
@@ -65,8 +65,7 @@ class ClassifyReport:
     Attributes
     ----------
     points, read : int
-        Points of the file, and those that were looked at: noise, withheld and lone points are not, and keep their
-        class.
+        Points of the file, and those that were read: noise, withheld and lone points are not, and keep their class.
     building_points : int
         Points that were found to be buildings.
     changed : int
@@ -74,7 +73,7 @@ class ClassifyReport:
     demoted : int
         Points that were buildings before, and are unclassified now.
     regions : dict
-        Buildings, flat regions or candidate regions that each extractor found.
+        Buildings, flat regions or candidate regions that each detector found.
     notices : tuple of str
         Sentences for people.
     timings : dict
@@ -116,13 +115,13 @@ class Changes:
     Parameters
     ----------
     table : GeoDataFrame
-        A row for each building that a survey saw (a pair of buildings for merged and split): the net change
-        (`msbdb.change.netchange`), or, survey by survey, what each one did (`msbdb.database.read_changes`).
-        Buildings within an area of interest that no survey saw follow as 'not surveyed'.
+        A row for each building that a survey covered (a pair of buildings for merged and split): the net change
+        (`msbdb.change.netchange`), or the changes by each survey (`msbdb.database.read_changes`).
+        Buildings within an area of interest that no survey covered follow as 'not surveyed'.
     counts : dict
         The rows by kind.
     in_between : int
-        Buildings that came and went between the dates, and are in no row of the net change.
+        Buildings that were new and then demolished between the dates; the net change has no row of them.
     """
 
     table: "gpd.GeoDataFrame"

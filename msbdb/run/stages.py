@@ -1,4 +1,4 @@
-"""Stages of a run: their names, timings and progress, and the notices for people that arise in them."""
+"""Stages of a run: their names, timings and progress, and the notices that arise in them."""
 
 import logging
 import time
@@ -67,14 +67,14 @@ class Stages:
 
 @dataclass(slots=True)
 class Notices:
-    """Sentences for people, in the order in which they arose.
+    """What a person should know, in the order in which it arose.
 
     Attributes
     ----------
     kept : list of str
         Those that the run keeps in the database.
     passing : list of str
-        Those of this call alone, which a repeated build would not repeat.
+        Those of this call alone, which the run does not keep.
     """
 
     kept: list[str] = field(default_factory=list)

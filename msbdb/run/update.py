@@ -1,6 +1,7 @@
-"""A survey brought into the living inventory: built, compared with what stood there, and written as versions."""
+"""The update of the inventory by a survey: compared with the buildings before, and written as versions."""
 
 import logging
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -31,7 +32,7 @@ from msbdb.database import (
     write_advance,
 )
 from msbdb.database.schema.canonical import to_json
-from msbdb.errors import DatabaseError, InputError
+from msbdb.errors import DatabaseError, InputError, MsbdbWarning
 from msbdb.grid import Grid
 from msbdb.io.vector import read_polygons
 from msbdb.kept import heights_of
@@ -48,11 +49,11 @@ from msbdb.version import __version__
 logger = logging.getLogger(__name__)
 
 ATTEMPTS = 5
-"""How often an update is computed again, when others change the same place of the inventory meanwhile."""
+"""Attempts to compute an update, when others change the same place of the inventory at the same time."""
 
 MEASURED_FIRST = "its heights are known for the first time"
 
-WITNESSED = ("state", "storeys", "parts", *EXTRACTOR_SHARES.values())
+FROM_SURVEY = ("state", "storeys", "parts", *EXTRACTOR_SHARES.values())
 
 HEIGHTS = ("h_max", "h_mean", "h_p50", "h_p90")
 
@@ -70,7 +71,7 @@ def is_built(
     denoising_figure: Path | None = None,
     **given: Any,  # noqa: ANN401  (the other inputs of build)
 ) -> bool:
-    """Tell whether a survey was built from the same files, with the same values, by the same msbdb.
+    """Return whether a survey was built from the same files, with the same values, by the same msbdb.
 
     The parameters are those of `msbdb.api.build`.
     """
@@ -101,13 +102,19 @@ def advance_inventory(db: str | Path, survey: str, *, aoi: Path | None) -> Advan
         require_date(survey, record.date)
         area = _area(record, aoi)
         for _ in range(ATTEMPTS):
+            notices = Notices()
             try:
-                return _advance(engine, record, area)
+                with collect_notices(notices):
+                    report = _advance(engine, record, area)
+                return replace(report, notices=(*notices.kept, *notices.passing))
             except OutdatedError:
                 logger.info("The inventory changed where survey %s lies; comparing again", survey)
     finally:
         engine.dispose()
-    msg = f"Others keep changing the inventory where the survey '{survey}' lies. Wait for them, and try again."
+    msg = (
+        f"Others keep changing the inventory at the place of the survey '{survey}'. "
+        "Wait until they have finished, and try again."
+    )
     raise DatabaseError(msg)
 
 
@@ -115,7 +122,7 @@ def require_date(survey: str, date: str) -> None:
     """Refuse a survey without a date."""
     if not date:
         msg = (
-            f"The survey '{survey}' has no date, so that its place in the inventory's history is unknown. "
+            f"The survey '{survey}' has no date, so its place in the inventory's history is unknown. "
             "Build it again with --date, for instance --date 2021-05-31."
         )
         raise InputError(msg)
@@ -151,7 +158,7 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
     params = _params(engine, record.name)
     found = compare(before, after, heights=heights, earlier=_earlier(engine, standing), surveyed=inside, params=params)
     found, states = _states(found, before, after, heights)
-    states = _put_together(states, found, engine, record.name)
+    states = _with_parts(states, found, engine, record.name)
     made = Advance(
         survey=record.name, survey_id=survey_key(record.name), date=date, area=area, digest=standing.digest,
         basis=standing.basis, before=before, born=standing.born, offset=asdict(found.offset), changes=found.changes,
@@ -195,7 +202,7 @@ def _moved_back(grid: Grid, dx: float, dy: float, dz: float) -> Grid:
 def _states(
     found: Comparison, before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, heights: Grid
 ) -> tuple[Comparison, gpd.GeoDataFrame]:
-    """Return what the new versions tell: the survey's own buildings' values, or what is measured in their outlines.
+    """Return the values of the new versions: those of the survey's own buildings, or measured in their outlines.
 
     A building of an imported inventory, which no survey has measured, gets a version with its own outline and the
     heights found there, also where it is unchanged.
@@ -204,16 +211,15 @@ def _states(
     versions = found.versions
     rows = versions["after"].to_numpy()
     known = pd.DataFrame(after.drop(columns="geometry")).astype(object)
-    told = known.reindex(rows).set_axis(versions.index)
+    values = known.reindex(rows).set_axis(versions.index)
     states = gpd.GeoDataFrame(
-        told[["building_id", *WITNESSED, *HEIGHTS, "area_m2", "volume_m3"]].assign(before=versions["before"]),
+        values[["building_id", *FROM_SURVEY, *HEIGHTS, "area_m2", "volume_m3"]].assign(before=versions["before"]),
         geometry=versions.geometry,
         crs=after.crs,
     )
     states["state"] = states["state"].fillna("unsure")
     for row in np.flatnonzero(~versions["adopted"].to_numpy()).tolist():
-        values = measure(versions.geometry.iloc[row], heights)
-        for name, value in values.items():
+        for name, value in measure(versions.geometry.iloc[row], heights).items():
             states.loc[states.index[row], name] = value
     return found, states
 
@@ -240,8 +246,8 @@ def _with_first_measures(found: Comparison, before: gpd.GeoDataFrame, heights: G
     return replace(found, changes=changes, versions=versions.astype(types))
 
 
-def _put_together(states: gpd.GeoDataFrame, found: Comparison, engine: Engine, survey: str) -> gpd.GeoDataFrame:
-    """Give versions whose outline is not the survey's own the storeys and number of the parts that stand in it."""
+def _with_parts(states: gpd.GeoDataFrame, found: Comparison, engine: Engine, survey: str) -> gpd.GeoDataFrame:
+    """Give versions with an outline that is not the survey's own the storeys and number of the parts inside it."""
     rows = np.flatnonzero(~found.versions["adopted"].to_numpy())
     if not len(rows):
         return states
@@ -257,10 +263,10 @@ def _put_together(states: gpd.GeoDataFrame, found: Comparison, engine: Engine, s
 
 
 def _report(record: Survey, date: str, status: str, counts: dict[str, int], offset: dict[str, Any]) -> AdvanceReport:
-    """Sum up an update."""
-    notices = []
+    """Sum up an update, without its notices."""
     if not int(offset["pairs"]) and set(counts) - {"new", "versions"}:
-        notices.append("No buildings are alike enough to tell the survey's offset to the inventory.")
+        msg = "Too few buildings are alike in the survey and the inventory. The offset between them is not measured."
+        warnings.warn(msg, MsbdbWarning, stacklevel=2)
     plain = {name: None if pd.isna(value) else float(value) for name, value in offset.items()}
     plain["pairs"] = int(offset["pairs"])
-    return AdvanceReport(record.name, date, status, dict(counts), plain, tuple(notices))
+    return AdvanceReport(record.name, date, status, dict(counts), plain, ())

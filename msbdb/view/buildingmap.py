@@ -29,7 +29,7 @@ MAP_INCHES = 9.0
 """Longer side of the map on paper; the resolution follows the data, so that fonts keep their size."""
 
 LARGEST_RELIEF = 2500
-"""Cells a side beyond which the hillshade is thinned: more would not be seen."""
+"""Cells a side beyond which the hillshade is thinned, because the picture cannot show more."""
 
 GROUND = "#eeece6"
 
@@ -41,7 +41,7 @@ LIGHT_DEG = 45.0
 HEIGHTS: Colormap = LinearSegmentedColormap.from_list(
     "heights", ["#fff6d5", "#fddc8a", "#fdb35a", "#f1803c", "#d2502c", "#9c2b25"]
 )
-"""Light to dark and yellow to red: ordered for every eye, and in grey."""
+"""Light to dark and yellow to red, which colour-blind readers can order, also in grey."""
 
 
 def draw_map(
@@ -56,7 +56,7 @@ def draw_map(
 ) -> None:
     """Draw footprints and parts on a hillshade and write the picture in one piece.
 
-    Parts are filled by height, the coarsest first, so that each stands on its father; outlines go from dark and thick
+    Parts are filled by height, the coarsest first, so that each lies on its father; outlines go from dark and thick
     (coarse) to light and thin (fine). Footprints are drawn black above all.
 
     Parameters

@@ -1,4 +1,4 @@
-"""A map of what surveys did to the buildings."""
+"""A map of the changes of the buildings between surveys."""
 
 from pathlib import Path
 
@@ -21,11 +21,11 @@ KINDS = {
     "new": "#009e73",
     "demolished": "#d55e00",
 }
-"""Colours by Okabe and Ito, which every eye tells apart, in the order in which they are drawn."""
+"""Colours by Okabe and Ito, which colour-blind readers can distinguish, in the order in which they are drawn."""
 
 
 def draw_changes(changes: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: str, subtitle: str = "") -> None:
-    """Draw buildings coloured by what became of them, on a hillshade.
+    """Draw buildings coloured by kind of change, on a hillshade.
 
     Parameters
     ----------

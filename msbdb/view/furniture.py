@@ -1,9 +1,4 @@
-"""The bar that explains a map's colours.
-
-What a map needs besides its data: a scale bar and a north arrow.
-
-Polygons as drawing paths.
-"""
+"""The furniture of a map: colour bar, scale bar and north arrow; and polygons as drawing paths."""
 
 import math
 from itertools import pairwise
@@ -19,9 +14,15 @@ from matplotlib.patheffects import Normal, Stroke, withStroke
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
 
+HALO = [withStroke(linewidth=3, foreground="white", alpha=0.9)]
+"""A white edge that keeps letters legible on any background."""
+
+EDGE = [Stroke(linewidth=3.2, foreground="white"), Normal()]
+"""The same for shapes."""
+
 
 def colour_bar(figure: Figure, axes: Axes, mapper: ScalarMappable, title: str) -> None:
-    """Explain the colours beside the map, in its upper right corner.
+    """Draw the bar that explains the colours, to the right of the map's upper right corner.
 
     Parameters
     ----------
@@ -41,13 +42,6 @@ def colour_bar(figure: Figure, axes: Axes, mapper: ScalarMappable, title: str) -
     figure.colorbar(mapper, cax=bar)
     bar.tick_params(labelsize=8)
     bar.set_title(title, fontsize=9, loc="left", pad=8)
-
-
-HALO = [withStroke(linewidth=3, foreground="white", alpha=0.9)]
-"""A white edge that keeps letters legible on any ground."""
-
-EDGE = [Stroke(linewidth=3.2, foreground="white"), Normal()]
-"""The same for shapes."""
 
 
 def round_length(longest: float) -> float:
@@ -156,7 +150,7 @@ def outlines(geometries: NDArray[np.object_]) -> list[Outline]:
     Returns
     -------
     list of matplotlib.path.Path
-        One a geometry. Shells and holes turn in opposite senses, as the non-zero fill rule asks.
+        One a geometry. Shells and holes turn in opposite senses, as the non-zero fill rule requires.
     """
     if not len(geometries):
         return []

@@ -1,7 +1,4 @@
-"""Maps of the candidate regions that the extractors on points found.
-
-Pictures of the flat regions: their zones, and the surface before and after denoising (Mongus et al. 2013).
-"""
+"""Maps of regions: candidate regions, flat regions by zone, and the surface before and after denoising."""
 
 from pathlib import Path
 
@@ -19,9 +16,10 @@ from msbdb.view.buildingmap import draw_relief, furnish, require_png, sheet, wri
 from msbdb.view.furniture import colour_bar, outlines
 
 SCALES = ("#fde725", "#5ec962", "#21918c", "#31688e", "#440154")
-"""Height scales from the lowest up: ordered for every eye, and in grey; those above the last have its colour."""
+"""Height scales from the lowest up, with rising darkness also in grey; scales above the last have its colour."""
 
-HEIGHTS = "viridis"
+HEIGHTS = ZONES = "viridis"
+"""Colours of rising brightness, which colour-blind readers can order."""
 
 
 def draw_candidates(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: str, subtitle: str = "") -> None:
@@ -81,10 +79,6 @@ def draw_candidates(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title
         colour_bar(figure, axes, mapper, "Height, m")
     furnish(figure, axes, title, subtitle)
     write_picture(figure, out)
-
-
-ZONES = "viridis"
-"""Ordered for every eye, and in grey."""
 
 
 def draw_zones(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: str, subtitle: str = "") -> None:

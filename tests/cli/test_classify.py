@@ -126,11 +126,11 @@ def test_refusals_come_before_the_work(folder, tmp_path):
     there = tmp_path / "there.laz"
     there.write_text("mine")
     cases = {
-        ("plain.laz", there): "is there already",
+        ("plain.laz", there): "exists already",
         ("plain.laz", folder / "plain.laz", "--overwrite"): "is the source itself",
         ("plain.laz", tmp_path / "out.copc.laz"): "not as COPC",
         ("plain.laz", tmp_path / "out.gpkg"): "written as .las or .laz",
-        ("plain.laz", tmp_path / "no" / "out.laz"): "there is no folder",
+        ("plain.laz", tmp_path / "no" / "out.laz"): "does not exist",
         ("plain.laz", tmp_path / "out.laz", "--extract", "magic"): "got magic",
     }
     for (source, *rest), says in cases.items():

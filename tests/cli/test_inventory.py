@@ -144,7 +144,7 @@ def test_states_by_hand_are_written_and_taken_back(town: Path) -> None:
     row = footprint_at(engine, "2021-05-01").set_index("uid").loc[uid]
     assert (row["state"], row["operator"], row["note"]) == ("refuted", "ann", "a crane; DROP TABLE part")
     told = run("state", town, uid, "auto", "--operator", "ben")
-    assert "as the extractors say" in told
+    assert "decided by the detectors" in told
     assert "Before: refuted by ann, 20" in told
     assert "(a crane; DROP TABLE part)" in told
     assert "Before" not in run("state", town, uid, "auto")
@@ -171,7 +171,7 @@ def test_wrong_imports_are_refused_by_name(tmp_path: Path) -> None:
     office = footprints(ROW).assign(number=1, name="x")
     office.to_file(tmp_path / "office.gpkg")
     words = ("import", tmp_path / "office.gpkg", "--as", "inventory", "--db", tmp_path / "town.sqlite")
-    assert "does not tell the buildings apart" in run(*words, "--id", "number", code=1)
+    assert "is no id of the buildings" in run(*words, "--id", "number", code=1)
     assert "no column 'H'" in run(*words, "--map", "height=H", code=1)
     assert "no number" in run(*words, "--map", "height=name", code=1)
     run(*words, "--map", "height=HGT", "--map", "storeys=number")

@@ -4,6 +4,8 @@ import re
 from collections import Counter
 from pathlib import Path
 
+from msbdb.params import declared
+
 ROOT = Path(__file__).resolve().parents[2]
 LAST = {"V": 60, "M": 28, "C": 22, "S": 12, "X": 4, "A": 21}
 """The last code of each group; the first is 1."""
@@ -46,3 +48,29 @@ def test_every_code_of_the_package_is_explained():
         if (missing := codes_of(path.read_text(encoding="utf-8")) - known)
     }
     assert not unknown
+
+
+def is_room(name: str) -> bool:
+    """Whether a dotted name is a module or a folder of msbdb."""
+    place = ROOT / "msbdb" / Path(*name.split("."))
+    return place.is_dir() or place.with_suffix(".py").is_file()
+
+
+def test_every_room_of_the_page_exists():
+    """Each row ends in the rooms of its code, and each dotted name is a room or a parameter."""
+    page = (ROOT / "docs" / "papers.md").read_text(encoding="utf-8")
+    parameters = {f"{section}.{item.name}" for section, item, _ in declared()}
+    ends = re.findall(r"((?:`[a-z0-9_.]+`(?:, | and )?)+) \|$", page, flags=re.MULTILINE)
+    named = {name for end in ends for name in re.findall(r"`([^`]+)`", end)} - parameters
+    dotted = set(re.findall(r"`([a-z0-9_]+(?:\.[a-z0-9_]+)+)`", page)) - parameters
+    assert len(named) > 10
+    assert sorted(name for name in named | dotted if not is_room(name)) == []
+
+
+def test_every_room_of_the_contributors_page_exists():
+    """The second column of its table names rooms, and folders and files of the project."""
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| [^|]+ \| ([^|]*`[^|]+) \|$", page, flags=re.MULTILINE)
+    named = {name.rstrip("/") for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+    assert len(named) > 20
+    assert sorted(name for name in named if not is_room(name) and not (ROOT / name).exists()) == []

@@ -150,7 +150,7 @@ def test_existing_files_are_kept_unless_told(scene, tmp_path, suffix):
     export(scene, path)
     one = scene | {"part": scene["part"][:1]}
     before = path.read_bytes()
-    with pytest.raises(FileError, match="is there already"):
+    with pytest.raises(FileError, match="exists already"):
         export(one, path)
     assert path.read_bytes() == before
     (tmp_path / "town.qix").write_bytes(b"index of the old file")

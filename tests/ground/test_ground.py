@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pyproj import CRS
+from support.notices import with_notices
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
@@ -313,7 +314,7 @@ def test_two_means_split_as_the_best_threshold_does():
 def test_accuracy_floor_on_a_dutch_old_town(name):
     """Without its classes: at most 5 % of the roof echoes come below 2 m, at most 0.5 % of the ground is off."""
     path = Path(os.environ["MSBDB_DATA"]) / "delft" / "delft_1.laz"
-    given, _ = read_points([path], crs=CRS.from_epsg(28992))
+    given, _ = with_notices(read_points, [path], crs=CRS.from_epsg(28992))
     params = replace(Params(), ground=GroundParams(ground_filter=name))
     surface = build_surface(replace(given, classification=None), params)
     row, col = surface.dtm.spec.rowcol(given.x, given.y)

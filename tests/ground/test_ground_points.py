@@ -14,6 +14,7 @@ from pyproj import CRS
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from simulated import scenes
+from support.notices import with_notices
 
 from msbdb.errors import InputError, NodataError
 from msbdb.grid import lattice
@@ -352,7 +353,9 @@ def test_false_echoes_from_below_are_told_from_alleys():
 @pytest.mark.parametrize(("name", "wrong"), [("adaptive", 0.03), ("quadratic", 0.03)])
 def test_ground_of_a_real_tile_is_within_the_slides_36_cm(name, wrong):
     """The terrain without classes has a vertical RMSE below 0.36 m at the points of class 2 (S12)."""
-    given_points, _ = read_points([Path(os.environ["MSBDB_DATA"]) / "delft" / "delft_2.laz"], crs=CRS.from_epsg(28992))
+    given_points, _ = with_notices(
+        read_points, [Path(os.environ["MSBDB_DATA"]) / "delft" / "delft_2.laz"], crs=CRS.from_epsg(28992)
+    )
     true = given_points.classification == 2
     ground = POINT_FILTERS[name](replace(given_points, classification=None), PARAMS)
     assert np.mean(~ground[true]) < wrong

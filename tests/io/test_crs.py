@@ -110,7 +110,7 @@ def test_without_any_crs_the_message_names_the_option():
 def test_a_local_crs_counts_as_none():
     """Headers that hold a citation alone need the CRS to be stated, and then take it."""
     local = CRS.from_wkt('LOCAL_CS["Lambert-93",UNIT["metre",1],AXIS["E",EAST],AXIS["N",NORTH]]')
-    with pytest.raises(CRSError, match="only says 'Lambert-93'"):
+    with pytest.raises(CRSError, match="has only 'Lambert-93'"):
         policy.settle(local, None, "tile.laz")
     assert policy.settle(local, 2154, "tile.laz") == CRS.from_epsg(2154)
 

@@ -35,7 +35,7 @@ def test_all_files_of_a_format_take_their_places(tmp_path):
 
 def test_a_target_that_cannot_be_is_refused(tmp_path):
     """A missing folder, a folder in the way, or nothing written."""
-    with pytest.raises(FileError, match="Name a folder"), write_atomic(tmp_path / "none" / "out") as temporary:
+    with pytest.raises(FileError, match="Choose a folder"), write_atomic(tmp_path / "none" / "out") as temporary:
         temporary.write_text("x")
     (tmp_path / "taken").mkdir()
     with pytest.raises(FileError, match="another file"), write_atomic(tmp_path / "taken") as temporary:

@@ -8,6 +8,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+from support.notices import with_notices
 
 from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.io.las import read_points
@@ -111,7 +112,7 @@ def test_a_false_header_is_a_clear_error(tmp_path, bodies, kind):
     path.write_bytes(damage(bodies[source]))
     start = time.monotonic()
     with pytest.raises(FileError, match=expected) as caught:
-        read_points(path, crs=2154)
+        with_notices(read_points, path, crs=2154)
     assert time.monotonic() - start < SECONDS
     assert str(path) in str(caught.value)
 
@@ -121,22 +122,22 @@ def test_the_sound_files_behind_the_damage_are_read(tmp_path, bodies, source):
     """Otherwise the tests above would show nothing."""
     path = tmp_path / source
     path.write_bytes(bodies[source])
-    assert len(read_points(path, crs=2154)[0]) == COUNT
+    assert len(with_notices(read_points, path, crs=2154)[0]) == COUNT
 
 
 def test_no_points_is_an_error_of_its_own(tmp_path):
     """An empty tile says so."""
     laspy.LasData(laspy.LasHeader(point_format=6, version="1.4")).write(tmp_path / "empty.las")
     with pytest.raises(NodataError, match="no points"):
-        read_points(tmp_path / "empty.las", crs=2154)
+        with_notices(read_points, tmp_path / "empty.las", crs=2154)
 
 
 def test_missing_files_and_folders_are_told(tmp_path):
     """The path is in the message."""
     with pytest.raises(FileError, match=r"none\.laz does not exist"):
-        read_points(tmp_path / "none.laz")
+        with_notices(read_points, tmp_path / "none.laz")
     with pytest.raises(FileError, match="is a folder"):
-        read_points(tmp_path)
+        with_notices(read_points, tmp_path)
 
 
 def test_a_panic_of_the_decompressor_is_an_error_of_ours(tmp_path, bodies, monkeypatch):
@@ -153,10 +154,10 @@ def test_a_panic_of_the_decompressor_is_an_error_of_ours(tmp_path, bodies, monke
 
     fail(panic("no chunk table"))
     with pytest.raises(FileError, match="no chunk table"):
-        read_points(path, crs=2154)
+        with_notices(read_points, path, crs=2154)
     fail(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
-        read_points(path, crs=2154)
+        with_notices(read_points, path, crs=2154)
 
 
 @pytest.mark.parametrize("source", ["points.laz", "layers.laz"])
@@ -172,7 +173,7 @@ def test_random_damage_never_escapes(tmp_path, bodies, source):
             body[place] = rng.integers(256)
         path.write_bytes(body)
         try:
-            cloud, _ = read_points(path, crs=2154)
+            cloud, _ = with_notices(read_points, path, crs=2154)
         except MsbdbError:
             continue
         assert len(cloud) <= COUNT
@@ -193,7 +194,7 @@ def test_real_hostile_files_end_well(path, crs):
     start = time.monotonic()
     cloud, notices, refusal = None, [], ""
     try:
-        cloud, notices = read_points(path, crs=crs)
+        cloud, notices = with_notices(read_points, path, crs=crs)
     except MsbdbError as error:
         refusal = str(error)
     assert time.monotonic() - start < SECONDS

@@ -7,6 +7,7 @@ import laspy
 import numpy as np
 import pytest
 from pyproj import CRS
+from support.notices import with_notices
 
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.io.las import read_points
@@ -59,7 +60,7 @@ def test_every_point_format_reads_alike(tmp_path, point_format, ending):
         intensity=ramp(5, 900),
         crs=LAMBERT,
     )
-    cloud, notices = read_points(path)
+    cloud, notices = with_notices(read_points, path)
     expected = laspy.read(path)
     np.testing.assert_array_equal(cloud.x, np.asarray(expected.x))
     np.testing.assert_array_equal(cloud.z, np.asarray(expected.z))
@@ -73,10 +74,10 @@ def test_every_point_format_reads_alike(tmp_path, point_format, ending):
 def test_many_chunks_read_as_one(tmp_path, monkeypatch):
     """The size of a chunk changes nothing, and progress ends at the number of points."""
     path = write(tmp_path / "tile.laz", intensity=ramp(0, 500))
-    whole, _ = read_points(path)
+    whole, _ = with_notices(read_points, path)
     monkeypatch.setattr("msbdb.io.las.CHUNK_POINTS", 37)
     steps = []
-    parts, _ = read_points([path], progress=lambda *step: steps.append(step))
+    parts, _ = with_notices(read_points, [path], progress=lambda *step: steps.append(step))
     for name, values in whole.arrays().items():
         np.testing.assert_array_equal(values, parts.arrays()[name])
     assert steps[-1] == ("read", COUNT, COUNT)
@@ -89,7 +90,7 @@ def test_noise_and_withheld_points_are_dropped_and_counted(tmp_path, point_forma
     classes = np.repeat(np.array([2, 7, 17, 18], dtype=np.uint8), COUNT // 4)
     withheld = (np.arange(COUNT) % 10 == 0).astype(np.uint8)
     path = write(tmp_path / "tile.laz", point_format=point_format, classification=classes, withheld=withheld)
-    cloud, notices = read_points(path)
+    cloud, notices = with_notices(read_points, path)
     assert set(np.unique(cloud.classification)) == {2, 17}
     assert len(cloud) == 180
     assert "40 points flagged as withheld were dropped." in notices
@@ -104,7 +105,7 @@ def test_lone_and_absurd_points_are_dropped_and_counted(tmp_path):
     las.z[100], las.z[101] = 4000.0, 1e6
     las.x[102] = 0.0
     las.write(path)
-    cloud, notices = read_points(path)
+    cloud, notices = with_notices(read_points, path)
     assert len(cloud) == COUNT - 3
     assert cloud.z.max() == pytest.approx(830)
     assert "1 points of absurd coordinates were dropped." in notices
@@ -117,7 +118,7 @@ def test_coordinates_outside_of_the_headers_bounds_are_noticed(tmp_path):
     body = bytearray(path.read_bytes())
     body[179:187] = np.float64(700050.0).tobytes()  # largest easting
     path.write_bytes(body)
-    cloud, notices = read_points(path)
+    cloud, notices = with_notices(read_points, path)
     assert len(cloud) == COUNT
     assert any("outside of the bounds in the header" in notice for notice in notices)
 
@@ -125,7 +126,7 @@ def test_coordinates_outside_of_the_headers_bounds_are_noticed(tmp_path):
 def test_what_says_nothing_is_none(tmp_path):
     """No echo numbers, no classes, constant intensity and black colours are absent attributes."""
     path = write(tmp_path / "tile.laz", point_format=7, intensity=np.full(COUNT, 9, dtype=np.uint16))
-    cloud, notices = read_points(path)
+    cloud, notices = with_notices(read_points, path)
     assert set(cloud.arrays()) == {"x", "y", "z"}
     assert cloud.colour_names == ()
     assert cloud.first_echo.all()
@@ -135,22 +136,22 @@ def test_what_says_nothing_is_none(tmp_path):
 def test_eight_bit_colours_are_widened(tmp_path):
     """None above 255 means 8 bits: 255 becomes 65535; a file with one larger value stays as it is."""
     colours = {"red": ramp(0, 255), "green": ramp(10, 20), "blue": ramp(20, 10)}
-    narrow, notices = read_points(write(tmp_path / "a.laz", point_format=7, **colours))
+    narrow, notices = with_notices(read_points, write(tmp_path / "a.laz", point_format=7, **colours))
     np.testing.assert_array_equal(narrow.colours[:, 0], ramp(0, 255) * 257)
     assert any("multiplied by 257" in notice for notice in notices)
     colours["blue"] = ramp(0, 256)
-    wide, _ = read_points(write(tmp_path / "b.laz", point_format=7, **colours))
+    wide, _ = with_notices(read_points, write(tmp_path / "b.laz", point_format=7, **colours))
     np.testing.assert_array_equal(wide.colours[:, 2], ramp(0, 256))
 
 
 def test_infrared_and_extra_byte_colours_are_read(tmp_path):
     """Format 8 has NIR; extra bytes named as colours serve formats without any."""
     bands = {"red": ramp(0, 60000), "green": ramp(1, 50000), "blue": ramp(2, 40000)}
-    native, _ = read_points(write(tmp_path / "a.laz", point_format=8, **bands, nir=ramp(3, 30000)))
+    native, _ = with_notices(read_points, write(tmp_path / "a.laz", point_format=8, **bands, nir=ramp(3, 30000)))
     assert native.colour_names == ("red", "green", "blue", "nir")
     np.testing.assert_array_equal(native.colours[:, 3], ramp(3, 30000))
     named = {name.upper(): values for name, values in bands.items()}
-    extra, _ = read_points(write(tmp_path / "b.laz", point_format=6, **named))
+    extra, _ = with_notices(read_points, write(tmp_path / "b.laz", point_format=6, **named))
     assert extra.colour_names == ("red", "green", "blue")
     np.testing.assert_array_equal(extra.colours, native.colours[:, :3])
 
@@ -167,7 +168,7 @@ def test_tiles_are_joined_in_order(tmp_path):
         number_of_returns=np.full(COUNT, 2, dtype=np.uint8),
     )
     poor = write(tmp_path / "b.las", point_format=6, origin=(700100.0, 6600000.0))
-    cloud, notices = read_points([rich, poor])
+    cloud, notices = with_notices(read_points, [rich, poor])
     assert len(cloud) == 2 * COUNT
     assert cloud.x[:COUNT].max() <= 700100 <= cloud.x[COUNT:].min()
     assert cloud.colours is None
@@ -179,14 +180,14 @@ def test_tiles_are_joined_in_order(tmp_path):
 def test_the_same_notice_of_many_files_is_told_once(tmp_path):
     """With the first file and the number of others."""
     paths = [write(tmp_path / f"{name}.las", origin=(7e5 + i * 100, 6.6e6)) for i, name in enumerate("abc")]
-    _, notices = read_points(paths)
+    _, notices = with_notices(read_points, paths)
     assert notices == ["a.las (and 2 more): no echo information, so that every point counts as a first echo."]
 
 
 def test_feet_become_metres(tmp_path):
     """US survey feet in x, y and z turn into the metric twin."""
     path = write(tmp_path / "tile.laz", crs=CRS.from_epsg(3089), origin=(5208000.0, 3902000.0))
-    cloud, notices = read_points(path)
+    cloud, notices = with_notices(read_points, path)
     foot = 1200 / 3937
     expected = laspy.read(path)
     assert cloud.crs == CRS.from_epsg(3088)
@@ -194,7 +195,7 @@ def test_feet_become_metres(tmp_path):
     np.testing.assert_allclose(cloud.z, np.asarray(expected.z) * foot, rtol=1e-14)
     assert any("heights were multiplied by 0.3048006096" in notice for notice in notices)
     assert any("scaled to metres, 'NAD83 / Kentucky Single Zone' (EPSG:3088)" in notice for notice in notices)
-    metric, _ = read_points(path, z_unit="m")
+    metric, _ = with_notices(read_points, path, z_unit="m")
     np.testing.assert_array_equal(metric.z, np.asarray(expected.z))
 
 
@@ -202,32 +203,32 @@ def test_a_stated_crs_serves_files_without_one(tmp_path):
     """A number, a text or an object; without it, the file is refused."""
     path = write(tmp_path / "tile.las", crs=None)
     for stated in (2154, "EPSG:2154", LAMBERT):
-        assert read_points(path, crs=stated)[0].crs == LAMBERT
+        assert with_notices(read_points, path, crs=stated)[0].crs == LAMBERT
     with pytest.raises(CRSError, match="--crs"):
-        read_points(path)
+        with_notices(read_points, path)
 
 
 def test_tiles_of_different_crs_are_refused_by_name(tmp_path):
     """The message names both files and both CRSs."""
     paths = [write(tmp_path / "a.las"), write(tmp_path / "b.las", crs=CRS.from_epsg(32631))]
     with pytest.raises(CRSError, match=r"a\.las.*EPSG:2154.*b\.las.*EPSG:32631"):
-        read_points(paths)
+        with_notices(read_points, paths)
 
 
 def test_degrees_are_refused(tmp_path):
     """With the UTM zone to reproject to."""
     path = write(tmp_path / "tile.las", crs=CRS.from_epsg(4326), origin=(3.0, 43.0), side=0.5)
     with pytest.raises(CRSError, match="UTM zone 31N"):
-        read_points(path, crs=4326)
+        with_notices(read_points, path, crs=4326)
 
 
 def test_nothing_left_is_an_error(tmp_path):
     """All noise leaves no points; no files are no survey."""
     path = write(tmp_path / "tile.las", classification=np.full(COUNT, 7, dtype=np.uint8))
     with pytest.raises(NodataError, match="400 points of the noise classes"):
-        read_points(path)
+        with_notices(read_points, path)
     with pytest.raises(InputError, match="at least one"):
-        read_points([])
+        with_notices(read_points, [])
 
 
 @pytest.mark.data
@@ -238,6 +239,6 @@ def test_nothing_left_is_an_error(tmp_path):
 )
 def test_real_tiles_read_whole(tile, crs, points, epsg):
     """Every point of the real tiles is sound."""
-    cloud, _ = read_points(Path(os.environ["MSBDB_DATA"], tile, "points.laz"), crs=crs)
+    cloud, _ = with_notices(read_points, Path(os.environ["MSBDB_DATA"], tile, "points.laz"), crs=crs)
     assert len(cloud) == points
     assert cloud.crs.to_epsg() == epsg

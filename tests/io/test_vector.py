@@ -47,7 +47,7 @@ def test_invalid_polygons_are_repaired_and_others_left_out(tmp_path):
     assert not frame.has_z.any()
     assert sorted(str(notice.message) for notice in notices) == [
         "mixed.gpkg: 1 geometries were repaired.",
-        "mixed.gpkg: 3 geometries were left out, being no polygons.",
+        "mixed.gpkg: 3 geometries were left out, because they are no polygons.",
     ]
 
 

@@ -20,8 +20,7 @@ from msbdb.kept import KeptRun, Rasters, lattice_of
 from msbdb.landcover import ClassMap
 from msbdb.outline.polygons import polygonise
 from msbdb.params import Params
-from msbdb.run.compose import count_cells
-from msbdb.run.describe import make_frames, outline_parts
+from msbdb.run.describe import count_cells, make_frames, outline_parts
 from msbdb.run.store import recall_regions
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import (

@@ -8,6 +8,7 @@ from affine import Affine
 from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import SCENES
+from support.notices import with_notices
 
 import msbdb
 from msbdb.bands import Bands
@@ -67,7 +68,7 @@ def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch,
 
     monkeypatch.setattr(MODULES[method], f"extract_{method}", extract)
     report = msbdb.api.classify(source, tmp_path / "out.laz", extract=(method,))
-    cloud, _ = read_points(source)
+    cloud, _ = with_notices(read_points, source)
     np.testing.assert_array_equal(laspy.read(tmp_path / "out.laz").classification == 6, np.arange(len(cloud)) % 3 > 0)
     assert (seen["survey"], seen["ndvi"].shape, seen["heights"].shape) == ("town", (len(cloud),), (len(cloud),))
     np.testing.assert_array_equal(seen["cloud"].x, cloud.x)

@@ -19,7 +19,7 @@ from msbdb.fuse.footprints import fuse
 from msbdb.kept import Rasters, lattice_of
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, with_values
-from msbdb.run.compose import forest_of
+from msbdb.run.compose import decompose
 from msbdb.run.describe import no_regions
 from msbdb.run.prepare import build_surface
 from msbdb.run.store import recall_scene
@@ -127,7 +127,7 @@ def test_one_extractor_alone_has_nothing_together(folder, tmp_path, extract):
     assert not set(RASTERS) & set(kept(db))
     with msbdb.open(db) as opened:
         opened.export(tmp_path / "one.gpkg")
-        with pytest.raises(InputError, match=r"'one' has no footprints .* multiscale and flatregions"):
+        with pytest.raises(InputError, match=r"'one' has no fused footprints\..* multiscale and flatregions"):
             opened.together()
     assert "together" not in pyogrio.list_layers(tmp_path / "one.gpkg")[:, 0]
 
@@ -207,7 +207,7 @@ def test_without_evidence_nothing_is_fused():
     """A run that an older msbdb kept has none, and one without flat regions has nothing to fuse."""
     scene = recall_scene(small_build())
     assert scene.evidence is None
-    forest = forest_of(scene, {}, Params())
+    forest = decompose(scene, {}, Params())
     flat = no_regions("flatregions", FLAT_REGION, scene.heights.spec)
     assert fuse(forest, flat, scene, Params()) is None
     known = Evidence(np.zeros(scene.heights.spec.shape, np.uint16), np.zeros(scene.heights.spec.shape, np.uint8))

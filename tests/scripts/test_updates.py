@@ -68,7 +68,7 @@ def test_the_nightly_script_stops_at_the_first_failure(surveys: Path, tmp_path: 
     (folder / "2020-04-01_first").symlink_to(surveys / "2020-04-01_first")
     done = run(ROOT / "scripts" / "update_nightly", tmp_path / "town.sqlite", folder)
     assert done.returncode == 1
-    assert "2019-01-01_broken could not be brought in" in done.stderr
+    assert "2019-01-01_broken could not be applied" in done.stderr
     assert not (tmp_path / "town.sqlite").exists()
     assert "usage" in run(ROOT / "scripts" / "update_nightly").stderr
 

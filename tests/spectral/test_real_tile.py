@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import ndimage
+from support.notices import with_notices
 
 from msbdb.bands import Bands
 from msbdb.grid import Grid, lattice
@@ -25,7 +26,7 @@ pytestmark = [pytest.mark.data, pytest.mark.skipif(not DATA, reason="MSBDB_DATA 
 def tile():
     """Read the part of a tile under its orthophotos: bands, nDSM, roughness, and crowns and roofs by the classes."""
     folder = Path(DATA) / "montpellier"
-    points, _ = read_points(folder / "points.laz", crs=2154)
+    points, _ = with_notices(read_points, folder / "points.laz", crs=2154)
     spec = lattice((770550.1, 6277550.1, 770599.9, 6277599.9), 0.5, points.crs)
     row, col = spec.rowcol(points.x, points.y)
     points = points.take((row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1]))

@@ -12,8 +12,7 @@ from msbdb.kept import KeptRun, Rasters
 from msbdb.landcover import ClassMap
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, as_dict
-from msbdb.run.compose import count_cells
-from msbdb.run.describe import make_frames, outline_parts
+from msbdb.run.describe import count_cells, make_frames, outline_parts
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Counts, Run, Source, Survey
 

@@ -16,6 +16,7 @@ from msbdb.kept import heights_of
 from msbdb.params import profile
 from msbdb.points.cloud import PointCloud
 from msbdb.run.prepare import build_surface
+from msbdb.run.stages import Notices, collect_notices
 from msbdb.surface import heights_above
 from simulated.epochs import EDITS, Edit, second_epoch
 
@@ -64,7 +65,8 @@ def write_second(
     """Write the files of the second epoch, edited by what the database knows of the first; return the edits too."""
     files = [laspy.read(path) for path in first]
     xyz = [np.concatenate([np.asarray(las[axis], dtype=np.float64) for las in files]) for axis in "xyz"]
-    points, _ = read_points(list(first), crs=crs)
+    with collect_notices(Notices()):  # the build of the same files reported them
+        points = read_points(list(first), crs=crs)
     engine = open_database(db)
     ndsm = heights_of(read_survey(engine, survey), read_rasters(engine, survey))
     buildings = read_buildings(engine, survey)

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import CRS
 from simulated.scenes import BUILDING, courtyard, under_trees
+from support.notices import with_notices
 
 from msbdb.detect.adaptive.bathurst import extract_adaptive, ladder
 from msbdb.errors import InputError
@@ -373,7 +374,7 @@ def tile(name):
     """Return the points of a real tile."""
     folder = Path(os.environ["MSBDB_DATA"])
     crs = "EPSG:28992" if name.startswith("delft") else None
-    return read_points([folder / file for file in FILES[name]], crs=crs)[0]
+    return with_notices(read_points, [folder / file for file in FILES[name]], crs=crs)[0]
 
 
 @pytest.mark.data

@@ -11,6 +11,7 @@ import pytest
 from pyproj import CRS
 from simulated.files import write_points
 from simulated.scenes import city, flat_field, podium_tower, under_trees
+from support.notices import with_notices
 
 import msbdb
 from msbdb.detect.area3d.caowu import extract_area3d
@@ -393,7 +394,7 @@ def test_input_that_is_none_is_refused():
 @cache
 def real_tile(path, epsg, density):
     """Return a real tile thinned to a density of first echoes, its classes wiped, and which points are building."""
-    cloud, _ = read_points(Path(DATA) / path, crs=epsg)
+    cloud, _ = with_notices(read_points, Path(DATA) / path, crs=epsg)
     truth = cloud.classification == BUILDING
     if density:
         share = density * np.ptp(cloud.x) * np.ptp(cloud.y) / np.count_nonzero(cloud.first_echo)

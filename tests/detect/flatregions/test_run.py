@@ -11,6 +11,7 @@ import pytest
 from affine import Affine
 from pyproj import CRS
 from simulated.scenes import attached_to_slope, courtyard, plateau, podium_tower, under_trees, wall
+from support.notices import with_notices
 
 from msbdb.detect.flatregions.initialisation import initialise
 from msbdb.detect.flatregions.mongus2013 import extract_flat_regions
@@ -222,7 +223,7 @@ def test_prior_ground_parts_a_building_from_its_slope():
 @pytest.mark.skipif("MSBDB_DATA" not in os.environ, reason="needs the real tiles")
 def test_a_real_tile_is_covered_to_85_per_cent():
     """Delft, classes wiped: flat regions alone against class 6, by area."""
-    cloud, _ = read_points([Path(os.environ["MSBDB_DATA"]) / "delft" / "delft_2.laz"], crs="EPSG:28992")
+    cloud, _ = with_notices(read_points, [Path(os.environ["MSBDB_DATA"]) / "delft" / "delft_2.laz"], crs="EPSG:28992")
     wiped = replace(cloud, classification=np.ones(len(cloud), dtype=np.uint8))
     surface = build_surface(wiped, Params())
     g = normalise(initialise(wiped, surface.dsm.spec, max_gap_m=1.0), surface.dtm)
