@@ -6,13 +6,13 @@ from typing import Any
 
 from msbdb.database import (
     RunSummary,
-    list_runs,
     opened,
     read_build,
     read_buildings,
     read_candidates,
     read_flat_regions,
     read_parts,
+    run_heads,
     shown,
     summarise_run,
 )
@@ -23,13 +23,11 @@ def info_of(db: str | Path) -> dict[str, Any]:
     """Report what a database holds; see `msbdb.api.info`."""
     with opened(db) as engine:
         where = shown(engine.url)
-        runs = list_runs(engine)
         found = []
-        for row in runs.to_dict(orient="records"):
-            summary = summarise_run(engine, row["survey"])
+        for head in run_heads(engine):
+            summary = summarise_run(engine, head["survey"])
             survey = asdict(summary.survey)
             survey.pop("crs_wkt")
-            head: dict[str, Any] = {str(name): value for name, value in row.items()}
             found.append({**head, **_counts(summary), "survey_record": survey, "notices": list(summary.run.notices)})
     return {"database": where, "runs": found}
 
