@@ -229,7 +229,7 @@ def changes(
         emit_json(summary)
         return
     if not found.counts and not found.in_between:
-        click.echo("No survey of the period saw a building there.")
+        click.echo("No survey of the period covers a building there.")
         return
     emit_pairs(found.counts | ({"new and demolished in between": found.in_between} if found.in_between else {}))
     rows = summary["changes"]

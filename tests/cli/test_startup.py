@@ -21,6 +21,9 @@ LIBRARIES = {
 DETECTION = {"laspy", "numba", "sklearn", "msbdb.detect", "msbdb.ground", "msbdb.parts", "msbdb.spectral"}
 """What only detection needs."""
 
+FRAMES = {"alembic", "geoalchemy2", "geopandas", "pyogrio", "rasterio", "scipy"}
+"""What rows of geometries, files and migrations need, and a summary does not."""
+
 CALL = """
 import sys
 from msbdb.cli.main import cli
@@ -65,7 +68,7 @@ def test_help_takes_little_processor_time() -> None:
 
 def test_info_loads_no_files_maps_or_detectors(town: str) -> None:
     """A summary reads the database alone."""
-    assert not (DETECTION | {"matplotlib", "msbdb.io", "msbdb.view", "msbdb.labels"}) & loaded_by("info", town)
+    assert not (DETECTION | FRAMES | {"matplotlib", "msbdb.io", "msbdb.view", "msbdb.labels"}) & loaded_by("info", town)
 
 
 def test_export_loads_no_maps_or_detectors(town: str, tmp_path: Path) -> None:
@@ -77,7 +80,7 @@ def test_export_loads_no_maps_or_detectors(town: str, tmp_path: Path) -> None:
 
 def test_a_check_loads_no_files_maps_or_detectors(town: str) -> None:
     """A check reads the database alone."""
-    assert not (DETECTION | {"matplotlib", "msbdb.io", "msbdb.view"}) & loaded_by("db", "check", town)
+    assert not (DETECTION | FRAMES | {"matplotlib", "msbdb.io", "msbdb.view"}) & loaded_by("db", "check", town)
 
 
 def test_a_view_loads_no_detectors(town: str, tmp_path: Path) -> None:
