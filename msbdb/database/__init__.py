@@ -44,6 +44,7 @@ from msbdb.database.runs.reading import (
     read_run,
     read_scales,
     read_survey,
+    run_heads,
     summarise_run,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
@@ -101,6 +102,7 @@ __all__ = [
     "read_states",
     "read_survey",
     "run_example",
+    "run_heads",
     "shown",
     "srid_of",
     "store_build",

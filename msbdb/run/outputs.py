@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from msbdb.database import (
     Engine,
     RunSummary,
-    list_runs,
     opened,
     read_build,
     read_buildings,
@@ -20,6 +19,7 @@ from msbdb.database import (
     read_rasters,
     read_run,
     read_survey,
+    run_heads,
     shown,
     summarise_run,
 )
@@ -43,13 +43,11 @@ def info_of(db: str | Path) -> dict[str, Any]:
     """Report what a database holds; see `msbdb.api.info`."""
     with opened(db) as engine:
         where = shown(engine.url)
-        runs = list_runs(engine)
         found = []
-        for row in runs.to_dict(orient="records"):
-            summary = summarise_run(engine, row["survey"])
+        for head in run_heads(engine):
+            summary = summarise_run(engine, head["survey"])
             survey = asdict(summary.survey)
             survey.pop("crs_wkt")
-            head: dict[str, Any] = {str(name): value for name, value in row.items()}
             found.append({**head, **_counts(summary), "survey_record": survey, "notices": list(summary.run.notices)})
     return {"database": where, "runs": found}
 

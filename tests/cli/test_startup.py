@@ -65,7 +65,8 @@ def test_help_takes_little_processor_time() -> None:
 
 def test_info_loads_no_files_maps_or_detectors(town: str) -> None:
     """A summary reads the database alone."""
-    assert not (DETECTION | {"matplotlib", "msbdb.io", "msbdb.view", "msbdb.labels"}) & loaded_by("info", town)
+    frames = {"alembic", "geopandas", "pandas"}
+    assert not (DETECTION | frames | {"matplotlib", "msbdb.io", "msbdb.view", "msbdb.labels"}) & loaded_by("info", town)
 
 
 def test_export_loads_no_maps_or_detectors(town: str, tmp_path: Path) -> None:
@@ -77,7 +78,8 @@ def test_export_loads_no_maps_or_detectors(town: str, tmp_path: Path) -> None:
 
 def test_a_check_loads_no_files_maps_or_detectors(town: str) -> None:
     """A check reads the database alone."""
-    assert not (DETECTION | {"matplotlib", "msbdb.io", "msbdb.view"}) & loaded_by("db", "check", town)
+    others = {"alembic", "geopandas", "matplotlib", "msbdb.io", "msbdb.view"}
+    assert not (DETECTION | others) & loaded_by("db", "check", town)
 
 
 def test_a_view_loads_no_detectors(town: str, tmp_path: Path) -> None:

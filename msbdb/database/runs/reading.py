@@ -54,26 +54,31 @@ def list_runs(engine: Engine) -> "pd.DataFrame":
     """Return one row for each run: survey, methods, profile, version, date, EPSG code, density and cell size."""
     import pandas as pd
 
+    columns = ["survey", "methods", "profile", "version", "date", "epsg", "density", "cell_m"]
+    return pd.DataFrame(run_heads(engine), columns=columns)
+
+
+def run_heads(engine: Engine) -> list[dict[str, Any]]:
+    """Return the rows of `list_runs` as dictionaries, in order of surveys."""
+    run, survey = RUN.c, SURVEY.c
+    columns = (
+        run.run_id,
+        survey.name,
+        run.profile,
+        run.version,
+        survey.date,
+        survey.epsg,
+        survey.density,
+        survey.cell_m,
+    )
     with guarded(engine.url), engine.connect() as connection:
-        query = (
-            select(
-                RUN.c.run_id,
-                SURVEY.c.name.label("survey"),
-                RUN.c.profile,
-                RUN.c.version,
-                SURVEY.c.date,
-                SURVEY.c.epsg,
-                SURVEY.c.density,
-                SURVEY.c.cell_m,
-            )
-            .join_from(RUN, SURVEY)
-            .order_by(RUN.c.run_id)
-        )
-        result = connection.execute(query)
-        rows = pd.DataFrame([tuple(row) for row in result], columns=list(result.keys()))
-        methods = [", ".join(_methods_of(connection, int(run_id))) for run_id in rows.pop("run_id")]
-    rows.insert(1, "methods", methods)
-    return rows.sort_values("survey", ignore_index=True)
+        rows = connection.execute(select(*columns).join_from(RUN, SURVEY)).all()
+        heads = [
+            {"survey": name, "methods": ", ".join(_methods_of(connection, run_id))}
+            | dict(zip(("profile", "version", "date", "epsg", "density", "cell_m"), more, strict=True))
+            for run_id, name, *more in rows
+        ]
+    return sorted(heads, key=lambda head: str(head["survey"]))
 
 
 def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
