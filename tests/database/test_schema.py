@@ -144,7 +144,7 @@ def test_every_view_has_a_text_and_every_text_a_view() -> None:
 
 def test_an_installed_msbdb_finds_its_folders_beside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The wheel puts migrations and schema into the package; a checkout has them at its top."""
-    monkeypatch.setattr(sqlfiles, "__file__", str(tmp_path / "msbdb" / "database" / "sqlfiles.py"))
+    monkeypatch.setattr(sqlfiles, "__file__", str(tmp_path / "msbdb" / "database" / "schema" / "sqlfiles.py"))
     with pytest.raises(DatabaseError, match="Install msbdb again"):
         sqlfiles.packaged("migrations")
     (tmp_path / "migrations").mkdir()
