@@ -181,7 +181,7 @@ def test_zones_that_make_no_sense_are_refused(points, tmp_path, values):
     assert not (tmp_path / "none.sqlite").exists()
 
 
-def test_an_unknown_extractor_is_refused_before_anything_is_read(tmp_path):
-    """The message lists the extractors that there are."""
-    with pytest.raises(ParameterError, match="multiscale, flatregions, area3d, adaptive; got windows"):
+def test_an_unknown_detector_is_refused_before_anything_is_read(tmp_path):
+    """The message lists the detectors."""
+    with pytest.raises(ParameterError, match="adaptive, area3d, flatregions, multiscale; got windows"):
         msbdb.build([tmp_path / "nothing.laz"], db=tmp_path / "none.sqlite", extract=["windows"])
