@@ -177,7 +177,7 @@ def test_a_validity_mask_leaves_cells_out():
 def test_nothing_to_score_is_an_error():
     """Neither side, an area of interest elsewhere, or no valid cell: NodataError."""
     house = [box(0, 0, 10, 10)]
-    with pytest.raises(NodataError, match="nothing can be scored"):
+    with pytest.raises(NodataError, match="Neither side has a building"):
         score([], [])
     spec = GridSpec((5, 5), Affine(2, 0, E0 + 900, 0, -2, N0), RD)
     elsewhere = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
