@@ -316,7 +316,7 @@ def test_crs_size_and_bounds_are_checked():
     house = frame(box(0, 0, 9, 9))
     with pytest.raises(CRSError, match="reference has no CRS"):
         evaluate(house, PolygonReference(house.set_crs(None, allow_override=True)))
-    with pytest.raises(CRSError, match="extraction has no CRS"):
+    with pytest.raises(CRSError, match="detected buildings have no CRS"):
         evaluate(house.set_crs(None, allow_override=True), PolygonReference(house))
     with pytest.raises(CRSError, match="projected"):
         evaluate(house.to_crs(4326), PolygonReference(house))
