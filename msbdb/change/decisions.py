@@ -236,7 +236,7 @@ class Decisions:
         self._note("new", 0, a, version=self._enter(0, a, shape, adopted=False))
 
     def _outline(self, group: tuple[int, ...], a: int) -> tuple[shapely.Geometry, bool]:
-        """Return the new outline: the survey's if it covers these buildings alone, else the old one and the change."""
+        """Return the buildings' new outline: the survey's where it covers only them, else the old with the change."""
         sharing = {i for i, own in self.links.own.items() if a in own}
         if sharing == set(group) and all(len(self.links.own[i]) == 1 for i in group):
             return self.after.geometry.iloc[a - 1], True

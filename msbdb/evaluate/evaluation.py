@@ -194,7 +194,7 @@ def _bounds(sides: list[Geometries]) -> Bounds:
     """Return the bounds of all geometries."""
     outlines = np.concatenate(sides)
     if not len(outlines):
-        msg = "There is no building on either side and no area of interest, or an empty one: nothing can be scored."
+        msg = "Neither side has a building, and no area of interest with cells is given. Give such an area."
         raise NodataError(msg)
     west, south, east, north = (float(bound) for bound in shapely.total_bounds(outlines))
     return (west, south, east, north)

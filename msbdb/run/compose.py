@@ -44,7 +44,7 @@ class Job:
     inputs : Inputs
         The files.
     params : Params
-        Every value that decides something.
+        All parameters.
     profile : str
         Name of the profile that the parameters began from.
     label : Label

@@ -177,7 +177,7 @@ def test_a_validity_mask_leaves_cells_out():
 def test_nothing_to_score_is_an_error():
     """Neither side, an area of interest elsewhere, or no valid cell: NodataError."""
     house = [box(0, 0, 10, 10)]
-    with pytest.raises(NodataError, match="nothing can be scored"):
+    with pytest.raises(NodataError, match="Neither side has a building"):
         score([], [])
     spec = GridSpec((5, 5), Affine(2, 0, E0 + 900, 0, -2, N0), RD)
     elsewhere = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
@@ -316,7 +316,7 @@ def test_crs_size_and_bounds_are_checked():
     house = frame(box(0, 0, 9, 9))
     with pytest.raises(CRSError, match="reference has no CRS"):
         evaluate(house, PolygonReference(house.set_crs(None, allow_override=True)))
-    with pytest.raises(CRSError, match="extraction has no CRS"):
+    with pytest.raises(CRSError, match="detected buildings have no CRS"):
         evaluate(house.set_crs(None, allow_override=True), PolygonReference(house))
     with pytest.raises(CRSError, match="projected"):
         evaluate(house.to_crs(4326), PolygonReference(house))

@@ -17,6 +17,7 @@ from simulated.scenes import SCENES
 from support.faultfiles import moved, write_points, write_raster
 
 import msbdb
+import msbdb.run.store  # the libraries are loaded before a clock starts
 from msbdb.cli.main import cli
 
 SECONDS = 10.0
