@@ -118,7 +118,7 @@ def make_frames(
     spec = scene.heights.spec
     link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
     flat = regions.get("flatregions") or no_regions("flatregions", FLAT_REGION, spec)
-    candidates = [regions[name] for name in POINT_DETECTORS if name in regions]
+    candidates = [regions[name] for name in sorted(POINT_DETECTORS) if name in regions]
     part_ids, flat_ids = parts["part_id"].to_numpy(), flat.table["region_id"].to_numpy()
     flat_links = link(forest.labels, part_ids, flat.labels, flat_ids, table=PART_FLAT_REGION)
     links = {"flatregions": flat_links} if "flatregions" in regions else {}

@@ -40,15 +40,15 @@ MOMENTS = {
     "in the schema": ("view_ddl", 1, True, NEW),
     "before the file has its name": ("_publish", 1, False, NEW),
     "when the file has its name": ("_publish", 1, True, NEW),
-    "before the log": ("_journal_mode", 1, False, OLD),
-    "with an empty log": ("_journal_mode", 1, True, OLD),
+    "before the log": ("journal_mode", 1, False, OLD),
+    "with an empty log": ("journal_mode", 1, True, OLD),
     "before the first rows": ("insert_rows", 1, False, OLD),
     "between the first rows": ("insert_rows", 4, True, NEW),
     "between more rows": ("insert_rows", 4, True, OLD),
     "before the statistics": ("after_load", 1, False, OLD),
     "before the commit": ("after_load", 1, True, OLD),
-    "after the commit": ("_journal_mode", 2, False, OLD),
-    "with the log taken in": ("_journal_mode", 2, True, OLD),
+    "after the commit": ("journal_mode", 2, False, OLD),
+    "with the log taken in": ("journal_mode", 2, True, OLD),
 }
 """Steps of the writing: the function, at which call of it, whether after it, and what was there."""
 

@@ -134,12 +134,12 @@ def test_a_kept_run_gives_its_regions_back(tmp_path, methods):
     """Labels, rows, ledger and counts of each detector, in the order of their names."""
     layers = [layer(method, WEST, EAST, first=1000 * n) for n, method in enumerate(methods, start=1)]
     found, scene = frames(*layers), town()
-    stages = {"opening": {"in": 3, "kept": 3, "dropped": 0}}
+    stages = {"multiscale": {"opening": {"in": 3, "kept": 3, "dropped": 0}}}
     for one in layers:
-        stages |= one.counts
+        stages[one.method] = one.counts
     rule = {"colours_decide": 0, "green_decides": 0}
     counts = Counts(stages, count_cells(scene.heights, scene.cover), rule, {})
-    run = Run(",".join(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
+    run = Run(tuple(sorted([*methods, "multiscale"])), "default", "1", {}, counts, {}, ())
     rasters = Rasters.of_heights(scene.heights, scene.cover.structure.index)
     rasters = replace(rasters, regions={one.method: one.labels for one in layers})
     engine = open_database(tmp_path / "town.sqlite", create=True, srid=32633)
@@ -165,11 +165,11 @@ def test_labels_by_the_operator_keep_the_candidates(tmp_path):
     with msbdb.open(db) as opened:
         build, classes = read_build(opened.engine), opened.classes()
     added = layer("area3d", (slice(None), slice(None)), spec=lattice_of(build.survey))
-    counts = replace(build.run.counts, regions=build.run.counts.regions | added.counts)
+    counts = replace(build.run.counts, regions=build.run.counts.regions | {"area3d": added.counts})
     ledger = build.frames["rejection"]
     extra = gpd.GeoDataFrame(added.ledger, geometry=[ledger.geometry.iloc[0]], crs=ledger.crs)
     kept = {"candidate_region": added.table, "rejection": pd.concat([ledger, extra], ignore_index=True)}
-    run = replace(build.run, method="area3d,flatregions,multiscale", counts=counts)
+    run = replace(build.run, methods=("area3d", "flatregions", "multiscale"), counts=counts)
     rasters = replace(build.rasters, regions={**build.rasters.regions, "area3d": added.labels})
     roofs = classes.loc[classes["label"] == "building", "speindex"].tolist()
     with msbdb.open(db) as opened:

@@ -133,7 +133,7 @@ def test_flat_regions_are_evaluated_on_their_own(town, tmp_path):
         buildings[["geometry"]].to_file(tmp_path / "truth.gpkg")
         score = opened.evaluate(tmp_path / "truth.gpkg", of="flatregions")
         parts = opened.evaluate(tmp_path / "truth.gpkg", of="parts")
-        with pytest.raises(InputError, match="nothing called 'roofs'"):
+        with pytest.raises(InputError, match="'roofs' cannot be evaluated"):
             opened.evaluate(tmp_path / "truth.gpkg", of="roofs")
     assert score.area.rates.completeness == pytest.approx(buildings["flat_share"].iloc[0], abs=0.05)
     assert parts.area.rates.quality > 0.99

@@ -54,7 +54,8 @@ def numbers(db):
     parts, buildings, lost = (build.frames[name] for name in ("part", "building", "rejection"))
     scales = build.frames["scale"].set_index("scale")["threshold_m2"]
     edges = parts[parts["supid"] != 0].groupby(["supscale", "scale"]).size()
-    ledger = lost.groupby("stage")["area_m2"].agg(["size", "sum"])
+    names = lost["method"].map({"multiscale": "", "flatregions": "flat "}).fillna(lost["method"] + " ") + lost["stage"]
+    ledger = lost.groupby(names)["area_m2"].agg(["size", "sum"])
     return {
         "cell_m": build.survey.cell_m,
         "density": round(build.survey.density, 3),
