@@ -216,7 +216,7 @@ CORRUPTIONS = [
     Corruption(
         "a cell of a raster that somebody edited",
         *("content", "run", f"run_id={RUN}", "survey 'delft' give the digest"),
-        sql=("UPDATE run_state SET dtype = '<i4' WHERE name = 'ndsm_cm'",),
+        sql=("UPDATE run_state SET dtype = '<f4' WHERE name = 'ndsm_cm'",),
     ),
     Corruption(
         "versions that overlap",

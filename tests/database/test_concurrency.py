@@ -147,7 +147,7 @@ def test_an_update_that_others_always_overtake_says_so(begun: str, monkeypatch: 
     store_build(begun, tile(0, 2021))
     before = content(begun)
     monkeypatch.setattr(update, "write_advance", overtaken)
-    with pytest.raises(DatabaseError, match="Others keep changing the inventory where the survey 't0_2021' lies"):
+    with pytest.raises(DatabaseError, match="Others keep changing the inventory at the place of the survey 't0_2021'"):
         advance(begun, "t0_2021")
     assert content(begun) == before
 

@@ -96,7 +96,7 @@ def test_the_net_change_is_written_and_printed(engine: Engine, tmp_path: Path) -
     told = json.loads(run("changes", db, *period, "--json"))
     assert (told["counts"]["modified"], told["in_between"], len(told["changes"])) == (3, 1, 4)
     assert {row["times"] for row in told["changes"]} == {1, 2}
-    assert "came and went in between" in run("changes", db, *period)
+    assert "new and demolished in between" in run("changes", db, *period)
     for ending in ("gpkg", "geojson", "csv"):
         run("changes", db, *period, "--out", tmp_path / f"net.{ending}")
     assert len(gpd.read_file(tmp_path / "net.gpkg")) == len(pd.read_csv(tmp_path / "net.csv")) == 10
