@@ -8,17 +8,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from msbdb.errors import TableError
-from msbdb.grid import Grid, GridSpec
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import Run, Survey
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from msbdb.grid import Grid, GridSpec
 
 PER_METRE = 100
 """Heights above ground are whole centimetres, finer than any scanner, so that they are kept without loss."""
@@ -113,22 +112,30 @@ class Rasters:
         )
 
     @classmethod
-    def of_heights(cls, heights: Grid, structure: NDArray[np.uint8]) -> Self:
+    def of_heights(cls, heights: "Grid", structure: NDArray[np.uint8]) -> Self:
         """Return the rasters of a scene in which nothing was detected yet."""
         metres = np.asarray(heights.values, dtype=np.float64)
         return cls(np.round(metres * PER_METRE).astype(np.int32), heights.valid, structure)
 
 
-def lattice_of(survey: Survey) -> GridSpec:
+def lattice_of(survey: Survey) -> "GridSpec":
     """Return the lattice on which a survey's rasters lie."""
+    # A run is read without PROJ; only its place on the ground needs it.
+    from affine import Affine
+    from pyproj import CRS
+
+    from msbdb.grid import GridSpec
+
     west, south, east, north = survey.bounds
     shape = round((north - south) / survey.cell_m), round((east - west) / survey.cell_m)
     transform = Affine(survey.cell_m, 0.0, west, 0.0, -survey.cell_m, north)
     return GridSpec(shape, transform, CRS.from_wkt(survey.crs_wkt))
 
 
-def heights_of(survey: Survey, rasters: Rasters) -> Grid:
+def heights_of(survey: Survey, rasters: Rasters) -> "Grid":
     """Return the heights above ground of a run, metres, equal to those of its build to the bit."""
+    from msbdb.grid import Grid
+
     metres = (rasters.heights_cm.astype(np.float64) / PER_METRE).astype(np.float32)
     return Grid(metres, rasters.valid, lattice_of(survey))
 
@@ -144,7 +151,8 @@ class KeptRun:
     run : Run
         Detectors, parameters, counts, timings and notices.
     frames : dict of str to DataFrame
-        One frame for each of ``tables.TABLES`` by name; GeoDataFrames where the table has a geometry.
+        One frame for each of ``tables.TABLES`` by name, or for those that were read; GeoDataFrames where the table has
+        a geometry.
     rasters : Rasters
         Heights, classes and labels of the regions.
     """
@@ -155,7 +163,7 @@ class KeptRun:
     rasters: Rasters
 
     @property
-    def heights(self) -> Grid:
+    def heights(self) -> "Grid":
         """The heights above ground, metres."""
         return heights_of(self.survey, self.rasters)
 

@@ -2,7 +2,6 @@
 
 import datetime
 import re
-import tomllib
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -110,6 +109,8 @@ def setting(text: str) -> tuple[str, str, object]:
     >>> setting("surface.cell_m=0.5"), setting("surface.slicing=step")
     (('surface', 'cell_m', 0.5), ('surface', 'slicing', 'step'))
     """
+    import tomllib
+
     key, _, value = text.partition("=")
     section, _, name = key.strip().partition(".")
     if not name or not value:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -127,11 +128,16 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def on_terminal() -> bool:
+    """Return whether the standard error is a terminal; asked of Python, as loading rich takes time."""
+    # It is None where it is closed.
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
 @contextmanager
 def progress_bars() -> Iterator[Progress | None]:
     """Give a callback that draws a bar a stage on the standard error; None where that is no terminal."""
-    console = stderr_console()
-    if not console.is_terminal:
+    if not on_terminal():
         yield None
         return
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -139,7 +145,7 @@ def progress_bars() -> Iterator[Progress | None]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     tasks: dict[str, TaskID] = {}
-    with Bars(*columns, console=console, transient=True) as bars:
+    with Bars(*columns, console=stderr_console(), transient=True) as bars:
 
         def advance(stage: str, done: int, total: int) -> None:
             if stage not in tasks:

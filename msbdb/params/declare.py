@@ -4,7 +4,6 @@ A section is a frozen dataclass whose fields are made by `param`; a set of param
 A declaration is the only place of a default, its unit, its bounds, its meaning and its source.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import Field, field, fields, replace
 from pathlib import Path
@@ -96,6 +95,8 @@ def read_params(path: Path, base: T) -> T:
     ParameterError
         When it is not valid TOML, or sets what is not declared.
     """
+    import tomllib
+
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -473,6 +473,7 @@ def test_progress_is_drawn_on_terminals(api, monkeypatch):
     screen = io.StringIO()
     console = Console(file=screen, force_terminal=True, width=100)
     monkeypatch.setattr(output, "stderr_console", lambda: console)
+    monkeypatch.setattr(output, "on_terminal", lambda: True)
     monkeypatch.setattr(command, "stderr_console", lambda: console)
     Path("a.laz").touch()
     result = run("build", "--points", "a.laz", "--db", "x")

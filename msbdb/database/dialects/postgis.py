@@ -39,6 +39,11 @@ logger = logging.getLogger(__name__)
 # Inspecting a table would warn of a type that it does not know.
 ischema_names["geometry"] = Geometry
 
+# The tables are declared without PostgreSQL, so that a file is opened without SQLAlchemy's dialect of it.
+for _index in (index for table in SQL.values() for index in table.indexes):
+    if (_where := _index.dialect_options["sqlite"]["where"]) is not None:
+        _index.dialect_options["postgresql"]["where"] = _where
+
 _WRITER_LOCK = 0x6D73626462
 """Number of the advisory lock of a database's only writer: 'msbdb' in ASCII."""
 

@@ -107,9 +107,10 @@ def _rule(rule: Check | Unique | KeyReference) -> sa.Constraint:
 
 
 def _index(index: Index) -> sa.Index:
-    """Return a declared index."""
-    where = sa.text(index.where) if index.where else None
-    return sa.Index(index.name or None, *index.columns, unique=index.unique, sqlite_where=where, postgresql_where=where)
+    """Return a declared index; `msbdb.database.dialects.postgis` gives its condition to PostgreSQL, too."""
+    # A condition for PostgreSQL would load SQLAlchemy's dialect of it, also for a file.
+    condition: dict[str, Any] = {"sqlite_where": sa.text(index.where)} if index.where else {}
+    return sa.Index(index.name or None, *index.columns, unique=index.unique, **condition)
 
 
 def _table(table: Table) -> sa.Table:
