@@ -1,35 +1,30 @@
-"""Checks of the schema and of every row: no object is missing, and all declared constraints are fulfilled.
+"""Checks of every row: all declared constraints are fulfilled.
 
 The constraints are tested by queries, because a database that was edited may not have enforced them.
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import TypeVar
 
 from sqlalchemy import (
     CheckConstraint,
+    Column,
     Connection,
     Double,
-    Executable,
     ForeignKeyConstraint,
-    Inspector,
     Integer,
     LargeBinary,
     Table,
     Text,
-    TextClause,
     UniqueConstraint,
-    and_,
-    exists,
     func,
-    inspect,
+    literal_column,
     select,
 )
 from sqlalchemy import text as sql
 
 from msbdb.database.admin.findings import Finding, key_columns, key_of, keyed, tables
-from msbdb.database.schema.migration import head_version
-from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
 
 T = TypeVar("T")
 
@@ -41,32 +36,50 @@ _STORED: tuple[tuple[type, tuple[str, ...]], ...] = (
 )
 """The types of values that SQLite may store in a column of a type; BIGINT is an Integer for SQLAlchemy."""
 
+_BATCH = {"yield_per": 5000}
+"""Rows are read in batches, because a table may have millions."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Fault:
+    """What is found in rows that fulfil a condition, and what is expected.
+
+    ``what`` has a pair of braces for each of the SQL expressions ``shown``.
+    """
+
+    what: str
+    expected: str
+    shown: tuple[str, ...] = ()
+
 
 def check_values(connection: Connection) -> Iterator[Finding]:
     """Yield rows with a missing or wrongly typed value, that break a declared rule, or whose key is not unique."""
     for table in tables():
-        yield from _nulls(connection, table)
+        faults = _nulls(table) | _rules(table)
         if connection.dialect.name == "sqlite":
-            yield from _types(connection, table)
-        yield from _rules(connection, table)
+            faults |= _types(table)
+        yield from _faulty(connection, "values", table, faults)
         yield from _repeated(connection, table)
 
 
 def check_foreign_keys(connection: Connection) -> Iterator[Finding]:
-    """Yield rows that refer to no row, found by joins, not by the database's own constraints."""
+    """Yield rows that refer to no row, found by queries, not by the database's own constraints."""
     for table in tables():
-        for constraint in _references(table):
-            yield from _dangling(connection, table, constraint)
+        faults = dict(_dangling(table, constraint) for constraint in _references(table))
+        yield from _faulty(connection, "foreign keys", table, faults)
 
 
 def check_links(connection: Connection) -> Iterator[Finding]:
     """Yield rows of a run that refer to rows of another run."""
     for table in tables():
+        faults = {}
         for constraint in _references(table):
             other = constraint.referred_table
             names = [element.parent.name for element in constraint.elements]
             if other.name != "run" and "run_id" in table.c and "run_id" in other.c and "run_id" not in names:
-                yield from _strangers(connection, table, constraint)
+                condition, fault = _strange(table, constraint)
+                faults[condition] = fault
+        yield from _faulty(connection, "links", table, faults)
 
 
 def _references(table: Table) -> list[ForeignKeyConstraint]:
@@ -74,46 +87,44 @@ def _references(table: Table) -> list[ForeignKeyConstraint]:
     return sorted(found, key=lambda constraint: str(constraint.name))
 
 
-def _rows(connection: Connection, query: Executable) -> Iterator[Any]:
-    """Yield rows in batches, because a table may have millions."""
-    yield from connection.execute(query, execution_options={"yield_per": 5000})
+def _faulty(connection: Connection, check: str, table: Table, faults: Mapping[str, _Fault]) -> Iterator[Finding]:
+    """Yield the rows that fulfil a condition, for each fault by its condition; one scan finds those that are met."""
+    counts = {f"count(*) FILTER (WHERE {condition})": (condition, fault) for condition, fault in faults.items()}
+    for condition, fault in _above_0(connection, counts, f"FROM {table.name}"):
+        keys = key_columns(table)
+        query = select(*keys, *(literal_column(each) for each in fault.shown)).select_from(table).where(sql(condition))
+        for row in connection.execute(query, execution_options=_BATCH):
+            key = keyed(table, row[: len(keys)])
+            yield Finding(check, table.name, key, fault.what.format(*row[len(keys) :]), fault.expected)
 
 
-def _fulfilled(connection: Connection, table: Table, conditions: Mapping[str, T]) -> Iterator[tuple[TextClause, T]]:
-    """Yield the conditions that some rows fulfil, with their values; one scan of the table finds them all."""
-    if conditions:
-        counts = ", ".join(f"count(*) FILTER (WHERE {condition})" for condition in conditions)
-        found = connection.execute(sql(f"SELECT {counts} FROM {table.name}")).one()  # noqa: S608  (the models' names)
-        for (condition, value), rows in zip(conditions.items(), found, strict=True):
-            if rows:
-                yield sql(condition), value
+def _above_0(connection: Connection, counts: Mapping[str, T], scanned: str = "") -> Iterator[T]:
+    """Yield the values of the SQL expressions that are above 0; one statement asks for all of them."""
+    if counts:
+        found = connection.execute(sql(f"SELECT {', '.join(counts)} {scanned}")).one()
+        yield from (value for value, rows in zip(counts.values(), found, strict=True) if rows)
 
 
-def _nulls(connection: Connection, table: Table) -> Iterator[Finding]:
-    required = {f"{c.name} IS NULL": c for c in table.columns if not c.nullable and c.computed is None}
-    for condition, column in _fulfilled(connection, table, required):
-        for row in _rows(connection, select(*key_columns(table)).where(condition)):
-            yield Finding("values", table.name, keyed(table, row), f"{column.name} is null", "a value")
+def _nulls(table: Table) -> dict[str, _Fault]:
+    required = [c.name for c in table.columns if not c.nullable and c.computed is None]
+    return {f"{name} IS NULL": _Fault(f"{name} is null", "a value") for name in required}
 
 
-def _types(connection: Connection, table: Table) -> Iterator[Finding]:
-    """Yield values whose type differs from their column's; SQLite accepts them."""
-    conditions = {}
+def _types(table: Table) -> dict[str, _Fault]:
+    """Return the conditions of values whose type differs from their column's; SQLite accepts them."""
+    faults = {}
     for column in table.columns:
         allowed = next((kinds for type_, kinds in _STORED if isinstance(column.type, type_)), None)
         if allowed is not None and column.computed is None:
-            conditions[f"typeof({column.name}) NOT IN {(*allowed, 'null')}"] = column, allowed
-    for condition, (column, allowed) in _fulfilled(connection, table, conditions):
-        for *key, kind in _rows(connection, select(*key_columns(table), func.typeof(column)).where(condition)):
-            what = f"{column.name} holds a value of type {kind}"
-            yield Finding("values", table.name, keyed(table, key), what, " or ".join(allowed))
+            found = f"typeof({column.name})"
+            what = f"{column.name} holds a value of type {{}}"
+            faults[f"{found} NOT IN {(*allowed, 'null')}"] = _Fault(what, " or ".join(allowed), (found,))
+    return faults
 
 
-def _rules(connection: Connection, table: Table) -> Iterator[Finding]:
-    rules = {f"NOT ({c.sqltext})": c for c in table.constraints if isinstance(c, CheckConstraint)}
-    for condition, rule in _fulfilled(connection, table, rules):
-        for row in _rows(connection, select(*key_columns(table)).where(condition)):
-            yield Finding("values", table.name, keyed(table, row), f"it breaks {rule.name}", str(rule.sqltext))
+def _rules(table: Table) -> dict[str, _Fault]:
+    rules = {str(c.name): str(c.sqltext) for c in table.constraints if isinstance(c, CheckConstraint)}
+    return {f"NOT ({rule})": _Fault(f"it breaks {name}", rule) for name, rule in rules.items()}
 
 
 def _repeated(connection: Connection, table: Table) -> Iterator[Finding]:
@@ -121,113 +132,41 @@ def _repeated(connection: Connection, table: Table) -> Iterator[Finding]:
     groups += [list(c.columns) for c in table.constraints if isinstance(c, UniqueConstraint)]
     whole = [index for index in table.indexes if index.unique and not index.dialect_kwargs]
     groups += [[table.c[column.name] for column in index.columns] for index in whole]
-    for columns in groups:
+    for columns in _above_0(connection, {_repeats(table, columns): columns for columns in groups}):
         query = select(*columns, func.count()).group_by(*columns).having(func.count() > 1)
-        for *values, times in _rows(connection, query.where(*(column.is_not(None) for column in columns))):
+        query = query.where(*(column.is_not(None) for column in columns))
+        for *values, times in connection.execute(query, execution_options=_BATCH):
             yield Finding("values", table.name, key_of(columns, values), f"{times} rows have this key", "one row")
 
 
-def _joined(table: Table, constraint: ForeignKeyConstraint, other: Any) -> Any:  # noqa: ANN401  (an alias)
-    return and_(*(table.c[e.parent.name] == other.c[e.column.name] for e in constraint.elements))
+def _repeats(table: Table, columns: list[Column[object]]) -> str:
+    """Return the expression that counts the values of a key that several rows have."""
+    names = [column.name for column in columns]
+    known = " AND ".join(f"{name} IS NOT NULL" for name in names)
+    groups = f"SELECT 1 FROM {table.name} WHERE {known} GROUP BY {', '.join(names)} HAVING count(*) > 1"  # noqa: S608  (as above)
+    return f"(SELECT count(*) FROM ({groups}) AS repeated)"  # noqa: S608  (as above)
 
 
-def _dangling(connection: Connection, table: Table, constraint: ForeignKeyConstraint) -> Iterator[Finding]:
-    other = constraint.referred_table.alias("referred")
-    own = [table.c[element.parent.name] for element in constraint.elements]
-    there = exists().where(_joined(table, constraint, other))
-    query = select(*key_columns(table), *own).where(*(column.is_not(None) for column in own), ~there)
-    number = len(key_columns(table))
-    for row in _rows(connection, query):
-        names = ", ".join(element.column.name for element in constraint.elements)
-        expected = f"a row of {constraint.referred_table.name} with this {names}"
-        what = f"it refers to no row: {key_of(own, row[number:])}"
-        yield Finding("foreign keys", table.name, keyed(table, row[:number]), what, expected)
+def _referred(table: Table, constraint: ForeignKeyConstraint) -> str:
+    """Return the rows to which a row refers, as the end of a SELECT."""
+    pairs = [(element.column.name, element.parent.name) for element in constraint.elements]
+    joined = " AND ".join(f"referred.{its} = {table.name}.{own}" for its, own in pairs)
+    return f"FROM {constraint.referred_table.name} AS referred WHERE {joined}"
 
 
-def _strangers(connection: Connection, table: Table, constraint: ForeignKeyConstraint) -> Iterator[Finding]:
-    other = constraint.referred_table.alias("referred")
-    query = (
-        select(*key_columns(table), table.c.run_id, other.c.run_id)
-        .join(other, _joined(table, constraint, other))
-        .where(table.c.run_id != other.c.run_id)
-    )
-    for *key, own, its in _rows(connection, query):
-        what = f"it is of run {own}, the row of {constraint.referred_table.name} that it refers to of run {its}"
-        yield Finding("links", table.name, keyed(table, key), what, "rows of the same run")
+def _dangling(table: Table, constraint: ForeignKeyConstraint) -> tuple[str, _Fault]:
+    """Return the condition of rows that refer to no row."""
+    own = [element.parent.name for element in constraint.elements]
+    known = " AND ".join(f"{name} IS NOT NULL" for name in own)
+    names = ", ".join(element.column.name for element in constraint.elements)
+    what = "it refers to no row: " + ", ".join(f"{name}={{}}" for name in own)
+    fault = _Fault(what, f"a row of {constraint.referred_table.name} with this {names}", tuple(own))
+    return f"{known} AND NOT EXISTS (SELECT 1 {_referred(table, constraint)})", fault
 
 
-CHECK = "schema"
-
-_TRIGGERS = ("ggi", "ggu", "gii", "giu", "gid")
-"""Prefixes of the names of SpatiaLite's triggers that check types and SRIDs and update the index."""
-
-
-def missing_tables(connection: Connection) -> list[Finding]:
-    """Return the missing tables and columns; without them no other check can run."""
-    inspector = inspect(connection)
-    there = set(inspector.get_table_names())
-    found = []
-    for table in tables():
-        if table.name not in there:
-            found.append(Finding(CHECK, table.name, "", "the table is missing", f"a table of schema {head_version()}"))
-            continue
-        names = {str(column["name"]) for column in inspector.get_columns(table.name)}
-        names |= _hidden_columns(connection, table)
-        found += [
-            Finding(CHECK, table.name, column.name, "the column is missing", str(column.comment))
-            for column in table.columns
-            if column.name not in names
-        ]
-    return found
-
-
-def _hidden_columns(connection: Connection, table: Table) -> set[str]:
-    """Return SQLite's computed columns, which some versions do not list as columns."""
-    if connection.dialect.name != "sqlite":
-        return set()
-    query = sql("SELECT name FROM pragma_table_xinfo(:table)")
-    return set(connection.scalars(query, {"table": table.name}))
-
-
-def check_schema(connection: Connection) -> Iterator[Finding]:
-    """Yield the views, constraints, indexes and triggers that are missing."""
-    inspector = inspect(connection)
-    there = set(inspector.get_view_names())
-    for view in (*VIEWS, *TABLE_VIEWS):
-        if view.name not in there:
-            yield Finding(CHECK, view.name, "", "the view is missing", view.doc)
-    for table in tables():
-        for kind, names in _missing(inspector, table).items():
-            for name in sorted(names):
-                yield Finding(CHECK, table.name, name, f"the {kind} is missing", "it prevents wrong rows")
-        if connection.dialect.name == "sqlite" and "geometry" in table.columns:
-            yield from _missing_triggers(connection, table)
-
-
-def _missing(inspector: Inspector, table: Table) -> dict[str, set[str]]:
-    """Return the names of the constraints and indexes that a table lacks."""
-    name = table.name
-    declared: dict[str, set[str]] = {
-        "foreign key": {str(c.name) for c in table.constraints if isinstance(c, ForeignKeyConstraint)},
-        "check": {str(c.name) for c in table.constraints if isinstance(c, CheckConstraint)},
-        "unique key": {str(c.name) for c in table.constraints if isinstance(c, UniqueConstraint)},
-        "index": {str(index.name) for index in table.indexes},
-    }
-    there: dict[str, set[str]] = {
-        "foreign key": {str(c["name"]) for c in inspector.get_foreign_keys(name)},
-        "check": {str(c["name"]) for c in inspector.get_check_constraints(name)},
-        "unique key": {str(c["name"]) for c in inspector.get_unique_constraints(name)},
-        "index": {str(index["name"]) for index in inspector.get_indexes(name)},
-    }
-    return {kind: names - there[kind] for kind, names in declared.items()}
-
-
-def _missing_triggers(connection: Connection, table: Table) -> Iterator[Finding]:
-    query = sql("SELECT name FROM sqlite_master WHERE type = 'trigger' AND tbl_name = :table")
-    there = set(connection.scalars(query, {"table": table.name}))
-    for kind in _TRIGGERS:
-        name = f"{kind}_{table.name}_geometry"
-        if name not in there:
-            yield Finding(
-                CHECK, table.name, name, "the trigger is missing", "it checks geometries and updates their index"
-            )
+def _strange(table: Table, constraint: ForeignKeyConstraint) -> tuple[str, _Fault]:
+    """Return the condition of rows that refer to a row of another run."""
+    others = f"{_referred(table, constraint)} AND referred.run_id <> {table.name}.run_id"
+    what = f"it is of run {{}}, the row of {constraint.referred_table.name} that it refers to of run {{}}"
+    fault = _Fault(what, "rows of the same run", ("run_id", f"(SELECT min(referred.run_id) {others})"))
+    return f"EXISTS (SELECT 1 {others})", fault

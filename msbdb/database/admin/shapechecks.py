@@ -184,7 +184,8 @@ def _spatialite_index(connection: Connection, table: Table) -> Iterator[Finding]
         f"SELECT t.{key.name}, i.pkid, {box}, i.xmin, i.xmax, i.ymin, i.ymax "  # noqa: S608  (names are the models')
         f"FROM {table.name} AS t LEFT JOIN {index} AS i ON i.pkid = t.{key.name}"
     )
-    for rows in connection.execute(sql(query), execution_options={"yield_per": _BATCH}).partitions():
+    # The size is given twice: SQLAlchemy does not take it from the options where the query is a text.
+    for rows in connection.execute(sql(query), execution_options={"yield_per": _BATCH}).partitions(_BATCH):
         columns = list(zip(*rows, strict=True))
         own, entry = (np.array(columns[start : start + 4], dtype=np.float64) for start in (2, 6))
         held = _holds(own, entry)
