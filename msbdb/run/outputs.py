@@ -7,24 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msbdb.database import (
-    Engine,
-    RunSummary,
-    opened,
-    read_build,
-    read_buildings,
-    read_candidates,
-    read_flat_regions,
-    read_parts,
-    read_rasters,
-    read_run,
-    read_survey,
-    run_heads,
-    shown,
-    summarise_run,
-)
+from msbdb.database import Engine, RunSummary, opened, read_build, run_heads, shown, summarise_run
 from msbdb.errors import InputError
+from msbdb.kept import KeptRun
 from msbdb.params import POINT_DETECTORS, Params, with_values
+from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -32,6 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msbdb.grid import Grid
+
+LAYERS = {"footprint": BUILDING, "part": PART, "flat_region": FLAT_REGION, "candidate_region": CANDIDATE_REGION}
+"""The layers of an export and their tables."""
 
 NOT_FUSED = (
     "The survey '{survey}' has no fused footprints. Build it again with the detectors multiscale and flatregions; "
@@ -106,23 +96,16 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
 
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
+    import geopandas as gpd
+
     from msbdb.export import export
 
     with opened(db) as engine:
-        layers = {
-            "footprint": read_buildings(engine, survey),
-            "part": read_parts(engine, survey),
-            "flat_region": read_flat_regions(engine, survey),
-            "candidate_region": read_candidates(engine, survey),
-        }
-        if has_together(engine, survey):
-            layers["together"] = read_together(engine, survey)
+        build = read_build(engine, survey, tables=tuple(LAYERS.values()))
+    layers = {layer: gpd.GeoDataFrame(build.frames[table.name]) for layer, table in LAYERS.items()}
+    if build.rasters.fused is not None:
+        layers["together"] = _together(build)
     export(layers, out, overwrite=overwrite)
-
-
-def has_together(engine: Engine, survey: str | None = None) -> bool:
-    """Return whether a survey has fused footprints of parts and flat regions."""
-    return read_rasters(engine, survey).fused is not None
 
 
 def read_together(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
@@ -147,26 +130,30 @@ def read_together(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFram
     InputError
         When the survey was built without one of the two detectors, or by an msbdb that did not fuse them.
     """
+    return _together(read_build(engine, survey, tables=(BUILDING,)))
+
+
+def _together(build: KeptRun) -> "gpd.GeoDataFrame":
+    """Return what `read_together` does, from a run with its buildings."""
     import geopandas as gpd
     import numpy as np
 
-    from msbdb.kept import heights_of, lattice_of
+    from msbdb.kept import lattice_of
     from msbdb.labels import reorder, sizes
     from msbdb.outline.polygons import polygonise
     from msbdb.outline.simplification import simplify_coverage
 
-    record, rasters = read_survey(engine, survey), read_rasters(engine, survey)
-    if rasters.fused is None:
-        raise InputError(NOT_FUSED.format(survey=record.name))
-    values: dict[str, object] = read_run(engine, survey).parameters
+    kept = build.rasters.fused
+    if kept is None:
+        raise InputError(NOT_FUSED.format(survey=build.survey.name))
+    values: dict[str, object] = build.run.parameters
     params = with_values(Params(), values)  # type: ignore[arg-type]  # plain nested values
-    spec = lattice_of(record)
-    buildings = read_buildings(engine, survey)
-    kept = rasters.fused
+    spec = lattice_of(build.survey)
+    buildings = build.frames["building"]
     there = np.flatnonzero(sizes(kept, len(buildings)))
     labels = reorder(kept, there, len(buildings))
     rows = buildings.iloc[there][["building_id", "root_id", "state", "storeys"]].reset_index(drop=True)
-    rows = rows.assign(**_measured(labels, len(there), heights_of(record, rasters)))
+    rows = rows.assign(**_measured(labels, len(there), build.heights))
     outlines = polygonise(labels, spec, len(there)) if len(there) else np.empty(0, dtype=object)
     shapes = list(simplify_coverage(outlines, params.vector.simplify_px * spec.cell_m)) if len(there) else []
     return gpd.GeoDataFrame(rows, geometry=shapes, crs=spec.crs)

@@ -2,22 +2,17 @@
 
 import zlib
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Table, func, select
+from sqlalchemy import Connection, Table, exists, func, select
 
 from msbdb.database.admin.findings import Finding, by_id
-from msbdb.database.runs.reading import build_of
-from msbdb.database.runs.writing import content_digest
+from msbdb.database.runs.reading import content_of
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import MsbdbError
 from msbdb.kept import REQUIRED_RASTERS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 PART = SQL["part"]
 
@@ -115,8 +110,7 @@ def check_content(connection: Connection) -> Iterator[Finding]:
     for run_id, digest, survey in connection.execute(query).all():
         key = by_id("run", "run_id", run_id)
         try:
-            build = build_of(connection, survey, geographic=False)
-            found = content_digest(build, build.frames)
+            found = content_of(connection, survey).digest()
         except _UNREADABLE as error:
             yield Finding("content", "run", key, f"its rows cannot be read: {error}", "the rows that were written")
             continue
@@ -139,16 +133,15 @@ def check_forest(connection: Connection) -> Iterator[Finding]:
     A father exists in the same run and tree, on the coarser scale SUPSCALE, and is larger. A root is the root of its
     own tree. The path from father to father ends at that root and has no circle.
     """
-    import pandas as pd
-
-    parts = _frame(connection, ("part_id", "run_id", "supid", "supscale", "root_id", "scale", "area_px"), PART)
+    parts = _columns(connection, ("part_id", "run_id", "supid", "supscale", "root_id", "scale", "area_px"), PART)
     # Repeated ids are findings of the values.
-    parts = parts.drop_duplicates("part_id", ignore_index=True)
-    place = pd.Index(parts["part_id"]).get_indexer(parts["supid"])
-    is_child, has_father = (parts["supid"] != 0).to_numpy(), place >= 0
+    _, first = np.unique(parts["part_id"], return_index=True)
+    parts = {name: own[first] for name, own in parts.items()}
+    ids, root_ids = parts["part_id"], parts["root_id"]
+    place = _places(ids, parts["supid"])
+    is_child, has_father = parts["supid"] != 0, place >= 0
     yield from _wrong_parts(parts, is_child & ~has_father, "its father {supid} does not exist", "a part of this id")
-    father = parts.iloc[np.where(has_father, place, 0)].reset_index(drop=True).add_prefix("father_")
-    both = pd.concat([parts, father], axis=1)
+    both = parts | {f"father_{name}": own[place] for name, own in parts.items()}
     child = is_child & has_father
     for holds, what, expected in (
         (both["run_id"] == both["father_run_id"], "it is of run {run_id}", "its father's run {father_run_id}"),
@@ -161,58 +154,60 @@ def check_forest(connection: Connection) -> Iterator[Finding]:
             "fewer than its father's {father_area_px}",
         ),
     ):
-        yield from _wrong_parts(both, child & ~holds.to_numpy(), what, expected)
-    yield from _wrong_parts(
-        parts,
-        (~is_child) & (parts["root_id"] != parts["part_id"]).to_numpy(),
-        "it has no father, and its tree is {root_id}",
-        "a root's tree is its own id {part_id}",
-    )
+        yield from _wrong_parts(both, child & ~holds, what, expected)
+    what, expected = "it has no father, and its tree is {root_id}", "a root's tree is its own id {part_id}"
+    yield from _wrong_parts(parts, ~is_child & (root_ids != ids), what, expected)
     top, in_circle = _tops(place)
     yield from _wrong_parts(parts, in_circle, "its fathers form a circle", "a root at the top")
-    root = parts["part_id"].to_numpy()[top]
-    lost = is_child & ~in_circle & ~is_child[top] & (root != parts["root_id"].to_numpy())
+    lost = is_child & ~in_circle & ~is_child[top] & (ids[top] != root_ids)
     yield from _wrong_parts(parts, lost, "its topmost father is not {root_id}", "the root that it names")
 
 
 def check_buildings(connection: Connection) -> Iterator[Finding]:
     """Yield roots without a building, buildings without a root, and buildings whose numbers differ from their tree."""
-    parts = _frame(connection, ("part_id", "run_id", "supid", "root_id", "scale"), PART)
-    buildings = _frame(connection, ("building_id", "run_id", "root_id", "parts", "scales"), BUILDING)
-    roots = parts[parts["supid"] == 0]
-    for row in roots[~roots["part_id"].isin(buildings["root_id"])].itertuples():
-        yield Finding("buildings", "part", by_id("part", "part_id", row.part_id), "no building has this root", "one")
-    trees = parts.groupby("root_id").agg(found_parts=("part_id", "size"), found_scales=("scale", "nunique"))
-    both = buildings.merge(trees, how="left", left_on="root_id", right_index=True).fillna(0)
-    is_root = both["root_id"].isin(roots["part_id"])
-    for row in both[~is_root].itertuples():
-        key = by_id("building", "building_id", row.building_id)
-        yield Finding("buildings", "building", key, f"part {row.root_id} is no root", "the root of a tree")
-    for column in ("parts", "scales"):
-        wrong = both[is_root & (both[column] != both[f"found_{column}"])]
-        for record in wrong.to_dict(orient="records"):
-            key = by_id("building", "building_id", record["building_id"])
-            expected = f"{int(record[f'found_{column}'])}, the number in its tree"
-            yield Finding("buildings", "building", key, f"{column} is {record[column]}", expected)
+    part, building = PART.c, BUILDING.c
+    has_building = exists().where(building.root_id == part.part_id)
+    for root in connection.scalars(select(part.part_id).where(part.supid == 0, ~has_building)):
+        yield Finding("buildings", "part", by_id("part", "part_id", root), "no building has this root", "one")
+    has_root = exists().where(part.part_id == building.root_id, part.supid == 0)
+    for number, root in connection.execute(select(building.building_id, building.root_id).where(~has_root)):
+        key = by_id("building", "building_id", number)
+        yield Finding("buildings", "building", key, f"part {root} is no root", "the root of a tree")
+    sizes = {"parts": func.count(), "scales": func.count(part.scale.distinct())}
+    trees = select(part.root_id, *(size.label(name) for name, size in sizes.items())).group_by(part.root_id).subquery()
+    for name in sizes:
+        found, expected = building[name], func.coalesce(trees.c[name], 0)
+        query = select(building.building_id, found, expected).where(has_root, found != expected)
+        for number, held, size in connection.execute(
+            query.select_from(BUILDING).outerjoin(trees, trees.c.root_id == building.root_id)
+        ):
+            key = by_id("building", "building_id", number)
+            yield Finding("buildings", "building", key, f"{name} is {held}", f"{size}, the number in its tree")
 
 
-def _frame(connection: Connection, names: tuple[str, ...], table: Table) -> "pd.DataFrame":
+def _columns(connection: Connection, names: tuple[str, ...], table: Table) -> dict[str, NDArray[np.int64]]:
     """Return columns of whole numbers, sorted by the first."""
-    import pandas as pd
-
     columns = [table.columns[name] for name in names]
     result = connection.execute(select(*columns).order_by(columns[0]), execution_options={"yield_per": BATCH})
     # Column by column: an array of rows takes ten times as long.
     batches = [np.array(list(zip(*rows, strict=True)), dtype=np.int64) for rows in result.partitions()]
     held = np.concatenate(batches, axis=1) if batches else np.empty((len(names), 0), dtype=np.int64)
-    return pd.DataFrame(dict(zip(names, held, strict=True)))
+    return dict(zip(names, held, strict=True))
 
 
-def _wrong_parts(parts: "pd.DataFrame", wrong: NDArray[np.bool_], what: str, expected: str) -> Iterator[Finding]:
+def _places(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the place of each wanted id among the sorted ones, -1 for none."""
+    near = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    return np.where(ids[near] == wanted, near, -1)
+
+
+def _wrong_parts(
+    parts: Mapping[str, NDArray[np.int64]], wrong: NDArray[np.bool_], what: str, expected: str
+) -> Iterator[Finding]:
     """Yield a finding for each wrong part; the sentences have its columns in braces."""
-    for row in parts[wrong].to_dict(orient="records"):
-        values = {str(name): value for name, value in row.items()}
-        key = by_id("part", "part_id", row["part_id"])
+    for place in np.flatnonzero(wrong).tolist():
+        values = {name: own[place] for name, own in parts.items()}
+        key = by_id("part", "part_id", values["part_id"])
         yield Finding(CHECK, "part", key, what.format_map(values), expected.format_map(values))
 
 

@@ -1,15 +1,17 @@
 """Reading runs: tables as frames, rasters, and a summary in numbers."""
 
 import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, func, select, text
 
 from msbdb.database.dialects.connection import guarded, shown, snapshot
+from msbdb.database.runs.rundigest import RunContent
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import crs_from, horizontal
 from msbdb.errors import InputError, TableError
@@ -81,7 +83,7 @@ def run_heads(engine: Engine) -> list[dict[str, Any]]:
     return sorted(heads, key=lambda head: str(head["survey"]))
 
 
-def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
+def read_build(engine: Engine, survey: str | None = None, *, tables: Sequence[Table] = TABLES) -> KeptRun:
     """Return a run as the build that was written, rows in the tables' order, as one committed state.
 
     Parameters
@@ -90,6 +92,8 @@ def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
         From ``open_database``.
     survey : str, optional
         Its name; not needed where the database holds only one.
+    tables : sequence of Table
+        The tables whose frames are read; all by default.
 
     Raises
     ------
@@ -97,21 +101,18 @@ def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
         When there is no such survey, or no name was given and there are several.
     """
     with snapshot(engine) as connection:
-        return build_of(connection, survey)
+        content = content_of(connection, survey, tables)
+    frames = {table.name: _as_frame(table, content.columns[table.name], content.survey) for table in tables}
+    return KeptRun(content.survey, content.run, frames, content.rasters)
 
 
-def build_of(connection: Connection, survey: str | None, *, geographic: bool = True) -> KeptRun:
-    """Return a run as ``read_build`` does, as an open transaction sees it.
-
-    Frames that are not ``geographic`` are plain ones with a column of geometries: without the CRS they are made faster.
-    """
+def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] = TABLES) -> RunContent:
+    """Return a run as plain columns, as an open transaction sees it; the parameters are those of `read_build`."""
     run = _find_run(connection, survey, shown(connection.engine.url))
-    record = _survey_record(connection, run.survey_id)
-    read = partial(_read_table, survey=record) if geographic else _read_rows
-    return KeptRun(
-        survey=record,
+    return RunContent(
+        survey=_survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
-        frames={table.name: read(connection, table, run.run_id) for table in TABLES},
+        columns={table.name: _read_columns(connection, table, run.run_id) for table in tables},
         rasters=_read_rasters(connection, run),
     )
 
@@ -284,7 +285,8 @@ def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN
     """Return one table of one run, as a GeoDataFrame where it has a geometry."""
     with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
-        return _read_table(connection, table, run.run_id, survey=_survey_record(connection, run.survey_id))
+        columns = _read_columns(connection, table, run.run_id)
+        return _as_frame(table, columns, _survey_record(connection, run.survey_id))
 
 
 def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  # noqa: ANN401
@@ -334,32 +336,38 @@ def _run_record(connection: Connection, row: Any) -> Run:  # noqa: ANN401  (a ro
     )
 
 
-def _read_table(connection: Connection, table: Table, run_id: int, *, survey: Survey) -> Any:  # noqa: ANN401
-    """Return a table's rows of a run, as a GeoDataFrame in the survey's CRS where the table has a geometry."""
-    frame = _read_rows(connection, table, run_id)
+def _read_columns(connection: Connection, table: Table, run_id: int) -> dict[str, NDArray[Any]]:
+    """Return a table's columns of a run as `RunContent` has them, in the table's order."""
+    names = table.names
+    chosen = ", ".join(names) + (", ST_AsBinary(geometry)" if table.geometry else "")
+    query = text(f"SELECT {chosen} FROM {table.name} WHERE run_id = :run")  # noqa: S608  (names are the declaration's)
+    rows = connection.execute(query, {"run": run_id}).all()
+    values = list(zip(*rows, strict=True)) or [()] * (len(names) + 1)
+    columns = {c.name: _typed(own, c.dtype) for c, own in zip(table.columns, values, strict=False)}
+    if table.geometry:
+        columns["geometry"] = shapely.from_wkb(np.array([bytes(blob) for blob in values[-1]], dtype=object))
+    order = np.lexsort([columns[name] for name in reversed(table.order)])
+    return {name: own[order] for name, own in columns.items()}
+
+
+def _typed(values: tuple[Any, ...], dtype: str) -> NDArray[Any]:
+    """Return a column as an array of its declared dtype, texts as objects; refuse a fraction among whole numbers."""
+    if dtype == "int64":
+        return np.array(values, dtype=None if values else np.int64).astype(np.int64, casting="same_kind")
+    return np.array(values, dtype=object if dtype == "str" else dtype)
+
+
+def _as_frame(table: Table, columns: Mapping[str, NDArray[Any]], survey: Survey) -> Any:  # noqa: ANN401
+    """Return columns as a frame with the declared dtypes, geographic in the survey's CRS where it has a geometry."""
+    import pandas as pd
+
+    dtypes = {column.name: column.dtype for column in table.columns}
+    frame = pd.DataFrame({name: pd.Series(own, dtype=dtypes.get(name, "object")) for name, own in columns.items()})
     if not table.geometry:
         return frame
     import geopandas as gpd
 
     return gpd.GeoDataFrame(frame, geometry="geometry", crs=horizontal(crs_from(survey.epsg, survey.crs_wkt)))
-
-
-def _read_rows(connection: Connection, table: Table, run_id: int) -> "pd.DataFrame":
-    """Return a table's rows of a run with the declared dtypes, in the table's order."""
-    import pandas as pd
-
-    names = table.names
-    chosen = ", ".join(names) + (", ST_AsBinary(geometry)" if table.geometry else "")
-    query = text(f"SELECT {chosen} FROM {table.name} WHERE run_id = :run")  # noqa: S608  (names are the declaration's)
-    rows = connection.execute(query, {"run": run_id}).all()
-    columns = list(zip(*rows, strict=True)) or [()] * (len(names) + 1)
-    frame = pd.DataFrame(
-        {c.name: pd.Series(values, dtype=c.dtype) for c, values in zip(table.columns, columns, strict=False)}
-    )
-    if table.geometry:
-        shapes = shapely.from_wkb(np.array([bytes(blob) for blob in columns[-1]], dtype=object))
-        frame["geometry"] = pd.Series(shapes, dtype=object)
-    return frame.sort_values(table.order, kind="stable", ignore_index=True)
 
 
 def _read_rasters(connection: Connection, run: Any) -> Rasters:  # noqa: ANN401  (a row of _find_run)

@@ -1,6 +1,5 @@
 """Loading a build in one transaction: the same rows for the same build, completely or not at all."""
 
-import hashlib
 import logging
 import zlib
 from dataclasses import asdict, dataclass
@@ -16,8 +15,9 @@ from msbdb.database.dialects.connection import TIMEOUT_S, database_url, guarded,
 from msbdb.database.dialects.dialect import Dialect, dialect_of
 from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_build, geometries
+from msbdb.database.runs.rundigest import RunContent, portable, source_rows, survey_row
 from msbdb.database.schema import migration as upgrade
-from msbdb.database.schema.canonical import plain, text_id, to_json
+from msbdb.database.schema.canonical import plain, text_id
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
 from msbdb.kept import KeptRun
@@ -172,30 +172,14 @@ class _Rows:
         frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
         counts = {name: len(frame) for name, frame in frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
-        return cls(frames, counts, content_digest(build, frames))
+        columns = {table: {str(name): frame[name].to_numpy() for name in frame} for table, frame in frames.items()}
+        return cls(frames, counts, RunContent(build.survey, build.run, columns, build.rasters).digest())
 
 
 def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:
     """Sum up a load."""
     logger.info("Survey %s, methods %s: %s, %s", build.survey.name, ", ".join(build.run.methods), status, rows.counts)
     return WriteReport(build.survey.name, build.run.methods, *_keys(build), status, rows.counts)
-
-
-def content_digest(build: KeptRun, frames: "dict[str, pd.DataFrame]") -> str:
-    """Return the SHA-256 of the content of a build except its timings; ``frames`` are in order."""
-    digest = hashlib.sha256()
-    run = asdict(build.run)
-    del run["timings"]
-    digest.update(to_json([_survey_row(build), _source_rows(build), run]).encode())
-    for name, frame in frames.items():
-        for column in frame.columns:
-            digest.update(f"\0{name}.{column}\0".encode())
-            digest.update(_column_bytes(frame, str(column)))
-    for name, values in sorted(build.rasters.by_name().items()):
-        cells = _portable(values)
-        digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
-        digest.update(cells.ravel().data)
-    return digest.hexdigest()
 
 
 def _fill(
@@ -232,7 +216,7 @@ def _packed(build: KeptRun) -> list[dict[str, Any]]:
 def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
     """Return the columns of a raster's row except the run's key; the cells are compressed."""
     name, values = named
-    cells = _portable(values)
+    cells = portable(values)
     return {
         "name": name,
         "dtype": cells.dtype.str,
@@ -251,14 +235,14 @@ def _is_there(connection: Connection, run_id: int, digest: str, rows: dict[str, 
 
 def _write_survey(connection: Connection, survey_id: int, build: KeptRun) -> None:
     """Write or update the survey and its sources."""
-    row = _survey_row(build)
+    row = survey_row(build.survey)
     known = connection.scalar(select(func.count()).select_from(SURVEY).where(SURVEY.c.survey_id == survey_id))
     if known:
         connection.execute(update(SURVEY).where(SURVEY.c.survey_id == survey_id).values(**row))
     else:
         connection.execute(insert(SURVEY), [{"survey_id": survey_id, **row}])
     connection.execute(delete(SOURCE).where(SOURCE.c.survey_id == survey_id))
-    sources = [{"survey_id": survey_id, "number": n, **row} for n, row in enumerate(_source_rows(build), start=1)]
+    sources = [{"survey_id": survey_id, "number": n, **row} for n, row in enumerate(source_rows(build.survey), start=1)]
     if sources:
         connection.execute(insert(SOURCE), sources)
 
@@ -327,45 +311,3 @@ def _ordered(frame: "pd.DataFrame", table: Table) -> "pd.DataFrame":
         shapes[simple] = shapely.multipolygons(shapes[simple], indices=np.arange(simple.sum()))
         rows["geometry"] = pd.Series(shapes, dtype=object)
     return rows
-
-
-def _survey_row(build: KeptRun) -> dict[str, Any]:
-    """Return the survey's columns except its key."""
-    row = asdict(build.survey)
-    del row["sources"]
-    row["west"], row["south"], row["east"], row["north"] = row.pop("bounds")
-    return {name: plain(value) for name, value in row.items()}
-
-
-def _source_rows(build: KeptRun) -> list[dict[str, Any]]:
-    """Return the sources in canonical order."""
-    rows = [plain(asdict(source)) for source in build.survey.sources]
-    return sorted(rows, key=lambda row: (row["role"], row["name"], row["sha256"]))
-
-
-def _column_bytes(frame: "pd.DataFrame", column: str) -> bytes:
-    """Return a column's content as bytes; equal columns give equal bytes."""
-    values = frame[column]
-    if column == "geometry":
-        shapes = geometries(frame)
-        # A point needs no normalisation.
-        if shapely.get_dimensions(shapes).any():
-            shapes = shapely.normalize(shapes)
-        return b"".join(shapely.to_wkb(shapes, byte_order=1))
-    if values.dtype.kind in "if":
-        return _portable(values.to_numpy()).tobytes()
-    return _json_list(values).encode()
-
-
-def _json_list(words: "pd.Series") -> str:
-    """Return a column of texts as a JSON list; each different text is encoded once."""
-    import pandas as pd
-
-    codes, different = pd.factorize(words, use_na_sentinel=False)
-    written = np.array([to_json(word) for word in different.tolist()], dtype=object)
-    return f"[{', '.join(written[codes])}]"
-
-
-def _portable(values: NDArray[Any]) -> NDArray[Any]:
-    """Return an array in C order and little-endian."""
-    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
