@@ -4,7 +4,10 @@ import logging
 import os
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -228,16 +231,28 @@ def write_layers(path: Path, layers: dict[str, gpd.GeoDataFrame], driver: str, *
     try:
         with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
             written = Path(folder, path.name)
-            for name, frame in layers.items():
-                pyogrio.write_dataframe(
-                    frame, written, layer=name, driver=driver, append=written.exists(), promote_to_multi=None, **options
-                )
+            with _unsynchronised():
+                for name, frame in layers.items():
+                    more: dict[str, Any] = {"append": written.exists(), "promote_to_multi": None, **options}
+                    pyogrio.write_dataframe(frame, written, layer=name, driver=driver, **more)
             _require_room(Path(folder))
             _replace(written, path)
     except _REFUSALS as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         msg = f"{path} cannot be written: {reason}. Check the folder, its permissions and the space on the disk."
         raise FileError(msg) from error
+
+
+@contextmanager
+def _unsynchronised() -> Iterator[None]:
+    """Let SQLite's formats leave the waiting for the disk to `_replace`, in place of a wait for each layer."""
+    option = "OGR_SQLITE_SYNCHRONOUS"
+    before = pyogrio.get_gdal_config_option(option)
+    pyogrio.set_gdal_config_options({option: "OFF"})
+    try:
+        yield
+    finally:
+        pyogrio.set_gdal_config_options({option: before})
 
 
 def existing_files(path: Path) -> list[Path]:

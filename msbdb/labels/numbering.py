@@ -4,8 +4,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from skimage.measure import label
 
 from msbdb.errors import InputError, ParameterError
 
@@ -56,6 +54,8 @@ def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[Labels,
     (array([[1, 0, 2],
            [0, 1, 2]], dtype=int32), 2)
     """
+    from skimage.measure import label
+
     require_image(values)
     require_connectivity(connectivity)
     if values.dtype.kind == "f":
@@ -89,6 +89,9 @@ def require_image(values: NDArray[Any]) -> None:
 
 def boxes(labels: Labels) -> dict[int, Box]:
     """Return the bounding box (rows, columns) of each label that has cells, in the labels' order."""
+    # Loading it takes longer than an export, which needs only the labels' sizes.
+    from scipy import ndimage
+
     return {number: box for number, box in enumerate(ndimage.find_objects(labels), start=1) if box is not None}
 
 
