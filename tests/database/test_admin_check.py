@@ -10,8 +10,9 @@ import geopandas as gpd
 import numpy as np
 import psycopg
 import pytest
+from numpy.typing import NDArray
 from simulated.builds import CROWN, EPSG, HOUSE, LIFT, PODIUM, SLAB, SLAB_ROOF, small_build
-from sqlalchemy import URL, Engine, make_url
+from sqlalchemy import URL, Engine, event, make_url, text
 from support.sizes import sample
 
 from msbdb.api.update import advance
@@ -26,8 +27,10 @@ from msbdb.database import (
     write_samples,
     write_state,
 )
+from msbdb.database.admin import shapechecks
 from msbdb.database.history.versions import MEASURES
 from msbdb.database.schema.canonical import text_id
+from msbdb.database.schema.sqltables import METADATA
 
 RUN, OTHER_RUN = text_id("run", "delft"), text_id("run", "spring")
 UID = text_id("inventory building", "import", "register", "1")
@@ -89,7 +92,7 @@ CORRUPTIONS = [
     ),
     Corruption(
         "fathers in a circle",
-        *("forest", "part", f"part_id={SLAB}", "in a circle"),
+        *("forest", "part", f"part_id={SLAB}", "form a circle"),
         sql=(f"UPDATE part SET supid = {LIFT}, supscale = 3 WHERE part_id = {SLAB}",),
         postgis=("ALTER TABLE part DROP CONSTRAINT ck_part_father",),
     ),
@@ -318,6 +321,26 @@ CORRUPTIONS = [
         *("schema", "part", "ix_part_root_id", "the index is missing"),
         sql=("DROP INDEX ix_part_root_id",),
     ),
+    Corruption(
+        "a column that was dropped",
+        *("schema", "spectral_class", "height_m", "the column is missing"),
+        sql=("ALTER TABLE spectral_class DROP COLUMN height_m",),
+        postgis=("DROP VIEW IF EXISTS roof_material_by_class",),
+    ),
+    Corruption(
+        "a rule that was dropped",
+        *("schema", "part", "ck_part_area", "the check is missing"),
+        spatialite=(
+            "PRAGMA writable_schema = ON",
+            "UPDATE sqlite_master SET sql = replace(sql, 'CONSTRAINT ck_part_area ', '') WHERE name = 'part'",
+        ),
+        postgis=("ALTER TABLE part DROP CONSTRAINT ck_part_area",),
+    ),
+    Corruption(
+        "two runs of one survey",
+        *("values", "run", f"survey_id={text_id('survey', 'delft')}", "2 rows have this key"),
+        sql=("DROP INDEX ix_run_survey_id", f"UPDATE run SET survey_id = {text_id('survey', 'delft')}"),
+    ),
 ]
 
 ONE_DIALECT = [
@@ -350,6 +373,11 @@ ONE_DIALECT = [
         "a word where a number should be",
         *("values", "part", f"part_id={HOUSE}", "hindex holds a value of type text"),
         spatialite=(f"UPDATE part SET hindex = 'many' WHERE part_id = {HOUSE}",),
+    ),
+    Corruption(
+        "a fraction where a whole number should be",
+        *("content", "run", f"run_id={RUN}", "its rows cannot be read"),
+        spatialite=(f"UPDATE flat_region SET zone = zone + 0.5 WHERE region_id = {SLAB_ROOF}",),
     ),
     Corruption(
         "a trigger that was dropped",
@@ -513,6 +541,32 @@ def test_rows_that_cannot_be_read_do_not_end_the_check(request: pytest.FixtureRe
     for check in ("forest", "ledger"):
         assert (check, "the check failed") in told
     assert ("values", "supid holds a value of type text") in told
+
+
+def test_a_check_asks_few_questions(sound: Engine) -> None:
+    """Each statement takes a millisecond, so a table's rules are tested by one, and a schema is read by one."""
+    asked: list[str] = []
+    event.listen(sound, "before_cursor_execute", lambda _connection, _cursor, statement, *_: asked.append(statement))
+    check_database(sound)
+    assert len(asked) < 10 * len(METADATA.tables)
+
+
+def test_boxes_are_compared_in_batches(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows of a table come together, not one by one."""
+    rows: list[int] = []
+    compare = shapechecks._holds
+
+    def counted(own: NDArray[np.float64], entry: NDArray[np.float64]) -> NDArray[np.bool_]:
+        rows.append(own.shape[1])
+        return compare(own, entry)
+
+    monkeypatch.setattr(shapechecks, "_holds", counted)
+    engine = file_of(request, tmp_path)
+    with engine.connect() as connection:
+        assert not list(CHECKS["spatial index"](connection))
+        assert connection.scalar(text("SELECT count(*) FROM part")) in rows
 
 
 def test_findings_are_sorted_and_name_their_check(sound: Engine) -> None:

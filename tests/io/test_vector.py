@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 import geopandas as gpd
+import pyogrio
 import pytest
 from pyproj import CRS
 from shapely import GeometryCollection, LineString, MultiPolygon, Point, Polygon, box
@@ -108,6 +109,22 @@ def test_a_written_layer_replaces_the_old_file_whole(tmp_path):
     frame = read_polygons(path, layer="parts")
     assert list(frame["part_id"]) == [1]
     assert [file.name for file in tmp_path.iterdir()] == ["parts.gpkg"]
+
+
+def test_the_way_gdal_writes_is_restored(tmp_path, monkeypatch):
+    """No layer waits for the disk, because the whole file does; afterwards GDAL's option is as before."""
+    option, frame = "OGR_SQLITE_SYNCHRONOUS", gpd.GeoDataFrame(geometry=[HOUSE], crs=LAMBERT)
+    seen = []
+
+    def fail(*_args, **_options):
+        seen.append(pyogrio.get_gdal_config_option(option))
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pyogrio, "write_dataframe", fail)
+    with pytest.raises(FileError, match="No space left"):
+        write_layer(frame, tmp_path / "houses.gpkg")
+    assert seen == [False]
+    assert pyogrio.get_gdal_config_option(option) is None
 
 
 @pytest.mark.data
