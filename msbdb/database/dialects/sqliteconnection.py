@@ -3,6 +3,7 @@
 import logging
 import sqlite3
 import time
+from contextlib import suppress
 from ctypes import CDLL
 from functools import cache
 from importlib.util import find_spec
@@ -43,6 +44,7 @@ def driver() -> ModuleType:
 def prepare(connection: Any, _record: object, *, timeout_s: float) -> None:  # noqa: ANN401  (either driver's)
     """Prepare a new connection: own transactions, geometry functions, foreign keys, wait for locks."""
     _bind_others()
+    _keep_loaded(EXTENSION)
     connection.isolation_level = None
     connection.enable_load_extension(True)
     try:
@@ -74,6 +76,17 @@ def _bind_others() -> None:
         for folder in (found.submodule_search_locations or ()) if found else ():
             for module in sorted(Path(folder).glob("*.so")):
                 CDLL(str(module))
+
+
+@cache
+def _keep_loaded(extension: str) -> None:
+    """Keep an extension in the process, where the loader finds it under SQLite's usual suffix.
+
+    Otherwise its libraries would be unloaded with each last connection and loaded by the next, which takes several
+    times as long as the rest of opening a file.
+    """
+    with suppress(OSError):
+        CDLL(f"{extension}.so")
 
 
 def begin(connection: Connection) -> None:

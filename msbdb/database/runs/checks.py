@@ -81,10 +81,11 @@ def _check_numbers(frame: "pd.DataFrame", table: Table) -> None:
     """Refuse infinite values, and missing values in columns that are not nullable."""
     for column in table.columns:
         values = frame[column.name]
-        wrong = values.isna() & (not column.nullable)
+        what = f"{column.name} is missing or infinite"
+        if not column.nullable:
+            _require(values.notna(), frame, table, what)
         if column.dtype == "float64":
-            wrong |= np.isinf(values)
-        _require(~wrong, frame, table, f"{column.name} is missing or infinite")
+            _require(~np.isinf(values.to_numpy()), frame, table, what)
 
 
 def _check_geometries(frame: "pd.DataFrame", table: Table) -> None:

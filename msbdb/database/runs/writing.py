@@ -106,7 +106,7 @@ def store_build(
                 return _report(build, rows, "created")
     engine = open_database(url, create=True, srid=survey.epsg, crs_wkt=survey.crs_wkt, timeout_s=timeout_s)
     try:
-        return write_build(engine, build, basis=basis)
+        return _write(engine, build, basis)
     finally:
         engine.dispose()
 
@@ -140,6 +140,11 @@ def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = No
         When the database is locked, full or cannot be reached; nothing was written.
     """
     check_build(build)
+    return _write(engine, build, basis)
+
+
+def _write(engine: Engine, build: KeptRun, basis: BuildBasis | None) -> WriteReport:
+    """Write a build that was checked."""
     dialect = dialect_of(engine.url)
     rows = _Rows.of(build)
     _, run_id = _keys(build)
