@@ -1,5 +1,8 @@
 """Small towns of box-shaped houses as surveys, built by the real stages from heights above ground that are known."""
 
+from dataclasses import replace
+from functools import cache
+
 import geopandas as gpd
 import numpy as np
 from pyproj import CRS
@@ -62,8 +65,22 @@ def town_build(
     shift: float = 0.0,
     version: str = "1",
 ) -> KeptRun:
-    """Return the build of a survey of a town."""
-    ndsm = town_heights(houses, bounds=bounds, shift=shift)
+    """Return the build of a survey of a town; the frames are the caller's own."""
+    made = _town_build(name, date, tuple(houses), bounds=bounds, shift=shift, version=version)
+    return replace(made, frames={table: frame.copy() for table, frame in made.frames.items()})
+
+
+@cache
+def _town_build(
+    name: str,
+    date: str,
+    houses: tuple[House, ...],
+    *,
+    bounds: tuple[float, float, float, float],
+    shift: float,
+    version: str,
+) -> KeptRun:
+    ndsm = town_heights([*houses], bounds=bounds, shift=shift)
     params = Params()
     roofs = (np.asarray(ndsm.values) > 2).astype(np.uint8)
     structure = ClassMap(roofs, {1: "building", 2: "vegetation"}, ndsm.spec)

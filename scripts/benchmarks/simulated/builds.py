@@ -17,6 +17,7 @@ on half of the shed, and on half of the flat region without any part.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import geopandas as gpd
@@ -71,8 +72,16 @@ HOSTILE = "x'; DROP TABLE part; --"
 def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, **run: Any) -> KeptRun:
     """Return the build of the module's text; ``shift`` moves all ids, for a second survey in the same database.
 
-    A detector that is not in ``method`` has no regions, and buildings have null as its share.
+    A detector that is not in ``method`` has no regions, and buildings have null as its share. The frames are the
+    caller's own.
     """
+    made = _small_build(survey, method, shift)
+    frames = {name: frame.copy() for name, frame in made.frames.items()}
+    return replace(made, run=replace(made.run, **run), frames=frames)
+
+
+@cache
+def _small_build(survey: str, method: str, shift: int) -> KeptRun:
     methods = method.split(",")
     parts = _parts(shift)
     regions = _flat_regions(shift)
@@ -138,7 +147,7 @@ def small_build(survey: str = "delft", method: str = EVERY, *, shift: int = 0, *
                 Source("ortho.tif", "ortho", "cd" * 32, 1000),
             ),
         ),
-        run=Run(**{**values, **run}),
+        run=Run(**values),
         frames=frames,
         rasters=slope((100, 400)),
     )
