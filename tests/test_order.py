@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from support.sizes import examples
 
 from msbdb.order import order_of, order_of_points, ranks
 
@@ -13,7 +14,7 @@ DTYPES = ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64"
 
 @pytest.mark.parametrize("descending", [False, True])
 @pytest.mark.parametrize("dtype", DTYPES)
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(data=st.data())
 def test_order_sorts_any_values(dtype, descending, data):
     """Each index once, and the values in order: extremes of the type, infinities and negative zeros included."""
@@ -44,7 +45,7 @@ def test_equal_values_of_32_bits_keep_their_order(dtype, descending, seed, count
     np.testing.assert_array_equal(order_of(values, descending=descending), np.argsort(key, kind="stable"))
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     st.integers(0, 10**6),
     st.integers(0, 60),

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from affine import Affine
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pyproj import CRS
 from scipy.ndimage import label
+from support.sizes import examples
 
 from msbdb.errors import GridMismatchError, ParameterError
 from msbdb.fuse.footprints import RoofEvidence, fuse_footprints
@@ -218,7 +219,7 @@ def scenes(draw):
 
 
 @given(scenes())
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_fusing_keeps_to_what_either_system_found(scene):
     """No label is new; cells of both keep their root; cells of neither stay empty; what is kept keeps its label."""
     roots, regions, fields = scene
@@ -232,7 +233,7 @@ def test_fusing_keeps_to_what_either_system_found(scene):
 
 
 @given(scenes(), st.sampled_from([np.flipud, np.fliplr, np.transpose, np.rot90]))
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_fusing_does_not_depend_on_the_direction(scene, turn):
     """Turned scenes give turned footprints, with their labels."""
     roots, regions, fields = scene
@@ -242,7 +243,7 @@ def test_fusing_does_not_depend_on_the_direction(scene, turn):
 
 
 @given(scenes())
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_without_doubt_all_of_the_parts_stay(scene):
     """High, smooth and solid: nothing is dropped, and what is added lies beside a building."""
     roots, regions, _ = scene

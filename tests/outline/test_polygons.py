@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import shapely
 from affine import Affine
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyproj import CRS
+from support.sizes import examples
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
@@ -25,7 +26,7 @@ def spec_of(labels, cell_m=0.5):
     return GridSpec(labels.shape, Affine(cell_m, 0, 85_000.0, 0, -cell_m, 447_000.0), RD)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(label_arrays)
 def test_polygons_are_exactly_the_cells(labels):
     """Rasterising gives back the labels; areas are cells times cell area; all is valid and shares whole edges."""
@@ -40,7 +41,7 @@ def test_polygons_are_exactly_the_cells(labels):
     assert shapely.coverage_is_valid(polygons)
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(label_arrays)
 def test_shells_run_counter_clockwise(labels):
     """Every shell is counter-clockwise and every hole clockwise."""

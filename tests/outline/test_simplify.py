@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import shapely
 from affine import Affine
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyproj import CRS
 from shapely import affinity
+from support.sizes import examples
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.grid import GridSpec
@@ -41,7 +42,7 @@ def boundary_distance(polygon, other):
     return float(shapely.distance(vertices, other.boundary).max())
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(label_arrays, st.sampled_from([0.5, 1.0, 2.5, 20.0]))
 def test_any_labels_stay_a_coverage(labels, tolerance):
     """Whatever the tolerance: valid, no overlap, no ring lost, no vertex farther than the tolerance."""

@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from affine import Affine
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyproj import CRS
+from support.sizes import examples
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid, GridSpec
@@ -249,7 +250,7 @@ def options():
     )
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(scenes(), options())
 def test_the_forest_holds_its_invariants(scene, chosen):
     """V33 on any scene: acyclic, coarser and larger fathers, children inside, roots disjoint, ledger balanced."""
@@ -277,7 +278,7 @@ def test_the_forest_holds_its_invariants(scene, chosen):
         assert not forest.root_labels[(yards > 0) & large].any()
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(scenes())
 def test_every_cell_above_ground_is_a_part_or_in_the_ledger(scene):
     """Without classes the parts and the regions lost together cover all that is above the mask."""
@@ -288,7 +289,7 @@ def test_every_cell_above_ground_is_a_part_or_in_the_ledger(scene):
     assert covered + lost >= np.count_nonzero(image)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(scenes(), st.integers(-5, 50), st.integers(-5, 50))
 def test_a_shift_moves_places_and_nothing_else(scene, row, col):
     """By whole cells XO and YO move and every part gets another id; attributes, fathers and their order stay.
@@ -317,7 +318,7 @@ def test_an_equal_part_at_the_old_place_of_another_has_its_id():
     assert there["part_id"].iloc[0] not in set(here["part_id"])
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(scenes(), st.tuples(*[st.integers(0, 6)] * 4))
 def test_ids_do_not_depend_on_the_tile(scene, margin):
     """The same scene in the middle of a larger array has the same parts with the same ids."""

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.sizes import examples
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.points.graph import components, connect, linked
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     st.integers(0, 10**6), st.integers(0, 80), st.sampled_from([0.5, 1.0, 1.5, 4.0]), st.sampled_from([1, 8, 40, 10**7])
 )

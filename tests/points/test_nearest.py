@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.sizes import examples
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.points.nearest import nearest
@@ -21,7 +22,7 @@ CLOUDS = {
 
 
 @pytest.mark.parametrize("kind", CLOUDS)
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.integers(0, 10**6), st.integers(1, 80), st.integers(1, 20))
 def test_nearest_points_are_those_of_all_distances(kind, seed, count, wanted):
     """By distance, and by the points' order where distances are equal."""

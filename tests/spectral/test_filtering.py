@@ -1,10 +1,11 @@
 """The area filter of the bands (V34)."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyproj import CRS
+from support.sizes import examples
 
 from msbdb.bands import Bands
 from msbdb.grid import lattice
@@ -60,7 +61,7 @@ def test_an_area_below_two_cells_changes_nothing():
     np.testing.assert_array_equal(filter_bands(bands, bands.valid, 0.0).values, bands.values)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(hnp.arrays(np.int64, (9, 9), elements=st.integers(0, 4)), hnp.arrays(bool, (9, 9)), st.integers(2, 6))
 def test_islands_are_filtered_apart(image, inside, area):
     """An island's result is the same when it is alone on the map, so tiles of whole islands give the whole."""

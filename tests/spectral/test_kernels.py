@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
+from support.sizes import examples
 
 from msbdb.spectral.colours import bilinear, cells_of, counts, fill_gaps, means
 from msbdb.spectral.kmeans import nearest_centres
@@ -58,7 +59,7 @@ def test_bilinear_means_are_those_of_four_weighted_counts(seed):
     np.testing.assert_array_equal(values.ravel(), (total / np.maximum(weight, 1)).astype(np.float32))
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     st.integers(1, 12),
     st.integers(1, 12),

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from support.sizes import examples
 
 from msbdb.detect.area3d.curvature import Reach, grow_regions, measure_structure, smallest_share
 from msbdb.detect.area3d.heightscales import OnSets, height_scales, histogram_minima
@@ -141,7 +142,7 @@ def test_few_and_equal_points_have_a_structure(points):
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-6, 1.0, 1e6]))
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_the_closed_form_agrees_with_lapack(seed, size):
     """The smallest eigenvalue's share is LAPACK's, for flat, long and round neighbourhoods of any size."""
     rng = np.random.default_rng(seed)
@@ -156,7 +157,7 @@ def test_the_closed_form_agrees_with_lapack(seed, size):
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40))
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_edges_are_those_of_the_definition(seed, count):
     """The kernel finds what the eight sectors say, in several regions, with points on sector borders and doubles."""
     rng = np.random.default_rng(seed)

@@ -6,11 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from affine import Affine
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import CRS
 from scipy import ndimage
 from skimage.measure import perimeter_crofton
+from support.sizes import examples
 
 from msbdb.detect.flatregions.binarisation import binarise, gradient_of, ratio_at
 from msbdb.detect.flatregions.initialisation import denoise, fill_by_idw, find_outliers, initialise, window_px
@@ -64,7 +65,7 @@ def naive_idw(values, known, target):
     return sum(w * z for w, z in near) / sum(w for w, _ in near)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 9), st.floats(0.05, 0.95))
 def test_empty_cells_are_weighted_means_of_the_nearest(seed, rows, cols, share):
     """Eq. 6 by its definition, with one known cell or many; known cells stay (M8)."""
@@ -162,7 +163,7 @@ def naive_outliers(values, cell_m, size_m=3.0):
     return (up > down) & (up >= 4 * cell_m), (up < down) & (down >= 2 * cell_m)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.integers(0, 2**32 - 1))
 def test_outliers_are_those_of_the_definition(seed):
     """Eq. 7 to 10 on random surfaces of whole metres."""
@@ -216,7 +217,7 @@ def naive_flat(values, weight, params, cell_area):
     return flat
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["surface", "ndsm"]))
 def test_flat_regions_are_the_union_of_zonewise_area_openings(seed, on):
     """Eq. 11 to 14 by threshold decomposition, zone by zone, for the raw surface and for heights above ground."""
