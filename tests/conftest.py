@@ -5,7 +5,7 @@ import signal
 import socket
 import threading
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -43,16 +43,28 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def mark_twins(items: list[pytest.Item]) -> None:
-    """Mark as long what has a twin on SpatiaLite and would run on PostGIS, but for every third such test of a file."""
-    twins: dict[Path, int] = defaultdict(int)
+    """Mark as long one of two twins, of which one runs on SpatiaLite and the other on PostGIS.
+
+    Every third such test of a file runs on PostGIS, the others on SpatiaLite; all on SpatiaLite without a server.
+    """
+    has_server = bool(os.environ.get("MSBDB_TEST_POSTGIS"))
+    by_id = {item.nodeid: item for item in items}
+    seen: dict[Path, int] = defaultdict(int)
     for item in items:
-        values = item.callspec.params.values() if hasattr(item, "callspec") else ()
-        if item.get_closest_marker("postgis") and any(
-            isinstance(value, str) and value == "postgis" for value in values
-        ):
-            if twins[item.path] % 3:
-                item.add_marker(pytest.mark.long)
-            twins[item.path] += 1
+        dialects = [value for value in _values(item) if isinstance(value, str) and value in ("spatialite", "postgis")]
+        if "postgis" not in dialects or not item.get_closest_marker("postgis"):
+            continue
+        function, _, values = item.nodeid.partition("[")
+        twin = by_id.get(f"{function}[{values.replace('postgis', 'spatialite')}")
+        if seen[item.path] % 3:
+            item.add_marker(pytest.mark.long)
+        elif has_server and twin is not None:
+            twin.add_marker(pytest.mark.long)
+        seen[item.path] += 1
+
+
+def _values(item: pytest.Item) -> Iterable[object]:
+    return item.callspec.params.values() if hasattr(item, "callspec") else ()
 
 
 @pytest.fixture(scope="session", autouse=True)
