@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,14 +32,21 @@ def told(*args: str, code: int = 0) -> Any:
     return json.loads(result.stdout)
 
 
-@pytest.fixture
-def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Return a database of two surveys, one with a hostile name, in a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    engine = open_database("town.sqlite", create=True, srid=EPSG)
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a database of two surveys, one with a hostile name, to be copied."""
+    path = tmp_path_factory.mktemp("original") / "town.sqlite"
+    engine = open_database(path, create=True, srid=EPSG)
     write_build(engine, small_build())
     write_build(engine, small_build(HOSTILE, shift=1000))
-    return "town.sqlite"
+    return path
+
+
+@pytest.fixture
+def town(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return a copy of it in a folder of its own, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    return str(Path(shutil.copy(original, tmp_path)).relative_to(tmp_path))
 
 
 def test_create_tells_whether_it_did(tmp_path: Path) -> None:

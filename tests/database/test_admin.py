@@ -12,6 +12,7 @@ from pyproj import CRS
 from simulated.builds import EPSG, HOSTILE, small_build
 from sqlalchemy import func, select, text
 from support.latermigration import LATER, migrations_of_tomorrow
+from support.sizes import sample
 
 from msbdb.database import (
     canonical_dump,
@@ -155,7 +156,7 @@ def test_a_downgrade_that_loses_nothing_needs_no_force(target: str, tomorrow: Ca
     assert check_database(engine) == []
 
 
-@pytest.mark.parametrize("to", [LATER, "0005", "9", "head", "-1", "base", HOSTILE])
+@pytest.mark.parametrize("to", sample([LATER, "0005", "9", "head", "-1", "base", HOSTILE], 3))
 def test_only_older_schemas_with_a_way_back_are_taken(target: str, to: str, tomorrow: Callable[[], None]) -> None:
     """Each refusal names those that can be had."""
     tomorrow()
@@ -220,7 +221,7 @@ copying.copy_database(sys.argv[1], sys.argv[2])
 
 
 @pytest.mark.parametrize(
-    ("table", "is_new"), [("survey", True), ("part_flat_region", True), ("part_flat_region", False)]
+    ("table", "is_new"), sample([("survey", True), ("part_flat_region", True), ("part_flat_region", False)], 2)
 )
 def test_a_killed_copy_leaves_nothing_and_can_be_repeated(
     target: str, tmp_path: Path, table: str, is_new: bool

@@ -1,5 +1,6 @@
 """Looking after a database that has been kept through surveys: history, operators' words and samples go with it."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import psycopg
 import pytest
 from psycopg import sql
 from sqlalchemy import Engine, func, make_url, select
+from support.sizes import sample
 from support.towns import EPSG, ROW, footprints, town_build
 
 from msbdb.api.update import advance
@@ -76,6 +78,15 @@ def kept(original: Path, target: str) -> Engine:
     return open_database(target)
 
 
+@pytest.fixture
+def own(original: Path, target: str) -> Engine:
+    """Return the same content to be damaged, on each dialect."""
+    if "://" in target:
+        copy_database(original, target)
+        return open_database(target)
+    return open_database(shutil.copy(original, target))
+
+
 def test_a_kept_inventory_is_sound_and_copied_with_all(original: Path, kept: Engine) -> None:
     """No table of the inventory is empty here, and every row goes over."""
     assert check_database(open_database(original)) == []
@@ -98,22 +109,35 @@ def test_the_copy_goes_on_as_the_original_would(kept: Engine) -> None:
 
 @pytest.mark.parametrize(
     ("statement", "check", "table", "what"),
-    [
-        ("DELETE FROM building_change WHERE kind = 'new'", "events", "inventory_event", "6 unchanged, 2 versions"),
-        ("UPDATE building_change SET kind = 'modified' WHERE kind = 'new'", "events", "inventory_event", "2 modified"),
-        ("UPDATE inventory_event SET number = 9 WHERE number = 2", "events", "inventory_event", "event 2 is missing"),
-        ("DELETE FROM inventory_event WHERE number = 3", "events", "building_change", "no event has its changes"),
-        (
-            "UPDATE building_change SET uid_after = (SELECT MIN(uid) FROM inventory_building) WHERE kind = 'new'",
-            *("links", "building_change", "uid_after is"),
-        ),
-    ],
+    sample(
+        [
+            ("DELETE FROM building_change WHERE kind = 'new'", "events", "inventory_event", "6 unchanged, 2 versions"),
+            (
+                "UPDATE building_change SET kind = 'modified' WHERE kind = 'new'",
+                "events",
+                "inventory_event",
+                "2 modified",
+            ),
+            (
+                "UPDATE inventory_event SET number = 9 WHERE number = 2",
+                "events",
+                "inventory_event",
+                "event 2 is missing",
+            ),
+            ("DELETE FROM inventory_event WHERE number = 3", "events", "building_change", "no event has its changes"),
+            (
+                "UPDATE building_change SET uid_after = (SELECT MIN(uid) FROM inventory_building) WHERE kind = 'new'",
+                *("links", "building_change", "uid_after is"),
+            ),
+        ],
+        2,
+    ),
 )
-def test_damage_to_the_history_is_found(kept: Engine, statement: str, check: str, table: str, what: str) -> None:
+def test_damage_to_the_history_is_found(own: Engine, statement: str, check: str, table: str, what: str) -> None:
     """Rows that no key holds, but that an update has counted."""
-    with kept.begin() as connection:
+    with own.begin() as connection:
         connection.exec_driver_sql(statement)
-    found = check_database(kept)
+    found = check_database(own)
     assert [one for one in found if (one.check, one.table) == (check, table) and what in one.what]
 
 

@@ -17,7 +17,7 @@ from msbdb.database.schema.sqltables import SPATIAL
 from msbdb.errors import DatabaseError, LoadError
 from msbdb.kept import KeptRun
 
-COUNT = 4000
+COUNT = 2000
 WINDOW = (WEST + 7.3, SOUTH + 5.1, WEST + 19.9, SOUTH + 23.7)
 
 IN_WINDOW = {

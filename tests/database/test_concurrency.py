@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from simulated.scenes import SCENES
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import DBAPIError
 from support.faultfiles import write_points
+from support.sizes import sample
 from support.towns import ROW, town_build
 
 from msbdb import api
@@ -25,6 +27,7 @@ from msbdb.database import (
     OutdatedError,
     canonical_dump,
     check_database,
+    copy_database,
     footprint_at,
     open_database,
     read_build,
@@ -75,40 +78,63 @@ def content(target: str) -> list[str]:
     return [line for line in canonical_dump(open_database(target)) if not line.startswith('["inventory_event"')]
 
 
-def test_processes_at_once_bring_different_areas_into_one_database(target: str, tmp_path: Path) -> None:
-    """From an empty place on: all is there, sound, and equal to one after the other."""
+@pytest.mark.parametrize("each", sample([1, 2], 2))
+def test_processes_at_once_bring_different_areas_into_one_database(target: str, tmp_path: Path, each: int) -> None:
+    """From an empty place on, so many tiles each: all is there, sound, and equal to one after the other."""
+    own, others = tuple(range(each)), tuple(range(each, 2 * each))
     one = str(tmp_path / "sequential.sqlite")
-    bring(one, (0, 1, 2, 3))
+    bring(one, own + others)
     begun = SPAWN.Event()
-    other = SPAWN.Process(target=bring_when, args=(target, (2, 3), begun))
+    other = SPAWN.Process(target=bring_when, args=(target, others, begun))
     other.start()
     assert begun.wait(60)
-    bring(target, (0, 1))
+    bring(target, own)
     other.join()
     assert other.exitcode == 0
     assert content(target) == content(one)
     assert check_database(open_database(target)) == []
 
 
+@pytest.fixture(scope="module")
+def begun_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a file with the first survey of one tile in its inventory, to be copied."""
+    path = tmp_path_factory.mktemp("begun") / "city.sqlite"
+    store_build(path, tile(0))
+    advance(path, "t0_2020")
+    return path
+
+
 @pytest.fixture
-def begun(target: str) -> str:
+def begun(target: str, begun_file: Path) -> str:
     """Return a database with the first survey of one tile in its inventory."""
-    store_build(target, tile(0))
-    advance(target, "t0_2020")
+    if "://" in target:
+        copy_database(begun_file, target)
+    else:
+        shutil.copy(begun_file, target)
     return target
 
 
-def undisturbed(path: Path, grown: float) -> list[str]:
-    """Return the content after a second survey, by itself."""
-    for build in (tile(0), tile(0, 2021, grown=grown)):
-        store_build(str(path), build)
-        advance(str(path), build.survey.name)
-    return content(str(path))
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float], list[str]]:
+    """Return what makes, once, the content after a second survey by itself."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+
+    @cache
+    def make(grown: float) -> list[str]:
+        path = str(folder / f"{grown}.sqlite")
+        for build in (tile(0), tile(0, 2021, grown=grown)):
+            store_build(path, build)
+            advance(path, build.survey.name)
+        return content(path)
+
+    return make
 
 
-def test_updates_of_one_survey_at_once_end_in_one_of_them(begun: str, tmp_path: Path) -> None:
+def test_updates_of_one_survey_at_once_end_in_one_of_them(
+    begun: str, undisturbed: Callable[[float], list[str]]
+) -> None:
     """Run and inventory are of the same one, whichever was built last, as if it had been alone."""
-    alone = [undisturbed(tmp_path / f"{grown}.sqlite", grown) for grown in (5.0, 9.0)]
+    alone = [undisturbed(grown) for grown in (5.0, 9.0)]
     assert alone[0] != alone[1]
 
     def bring_one(grown: float) -> None:
@@ -121,7 +147,9 @@ def test_updates_of_one_survey_at_once_end_in_one_of_them(begun: str, tmp_path: 
     assert check_database(open_database(begun)) == []
 
 
-def test_a_build_during_an_update_is_compared_anew(begun: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_during_an_update_is_compared_anew(
+    begun: str, undisturbed: Callable[[float], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What was computed from the run that is gone is not written."""
     original, calls = update.write_advance, []
 
@@ -135,7 +163,7 @@ def test_a_build_during_an_update_is_compared_anew(begun: str, tmp_path: Path, m
     store_build(begun, tile(0, 2021, grown=5.0))
     assert advance(begun, "t0_2021").status == "created"
     assert len(calls) == 2
-    assert content(begun) == undisturbed(tmp_path / "alone.sqlite", 9.0)
+    assert content(begun) == undisturbed(9.0)
 
 
 def test_an_update_that_others_always_overtake_says_so(begun: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from simulated.builds import HOSTILE
 from sqlalchemy import inspect, text
+from support.sizes import sample
 from support.towns import EPSG, ROW, UTM, House, footprints, town_build, town_heights
 
 from msbdb.cli.main import cli
@@ -27,7 +28,7 @@ def run(*words: object) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", sample(NAMES, 3))
 def test_hostile_words_stay_data_through_import_update_state_and_changes(
     target: str, tmp_path: Path, name: str
 ) -> None:
@@ -68,7 +69,7 @@ def assert_told(target: str, folder: Path, name: str) -> None:
     run("changes", target, "--survey", name, "--figure", folder / "changes.png")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", sample(NAMES, 3))
 def test_hostile_samples_stay_data(target: str, tmp_path: Path, name: str) -> None:
     """Materials, notes and further columns of roof samples."""
     engine = open_database(target, create=True, srid=EPSG)

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from pyproj import CRS, Transformer
 from simulated import scenes
 from simulated.files import write_image, write_points
+from support.sizes import sample
 
 import msbdb
 from msbdb.cli.main import cli
@@ -109,7 +110,7 @@ def command(*words):
     return json.loads(result.stdout)
 
 
-@pytest.mark.parametrize("coloured", [True, False])
+@pytest.mark.parametrize("coloured", sample([True, False], 2))
 def test_scales_auto_works_with_and_without_colours(scene, tmp_path, coloured):
     """--scales auto finds the scales once, for the filter of the bands and for the parts; labels do not change them."""
     file = write_points(tmp_path / "town.laz", scene.points if coloured else colourless(scene.points))

@@ -15,10 +15,14 @@ import shapely
 from numpy.typing import NDArray
 from simulated import scenes
 from simulated.files import write_points
+from support.sizes import sample
 
 import msbdb
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, profile, with_values
+
+BOTH = sample(["default", "vu2009"], 2)
+"""The profiles of a scene on which both must do the same; the paper's belongs to the long size."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def holes(building: pd.Series) -> list[float]:
     return [shapely.Polygon(ring).area for part in shapely.get_parts(building.geometry) for ring in part.interiors]
 
 
-@pytest.mark.parametrize("profile_name", ["default", "vu2009"])
+@pytest.mark.parametrize("profile_name", BOTH)
 def test_a_field_holds_nothing(built, profile_name):
     """No buildings, no parts and nothing rejected on a sloping meadow with a track."""
     field = built("flat_field", profile_name)
@@ -169,7 +173,7 @@ def test_the_paper_closes_a_courtyard(built):
     assert holes(outcome.buildings.iloc[0]) == []
 
 
-@pytest.mark.parametrize("profile_name", ["default", "vu2009"])
+@pytest.mark.parametrize("profile_name", BOTH)
 def test_gaps_of_one_cell_merge_neighbours(built, profile_name):
     """Known limit (V51): houses one pulse apart share roots, but all are found, and the road keeps rows apart."""
     outcome = built("row_houses", profile_name)
@@ -203,7 +207,7 @@ def test_trees_are_cut_off_a_house_and_are_none(built, profile_name, stage):
     assert set(outcome.rejections["stage"]) == {stage}
 
 
-@pytest.mark.parametrize(("profile_name", "least"), [("default", 0.9), ("vu2009", 0.8)])
+@pytest.mark.parametrize(("profile_name", "least"), sample([("default", 0.9), ("vu2009", 0.8)], 2))
 def test_a_building_in_a_slope_is_one_building(built, profile_name, least):
     """A roof that nearly meets the bank behind it has one root, of what stands above the mask.
 
@@ -234,7 +238,7 @@ def test_a_steep_earthwork_passes_for_a_building(built):
     assert lower["storeys"] == 2
 
 
-@pytest.mark.parametrize("profile_name", ["default", "vu2009"])
+@pytest.mark.parametrize("profile_name", BOTH)
 def test_an_earthwork_with_common_banks_is_ground(built, profile_name):
     """Banks of 1 in 1.5, as dykes and dams have them, are told from walls; both houses are right."""
     outcome = built("plateau", profile_name, bank_m=7.5)
@@ -270,7 +274,7 @@ def test_a_free_wall_is_rejected_with_its_reason(built, profile_name, stage, rea
     assert set(outcome.rejections["reason"]) == {reason}
 
 
-@pytest.mark.parametrize("profile_name", ["default", "vu2009"])
+@pytest.mark.parametrize("profile_name", BOTH)
 def test_an_elevated_road_passes_for_a_building(built, profile_name):
     """Known limit (V51): a deck of 100 m by 12 m is a building, apart from the two houses."""
     outcome = built("elevated_road", profile_name)
@@ -311,6 +315,7 @@ def test_more_classes_than_materials_split_a_roof(built):
     assert len(built("large_building").parts) == 2
 
 
+@pytest.mark.long
 def test_the_city_is_found_whole(built):
     """Of a quarter with all kinds, every building is found; only the deck is none, and no tree or wall is one."""
     outcome = built("city")

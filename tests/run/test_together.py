@@ -9,6 +9,7 @@ import pytest
 from simulated.builds import small_build
 from simulated.files import write_points
 from simulated.scenes import SCENES, VEGETATION
+from support.sizes import sample
 
 import msbdb
 from msbdb.api import evaluate_points
@@ -119,7 +120,7 @@ def test_flat_cells_by_the_lower_r_have_no_say(folder, tmp_path):
         np.testing.assert_array_equal(before[name], after[name], strict=True)
 
 
-@pytest.mark.parametrize("extract", [("multiscale",), ("flatregions",)])
+@pytest.mark.parametrize("extract", sample([["multiscale"], ["flatregions"]], 2))
 def test_one_extractor_alone_has_nothing_together(folder, tmp_path, extract):
     """No raster is kept, the export has no such layer, and who asks is told what to do."""
     db = tmp_path / "one.sqlite"

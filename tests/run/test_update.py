@@ -1,5 +1,6 @@
 """Surveys brought into the inventory by the pipeline: from points, twice, after an interruption, and with labels."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from msbdb.params import profile, with_values
 from msbdb.run import update as module
 
 ONLY = {"extract": ("multiscale",)}
+SPRING = {"survey": "spring", "date": "2024-04-20", **ONLY}
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +26,16 @@ def points(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the points of a small scene, without colours."""
     cloud = replace(scenes.podium_tower().points, colours=None, colour_names=())
     return write_points(tmp_path_factory.mktemp("points") / "town.laz", cloud)
+
+
+@pytest.fixture(scope="module")
+def spring(points: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a database that one update made, which no test changes."""
+    db = tmp_path_factory.mktemp("spring") / "town.sqlite"
+    report = api.update([points], db=db, **SPRING)
+    assert report.build is not None
+    assert report.inventory.counts == {"new": report.build.buildings, "versions": report.build.buildings}
+    return db
 
 
 def dump(db: Path) -> list[str]:
@@ -34,30 +46,28 @@ def dump(db: Path) -> list[str]:
     return lines
 
 
-def test_an_update_is_a_build_and_an_advance(points: Path, tmp_path: Path) -> None:
+def test_an_update_is_a_build_and_an_advance(points: Path, spring: Path, tmp_path: Path) -> None:
     """Both ways end in the same content, and a repeat builds nothing."""
-    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
-    report = api.update([points], db=tmp_path / "one.sqlite", **survey)
-    assert report.build is not None
-    assert report.inventory.counts == {"new": report.build.buildings, "versions": report.build.buildings}
-    msbdb.build([points], db=tmp_path / "two.sqlite", **survey)
+    one = shutil.copy(spring, tmp_path / "one.sqlite")
+    msbdb.build([points], db=tmp_path / "two.sqlite", **SPRING)
     assert api.advance(tmp_path / "two.sqlite", "spring").status == "created"
-    assert dump(tmp_path / "one.sqlite") == dump(tmp_path / "two.sqlite")
-    again = api.update([points], db=tmp_path / "one.sqlite", **survey)
+    assert dump(one) == dump(tmp_path / "two.sqlite")
+    again = api.update([points], db=one, **SPRING)
     assert (again.build, again.inventory.status) == (None, "unchanged")
-    assert dump(tmp_path / "one.sqlite") == dump(tmp_path / "two.sqlite")
+    assert dump(one) == dump(tmp_path / "two.sqlite")
 
 
 @pytest.mark.parametrize(
     "other", [{"params": {"scale": {"merge_slivers": False}}}, {"z_unit": "m"}, {"date": "2024-05"}]
 )
-def test_other_files_or_values_build_the_survey_again(points: Path, tmp_path: Path, other: dict[str, object]) -> None:
+def test_other_files_or_values_build_the_survey_again(
+    points: Path, spring: Path, tmp_path: Path, other: dict[str, object]
+) -> None:
     """What decides of a build is compared, what was stated by the user included."""
-    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
-    api.update([points], db=tmp_path / "town.sqlite", **survey)
+    db = shutil.copy(spring, tmp_path / "town.sqlite")
     if "params" in other:
         other = {"params": with_values(profile(), other["params"])}
-    report = api.update([points], db=tmp_path / "town.sqlite", **{**survey, **other})
+    report = api.update([points], db=db, **{**SPRING, **other})
     assert report.build is not None
     assert report.inventory.status == "replaced"
 
@@ -70,11 +80,9 @@ def test_an_update_without_a_date_is_refused_before_any_work(points: Path, tmp_p
 
 
 def test_an_interruption_between_build_and_advance_is_repaired_by_repeating(
-    points: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    points: Path, spring: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The build stays, and the repeat only advances."""
-    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
-    api.update([points], db=tmp_path / "whole.sqlite", **survey)
     with monkeypatch.context() as patch:
 
         def killed(*_: object, **__: object) -> None:
@@ -82,11 +90,11 @@ def test_an_interruption_between_build_and_advance_is_repaired_by_repeating(
 
         patch.setattr(module, "write_advance", killed)
         with pytest.raises(KeyboardInterrupt):
-            api.update([points], db=tmp_path / "town.sqlite", **survey)
+            api.update([points], db=tmp_path / "town.sqlite", **SPRING)
     assert footprint_at(open_database(tmp_path / "town.sqlite"), "2025").empty
-    report = api.update([points], db=tmp_path / "town.sqlite", **survey)
+    report = api.update([points], db=tmp_path / "town.sqlite", **SPRING)
     assert (report.build, report.inventory.status) == (None, "created")
-    assert dump(tmp_path / "town.sqlite") == dump(tmp_path / "whole.sqlite")
+    assert dump(tmp_path / "town.sqlite") == dump(spring)
 
 
 def test_an_update_is_computed_again_when_others_change_the_place(
@@ -114,20 +122,19 @@ def test_an_update_is_computed_again_when_others_change_the_place(
 def test_operators_labels_survive_that_a_survey_is_built_again(points: Path, tmp_path: Path) -> None:
     """Labels of classes that are the same stay, others are told; building once more changes nothing."""
     db = tmp_path / "town.sqlite"
-    survey = {"survey": "spring", "date": "2024-04-20", **ONLY}
-    msbdb.build([points], db=db, **survey)
+    msbdb.build([points], db=db, **SPRING)
     number = int(api.classes(db).query("source == 'structure'")["speindex"].min())
     msbdb.relabel(db, {number: "building"})
     labelled = dump(db)
-    report = msbdb.build([points], db=db, **survey)
+    report = msbdb.build([points], db=db, **SPRING)
     assert not report.changed
     assert dump(db) == labelled
     coarse = with_values(profile(), {"scale": {"merge_slivers": False}})
-    msbdb.build([points], db=db, params=coarse, **survey)
+    msbdb.build([points], db=db, params=coarse, **SPRING)
     table = api.classes(db).set_index("speindex")
     assert table.loc[number, ["label", "labelled_by"]].tolist() == ["building", "operator"]
     wide = with_values(profile(), {"surface": {"cell_m": 1.0}})
-    report = msbdb.build([points], db=db, params=wide, **survey)
+    report = msbdb.build([points], db=db, params=wide, **SPRING)
     assert any(f"label 'building' of class {number} was not kept" in sentence for sentence in report.notices)
-    assert not msbdb.build([points], db=db, params=wide, **survey).changed
+    assert not msbdb.build([points], db=db, params=wide, **SPRING).changed
     assert np.all(api.classes(db)["labelled_by"] == "automatic")

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def surveys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder of two surveys that are alike, and an empty one."""
     folder = tmp_path_factory.mktemp("surveys")
-    cloud = replace(scenes.podium_tower().points, colours=None, colour_names=())
+    cloud = replace(scenes.podium_tower(density=1.0).points, colours=None, colour_names=())
     for name, points in (("2020-04-01_first", cloud), ("2024-05-02_second", cloud)):
         (folder / name).mkdir()
         write_points(folder / name / "town.laz", points)
@@ -45,6 +45,7 @@ def msbdb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MSBDB", str(program))
 
 
+@pytest.mark.long
 def test_the_nightly_script_brings_surveys_in_once(surveys: Path, tmp_path: Path, msbdb: None) -> None:
     """By date; the second night finds nothing to do."""
     db = tmp_path / "town.sqlite"
@@ -61,15 +62,16 @@ def test_the_nightly_script_brings_surveys_in_once(surveys: Path, tmp_path: Path
 
 
 def test_the_nightly_script_stops_at_the_first_failure(surveys: Path, tmp_path: Path, msbdb: None) -> None:
-    """A broken file keeps later surveys from overtaking it."""
-    folder = tmp_path / "surveys"
+    """Earlier surveys are in; a broken file keeps later ones from overtaking it."""
+    folder, db = tmp_path / "surveys", tmp_path / "town.sqlite"
     (folder / "2019-01-01_broken").mkdir(parents=True)
     (folder / "2019-01-01_broken" / "town.laz").write_bytes(b"no points")
-    (folder / "2020-04-01_first").symlink_to(surveys / "2020-04-01_first")
-    done = run(ROOT / "scripts" / "update_nightly", tmp_path / "town.sqlite", folder)
+    for name, source in (("2018-04-01_sound", "2020-04-01_first"), ("2024-05-02_later", "2024-05-02_second")):
+        (folder / name).symlink_to(surveys / source)
+    done = run(ROOT / "scripts" / "update_nightly", db, folder, "--extract", "multiscale")
     assert done.returncode == 1
     assert "2019-01-01_broken could not be applied" in done.stderr
-    assert not (tmp_path / "town.sqlite").exists()
+    assert set(read_changes(open_database(db))["survey"]) == {"sound"}
     assert "usage" in run(ROOT / "scripts" / "update_nightly").stderr
 
 
