@@ -9,6 +9,7 @@ import contextlib
 import importlib
 import json
 import os
+import pkgutil
 import signal
 import sys
 import tempfile
@@ -39,11 +40,14 @@ def fork(action: Callable[[], int]) -> int:
 
 def warm() -> None:
     """Load what a build loads, before any fork, and start no thread, which a fork would lack."""
+    import alembic.command  # noqa: F401  (what msbdb loads in its functions)
     import numpy as np
 
-    from msbdb import api  # noqa: F401
+    import msbdb
     from msbdb.morphology import area_opening
 
+    for module in pkgutil.walk_packages(msbdb.__path__, "msbdb."):
+        importlib.import_module(module.name)
     area_opening(np.ones((2, 2), dtype=np.int32), 1)
 
 
