@@ -4,6 +4,7 @@ A label image is an array of int32: 0 for no region, 1 to ``count`` for the regi
 but `label_zones` and `boxes` also take labelled points, as arrays of one dimension.
 """
 
+from msbdb.labels.mincut import Pairs, minimum_cut, neighbours
 from msbdb.labels.numbering import (
     EIGHT,
     Box,
@@ -33,6 +34,7 @@ __all__ = [
     "Box",
     "HeightOrder",
     "Labels",
+    "Pairs",
     "boxes",
     "central_cells",
     "centroids",
@@ -40,6 +42,8 @@ __all__ = [
     "height_statistics",
     "label_zones",
     "measure",
+    "minimum_cut",
+    "neighbours",
     "offsets",
     "order_heights",
     "region_means",
