@@ -12,6 +12,7 @@ from msbdb.ground.adaptivewindows import adaptive_ground
 from msbdb.ground.interpolation import interpolate_ground, refine
 from msbdb.ground.progressive import progressive_ground
 from msbdb.ground.quadratic import quadratic_ground
+from msbdb.ground.walls import walled_ground
 from msbdb.ground.wavelet import wavelet_ground
 from msbdb.params import GroundParams
 from msbdb.points.cloud import GROUND_CLASS, PointCloud
@@ -51,7 +52,11 @@ class PointGroundFilter(Protocol):
         """
 
 
-FILTERS: dict[str, GroundFilter] = {"progressive": progressive_ground, "wavelet": wavelet_ground}
+FILTERS: dict[str, GroundFilter] = {
+    "progressive": progressive_ground,
+    "walls": walled_ground,
+    "wavelet": wavelet_ground,
+}
 
 POINT_FILTERS: dict[str, PointGroundFilter] = {"quadratic": quadratic_ground, "adaptive": adaptive_ground}
 
@@ -115,8 +120,8 @@ def _resolve(points: PointCloud, name: str) -> str:
     """Turn ``auto`` into the filter that fits the points, and check that class 2 is there when asked for."""
     share = float(np.count_nonzero(points.in_class(GROUND_CLASS))) / max(len(points), 1)
     if name == "auto":
-        return "class2" if share >= MIN_GROUND_SHARE else "progressive"
+        return "class2" if share >= MIN_GROUND_SHARE else "walls"
     if name == "class2" and share == 0.0:
-        msg = "The ground filter 'class2' needs points of class 2 and there are none; take 'progressive' or 'wavelet'."
+        msg = "The ground filter 'class2' needs points of class 2 and there are none; take 'walls' or 'progressive'."
         raise NodataError(msg)
     return name

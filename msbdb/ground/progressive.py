@@ -1,4 +1,4 @@
-"""The progressive morphological filter, the default ground filter (Zhang et al. 2003), with a second pass on hills."""
+"""The progressive morphological filter (Zhang et al. 2003), with a second pass on hills."""
 
 import logging
 
@@ -67,18 +67,18 @@ def progressive_ground(surface: Grid, params: GroundParams) -> Mask:
     """
     heights = np.asarray(surface.values, dtype=np.float32)
     cell_m = surface.spec.cell_m
-    ground = _filter(heights, cell_m, params.slope, params)
+    ground = open_progressively(heights, cell_m, params.slope, params)
     hills = _hills(heights, ground, cell_m, params)
     if not hills.any():
         return ground
     logger.debug("progressive filter: %d cells of hills", np.count_nonzero(hills))
     terrain = interpolate_ground(heights, ground | hills, surface.spec)
     trend = gaussian_filter(np.asarray(terrain.values), params.trend_m / cell_m, mode="nearest", truncate=2.5)
-    return _filter(heights - trend, cell_m, params.slope, params)
+    return open_progressively(heights - trend, cell_m, params.slope, params)
 
 
-def _filter(heights: Heights, cell_m: float, slope: float, params: GroundParams) -> Mask:
-    """Run the openings with one slope and return the ground."""
+def open_progressively(heights: Heights, cell_m: float, slope: float, params: GroundParams) -> Mask:
+    """Run the openings with one slope, without a second run, and return the (H, W) ground cells."""
     opened = heights
     ground = np.ones(heights.shape, dtype=np.bool_)
     before = 0
@@ -92,7 +92,7 @@ def _filter(heights: Heights, cell_m: float, slope: float, params: GroundParams)
 
 def _hills(heights: Heights, ground: Mask, cell_m: float, params: GroundParams) -> Mask:
     """Return the regions that a steeper slope keeps and that have no edges towards the ground."""
-    doubtful = _filter(heights, cell_m, params.steep_slope, params) & ~ground
+    doubtful = open_progressively(heights, cell_m, params.steep_slope, params) & ~ground
     labels, count = label_zones(doubtful)
     beside = np.where(ground, heights, np.float32(np.inf))
     boundary, edges = count_edges(labels, count, heights, beside, edge_step(params, cell_m))

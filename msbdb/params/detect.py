@@ -166,6 +166,10 @@ class AdaptiveParams:
         ours="wider detects crowns a little better and rounds corners", low=0, high=50)
     split_weight: float = param(7.5, "1", "Log-odds that a share of echoes of split pulses takes from a roof.",
         ours=CALIBRATED, low=0, high=100)
+    leaf_level: float = param(0.25, "1", "Mean level share up to which split echoes count in full, as of leaves.",
+        ours="crowns of all test tiles lie below", low=0, high=1)
+    glass_level: float = param(0.75, "1", "Mean level share from which split echoes do not count: glass or nets.",
+        ours="roofs of glass reach it; above leaf_level", low=0.01, high=1)
     level_weight: float = param(4.0, "1", "Log-odds that a level surface gives to a roof.", ours=CALIBRATED,
         low=0, high=100)
     bias: float = param(2.0, "1", "Log-odds without any evidence.", ours=CALIBRATED, low=-50, high=50)

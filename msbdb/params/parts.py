@@ -60,7 +60,16 @@ class GranulometryParams:
 
 @dataclass(frozen=True, slots=True)
 class FuseParams:
-    """The decision on a piece that only parts or only flat regions support."""
+    """The decision on cells by all detectors, and on pieces that only parts or only flat regions support."""
+
+    cells: bool = param(True, "-", "Let all detectors that were run decide which cells are building.",
+        ours="half of three or four are right more often than the best one; otherwise multiscale decides")
+    edge_cost: float = param(0.5, "votes", "λ: cost of an edge of a building between cells of equal height.",
+        ours="0.25 to 1 differ little; 0 lets each cell decide by itself", low=0, high=100)
+    edge_height_m: float = param(1.0, "m", "τ: step of height over which the cost of an edge falls by a factor e.",
+        ours="a third of a storey; 0.5 m differs little", low=0.01, high=100)
+    piece_m2: float = param(10.0, "m2", "Smaller holes of buildings are filled, and smaller pieces dropped.",
+        ours="the finest scale", low=0, high=1e4)
 
     edge_m: float = param(0.5, "m",
         "Disputed strips up to twice as wide are edges, which the parts decide; at least a cell.",

@@ -41,10 +41,25 @@ class GroundParams:
     """Separation of ground from objects above it."""
 
     ground_filter: str = param("auto", "-",
-        "'auto' uses class 2 where the points have it, and the progressive filter elsewhere.", paper="V16",
-        choices=("auto", "class2", "progressive", "wavelet", "quadratic", "adaptive"))
+        "'auto' uses class 2 where the points have it, and the filter by walls elsewhere.", paper="V16",
+        choices=("auto", "class2", "walls", "progressive", "wavelet", "quadratic", "adaptive"))
     ground_cell_m: float = param(1.0, "m", "Cell of the ground filter; the lattice's own cell where that is larger.",
         ours="fine enough for courtyards, coarse enough to see past crowns", low=0.25, high=20)
+    clutter_m: float = param(2.0, "m", "Filter by walls: half-width of the square that removes crowns, cars and masts.",
+        ours="narrower than a shed with its eaves; 3 and 4 m lose sheds, 2 m keeps them", low=0.5, high=20)
+    block_m: float = param(20.0, "m", "Filter by walls: side of a block whose lowest cell carries the trend.",
+        ours="most blocks of this size see a street, a yard or a court; 15 m differs little", low=2, high=200)
+    low_share: float = param(0.3, "1", "Filter by walls: share of the blocks' lowest cells that lie below the trend.",
+        ours="up to two thirds of the blocks may be covered; 0.15 to 0.7 differ little", low=0.01, high=0.99)
+    wall_low_m: float = param(0.8, "m", "Filter by walls: a smaller step between cells of 1 m is no wall.",
+        ours="banks and rocks step less; 0.5 m takes wooded knolls for buildings", low=0, high=10)
+    wall_high_m: float = param(1.6, "m", "Filter by walls: a larger step is surely a wall.",
+        ours="twice the smaller one; sheds step more", low=0.1, high=20)
+    terrace_cost: float = param(0.43, "1", "Filter by walls: cost of a wall within ground, per smooth edge of a roof.",
+        ours="3 to 7: walls bound a building for 70 % of its edge; 0.3 loses roofs in slopes, 0.6 terraces",
+        low=0, high=10)
+    podium_share: float = param(0.9, "1", "Filter by walls: a region that falls by walls for this share is a building.",
+        ours="nearly all around; a way up, or the tile's border, is enough for terrain", low=0.5, high=1)
     window_m: float = param(80.0, "m", "Progressive filter: half-width of the largest window.",
         ours="half the width of the widest hall that is still a building", low=5, high=500)
     window_growth: float = param(1.4, "1", "Progressive filter: factor from one window to the next.",
@@ -119,6 +134,10 @@ class CoverParams:
         ours=CALIBRATED, low=0, high=100)
     solid_weight: float = param(2.0, "1", "Log-odds per share of last echoes near the surface.", ours=CALIBRATED,
         low=0, high=100)
+    glass_m: float = param(0.05, "m", "Wide-window roughness up to which split echoes are of glass, not of leaves.",
+        ours="planes of glass or nets split echoes and stay planes; the range noise of a scanner", low=0.001, high=5)
+    leaf_m: float = param(0.15, "m", "Wide-window roughness from which split echoes count in full.",
+        ours="three times glass_m; from 0.1 to 0.2 m little changes", low=0.002, high=10)
     echo_rough_weight: float = param(0.15, "1", "Log-odds per factor e of roughness, with echoes.", ours=CALIBRATED,
         low=0, high=100)
     echo_bias: float = param(-1.2, "1", "Log-odds without any evidence.", ours=CALIBRATED, low=-50, high=50)

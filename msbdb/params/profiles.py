@@ -70,6 +70,9 @@ def profile(name: str = "default") -> Params:
     return with_values(Params(), PROFILES[name])
 
 
+ALONE: dict[str, dict[str, Any]] = {"fuse": {"cells": False}}
+"""Each detector by itself, as in its paper."""
+
 VU: dict[str, dict[str, Any]] = {
     "surface": {"cell_m": 1.0, "storeys_from": "zone"},
     "ground": {"ground_filter": "wavelet"},
@@ -80,6 +83,7 @@ VU: dict[str, dict[str, Any]] = {
         "fake_father_coverage": 0.0,
     },
     "spectral": {"decides": "spectral", "split_share": 0.4},
+    **ALONE,
 }
 """Vu et al. 2009 as written; the ratio of fake fathers, which the paper does not state, is ours."""
 
@@ -132,11 +136,11 @@ CAO_WU: dict[str, Any] = {
 PROFILES: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     "vu2009": VU,
-    "mongus2013": {"flatregions": MONGUS},
-    "mongus2013-ds2": {"flatregions": MONGUS_DS2},
-    "mongus2013-ds3": {"flatregions": MONGUS_DS3},
-    "cao-wu": {"ground": QUADRATIC, "area3d": CAO_WU},
-    "cao-wu-ss": {"ground": QUADRATIC, "area3d": {**CAO_WU, "most_heights": 1}},
-    "adaptive": {"ground": {"ground_filter": "adaptive"}},
+    "mongus2013": {"flatregions": MONGUS, **ALONE},
+    "mongus2013-ds2": {"flatregions": MONGUS_DS2, **ALONE},
+    "mongus2013-ds3": {"flatregions": MONGUS_DS3, **ALONE},
+    "cao-wu": {"ground": QUADRATIC, "area3d": CAO_WU, **ALONE},
+    "cao-wu-ss": {"ground": QUADRATIC, "area3d": {**CAO_WU, "most_heights": 1}, **ALONE},
+    "adaptive": {"ground": {"ground_filter": "adaptive"}, **ALONE},
 }
 """The values of each profile that differ from the defaults."""

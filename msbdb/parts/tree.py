@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
@@ -27,7 +28,14 @@ TOO_SMALL = "smaller than the finest scale"
 VEGETATION = "vegetation by its structure"
 
 
-def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: Params) -> Forest:
+def extract_parts(
+    ndsm: Grid,
+    classes: ClassMap | None,
+    *,
+    survey: str,
+    params: Params,
+    built: NDArray[np.bool_] | None = None,
+) -> Forest:
     """Grow the forest of building parts from heights above ground and land-cover classes.
 
     Parameters
@@ -40,6 +48,9 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
         Name of the survey; part of the ids.
     params : Params
         Sections ``surface``, ``scale``, ``granulometry`` and ``spectral``.
+    built : (H, W) ndarray of bool, optional
+        Cells that several detectors take for building. Those of them below the mask, where an echo beside the wall
+        hit the ground, belong to the highest slice beside them; all others have no such exception (V17).
 
     Returns
     -------
@@ -68,6 +79,8 @@ def extract_parts(ndsm: Grid, classes: ClassMap | None, *, survey: str, params: 
     sliced = slice_heights(ndsm, params.surface)
     if classes is not None and params.spectral.decides == "structure":
         sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger)
+    if built is not None:
+        sliced = np.where(built & (sliced == 0), maximum_filter(sliced, 3, mode="nearest"), sliced)
     scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
     thresholds = scales["threshold_px"].tolist()[::-1]
     clusters = form_clusters(sliced, thresholds, params.scale, ledger)

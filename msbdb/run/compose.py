@@ -1,6 +1,6 @@
 """The composition: one survey from its files to the run that the database keeps.
 
-Prepare, detect, decompose into parts, fuse, describe; `msbdb.run.store` writes the result. A re-labelling starts from a
+Prepare, detect, fuse, decompose into parts, describe; `msbdb.run.store` writes the result. A re-labelling starts from a
 kept run, detects parts under the new labels, and shares all later steps.
 """
 
@@ -10,12 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msbdb.detect.flatregions.initialisation import denoise
 from msbdb.detect.flatregions.mongus2013 import lowest_surface
 from msbdb.detect.registry import DETECTORS
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import MsbdbWarning, ParameterError
+from msbdb.fuse.cells import fuse_cells
 from msbdb.fuse.footprints import fuse
 from msbdb.grid import Grid
 from msbdb.kept import KeptRun
@@ -145,22 +147,57 @@ def detect(scene: Scene, methods: Sequence[str], params: Params, stages: Stages)
 
 
 def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:
-    """Decompose, fuse and describe: the steps that a build and a re-labelling share."""
-    forest = decompose(scene, regions, params)
-    with stages.stage("fusion"):
+    """Fuse, decompose and describe: the steps that a build and a re-labelling share."""
+    forest = fuse_and_decompose(scene, regions, params, stages)
+    with stages.stage("parts"):
         fused = fuse(forest, regions.get("flatregions"), scene, params)
     with stages.stage("outlines"):
         return describe(scene, regions, forest, fused, params)
 
 
-def decompose(scene: Scene, regions: Mapping[str, Regions], params: Params) -> Forest:
-    """Return the tree of parts, which the multi-scale detector makes; an empty one where it was not run."""
+def fuse_and_decompose(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Forest:
+    """Decide which cells are building, and return the tree of parts inside them."""
+    built = None
+    with stages.stage("fusion"):
+        if is_fused(regions, params):
+            built = fuse_cells(scene.heights, regions, params.fuse, mask_m=params.surface.mask_m)
+    with stages.stage("parts"):
+        return decompose(scene, regions, built, params)
+
+
+def is_fused(regions: Mapping[str, Regions], params: Params) -> bool:
+    """Return whether the detectors decide together.
+
+    There are three at least, as two have no majority; the multi-scale one, which makes the parts, is among them.
+    """
+    return params.fuse.cells and len(regions) > 2 and "multiscale" in regions
+
+
+def decompose(scene: Scene, regions: Mapping[str, Regions], built: NDArray[np.bool_] | None, params: Params) -> Forest:
+    """Return the tree of parts.
+
+    Parameters
+    ----------
+    scene : Scene
+        Heights and land cover.
+    regions : mapping of str to Regions
+        Of each detector that was run.
+    built : (H, W) ndarray of bool, optional
+        The cells that the detectors support together. None leaves the tree to the multi-scale detector alone; it is
+        empty where that was not run.
+    params : Params
+        As `msbdb.parts.tree.extract_parts` takes them.
+    """
     found = regions.get("multiscale")
-    if found is not None and found.forest is not None:
+    heights, cover = scene.heights, scene.cover
+    if built is not None:
+        cover = cover.with_buildings(built, heights, params.surface.mask_m)
+        built = built & cover.classes.labelled("building")
+    elif found is not None and found.forest is not None:
         return found.forest
-    heights = scene.heights
-    nothing = Grid(heights.values, np.zeros_like(heights.valid), heights.spec)
-    return extract_parts(nothing, scene.cover.classes, survey=scene.survey.name, params=params)
+    else:
+        heights = Grid(heights.values, np.zeros_like(heights.valid), heights.spec)
+    return extract_parts(heights, cover.classes, survey=scene.survey.name, params=params, built=built)
 
 
 def choose_detectors(names: Sequence[str], inputs: Inputs) -> tuple[str, ...]:

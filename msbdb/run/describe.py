@@ -73,7 +73,8 @@ def describe(
         Section ``vector``.
     """
     parts = outline_parts(forest, scene.heights, params.vector)
-    counts = {"multiscale": forest.counts} | {name: found.counts for name, found in regions.items()}
+    # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
+    counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
     some = {name: stages for name, stages in counts.items() if stages}
     return Description(make_frames(scene, regions, forest, parts), _rasters(scene, regions, fused), some)
 

@@ -25,6 +25,7 @@ STAGES = (
     "flatregions",
     "multiscale",
     "fusion",
+    "parts",
     "outlines",
     "write",
 )

@@ -74,6 +74,22 @@ class Cover:
         labels = {**self.spectral.labels, count + 1: "building", count + 2: "vegetation", **self.operator}
         return ClassMap(index, labels, self.spectral.spec)
 
+    def with_buildings(self, built: NDArray[np.bool_], heights: Grid, mask_m: float) -> "Cover":
+        """Return the cover with other roofs by structure: those that several detectors support together.
+
+        Parameters
+        ----------
+        built : (H, W) ndarray of bool
+            Cells of buildings. All other cells at or above the mask count as vegetation.
+        heights : Grid
+            Heights above ground, metres.
+        mask_m : float
+            Height of the mask (V17), metres.
+        """
+        raised = heights.valid & (np.asarray(heights.values) >= mask_m)
+        index = np.where(built, np.uint8(1), np.where(raised, np.uint8(2), np.uint8(0)))
+        return replace(self, structure=ClassMap(index, self.structure.labels, self.structure.spec))
+
     def relabelled(self, labels: Mapping[int, str]) -> "Cover":
         """Return the cover with further labels by the operator.
 

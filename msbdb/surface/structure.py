@@ -6,7 +6,7 @@ tiles of four surveys and on thinned copies.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -78,7 +78,17 @@ def structural_cover(
     Structure
     """
     raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
-    odds = _echo_odds(roughness_m, echoes, params) if echoes else _rough_odds(roughness_m, wide_roughness_m, params)
+    if echoes:
+        leafy = leaf_share(wide_roughness_m, ndsm.spec.cell_m, params)
+        echoes = replace(
+            echoes,
+            split=echoes.split * leafy,
+            split_best=echoes.split_best * leafy,
+            split_wide=echoes.split_wide * leafy,
+        )
+        odds = _echo_odds(roughness_m, echoes, params)
+    else:
+        odds = _rough_odds(roughness_m, wide_roughness_m, params)
     probability = _sigmoid(odds)
     roof = smooth_share(probability, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
     neck_m = params.neck_m if echoes else params.blind_neck_m
@@ -90,8 +100,31 @@ def structural_cover(
     return Structure(cover, probability, roughness_m)
 
 
+def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> Field:
+    """Return how far split echoes speak for leaves: 0 on planes, which may be glass, to 1 on rough surfaces.
+
+    Parameters
+    ----------
+    wide_roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the wide window.
+    cell_m : float
+        Side of a cell, metres. On cells above 1 m a window spans several planes, so that the limits grow with it.
+    params : CoverParams
+        ``glass_m`` and ``leaf_m``: at the first the share is 0, at the second 1, and between them it goes with the
+        logarithm.
+
+    Examples
+    --------
+    >>> leaf_share(np.float32([0.02, 0.087, 0.3]), 0.5, CoverParams()).round(1)
+    array([0. , 0.5, 1. ], dtype=float32)
+    """
+    low_m, high_m = params.glass_m * max(1.0, cell_m), params.leaf_m * max(1.0, cell_m)
+    ratio = np.log(np.maximum(wide_roughness_m, params.smooth_floor_m) / low_m) / np.log(high_m / low_m)
+    return np.asarray(np.clip(ratio, 0, 1), dtype=np.float32)
+
+
 def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field:
-    """Log-odds of roof from the echoes, with a little from the roughness.
+    """Log-odds of roof from the echoes, with a little from the roughness; split echoes of planes do not count.
 
     b - w_1·split_best - w_2·split_wide - w_3·ln(roughness) + w_4·solid, with the weights of ``cover``.
     """

@@ -192,7 +192,7 @@ def test_other_points_and_other_files_are_refused(folder, tmp_path):
 def test_a_database_is_scored_by_point_as_its_points_would_be(folder, tmp_path):
     """By the outlines and heights that it keeps, nearly the same points are taken as were classified."""
     db = tmp_path / "town.sqlite"
-    result = run("build", "--points", folder / "plain.laz", "--db", db, "--extract", "multiscale,flatregions")
+    result = run("build", "--points", folder / "plain.laz", "--db", db, "--extract", "multiscale")
     assert result.exit_code == 0, result.stderr
     agreed = scored(db, "--reference", folder / "found.laz", "--by", "point", "--of", "parts")
     assert agreed["matched"] == "footprints"

@@ -213,7 +213,7 @@ def test_given_ground_is_trusted():
     assert np.sqrt(np.mean((dtm.values - truth) ** 2)) < 0.15
 
 
-@pytest.mark.parametrize(("share", "expected"), [(0.0, "progressive"), (0.01, "progressive"), (0.05, "class2")])
+@pytest.mark.parametrize(("share", "expected"), [(0.0, "walls"), (0.01, "walls"), (0.05, "class2")])
 def test_a_few_points_of_class_2_are_no_classification(share, expected):
     """'auto' needs 2 % of the points."""
     points, _ = classified(share)
@@ -223,7 +223,7 @@ def test_a_few_points_of_class_2_are_no_classification(share, expected):
 def test_without_classes_auto_filters():
     """A source without the attribute is filtered by the default."""
     points, _ = world(flat, HOUSES)
-    assert terrain(points, lattice((0, 0, 20, 20), 1.0, CRS_M), PARAMS)[1] == "progressive"
+    assert terrain(points, lattice((0, 0, 20, 20), 1.0, CRS_M), PARAMS)[1] == "walls"
 
 
 @pytest.mark.parametrize("classes", [None, 1])

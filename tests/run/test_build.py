@@ -134,7 +134,7 @@ def test_what_a_run_decided_itself_is_kept(town):
     """The ground filter, the scaling of the bands and the centres of the classes are in the run (V21, X2)."""
     db, _ = town
     chosen = command("info", db)["runs"][0]["chosen"]
-    assert chosen["ground_filter"] == "progressive"
+    assert chosen["ground_filter"] == "walls"
     assert chosen["scales_m2"] == list(profile().scale.scales_m2)
     spectral = chosen["spectral"]
     assert {"red", "green", "blue", "nir", "intensity"} == set(spectral["bands"])
@@ -151,7 +151,7 @@ def test_what_a_run_decided_itself_is_kept(town):
 def test_info_for_people_names_the_ground_filter_and_no_centres(town):
     """The record for people stays short."""
     result = CliRunner().invoke(cli, ["info", str(town[0])])
-    assert "progressive" in result.stdout
+    assert "walls" in result.stdout
     assert "centres" not in result.stdout
 
 

@@ -53,17 +53,21 @@ def test_flat_regions_confirm_the_house_and_no_crown(town):
     assert regions["h_p50"].between(2, 30).all()
 
 
-def test_extractors_do_not_change_each_other(points, town, tmp_path):
-    """Parts and buildings are the same with and without the others, but for the shares that are not known."""
-    msbdb.build([points], db=tmp_path / "alone.sqlite", extract=MULTISCALE)
-    with msbdb.open(tmp_path / "alone.sqlite") as alone, msbdb.open(town[0]) as both:
-        assert alone.parts().equals(both.parts())
-        shares = list(EXTRACTOR_SHARES.values())
-        assert alone.buildings()[shares].isna().all(axis=None)
-        assert alone.buildings().drop(columns=shares).equals(both.buildings().drop(columns=shares))
-        assert len(alone.flat_regions()) == 0
-        assert alone.runs()["methods"].tolist() == ["multiscale"]
-        assert both.runs()["methods"].tolist() == ["adaptive, area3d, flatregions, multiscale"]
+def test_detectors_do_not_change_each_other(points, town, tmp_path):
+    """Regions are the same whichever others are run; where cells are not fused, so are the parts."""
+    alone, both = tmp_path / "alone.sqlite", tmp_path / "both.sqlite"
+    single = with_values(profile(), {"fuse": {"cells": False}})
+    msbdb.build([points], db=alone, extract=MULTISCALE, params=single)
+    msbdb.build([points], db=both, extract=["flatregions", "multiscale"], params=single)
+    shares = list(EXTRACTOR_SHARES.values())
+    with msbdb.open(alone) as one, msbdb.open(both) as two, msbdb.open(town[0]) as four:
+        assert one.parts().equals(two.parts())
+        assert one.buildings()[shares].isna().all(axis=None)
+        assert one.buildings().drop(columns=shares).equals(two.buildings().drop(columns=shares))
+        assert len(one.flat_regions()) == 0
+        assert two.flat_regions().equals(four.flat_regions())
+        assert one.runs()["methods"].tolist() == ["multiscale"]
+        assert four.runs()["methods"].tolist() == ["adaptive, area3d, flatregions, multiscale"]
 
 
 def test_flat_regions_alone_make_no_building(points, tmp_path):

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import msbdb
 from msbdb.cli.main import cli
-from msbdb.database import open_database, read_build
+from msbdb.database import check_database, open_database, read_build
 from msbdb.tables import validate_parts
 
 pytestmark = pytest.mark.nimes
@@ -89,6 +89,13 @@ def test_the_numbers_are_those_that_were_looked_at(nimes):
         GOLDEN.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     expected = dict(flat(json.loads(GOLDEN.read_text(encoding="utf-8"))))
     assert dict(flat(found)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_all_detectors_decide_is_sound(nimes):
+    """Counts, links and forest of parts inside the cells of all detectors are as the check asks."""
+    engine = open_database(nimes)
+    assert check_database(engine) == []
+    engine.dispose()
 
 
 def test_the_command_line_tells_the_same(nimes):

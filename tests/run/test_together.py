@@ -8,7 +8,7 @@ import pyogrio
 import pytest
 from simulated.builds import small_build
 from simulated.files import write_points
-from simulated.scenes import SCENES, VEGETATION
+from simulated.scenes import SCENES
 from support.sizes import sample
 
 import msbdb
@@ -151,7 +151,7 @@ def test_they_are_evaluated_by_area_and_by_point(town, tmp_path):
         assert opened.evaluate(tmp_path / "truth.gpkg", of="together").area.rates.quality > 0.999
     scene = SCENES["under_trees"]()
     cloud, (row, col) = scene.points, scene.spec.rowcol(scene.points.x, scene.points.y)
-    roof = (scene.buildings[row, col] > 0) & (scene.cover[row, col] != VEGETATION) & (cloud.z > cloud.z.min() + 3)
+    roof = (scene.buildings[row, col] > 0) & (cloud.z > cloud.z.min() + 3)
     truth = replace(cloud, classification=np.where(roof, 6, 1).astype(np.uint8))
     by_point = evaluate_points(town, write_points(tmp_path / "truth.laz", truth), of="together")
     assert by_point.matched == "footprints"
@@ -208,7 +208,7 @@ def test_without_evidence_nothing_is_fused():
     """A run that an older msbdb kept has none, and one without flat regions has nothing to fuse."""
     scene = recall_scene(small_build())
     assert scene.evidence is None
-    forest = decompose(scene, {}, Params())
+    forest = decompose(scene, {}, None, Params())
     flat = no_regions("flatregions", FLAT_REGION, scene.heights.spec)
     assert fuse(forest, flat, scene, Params()) is None
     known = Evidence(np.zeros(scene.heights.spec.shape, np.uint16), np.zeros(scene.heights.spec.shape, np.uint8))

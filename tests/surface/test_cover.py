@@ -94,7 +94,7 @@ def test_the_surfaces_are_those_of_the_scene():
     error = np.asarray(surface.ndsm.values)[inside] - scene.heights[row[inside], col[inside]]
     assert np.median(np.abs(error)) < 0.05
     assert np.quantile(np.abs(error), 0.95) < 0.3
-    assert surface.ground_filter == "progressive"
+    assert surface.ground_filter == "walls"
     assert surface.density == pytest.approx(4.0, rel=0.1)
 
 

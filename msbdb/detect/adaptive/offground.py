@@ -97,9 +97,10 @@ class SurfaceEvidence:
     Parameters
     ----------
     level : ndarray
-        Mean degree to which the points around lie on planes.
+        Mean degree to which the points around lie on planes, of those with neighbours enough for one.
     split : ndarray
-        Share of the points around that are of pulses with several echoes; 0 where the source has no echoes.
+        Share of the points around that are of pulses with several echoes, as far as these speak for leaves; 0 where
+        the source has no echoes.
     """
 
     level: NDArray[np.float32]
@@ -157,15 +158,25 @@ def _canonical(
 
 
 def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
-    """Measure planes in a small sphere around each point, then the means of planes and echoes in a wider disc."""
+    """Measure planes in a small sphere around each point, then the means of planes and echoes in a wider disc.
+
+    Points with too few neighbours for a plane do not count in the mean of the planes: strips of a scanner leave gaps.
+    Split echoes count in full up to ``leaf_level``, and not at all from ``glass_level`` on: such planes are glass or
+    nets.
+    """
     small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m)
     wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
-    values = np.zeros((len(points), 2), dtype=np.float32)
-    values[:, 0] = _degree(plane_residuals(points.x, points.y, points.z, small_m), params.level_m)
+    residuals = plane_residuals(points.x, points.y, points.z, small_m)
+    values = np.zeros((len(points), 3), dtype=np.float32)
+    values[:, 0] = _degree(residuals, params.level_m)
+    values[:, 1] = np.isfinite(residuals)
     if points.split is not None:
-        values[:, 1] = points.split
+        values[:, 2] = points.split
     around = means_around(points.x, points.y, values, wide_m)
-    return SurfaceEvidence(around[:, 0], around[:, 1])
+    level = around[:, 0] / np.maximum(around[:, 1], np.float32(1e-6))
+    # For glass a plane must be seen: here points without a plane count against it.
+    leafy = (params.glass_level - around[:, 0]) / (params.glass_level - params.leaf_level)
+    return SurfaceEvidence(level.astype(np.float32), around[:, 2] * np.clip(leafy, 0, 1).astype(np.float32))
 
 
 def classify_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:

@@ -215,7 +215,7 @@ def test_prior_ground_parts_a_building_from_its_slope():
     raw = agreement(attached_to_slope, RAW)
     cured = agreement(attached_to_slope, Params())
     assert raw[1] < 0.1
-    assert cured[0] > 0.7
+    assert cured[0] > 0.65
     assert cured[1] > 0.97
 
 

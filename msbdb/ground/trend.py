@@ -1,0 +1,120 @@
+"""The trend of the terrain: a smooth surface near the lowest points, whatever stands on it."""
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from msbdb.grid import Grid
+from msbdb.params import GroundParams
+
+Floats = NDArray[np.float64]
+
+REACH = 4
+"""Blocks on each side of a block that its plane is fitted to; they weigh by a Gaussian of half of this."""
+
+ROUNDS = 12
+"""Rounds of the fit; the planes of real tiles move by centimetres after eight."""
+
+LEAST_RESIDUAL_M = 0.3
+"""Nearer blocks count as this near, so that no single one decides the plane."""
+
+
+def lower_trend(surface: Grid, params: GroundParams) -> NDArray[np.float32]:
+    """Return the trend of the terrain under a grid of lowest points.
+
+    The lowest cell of each block of ``block_m`` is ground, unless a building covers the block. A plane is fitted to
+    those of 9 by 9 blocks so that the share ``low_share`` of them lies below it; the trend goes bilinearly from the
+    plane of one block's centre to the next.
+
+    Parameters
+    ----------
+    surface : Grid
+        Lowest heights, gap-free, metres.
+    params : GroundParams
+        ``block_m`` and ``low_share``.
+
+    Returns
+    -------
+    (H, W) ndarray of float32, metres
+
+    Notes
+    -----
+    The fit is a quantile regression (Koenker and Bassett 1978) by reweighted least squares.
+    Border: windows are cut; beyond the outermost centres the trend goes on straight.
+
+    Examples
+    --------
+    A slope of 1 in 5 with a building of 10 m is the slope:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec = lattice((0, 0, 199, 199), 1.0, CRS.from_epsg(2154))
+    >>> slope = np.indices((200, 200))[1] * 0.2
+    >>> heights = slope.astype(np.float32)
+    >>> heights[80:130, 80:130] += 10
+    >>> trend = lower_trend(Grid(heights, np.ones((200, 200), dtype=bool), spec), GroundParams())
+    >>> bool(abs((trend - slope).max() - (trend - slope).min()) < 2)
+    True
+
+    References
+    ----------
+    Koenker, R., Bassett, G. (1978). Regression quantiles. Econometrica 46(1), 33-50. doi:10.2307/1913643
+    """
+    size = max(1, round(params.block_m / surface.spec.cell_m))
+    heights, rows, cols = _lowest_of_blocks(np.asarray(surface.values, dtype=np.float64), size)
+    planes = _fit_planes(heights, rows, cols, float(size), params.low_share)
+    # One more block on all sides continues the trend straight to the border.
+    framed = (
+        np.pad(planes, 1, mode="reflect", reflect_type="odd")
+        if min(planes.shape) > 1
+        else np.pad(planes, 1, mode="edge")
+    )
+    height, width = surface.spec.shape
+    row, col = ((np.arange(side) + 0.5) / size + 0.5 for side in (height, width))
+    places = np.meshgrid(row, col, indexing="ij")
+    trend: NDArray[np.float32] = map_coordinates(framed, places, order=1, mode="nearest").astype(np.float32)
+    return trend
+
+
+def _lowest_of_blocks(heights: Floats, size: int) -> tuple[Floats, Floats, Floats]:
+    """Return the lowest height of each block, and its row and column from the block's centre, in cells."""
+    height, width = heights.shape
+    shape = (-(-height // size), -(-width // size))
+    framed = np.pad(heights, ((0, shape[0] * size - height), (0, shape[1] * size - width)), constant_values=np.inf)
+    blocks = framed.reshape(shape[0], size, shape[1], size).swapaxes(1, 2).reshape(*shape, size * size)
+    place = blocks.argmin(axis=-1)
+    lowest = np.take_along_axis(blocks, place[..., None], axis=-1)[..., 0]
+    rows, cols = (part.astype(np.float64) - (size - 1) / 2 for part in (place // size, place % size))
+    return lowest, rows, cols
+
+
+def _fit_planes(heights: Floats, rows: Floats, cols: Floats, size: float, low_share: float) -> Floats:
+    """Return the height at each block's centre of the plane with a share of the blocks around below it."""
+    steps = np.arange(-REACH, REACH + 1) * size
+    east = _windows(cols) + steps[None, None, None, :]
+    north = _windows(rows) + steps[None, None, :, None]
+    z = _windows(heights)
+    inside = np.isfinite(z)
+    z = np.where(inside, z, 0.0)
+    east, north = np.where(inside, east, 0.0), np.where(inside, north, 0.0)
+    near = inside * np.exp(-(east**2 + north**2) / (2 * (size * REACH / 2) ** 2))
+    # In blocks, so that the normal equations are of one scale; the ridge keeps single rows of blocks solvable.
+    design = np.stack([np.ones_like(z), east / size, north / size], axis=-1).reshape(*heights.shape, -1, 3)
+    z, near = z.reshape(*heights.shape, -1), near.reshape(*heights.shape, -1)
+    ridge = np.diag([0.0, 1e-6, 1e-6])
+    weights, fit = near, np.zeros((*heights.shape, 3))
+    for _ in range(ROUNDS):
+        weighted = design * weights[..., None]
+        normal = np.einsum("...ki,...kj->...ij", weighted, design) + ridge
+        fit = np.linalg.solve(normal, np.einsum("...ki,...k->...i", weighted, z)[..., None])[..., 0]
+        residual = z - np.einsum("...ki,...i->...k", design, fit)
+        side = np.where(residual > 0, low_share, 1 - low_share)
+        weights = near * side / np.maximum(np.abs(residual), LEAST_RESIDUAL_M)
+    return np.asarray(fit[..., 0])
+
+
+def _windows(values: Floats) -> Floats:
+    """Return the 9 by 9 blocks around each block; infinite beyond the border."""
+    framed = np.pad(values, REACH, constant_values=np.inf)
+    return sliding_window_view(framed, (2 * REACH + 1, 2 * REACH + 1))

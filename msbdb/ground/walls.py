@@ -1,0 +1,183 @@
+"""The ground by its walls, the default filter: a building is bounded by walls nearly all around, terrain is not.
+
+The progressive filter is sure of some ground. What else is ground follows from the edges between the cells.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from msbdb.grid import Grid
+from msbdb.ground.progressive import open_progressively
+from msbdb.ground.trend import lower_trend
+from msbdb.labels import Pairs, minimum_cut, neighbours
+from msbdb.params import GroundParams
+
+Heights = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+CLUTTER_SLOPE = 0.15
+"""Rise of the height of clutter with its half-width, as of the progressive filter's first threshold."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalledGround:
+    """Ground cells, and where they are in doubt.
+
+    Parameters
+    ----------
+    ground : (H, W) ndarray of bool
+        Ground cells.
+    unsure : (H, W) ndarray of bool
+        Cells that change their kind when walls weigh half or twice as much.
+    """
+
+    ground: Mask
+    unsure: Mask
+
+
+def walled_ground(surface: Grid, params: GroundParams) -> Mask:
+    """Detect ground cells by the walls between cells: the ground of `find_walled_ground`."""
+    return find_walled_ground(surface, params, doubt=False).ground
+
+
+def find_walled_ground(surface: Grid, params: GroundParams, *, doubt: bool = True) -> WalledGround:
+    """Detect ground cells by the walls between cells.
+
+    1. An opening with a square of twice ``clutter_m`` removes crowns, cars and masts.
+    2. The trend of the terrain is subtracted (`lower_trend`), and the progressive filter runs on the rest. It is
+       strict: what it keeps is ground.
+    3. A minimum cut decides all other cells at once. With f the share of a wall, from 0 at a step of ``wall_low_m``
+       to 1 at ``wall_high_m``, a pair of neighbours costs
+
+       - 1 - f where only the higher one is above ground: a smooth transition from ground to roof;
+       - 1 where only the lower one is above ground: ground looks down on a roof;
+       - ``terrace_cost`` times f where both are ground: a retaining wall;
+       - nothing where both are above ground.
+
+    4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
+       one too large for the windows of the progressive filter.
+    5. Of the ground, cells that rise above the opening are clutter, not ground.
+
+    So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
+    all regions of a place are decided together: terraces one above the other, roofs beside higher roofs.
+
+    Parameters
+    ----------
+    surface : Grid
+        Lowest heights, gap-free, metres.
+    params : GroundParams
+        Section ``ground``.
+    doubt : bool
+        Whether to find the cells in doubt, by two more cuts.
+
+    Returns
+    -------
+    WalledGround
+
+    Notes
+    -----
+    The filter is ours. The steps are of cells of 1 m; larger cells need proportionally larger ones.
+    Border: the outermost cell is repeated. Ties go to the ground.
+
+    Examples
+    --------
+    A terrace of 3 m that a ramp reaches is ground; a roof of that height is not:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> heights = np.zeros((60, 120), dtype=np.float32)
+    >>> heights[20:40, 80:100] = 3
+    >>> heights[:, :50] = 3
+    >>> heights[:24, 44:56] = np.linspace(3, 0, 12)
+    >>> grid = Grid(heights, np.ones((60, 120), dtype=bool), lattice((0, 0, 119, 59), 1.0, CRS.from_epsg(2154)))
+    >>> ground = walled_ground(grid, GroundParams())
+    >>> bool(ground[30, 10]), bool(ground[30, 90])
+    (True, False)
+    """
+    heights = np.asarray(surface.values, dtype=np.float32)
+    cell_m = surface.spec.cell_m
+    radius = max(1, round(params.clutter_m / cell_m))
+    opened = _opening(heights, radius)
+    above_trend = opened - lower_trend(surface, params)
+    sure = open_progressively(above_trend, cell_m, params.slope, params)
+    clutter = heights - opened > params.height_m + CLUTTER_SLOPE * radius * cell_m
+    decided = _decide(opened, sure, cell_m, params)
+    unsure = np.zeros_like(decided)
+    if doubt:
+        for cost in (params.terrace_cost / 2, params.terrace_cost * 2):
+            unsure |= decided != _decide(opened, sure, cell_m, replace(params, terrace_cost=cost))
+    return WalledGround(decided & ~clutter, unsure)
+
+
+def _opening(heights: Heights, radius: int) -> Heights:
+    """Open with a square."""
+    size = 2 * radius + 1
+    opened: Heights = maximum_filter(minimum_filter(heights, size, mode="nearest"), size, mode="nearest")
+    return opened
+
+
+def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:
+    """Return the ground by the minimum cut; what is sure stays."""
+    node = np.full(heights.shape, -1, dtype=np.int32)
+    count = int(np.count_nonzero(~sure))
+    if not count:
+        return sure
+    node[~sure] = np.arange(count, dtype=np.int32)
+    costs = np.zeros(count)
+    pairs = []
+    for one, other in neighbours(heights.shape):
+        for low, high in ((one, other), (other, one)):
+            rise = heights[high] - heights[low]
+            chosen = (rise > 0) | ((rise == 0) & (low is one))
+            wall = np.clip(
+                (rise / max(cell_m, 1.0) - params.wall_low_m) / (params.wall_high_m - params.wall_low_m), 0, 1
+            )
+            terrace, smooth = params.terrace_cost * wall, 1 - wall
+            below, above = node[low], node[high]
+            both = chosen & (below >= 0) & (above >= 0)
+            pairs.append((below[both], above[both], terrace[both], smooth[both]))
+            # Beside sure ground a pair is a cost of the other cell alone.
+            up = chosen & (below < 0) & (above >= 0)
+            costs += np.bincount(above[up], weights=(smooth - terrace)[up], minlength=count)
+            down = chosen & (below >= 0) & (above < 0)
+            costs += np.bincount(below[down], weights=(1 - terrace)[down], minlength=count)
+    first, second, terrace, smooth = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    cut = minimum_cut(costs, Pairs(first, second, terrace, smooth, np.ones_like(terrace), np.zeros_like(terrace)))
+    ground = sure.copy()
+    ground[~sure] = ~cut
+    return ground & ~_podiums(heights, ground, cell_m, params)
+
+
+def _podiums(heights: Heights, ground: Mask, cell_m: float, params: GroundParams) -> Mask:
+    """Return the regions of ground that fall by walls nearly all around.
+
+    A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
+    counts as an edge without a wall.
+    """
+    wall_m = (params.wall_low_m + params.wall_high_m) / 2 * max(cell_m, 1.0)
+    node = np.arange(heights.size, dtype=np.int32).reshape(heights.shape)
+    links = []
+    for one, other in neighbours(heights.shape):
+        joined = (np.abs(heights[other] - heights[one]) < wall_m) & ground[one] & ground[other]
+        links.append((node[one][joined], node[other][joined]))
+    first, second = (np.concatenate(parts) for parts in zip(*links, strict=True))
+    graph = coo_matrix((np.ones(first.size, dtype=np.bool_), (first, second)), shape=(heights.size, heights.size))
+    count, numbers = connected_components(graph, directed=False)
+    regions = numbers.reshape(heights.shape)
+    around, falls = (np.zeros(heights.shape, dtype=np.int32) for _ in range(2))
+    for one, other in neighbours(heights.shape):
+        for here, there in ((one, other), (other, one)):
+            fall = heights[here] - heights[there]
+            differ = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m))
+            around[here] += differ
+            falls[here] += differ & (fall >= wall_m)
+    for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
+        around[side] += 1
+    edges, walls = (np.bincount(numbers, weights=each.ravel(), minlength=count) for each in (around, falls))
+    podium: Mask = ground & ((walls > 0) & (walls >= params.podium_share * edges))[regions]
+    return podium

@@ -1,0 +1,109 @@
+"""The votes of the detectors for each cell, and the cut along the steps of height."""
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from msbdb.detect.scene import Regions
+from msbdb.fuse.cells import fuse_cells
+from msbdb.grid import Grid, lattice
+from msbdb.params import FuseParams, Params, with_values
+from msbdb.run.compose import is_fused
+
+PARAMS = FuseParams()
+SHAPE = (40, 60)
+
+
+def grid(heights, valid=None):
+    """Heights on cells of 1 m."""
+    spec = lattice((0, 0.1, SHAPE[1] - 0.1, SHAPE[0]), 1.0, CRS.from_epsg(2154))
+    return Grid(heights.astype(np.float32), np.ones(SHAPE, dtype=bool) if valid is None else valid, spec)
+
+
+def box(rows, cols):
+    """Return a mask of a block of cells."""
+    mask = np.zeros(SHAPE, dtype=bool)
+    mask[slice(*rows), slice(*cols)] = True
+    return mask
+
+
+def fused(heights, masks, params=PARAMS, valid=None):
+    """Fuse masks, one a detector."""
+    votes = {str(n): Regions(str(n), mask.astype(np.int32), None, None, {}) for n, mask in enumerate(masks)}
+    return fuse_cells(grid(heights, valid), votes, params, mask_m=2.0)
+
+
+HOUSE = box((10, 30), (10, 30))
+HEIGHTS = np.where(HOUSE, 6.0, 0.0)
+NONE = np.zeros(SHAPE, dtype=bool)
+
+
+@pytest.mark.parametrize(
+    ("votes", "of", "kept"), [(1, 4, False), (2, 4, True), (1, 3, False), (2, 3, True), (4, 4, True)]
+)
+def test_half_of_the_votes_make_a_building(votes, of, kept):
+    """Two of four and two of three are enough, one is not."""
+    found = fused(HEIGHTS, [HOUSE] * votes + [NONE] * (of - votes))
+    np.testing.assert_array_equal(found, HOUSE if kept else NONE)
+
+
+def test_the_edge_follows_the_step_of_height():
+    """A ragged rim on the ground, which one detector adds, does not survive the cut."""
+    ragged = HOUSE.copy()
+    ragged[12:28:2, 30] = True
+    found = fused(HEIGHTS, [HOUSE, HOUSE, ragged, NONE], FuseParams(edge_cost=1.0))
+    np.testing.assert_array_equal(found, HOUSE)
+
+
+def test_houses_beside_a_lane_stay_apart():
+    """Two detectors take a lane of 2 m between two houses, in which no echo is above the mask."""
+    other = box((10, 30), (32, 50))
+    heights = np.where(HOUSE | other, 6.0, 0.0)
+    lane = box((10, 30), (30, 32))
+    both = HOUSE | other | lane
+    found = fused(heights, [both, both, HOUSE | other, HOUSE | other])
+    np.testing.assert_array_equal(found, HOUSE | other)
+
+
+def test_an_edge_below_the_mask_belongs_to_its_house():
+    """Echoes beside a wall that hit the ground: where most detectors see the wall, it is the house's."""
+    rim = box((10, 30), (10, 31))
+    found = fused(HEIGHTS, [rim, rim, rim, HOUSE])
+    np.testing.assert_array_equal(found, rim)
+
+
+def test_small_holes_are_filled_and_crumbs_dropped():
+    """A hole of 9 m² and a piece of 9 m² go, those of 16 m² stay."""
+    mask = HOUSE.copy()
+    mask[12:15, 12:15] = False
+    mask[20:24, 20:24] = False
+    mask[2:5, 40:43] = True
+    mask[2:6, 50:54] = True
+    found = fused(np.where(mask | HOUSE, 6.0, 0.0), [mask] * 4)
+    expected = mask.copy()
+    expected[12:15, 12:15] = True
+    expected[2:5, 40:43] = False
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_invalid_cells_are_no_building():
+    """Cells without a height stay out, also where they are a hole."""
+    valid = ~box((15, 17), (15, 17))
+    found = fused(HEIGHTS, [HOUSE] * 4, valid=valid)
+    np.testing.assert_array_equal(found, HOUSE & valid)
+
+
+def test_the_order_and_the_names_of_the_detectors_do_not_matter():
+    """Votes are counted."""
+    masks = [HOUSE, HOUSE, box((5, 35), (5, 35)), NONE]
+    np.testing.assert_array_equal(fused(HEIGHTS, masks), fused(HEIGHTS, masks[::-1]))
+
+
+def test_two_detectors_and_the_papers_profiles_leave_it_to_the_multiscale_one():
+    """Two have no majority."""
+    three = {
+        name: Regions(name, NONE.astype(np.int32), None, None, {}) for name in ("area3d", "adaptive", "multiscale")
+    }
+    assert is_fused(three, Params())
+    assert not is_fused({name: three[name] for name in ("area3d", "multiscale")}, Params())
+    assert not is_fused(three, with_values(Params(), {"fuse": {"cells": False}}))

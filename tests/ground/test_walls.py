@@ -1,0 +1,125 @@
+"""The ground by its walls, on small worlds in which filters with windows fail."""
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from msbdb.grid import Grid, lattice
+from msbdb.ground.trend import lower_trend
+from msbdb.ground.walls import find_walled_ground, walled_ground
+from msbdb.params import GroundParams
+
+PARAMS = GroundParams()
+
+
+def grid(heights):
+    """Heights on cells of 1 m, with a little noise."""
+    rows, cols = heights.shape
+    noisy = heights + np.random.default_rng(0).normal(0, 0.03, heights.shape)
+    spec = lattice((0, 0.1, cols - 0.1, rows), 1.0, CRS.from_epsg(2154))
+    return Grid(noisy.astype(np.float32), np.ones(heights.shape, dtype=bool), spec)
+
+
+def terraced(rows=160, cols=160, tread=16, wall=3.0):
+    """Treads that rise by walls to the east, with a slope as a way up along the southern side."""
+    level = np.arange(cols) // tread * wall
+    heights = np.tile(level.astype(float), (rows, 1))
+    heights[-20:] = np.arange(cols) * wall / tread
+    return heights
+
+
+def test_terraces_are_ground_and_houses_on_them_are_not():
+    """Ten treads, one above the other, with a house on three of them."""
+    heights = terraced()
+    houses = np.zeros(heights.shape, dtype=bool)
+    for col in (34, 82, 130):
+        houses[60:72, col : col + 10] = True
+    heights[houses] += 5
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[houses].any()
+    assert ground[~houses].mean() > 0.97
+
+
+def test_a_steep_knoll_that_two_sides_lead_up_to_is_ground():
+    """A plateau of 6 m with cliffs on two sides and slopes of 1 in 3 on the others; a house of that size is none."""
+    heights = np.zeros((160, 200))
+    heights[40:90, 30:80] = 6
+    heights[40:90, 80:98] = np.linspace(6, 0, 18)
+    heights[90:108, 30:80] = np.linspace(6, 0, 18)[:, None]
+    heights[40:90, 130:180] = 6
+    ground = walled_ground(grid(heights), PARAMS)
+    assert ground[40:90, 30:98].mean() > 0.97
+    assert not ground[40:90, 130:180].any()
+
+
+def test_a_court_below_the_street_does_not_lift_the_street():
+    """A court of 40 m lies 5 m below a street that surrounds it; a building stands beside both."""
+    heights = np.full((320, 320), 5.0)
+    heights[140:180, 140:180] = 0
+    heights[155:160, 180:210] = np.linspace(0, 5, 30)
+    heights[100:125, 120:200] = 17
+    ground = walled_ground(grid(heights), PARAMS)
+    built = heights == 17
+    assert not ground[built].any()
+    assert ground[~built].mean() > 0.98
+
+
+@pytest.mark.parametrize("side", [120, 250])
+def test_a_podium_wider_than_the_windows_is_a_building(side):
+    """A building of 8 m and of up to 250 m, walled all around, is above ground, and so is a tower on it."""
+    heights = np.zeros((side + 80, side + 80))
+    heights[40 : 40 + side, 40 : 40 + side] = 8
+    heights[80:100, 80:100] = 40
+    ground = walled_ground(grid(heights), PARAMS)
+    built = heights > 0
+    assert not ground[built].any()
+    assert ground[~built].mean() > 0.99
+
+
+def test_a_ramp_between_walls_is_ground():
+    """A way up of 1 in 8 between walls, 40 m wide, leads to a terrace: both are ground."""
+    heights = np.zeros((120, 180))
+    heights[:, 100:] = 6
+    heights[40:80, 52:100] = np.linspace(0, 6, 48)
+    assert walled_ground(grid(heights), PARAMS).mean() > 0.98
+
+
+def test_a_tile_with_hardly_any_ground_keeps_it():
+    """Roofs of three storeys cover all but two lanes of 4 m."""
+    heights = np.full((120, 120), 9.0)
+    heights[:, 40:44] = 0
+    heights[70:74] = 0
+    ground = walled_ground(grid(heights), PARAMS)
+    assert ground[heights == 0].mean() > 0.95
+    assert ground[heights > 0].mean() < 0.02
+
+
+def test_what_the_cost_of_a_wall_decides_is_in_doubt():
+    """A plateau that walls bound for two thirds of its edge is in doubt; open ground and a house are not."""
+    heights = np.zeros((150, 220))
+    heights[50:100, 30:80] = 6
+    heights[50:84, 80:98] = np.linspace(6, 0, 18)
+    heights[100:118, 30:80] = np.linspace(6, 0, 18)[:, None]
+    heights[60:80, 150:170] = 6
+    found = find_walled_ground(grid(heights), PARAMS)
+    assert not found.unsure[60:80, 150:170].any()
+    assert not found.unsure[:30].any()
+    for cost in (0.05, 5.0):
+        other = walled_ground(grid(heights), GroundParams(terrace_cost=cost))
+        assert (other != found.ground)[55:95, 35:75].any() == (cost > 1)
+
+
+def test_the_trend_follows_a_slope_under_a_dense_town():
+    """Blocks of 40 m with streets of 10 m on a slope of 1 in 4: the trend keeps within 2 m of the slope."""
+    row, col = np.indices((300, 300))
+    slope = col * 0.25
+    built = (row % 50 < 40) & (col % 50 < 40)
+    trend = lower_trend(grid(slope + 12 * built), PARAMS)
+    assert np.abs(trend - slope)[20:-20, 20:-20].max() < 3
+
+
+def test_the_kind_of_a_cell_does_not_depend_on_the_height_of_the_tile():
+    """Heights of 2,000 m above sea give the same ground."""
+    heights = terraced()
+    low, high = (walled_ground(grid(heights + above), PARAMS) for above in (0, 2000))
+    assert np.mean(low != high) < 1e-3
