@@ -1,5 +1,6 @@
 """Polygons of labelled cells, with shared edges, and the labels of polygons."""
 
+import threading
 from collections.abc import Iterable
 from itertools import chain
 
@@ -74,6 +75,10 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
     return np.asarray(shapely.orient_polygons(outlines), dtype=np.object_)
 
 
+_ONE_AT_A_TIME = threading.Lock()
+"""rasterio hides a warning of its own by filters that all threads share: the first to finish would restore them."""
+
+
 def rasterise(geometries: Iterable[shapely.Geometry], spec: GridSpec) -> NDArray[np.int32]:
     """Return the cells whose centre lies in a geometry: its index + 1, or 0; the later one wins a cell.
 
@@ -91,7 +96,8 @@ def rasterise(geometries: Iterable[shapely.Geometry], spec: GridSpec) -> NDArray
     shapes = [(geometry, index + 1) for index, geometry in enumerate(geometries) if not shapely.is_empty(geometry)]
     labels = np.zeros(spec.shape, dtype=np.int32)
     if shapes:
-        rasterio.features.rasterize(shapes, out=labels, transform=spec.transform)
+        with _ONE_AT_A_TIME:
+            rasterio.features.rasterize(shapes, out=labels, transform=spec.transform)
     return labels
 
 

@@ -1,6 +1,7 @@
 """Labels to polygons and back."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from pyproj import CRS
 from support.sizes import examples
 
 from msbdb.errors import GridMismatchError, InputError
-from msbdb.grid import GridSpec
+from msbdb.grid import GridSpec, lattice
 from msbdb.outline.polygons import polygonise, rasterise
 
 RD = CRS.from_epsg(28992)
@@ -108,3 +109,20 @@ def test_many_polygons_take_seconds():
     polygons = polygonise(labels, spec_of(labels), int(labels.max()))
     assert time.perf_counter() - start < 30
     assert shapely.area(polygons).sum() == labels.size * 0.25
+
+
+def test_threads_rasterise_one_at_a_time(monkeypatch):
+    """Two at once would restore each other's warning filters, and a warning of rasterio would end one of them."""
+    spec = lattice((0.0, 0.0, 9.0, 9.0), 1.0, CRS.from_epsg(32633))
+    running, most = [], []
+
+    def slow(*_args, **_options):
+        running.append(1)
+        most.append(len(running))
+        time.sleep(0.02)
+        running.pop()
+
+    monkeypatch.setattr("rasterio.features.rasterize", slow)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: rasterise([shapely.box(1, 1, 3, 3)], spec), range(8)))
+    assert most == [1] * 8
