@@ -4,11 +4,12 @@ import logging
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter
 
 from msbdb.grid import Grid
 from msbdb.ground.interpolation import count_edges, edge_step, interpolate_ground
 from msbdb.labels import chosen_cells, label_zones, sizes
+from msbdb.morphology.windows import opening
 from msbdb.params import GroundParams
 
 logger = logging.getLogger(__name__)
@@ -83,8 +84,7 @@ def open_progressively(heights: Heights, cell_m: float, slope: float, params: Gr
     ground = np.ones(heights.shape, dtype=np.bool_)
     before = 0
     for radius in window_radii(params.window_m / cell_m, params.window_growth):
-        size = 2 * radius + 1
-        lower = maximum_filter(minimum_filter(opened, size, mode="nearest"), size, mode="nearest")
+        lower = opening(opened, 2 * radius + 1, None)
         ground &= opened - lower <= params.height_m + slope * (radius - before) * cell_m
         opened, before = lower, radius
     return ground

@@ -3,11 +3,8 @@
 The progressive filter is sure of some ground. What else is ground follows from the edges between the cells.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -15,40 +12,17 @@ from msbdb.grid import Grid
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
 from msbdb.labels import Pairs, minimum_cut, neighbours
+from msbdb.morphology.windows import opening
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-CLUTTER_SLOPE = 0.15
-"""Rise of the height of clutter with its half-width, as of the progressive filter's first threshold."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WalledGround:
-    """Ground cells, and where they are in doubt.
-
-    Parameters
-    ----------
-    ground : (H, W) ndarray of bool
-        Ground cells.
-    unsure : (H, W) ndarray of bool
-        Cells that change their kind when walls weigh half or twice as much.
-    """
-
-    ground: Mask
-    unsure: Mask
-
 
 def walled_ground(surface: Grid, params: GroundParams) -> Mask:
-    """Detect ground cells by the walls between cells: the ground of `find_walled_ground`."""
-    return find_walled_ground(surface, params, doubt=False).ground
-
-
-def find_walled_ground(surface: Grid, params: GroundParams, *, doubt: bool = True) -> WalledGround:
     """Detect ground cells by the walls between cells.
 
-    1. An opening with a square of twice ``clutter_m`` removes crowns, cars and masts.
+    1. An opening with a square of half-width ``clutter_m`` removes crowns, cars and masts.
     2. The trend of the terrain is subtracted (`lower_trend`), and the progressive filter runs on the rest. It is
        strict: what it keeps is ground.
     3. A minimum cut decides all other cells at once. With f the share of a wall, from 0 at a step of ``wall_low_m``
@@ -72,16 +46,15 @@ def find_walled_ground(surface: Grid, params: GroundParams, *, doubt: bool = Tru
         Lowest heights, gap-free, metres.
     params : GroundParams
         Section ``ground``.
-    doubt : bool
-        Whether to find the cells in doubt, by two more cuts.
 
     Returns
     -------
-    WalledGround
+    (H, W) ndarray of bool
+        Ground cells.
 
     Notes
     -----
-    The filter is ours. The steps are of cells of 1 m; larger cells need proportionally larger ones.
+    The filter is ours. Steps are those between cells of 1 m; between larger cells they must be larger in proportion.
     Border: the outermost cell is repeated. Ties go to the ground.
 
     Examples
@@ -102,23 +75,13 @@ def find_walled_ground(surface: Grid, params: GroundParams, *, doubt: bool = Tru
     heights = np.asarray(surface.values, dtype=np.float32)
     cell_m = surface.spec.cell_m
     radius = max(1, round(params.clutter_m / cell_m))
-    opened = _opening(heights, radius)
+    opened = opening(heights, 2 * radius + 1, None)
     above_trend = opened - lower_trend(surface, params)
     sure = open_progressively(above_trend, cell_m, params.slope, params)
-    clutter = heights - opened > params.height_m + CLUTTER_SLOPE * radius * cell_m
     decided = _decide(opened, sure, cell_m, params)
-    unsure = np.zeros_like(decided)
-    if doubt:
-        for cost in (params.terrace_cost / 2, params.terrace_cost * 2):
-            unsure |= decided != _decide(opened, sure, cell_m, replace(params, terrace_cost=cost))
-    return WalledGround(decided & ~clutter, unsure)
-
-
-def _opening(heights: Heights, radius: int) -> Heights:
-    """Open with a square."""
-    size = 2 * radius + 1
-    opened: Heights = maximum_filter(minimum_filter(heights, size, mode="nearest"), size, mode="nearest")
-    return opened
+    # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
+    clutter = heights - opened > params.height_m + params.slope * radius * cell_m
+    return decided & ~clutter
 
 
 def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:

@@ -6,7 +6,7 @@ from pyproj import CRS
 
 from msbdb.grid import Grid, lattice
 from msbdb.ground.trend import lower_trend
-from msbdb.ground.walls import find_walled_ground, walled_ground
+from msbdb.ground.walls import walled_ground
 from msbdb.params import GroundParams
 
 PARAMS = GroundParams()
@@ -92,21 +92,6 @@ def test_a_tile_with_hardly_any_ground_keeps_it():
     ground = walled_ground(grid(heights), PARAMS)
     assert ground[heights == 0].mean() > 0.95
     assert ground[heights > 0].mean() < 0.02
-
-
-def test_what_the_cost_of_a_wall_decides_is_in_doubt():
-    """A plateau that walls bound for two thirds of its edge is in doubt; open ground and a house are not."""
-    heights = np.zeros((150, 220))
-    heights[50:100, 30:80] = 6
-    heights[50:84, 80:98] = np.linspace(6, 0, 18)
-    heights[100:118, 30:80] = np.linspace(6, 0, 18)[:, None]
-    heights[60:80, 150:170] = 6
-    found = find_walled_ground(grid(heights), PARAMS)
-    assert not found.unsure[60:80, 150:170].any()
-    assert not found.unsure[:30].any()
-    for cost in (0.05, 5.0):
-        other = walled_ground(grid(heights), GroundParams(terrace_cost=cost))
-        assert (other != found.ground)[55:95, 35:75].any() == (cost > 1)
 
 
 def test_the_trend_follows_a_slope_under_a_dense_town():
