@@ -16,6 +16,7 @@ from msbdb.labels.numbering import (
     reorder,
     shared_cells,
     sizes,
+    small_zones,
     sums,
 )
 from msbdb.labels.statistics import (
@@ -51,5 +52,6 @@ __all__ = [
     "reorder",
     "shared_cells",
     "sizes",
+    "small_zones",
     "sums",
 ]

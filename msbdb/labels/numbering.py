@@ -137,6 +137,27 @@ def chosen_cells(labels: Labels, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]
     return cells
 
 
+def small_zones(mask: NDArray[np.bool_], cells: float, *, connectivity: int) -> NDArray[np.bool_]:
+    """Return the cells of the connected components that have fewer than so many cells.
+
+    Parameters
+    ----------
+    mask : (H, W) ndarray of bool
+        The image; a component ends at its border.
+    cells : float
+        Components of this size or larger are left out.
+    connectivity : int
+        4 or 8. Holes of an 8-connected region are 4-connected.
+
+    Examples
+    --------
+    >>> small_zones(np.array([[True, False, True, True]]), 2, connectivity=4)
+    array([[ True, False, False, False]])
+    """
+    labels, count = label_zones(mask, connectivity=connectivity)
+    return chosen_cells(labels, sizes(labels, count) < cells)
+
+
 def renumber(labels: Labels, keep: NDArray[np.bool_]) -> tuple[Labels, int]:
     """Give the regions to keep new numbers from 1 on in their order, and 0 to the others; return how many are kept.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from msbdb.grid import Grid
-from msbdb.labels import chosen_cells, label_zones, sizes, sums
+from msbdb.labels import chosen_cells, label_zones, sizes, small_zones, sums
 from msbdb.landcover import ClassMap
 from msbdb.params import CoverParams, Params
 from msbdb.points.cloud import PointCloud
@@ -162,12 +162,12 @@ def smooth_share(probability: Field, raised: Mask, sigma_cells: float) -> Field:
 
 def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverParams) -> Mask:
     """Close small holes, cut thin necks and drop small regions."""
-    roof = roof | (_small(~roof, params.hole_m2 / cell_m**2, eight=False) & raised)
+    roof = roof | (small_zones(~roof, params.hole_m2 / cell_m**2, connectivity=4) & raised)
     radius = round(neck_m / 2 / cell_m)
     if radius:
         size = 2 * radius + 1
         roof = maximum_filter(minimum_filter(roof, size, mode="nearest"), size, mode="nearest")
-    return roof & ~_small(roof, params.min_roof_m2 / cell_m**2, eight=True)
+    return roof & ~small_zones(roof, params.min_roof_m2 / cell_m**2, connectivity=8)
 
 
 def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m: float, params: CoverParams) -> Mask:
@@ -218,22 +218,13 @@ def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: Cover
         upper, lower = in_threads(partial(_around, roof, heights), (maximum_filter, minimum_filter))
         near = np.minimum(np.abs(heights - upper), np.abs(heights - lower)) < params.grow_step_m
         roof = roof | (raised & near)
-    return roof | (_small(~roof, params.hole_m2 / cell_m**2, eight=False) & raised)
+    return roof | (small_zones(~roof, params.hole_m2 / cell_m**2, connectivity=4) & raised)
 
 
 def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
     """Highest or lowest roof in the 3 by 3 cells around each cell; infinite where there is none."""
     none = -np.inf if extreme is maximum_filter else np.inf
     return extreme(np.where(roof, heights, none), 3, mode="nearest")
-
-
-def _small(mask: Mask, cells: float, *, eight: bool) -> Mask:
-    """Return the components of fewer cells than given.
-
-    Holes are 4-connected, as the background of 8-connected roofs.
-    """
-    labels, count = label_zones(mask, connectivity=8 if eight else 4)
-    return chosen_cells(labels, sizes(labels, count) < cells)
 
 
 def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
