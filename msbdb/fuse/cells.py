@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from msbdb.detect.scene import Regions
 from msbdb.grid import Grid
-from msbdb.labels import Labels, Pairs, chosen_cells, label_zones, minimum_cut, neighbours, sizes
+from msbdb.labels import Labels, Pairs, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
 
 Mask = NDArray[np.bool_]
@@ -64,19 +64,13 @@ def fuse_cells(heights: Grid, regions: Mapping[str, Regions], params: FuseParams
     needed = (len(regions) + 1) // 2 - 0.5
     decided = _cut(votes, needed, heights, params)
     least = params.piece_m2 / heights.spec.cell_area_m2
-    decided |= _small(~decided, least) & heights.valid
+    decided |= small_zones(~decided, least, connectivity=4) & heights.valid
     decided = _apart(decided, decided & (np.asarray(heights.values) >= mask_m))
-    return decided & ~_small(decided, least)
-
-
-def _small(mask: Mask, least: float) -> Mask:
-    """Return the 4-connected components of fewer cells."""
-    labels, count = label_zones(mask, connectivity=4)
-    return chosen_cells(labels, sizes(labels, count) < least)
+    return decided & ~small_zones(decided, least, connectivity=4)
 
 
 def _apart(decided: Mask, high: Mask) -> Mask:
-    """Keep of the low cells those beside one building, unless they touch those of another."""
+    """Keep of the cells below the mask those beside one building, unless they touch those of another."""
     labels, _ = label_zones(high)
     rim = decided & ~high & (_highest(labels) > 0) & (_highest(labels) == _lowest(labels))
     owner = np.where(rim, _highest(labels), labels)

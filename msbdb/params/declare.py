@@ -131,6 +131,23 @@ def checked_value(section: str, item: Field[Any], value: Any) -> Any:  # noqa: A
     return converted
 
 
+def require_rising(section: str, values: Any, lower: str, upper: str) -> None:  # noqa: ANN401  (a dataclass)
+    """Refuse two limits between which something rises, when the lower one is not below the upper one.
+
+    Raises
+    ------
+    ParameterError
+        With both names and values.
+    """
+    low, high = getattr(values, lower), getattr(values, upper)
+    if low >= high:
+        msg = (
+            f"'{section}.{lower}' must be below '{section}.{upper}'; got {low} and {high}. "
+            f"Set both, or a smaller '{section}.{lower}'."
+        )
+        raise ParameterError(msg)
+
+
 def _converted(name: str, kind: type, value: Any) -> Any:  # noqa: ANN401  (any plain type)
     """Convert a plain TOML or JSON value to the type of the default."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from msbdb.params.declare import param
+from msbdb.params.declare import param, require_rising
 
 CALIBRATED = "calibrated together, on four surveys and thinned copies"
 
@@ -167,7 +167,7 @@ class AdaptiveParams:
     split_weight: float = param(7.5, "1", "Log-odds that a share of echoes of split pulses takes from a roof.",
         ours=CALIBRATED, low=0, high=100)
     leaf_level: float = param(0.25, "1", "Mean level share up to which split echoes count in full, as of leaves.",
-        ours="crowns of all test tiles lie below", low=0, high=1)
+        ours="three quarters of the points of crowns lie below on three tiles", low=0, high=1)
     glass_level: float = param(0.75, "1", "Mean level share from which split echoes do not count: glass or nets.",
         ours="roofs of glass reach it; above leaf_level", low=0.01, high=1)
     level_weight: float = param(4.0, "1", "Log-odds that a level surface gives to a roof.", ours=CALIBRATED,
@@ -204,3 +204,7 @@ class AdaptiveParams:
         "Points above ground this near to a region, in plan, become its points.",
         ours="eaves split pulses as crowns do (S8)", low=0, high=20)
     regain_step_m: float = param(1.0, "m", "Largest step to them.", ours="less than a storey's parapet", low=0, high=20)
+
+    def __post_init__(self) -> None:
+        """Refuse limits in the wrong order."""
+        require_rising("adaptive", self, "leaf_level", "glass_level")

@@ -62,7 +62,7 @@ class GranulometryParams:
 class FuseParams:
     """The decision on cells by all detectors, and on pieces that only parts or only flat regions support."""
 
-    cells: bool = param(True, "-", "Let all detectors that were run decide which cells are building.",
+    votes: bool = param(True, "-", "Let three or more detectors decide by votes which cells are building.",
         ours="half of three or four are right more often than the best one; otherwise multiscale decides")
     edge_cost: float = param(0.5, "votes", "λ: cost of an edge of a building between cells of equal height.",
         ours="0.25 to 1 differ little; 0 lets each cell decide by itself", low=0, high=100)

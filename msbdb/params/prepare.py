@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from msbdb.params.declare import param
+from msbdb.params.declare import param, require_rising
 
 CALIBRATED = "calibrated together, on four surveys and thinned copies"
 
@@ -56,11 +56,11 @@ class GroundParams:
     wall_high_m: float = param(1.6, "m", "Filter by walls: a larger step is surely a wall.",
         ours="twice the smaller one; sheds step more", low=0.1, high=20)
     terrace_cost: float = param(0.43, "1", "Filter by walls: cost of a wall within ground, per smooth edge of a roof.",
-        ours="3 to 7: walls bound a building for 70 % of its edge; 0.3 loses roofs in slopes, 0.6 terraces",
+        ours="3 to 7: walls bound a building for 70 % of its edge; 0.38 loses a roof in a slope, 0.7 terraces",
         low=0, high=10)
     podium_share: float = param(0.9, "1", "Filter by walls: a region that falls by walls for this share is a building.",
         ours="nearly all around; a way up, or the tile's border, is enough for terrain", low=0.5, high=1)
-    window_m: float = param(80.0, "m", "Progressive filter: half-width of the largest window.",
+    window_m: float = param(80.0, "m", "Progressive filter, also inside `walls`: largest half-width of a window.",
         ours="half the width of the widest hall that is still a building", low=5, high=500)
     window_growth: float = param(1.4, "1", "Progressive filter: factor from one window to the next.",
         ours="finer steps change nothing on the test tiles", low=1.05, high=4)
@@ -119,6 +119,10 @@ class GroundParams:
         "Quadratic filter: least height by which ground heights sink after the first pass.",
         ours="more than the fit's error on quays and banks, less than a storey", low=0, high=50)
 
+    def __post_init__(self) -> None:
+        """Refuse limits in the wrong order."""
+        require_rising("ground", self, "wall_low_m", "wall_high_m")
+
 
 @dataclass(frozen=True, slots=True)
 class CoverParams:
@@ -173,6 +177,10 @@ class CoverParams:
     grow_m: float = param(1.0, "m", "Width of the edge that is given back to roofs.", ours=CALIBRATED, low=0, high=20)
     grow_step_m: float = param(1.0, "m", "Largest step in height to a cell that is given back.", ours=CALIBRATED,
         low=0, high=20)
+
+    def __post_init__(self) -> None:
+        """Refuse limits in the wrong order."""
+        require_rising("cover", self, "glass_m", "leaf_m")
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,7 @@ def profile(name: str = "default") -> Params:
     return with_values(Params(), PROFILES[name])
 
 
-ALONE: dict[str, dict[str, Any]] = {"fuse": {"cells": False}}
+ALONE: dict[str, dict[str, Any]] = {"fuse": {"votes": False}}
 """Each detector by itself, as in its paper."""
 
 VU: dict[str, dict[str, Any]] = {

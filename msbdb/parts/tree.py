@@ -26,6 +26,7 @@ logger = logging.getLogger(__name__)
 
 TOO_SMALL = "smaller than the finest scale"
 VEGETATION = "vegetation by its structure"
+UNSUPPORTED = "vegetation, or supported by too few detectors"
 
 
 def extract_parts(
@@ -78,7 +79,8 @@ def extract_parts(
     params = choose_scales(ndsm, classes, params)
     sliced = slice_heights(ndsm, params.surface)
     if classes is not None and params.spectral.decides == "structure":
-        sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger)
+        reason = VEGETATION if built is None else UNSUPPORTED
+        sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger, reason=reason)
     if built is not None:
         sliced = np.where(built & (sliced == 0), maximum_filter(sliced, 3, mode="nearest"), sliced)
     scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
@@ -175,16 +177,16 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
 
 
 def _mask_vegetation(
-    sliced: NDArray[Any], vegetation: NDArray[np.bool_], scale: ScaleParams, ledger: ClusterLedger
+    sliced: NDArray[Any], vegetation: NDArray[np.bool_], scale: ScaleParams, ledger: ClusterLedger, *, reason: str
 ) -> NDArray[Any]:
-    """Remove vegetation with the ground, before the scale-space; each blob goes to the ledger.
+    """Remove vegetation with the ground, before the scale-space; each blob goes to the ledger, with the reason.
 
     The paper cuts vegetation out of clusters after the scale-space (V37), as its classes come from colours. Where they
     come from the structure, crowns need not flatten the roofs beside them first.
     """
     blobs, count = label_zones((sliced > 0) & vegetation, connectivity=scale.connectivity)
     lost = measure(blobs, count)
-    ledger.write("vegetation mask", _without_scale(lost, VEGETATION))
+    ledger.write("vegetation mask", _without_scale(lost, reason))
     ledger.count("vegetation mask", count, 0, count)
     return np.where(vegetation, 0, sliced).astype(sliced.dtype)
 

@@ -149,9 +149,8 @@ def detect(scene: Scene, methods: Sequence[str], params: Params, stages: Stages)
 def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:
     """Fuse, decompose and describe: the steps that a build and a re-labelling share."""
     forest = fuse_and_decompose(scene, regions, params, stages)
-    with stages.stage("parts"):
-        fused = fuse(forest, regions.get("flatregions"), scene, params)
     with stages.stage("outlines"):
+        fused = fuse(forest, regions.get("flatregions"), scene, params)
         return describe(scene, regions, forest, fused, params)
 
 
@@ -170,7 +169,7 @@ def is_fused(regions: Mapping[str, Regions], params: Params) -> bool:
 
     There are three at least, as two have no majority; the multi-scale one, which makes the parts, is among them.
     """
-    return params.fuse.cells and len(regions) > 2 and "multiscale" in regions
+    return params.fuse.votes and len(regions) > 2 and "multiscale" in regions
 
 
 def decompose(scene: Scene, regions: Mapping[str, Regions], built: NDArray[np.bool_] | None, params: Params) -> Forest:

@@ -56,7 +56,7 @@ def test_flat_regions_confirm_the_house_and_no_crown(town):
 def test_detectors_do_not_change_each_other(points, town, tmp_path):
     """Regions are the same whichever others are run; where cells are not fused, so are the parts."""
     alone, both = tmp_path / "alone.sqlite", tmp_path / "both.sqlite"
-    single = with_values(profile(), {"fuse": {"cells": False}})
+    single = with_values(profile(), {"fuse": {"votes": False}})
     msbdb.build([points], db=alone, extract=MULTISCALE, params=single)
     msbdb.build([points], db=both, extract=["flatregions", "multiscale"], params=single)
     shares = list(EXTRACTOR_SHARES.values())

@@ -259,7 +259,7 @@ def test_ground_classes_settle_the_earthwork(built):
 @pytest.mark.parametrize(
     ("profile_name", "stage", "reason"),
     [
-        ("default", "vegetation mask", "vegetation by its structure"),
+        ("default", "vegetation mask", "vegetation, or supported by too few detectors"),
         ("vu2009", "opening", "smaller than the finest scale"),
     ],
 )
