@@ -46,10 +46,6 @@ class Rasters:
     regions : mapping of str to (H, W) ndarray of int32
         Labels of the regions of the detectors that were run, except ``multiscale``: 0 for none, otherwise row number
         + 1 in order of the ids.
-    firm : (H, W) ndarray of bool, optional
-        Cells of the flat regions that count in the fused footprints; None where all do.
-    fused : (H, W) ndarray of int32, optional
-        Fused footprints: 0 for none, otherwise row number + 1 of the building in order of the ids.
     roughness_mm : (H, W) ndarray of uint16, optional
         Residual of the best plane in the small window, millimetres.
     roof_probability : (H, W) ndarray of uint8, optional
@@ -61,21 +57,16 @@ class Rasters:
     structure: NDArray[np.uint8]
     spectral: NDArray[np.uint8] | None = None
     regions: Mapping[str, NDArray[np.int32]] = field(default_factory=dict)
-    firm: NDArray[np.bool_] | None = None
-    fused: NDArray[np.int32] | None = None
     roughness_mm: NDArray[np.uint16] | None = None
     roof_probability: NDArray[np.uint8] | None = None
 
     def by_name(self) -> dict[str, NDArray[np.generic]]:
         """Return the rasters by the names of their rows in the database, those that are None left out."""
-        firm = None if self.firm is None else self.firm.astype(np.uint8)
         named: dict[str, NDArray[np.generic] | None] = {
             "ndsm_cm": self.heights_cm,
             "valid": self.valid.astype(np.uint8),
             "structure": self.structure,
             "spectral": self.spectral,
-            "flat_firm": firm,
-            "together": self.fused,
             "roughness_mm": self.roughness_mm,
             "roof_probability": self.roof_probability,
             **{_REGION_NAMES[method]: labels for method, labels in self.regions.items()},
@@ -105,8 +96,6 @@ class Rasters:
             structure=rows["structure"].astype(np.uint8),
             spectral=rows["spectral"].astype(np.uint8) if "spectral" in rows else None,
             regions={method: rows[name].astype(np.int32) for method, name in _REGION_NAMES.items() if name in rows},
-            firm=rows["flat_firm"].astype(np.bool_) if "flat_firm" in rows else None,
-            fused=rows["together"].astype(np.int32) if "together" in rows else None,
             roughness_mm=rows["roughness_mm"].astype(np.uint16) if "roughness_mm" in rows else None,
             roof_probability=rows["roof_probability"].astype(np.uint8) if "roof_probability" in rows else None,
         )

@@ -40,9 +40,9 @@ def evaluate(
         Share that counts as found; cell of the grid on which areas are compared, metres.
     survey : str, optional
         Not needed where the database holds one.
-    of : {'buildings', 'confirmed', 'together', 'parts', 'flatregions', 'area3d', 'adaptive'}
-        What is compared: all buildings, the confirmed ones, the fused footprints (``together``), the parts of all
-        scales, the flat regions, or the candidate regions of a detector on points.
+    of : {'buildings', 'confirmed', 'parts', 'flatregions', 'area3d', 'adaptive'}
+        What is compared: all buildings, the confirmed ones, the parts of all scales, the flat regions, or the
+        candidate regions of a detector on points.
     """
     from msbdb.run.evaluate import evaluate_survey
 

@@ -62,12 +62,6 @@ class Inventory:
         """Return the flat regions."""
         return self._read.read_flat_regions(self.engine, survey)
 
-    def together(self, survey: str | None = None) -> "gpd.GeoDataFrame":
-        """Return the fused footprints of parts and flat regions, with their heights measured again."""
-        from msbdb.run.outputs import read_together
-
-        return read_together(self.engine, survey)
-
     def candidates(self, survey: str | None = None, method: str | None = None) -> "gpd.GeoDataFrame":
         """Return the candidate regions of the detectors on points, or of one of them: area3d or adaptive."""
         return self._read.read_candidates(self.engine, survey, method)

@@ -58,7 +58,7 @@ BY_DATABASE = ("of", "survey")
 )
 @click.option(
     "--of",
-    type=click.Choice(["buildings", "confirmed", "together", "parts", *REGION_DETECTORS]),
+    type=click.Choice(["buildings", "confirmed", "parts", *REGION_DETECTORS]),
     default="buildings",
     show_default=True,
     help="What to compare with the reference.",

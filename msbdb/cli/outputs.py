@@ -73,8 +73,8 @@ def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     """Write footprints and parts to a file.
 
     The ending of OUT decides the format. A GeoPackage (.gpkg) has the layers footprint, part, flat_region and
-    candidate_region, and the fused footprints as layer together. A Shapefile (.shp) has the parts, under the paper's
-    names of at most ten characters. GeoJSON (.geojson) has the parts in longitude and latitude.
+    candidate_region. A Shapefile (.shp) has the parts, under the paper's names of at most ten characters. GeoJSON
+    (.geojson) has the parts in longitude and latitude.
     """
     from msbdb import api
 

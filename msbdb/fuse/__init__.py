@@ -1,1 +1,1 @@
-"""From detections to buildings: fused footprints, buildings as objects, and the evidence for them."""
+"""From detections to buildings: which cells are building, buildings as objects, and the evidence for them."""

@@ -60,7 +60,7 @@ class GranulometryParams:
 
 @dataclass(frozen=True, slots=True)
 class FuseParams:
-    """The decision on cells by all detectors, and on pieces that only parts or only flat regions support."""
+    """The decision of all detectors on which cells are building."""
 
     votes: bool = param(True, "-", "Let three or more detectors decide by votes which cells are building.",
         ours="half of three or four are right more often than the best one; otherwise multiscale decides")
@@ -70,20 +70,6 @@ class FuseParams:
         ours="a third of a storey; 0.5 m differs little", low=0.01, high=100)
     piece_m2: float = param(10.0, "m2", "Smaller holes of buildings are filled, and smaller pieces dropped.",
         ours="the finest scale", low=0, high=1e4)
-
-    edge_m: float = param(0.5, "m",
-        "Disputed strips up to twice as wide are edges, which the parts decide; at least a cell.",
-        ours="narrower loses a true roof on Delft 2, wider the light wells of Delft 1", low=0, high=20)
-    smooth_m: float = param(0.06, "m",
-        "Median roughness up to which a piece is a roof by itself; grows with cells above 1 m.",
-        ours="1.5 times a scanner's range noise; 0.05 to 0.08 m do alike, 0.04 m loses a true roof on Delft 2",
-        low=0.001, high=5)
-    roof_share: float = param(0.55, "1",
-        "Mean probability of roof from which a piece is a roof by its echoes and texture.",
-        ours="a little more than the even odds of the cover; 0.55 to 0.6 do alike", low=0, high=1)
-    seen_share: float = param(2 / 3, "1",
-        "A piece without flat region is in doubt where flat regions cover this share of its building.",
-        ours="most of the roof; below it flat regions cover too little to decide", low=0, high=1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ from msbdb.detect.registry import DETECTORS
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import MsbdbWarning, ParameterError
 from msbdb.fuse.cells import fuse_cells
-from msbdb.fuse.footprints import fuse
 from msbdb.grid import Grid
 from msbdb.kept import KeptRun
 from msbdb.params import Params, as_dict, with_values
@@ -79,11 +78,10 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     notices : Notices
         Receives the notices that arise; those that it has already are kept, too.
     """
-    evidence = {"multiscale", "flatregions"} <= set(job.methods)
     with collect_notices(notices):
         with stages.stage("read"):
             cloud = read_cloud(job.inputs, stages.progress)
-        scene, params = prepare(job.inputs, cloud, job.params, stages, job.label, evidence=evidence)
+        scene, params = prepare(job.inputs, cloud, job.params, stages, job.label)
         del cloud
         note_missing_sources(scene)
         choices = describe_choices(scene, params)
@@ -150,8 +148,7 @@ def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Para
     """Fuse, decompose and describe: the steps that a build and a re-labelling share."""
     forest = fuse_and_decompose(scene, regions, params, stages)
     with stages.stage("outlines"):
-        fused = fuse(forest, regions.get("flatregions"), scene, params)
-        return describe(scene, regions, forest, fused, params)
+        return describe(scene, regions, forest, params)
 
 
 def fuse_and_decompose(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Forest:

@@ -8,7 +8,6 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.buildings import buildings_from_parts, covered_shares, link_labels, with_support
@@ -44,7 +43,7 @@ class Description:
     frames : dict of str to DataFrame
         The tables of the run by name.
     rasters : Rasters
-        The kept rasters of the scene, the regions and the fused footprints.
+        The kept rasters of the scene and the regions.
     counts : dict
         By detector and stage: regions in, kept and dropped.
     """
@@ -54,9 +53,7 @@ class Description:
     counts: dict[str, dict[str, dict[str, int]]]
 
 
-def describe(
-    scene: Scene, regions: Mapping[str, Regions], forest: Forest, fused: NDArray[np.int32] | None, params: Params
-) -> Description:
+def describe(scene: Scene, regions: Mapping[str, Regions], forest: Forest, params: Params) -> Description:
     """Return the tables, rasters and counts of a run.
 
     Parameters
@@ -67,8 +64,6 @@ def describe(
         Of each detector that was run.
     forest : Forest
         The parts; empty where the multi-scale detector was not run.
-    fused : (H, W) ndarray of int32, optional
-        Fused footprints; None where one of their two detectors was not run.
     params : Params
         Section ``vector``.
     """
@@ -76,7 +71,7 @@ def describe(
     # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
     counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
     some = {name: stages for name, stages in counts.items() if stages}
-    return Description(make_frames(scene, regions, forest, parts), _rasters(scene, regions, fused), some)
+    return Description(make_frames(scene, regions, forest, parts), _rasters(scene, regions), some)
 
 
 def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDataFrame:
@@ -192,20 +187,13 @@ def describe_choices(scene: Scene, params: Params) -> dict[str, object]:
     }
 
 
-def _rasters(scene: Scene, regions: Mapping[str, Regions], fused: NDArray[np.int32] | None) -> Rasters:
+def _rasters(scene: Scene, regions: Mapping[str, Regions]) -> Rasters:
     """Return the rasters that the database keeps."""
-    cover, flat = scene.cover, regions.get("flatregions")
-    rasters = Rasters.of_heights(scene.heights, cover.structure.index)
-    if fused is not None and scene.evidence is not None:
-        rasters = replace(
-            rasters,
-            fused=fused,
-            roughness_mm=scene.evidence.roughness_mm,
-            roof_probability=scene.evidence.roof_probability,
-        )
+    cover, evidence = scene.cover, scene.evidence
     return replace(
-        rasters,
+        Rasters.of_heights(scene.heights, cover.structure.index),
         spectral=None if cover.spectral is None else cover.spectral.index,
         regions={name: found.labels for name, found in regions.items() if name != "multiscale"},
-        firm=None if flat is None else flat.firm,
+        roughness_mm=None if evidence is None else evidence.roughness_mm,
+        roof_probability=None if evidence is None else evidence.roof_probability,
     )

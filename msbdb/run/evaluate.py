@@ -38,7 +38,6 @@ from msbdb.outline.polygons import rasterise
 from msbdb.params import POINT_DETECTORS, Params, with_values
 from msbdb.points.cloud import BUILDING_CLASS, NOISE_CLASSES, PointCloud
 from msbdb.run.classify import points_in
-from msbdb.run.outputs import read_together
 from msbdb.surface import grid_surface
 
 POINT_SUFFIXES = {".las", ".laz"}
@@ -102,15 +101,13 @@ def compared(engine: Engine, survey: str | None, of: str) -> gpd.GeoDataFrame:
     if of in ("buildings", "confirmed"):
         buildings = read_buildings(engine, survey)
         return buildings if of == "buildings" else buildings[buildings["state"] == "confirmed"]
-    if of == "together":
-        return read_together(engine, survey)
     if of == "flatregions":
         return read_flat_regions(engine, survey)
     if of == "parts":
         return read_parts(engine, survey)
     if of in POINT_DETECTORS:
         return read_candidates(engine, survey, of)
-    known = ", ".join(("buildings", "confirmed", "together", "parts", "flatregions", *POINT_DETECTORS))
+    known = ", ".join(("buildings", "confirmed", "parts", "flatregions", *POINT_DETECTORS))
     msg = f"'{of}' cannot be evaluated. Choose one of {known}."
     raise InputError(msg)
 

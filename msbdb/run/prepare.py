@@ -97,7 +97,7 @@ class Label:
 
 
 def prepare(
-    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, label: Label, *, evidence: bool
+    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, label: Label
 ) -> tuple[Scene, Params]:
     """Bring the files of a survey onto one lattice, for the detectors.
 
@@ -113,8 +113,6 @@ def prepare(
         For timings and progress.
     label : Label
         Name, date and operator's labels.
-    evidence : bool
-        Whether each cell's own evidence of roof is kept, for the fused footprints.
 
     Returns
     -------
@@ -138,8 +136,8 @@ def prepare(
         if label.classes is not None:
             cover = keep_labels(cover, label.classes)
     record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
-    kept = Evidence.of(structure) if evidence else None
-    return Scene(record, surface.ndsm, cover, kept, surface=surface, cloud=cloud, bands=bands), params
+    evidence = Evidence.of(structure)
+    return Scene(record, surface.ndsm, cover, evidence, surface=surface, cloud=cloud, bands=bands), params
 
 
 def note_missing_sources(scene: Scene) -> None:

@@ -114,11 +114,7 @@ def recall_regions(kept: KeptRun) -> dict[str, Regions]:
     if "flatregions" in labels:
         table = kept.frames["flat_region"].sort_values("region_id", ignore_index=True)
         found["flatregions"] = Regions(
-            "flatregions",
-            labels["flatregions"],
-            gpd.GeoDataFrame(table),
-            *_written_by(kept, "flatregions"),
-            firm=kept.rasters.firm,
+            "flatregions", labels["flatregions"], gpd.GeoDataFrame(table), *_written_by(kept, "flatregions")
         )
     table = kept.frames["candidate_region"].sort_values("candidate_id", ignore_index=True)
     for method in kept.run.methods:

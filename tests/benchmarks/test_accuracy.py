@@ -70,7 +70,7 @@ def test_rasters_have_no_extractors_on_points(accuracy):
     assert {profile for profile, _ in accuracy.runs(tiles["delft_1"])} == set(accuracy.PROFILES)
     work = accuracy.Work(tiles["goteborg"], "default", "raster", Path(), Path())
     assert accuracy.extractors(work) == ["flatregions", "multiscale"]
-    assert accuracy.compared(work) == ["buildings", "confirmed", "flatregions", "together"]
+    assert accuracy.compared(work) == ["buildings", "confirmed", "flatregions"]
 
 
 def test_the_density_page_has_a_row_a_density_and_a_column_an_outline():
@@ -78,5 +78,5 @@ def test_the_density_page_has_a_row_a_density_and_a_column_an_outline():
     density = load_script(BENCHMARKS / "density")
     found = [density.Score("delft_1", 4.0, of, n, n, n) for n, of in enumerate(density.OF)]
     lines = density.table(found, "area").splitlines()
-    assert lines[0] == "| tile | density | multiscale | flatregions | multiscale and flatregions | area3d | adaptive |"
-    assert lines[2:] == ["| delft_1 | 4.0 | 0.0 | 1.0 | 2.0 | 3.0 | 4.0 |"]
+    assert lines[0] == "| tile | density | multiscale | flatregions | area3d | adaptive |"
+    assert lines[2:] == ["| delft_1 | 4.0 | 0.0 | 1.0 | 2.0 | 3.0 |"]

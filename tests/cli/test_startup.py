@@ -3,10 +3,8 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pyogrio
 import pytest
 from simulated.builds import EPSG, small_build
@@ -50,14 +48,9 @@ def loaded_by(*words: str) -> set[str]:
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return a database of one survey with fused footprints."""
+    """Return a database of one survey."""
     path = tmp_path_factory.mktemp("startup") / "town.sqlite"
-    build = small_build()
-    fused = np.zeros(build.rasters.heights_cm.shape, dtype=np.int32)
-    fused[:10, :10] = 1
-    write_build(
-        open_database(path, create=True, srid=EPSG), replace(build, rasters=replace(build.rasters, fused=fused))
-    )
+    write_build(open_database(path, create=True, srid=EPSG), small_build())
     return str(path)
 
 
@@ -88,10 +81,10 @@ def test_a_check_loads_no_frames_maps_or_detectors(town: str) -> None:
 
 
 def test_export_loads_no_filters_maps_or_detectors(town: str, tmp_path: Path) -> None:
-    """An export reads the database, measures the fused footprints, and writes a file."""
+    """An export reads the database and writes a file."""
     path = tmp_path / "town.gpkg"
     loaded = loaded_by("export", town, str(path))
-    assert "together" in pyogrio.list_layers(path)[:, 0]
+    assert "footprint" in pyogrio.list_layers(path)[:, 0]
     assert not (DETECTION | ELSEWHERE | {"rich", "scipy.ndimage", "skimage"}) & loaded
 
 
