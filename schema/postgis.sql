@@ -1,4 +1,4 @@
--- The schema 0001 of msbdb for postgis.
+-- The schema 0002 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -73,6 +73,7 @@ CREATE TABLE building_version (
   flat_share DOUBLE PRECISION,
   area3d_share DOUBLE PRECISION,
   adaptive_share DOUBLE PRECISION,
+  probability DOUBLE PRECISION,
   attributes JSON,
   CONSTRAINT pk_building_version PRIMARY KEY (version_id),
   CONSTRAINT ck_building_version_version_id CHECK (version_id > 0),
@@ -87,6 +88,7 @@ CREATE TABLE building_version (
   CONSTRAINT ck_building_version_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT ck_building_version_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
   CONSTRAINT ck_building_version_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT ck_building_version_probability CHECK (probability >= 0 AND probability <= 1),
   CONSTRAINT fk_building_version_inventory_building FOREIGN KEY(uid) REFERENCES inventory_building (uid),
   CONSTRAINT fk_building_version_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
   CONSTRAINT fk_building_version_closed_by FOREIGN KEY(closed_by) REFERENCES survey (survey_id)
@@ -335,6 +337,50 @@ CREATE TABLE spectral_class (
   CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
+CREATE TABLE building (
+  building_id BIGINT NOT NULL,
+  run_id BIGINT NOT NULL,
+  state TEXT NOT NULL,
+  probability DOUBLE PRECISION,
+  storeys BIGINT NOT NULL,
+  h_max DOUBLE PRECISION NOT NULL,
+  h_mean DOUBLE PRECISION NOT NULL,
+  h_p50 DOUBLE PRECISION NOT NULL,
+  h_p90 DOUBLE PRECISION NOT NULL,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  volume_m3 DOUBLE PRECISION NOT NULL,
+  trees BIGINT NOT NULL,
+  parts BIGINT NOT NULL,
+  scales BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  building_share DOUBLE PRECISION NOT NULL,
+  xcen DOUBLE PRECISION NOT NULL,
+  ycen DOUBLE PRECISION NOT NULL,
+  xin DOUBLE PRECISION NOT NULL,
+  yin DOUBLE PRECISION NOT NULL,
+  multiscale_share DOUBLE PRECISION,
+  flat_share DOUBLE PRECISION,
+  area3d_share DOUBLE PRECISION,
+  adaptive_share DOUBLE PRECISION,
+  CONSTRAINT pk_building PRIMARY KEY (building_id),
+  CONSTRAINT uq_building UNIQUE (building_id, run_id),
+  CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
+  CONSTRAINT ck_building_building_id CHECK (building_id > 0),
+  CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
+  CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
+  CONSTRAINT ck_building_parts CHECK (trees >= 1 AND parts >= trees AND scales >= 1),
+  CONSTRAINT ck_building_probability CHECK (probability >= 0 AND probability <= 1),
+  CONSTRAINT ck_building_building_share CHECK (building_share >= 0 AND building_share <= 1),
+  CONSTRAINT ck_building_multiscale_share CHECK (multiscale_share >= 0 AND multiscale_share <= 1),
+  CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
+  CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
+  CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
 CREATE TABLE flat_region_candidate (
   region_id BIGINT NOT NULL,
   candidate_id BIGINT NOT NULL,
@@ -355,6 +401,15 @@ CREATE INDEX ix_flat_region_candidate_candidate_id ON flat_region_candidate (can
 
 CREATE INDEX ix_flat_region_candidate_run_id ON flat_region_candidate (run_id);
 
+CREATE TABLE spectral_class_band (
+  run_id BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  band TEXT NOT NULL,
+  mean DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_spectral_class_band PRIMARY KEY (run_id, speindex, band),
+  CONSTRAINT fk_spectral_class_band_spectral_class FOREIGN KEY(run_id, speindex) REFERENCES spectral_class (run_id, speindex) ON DELETE CASCADE
+);
+
 CREATE TABLE part (
   part_id BIGINT NOT NULL,
   run_id BIGINT NOT NULL,
@@ -362,6 +417,7 @@ CREATE TABLE part (
   father_id BIGINT GENERATED ALWAYS AS (nullif(supid, 0)) STORED,
   supscale BIGINT NOT NULL,
   root_id BIGINT NOT NULL,
+  building_id BIGINT NOT NULL,
   scale BIGINT NOT NULL,
   hindex BIGINT NOT NULL,
   hzone BIGINT NOT NULL,
@@ -385,6 +441,7 @@ CREATE TABLE part (
   CONSTRAINT pk_part PRIMARY KEY (part_id),
   CONSTRAINT uq_part UNIQUE (part_id, scale, root_id, run_id),
   CONSTRAINT fk_part_part FOREIGN KEY(father_id, supscale, root_id, run_id) REFERENCES part (part_id, scale, root_id, run_id) DEFERRABLE INITIALLY DEFERRED,
+  CONSTRAINT fk_part_building FOREIGN KEY(building_id, run_id) REFERENCES building (building_id, run_id) DEFERRABLE INITIALLY DEFERRED,
   CONSTRAINT fk_part_scale FOREIGN KEY(run_id, scale) REFERENCES scale (run_id, scale),
   CONSTRAINT fk_part_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
   CONSTRAINT ck_part_part_id CHECK (part_id > 0),
@@ -395,6 +452,8 @@ CREATE TABLE part (
   CONSTRAINT fk_part_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
+CREATE INDEX ix_part_building_id_run_id ON part (building_id, run_id);
+
 CREATE INDEX ix_part_father_id_supscale_root_id_run_id ON part (father_id, supscale, root_id, run_id);
 
 CREATE INDEX ix_part_root_id ON part (root_id);
@@ -402,50 +461,6 @@ CREATE INDEX ix_part_root_id ON part (root_id);
 CREATE INDEX ix_part_run_id_class_id ON part (run_id, class_id);
 
 CREATE INDEX ix_part_run_id_scale ON part (run_id, scale);
-
-CREATE TABLE spectral_class_band (
-  run_id BIGINT NOT NULL,
-  speindex BIGINT NOT NULL,
-  band TEXT NOT NULL,
-  mean DOUBLE PRECISION NOT NULL,
-  CONSTRAINT pk_spectral_class_band PRIMARY KEY (run_id, speindex, band),
-  CONSTRAINT fk_spectral_class_band_spectral_class FOREIGN KEY(run_id, speindex) REFERENCES spectral_class (run_id, speindex) ON DELETE CASCADE
-);
-
-CREATE TABLE building (
-  building_id BIGINT NOT NULL,
-  run_id BIGINT NOT NULL,
-  root_id BIGINT NOT NULL,
-  state TEXT NOT NULL,
-  storeys BIGINT NOT NULL,
-  h_max DOUBLE PRECISION NOT NULL,
-  h_mean DOUBLE PRECISION NOT NULL,
-  h_p50 DOUBLE PRECISION NOT NULL,
-  h_p90 DOUBLE PRECISION NOT NULL,
-  area_m2 DOUBLE PRECISION NOT NULL,
-  volume_m3 DOUBLE PRECISION NOT NULL,
-  parts BIGINT NOT NULL,
-  scales BIGINT NOT NULL,
-  speindex BIGINT NOT NULL,
-  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
-  flat_share DOUBLE PRECISION,
-  area3d_share DOUBLE PRECISION,
-  adaptive_share DOUBLE PRECISION,
-  CONSTRAINT pk_building PRIMARY KEY (building_id),
-  CONSTRAINT uq_building UNIQUE (root_id),
-  CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
-  CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
-  CONSTRAINT ck_building_building_id CHECK (building_id > 0),
-  CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
-  CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
-  CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
-  CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
-  CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
-  CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
-  CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
-);
-
-CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
 
 CREATE TABLE part_candidate (
   part_id BIGINT NOT NULL,
@@ -534,13 +549,11 @@ ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
 ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 
 CREATE VIEW footprint AS
-SELECT p.part_id, s.name AS survey, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
-       p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
-FROM part AS p
-JOIN run AS r ON r.run_id = p.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN building AS b ON b.root_id = p.part_id
-WHERE p.supid = 0;
+SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.speindex, b.area_m2,
+       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.trees, b.parts, b.xin, b.yin, b.geometry
+FROM building AS b
+JOIN run AS r ON r.run_id = b.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id;
 
 CREATE VIEW part_tree AS
 WITH RECURSIVE tree (part_id, depth, path) AS (
@@ -549,7 +562,7 @@ WITH RECURSIVE tree (part_id, depth, path) AS (
   SELECT child.part_id, tree.depth + 1, tree.path || '/' || CAST(child.part_id AS TEXT)
   FROM tree JOIN part AS child ON child.father_id = tree.part_id
 )
-SELECT p.part_id, s.name AS survey, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
+SELECT p.part_id, s.name AS survey, p.building_id, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
        p.hindex, p.speindex, p.area_m2, p.stddis, p.h_max, p.h_p90, p.geometry
 FROM tree
 JOIN part AS p ON p.part_id = tree.part_id
@@ -557,21 +570,21 @@ JOIN run AS r ON r.run_id = p.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id;
 
 CREATE VIEW building_summary AS
-SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.root_id, b.state, b.storeys,
-       b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.state, b.probability, b.storeys,
+       b.multiscale_share, b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90,
+       b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
-        WHERE p.root_id = b.root_id) AS floor_area_m2,
-       b.parts, b.scales, b.speindex, c.label AS class_label, root.xcen, root.ycen, root.xin, root.yin, b.geometry
+        WHERE p.building_id = b.building_id) AS floor_area_m2,
+       b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.xcen, b.ycen, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
-JOIN part AS root ON root.part_id = b.root_id
 LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id;
 
 CREATE VIEW part_evidence AS
-SELECT p.part_id, s.name AS survey, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+SELECT p.part_id, s.name AS survey, p.building_id, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
        CASE WHEN flat.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.part_share) FROM part_flat_region AS l WHERE l.part_id = p.part_id), 0.0) END AS flat_share,
        CASE WHEN flat.method IS NOT NULL THEN (
@@ -639,9 +652,9 @@ WHERE COALESCE((
          WHERE l.candidate_id = k.candidate_id AND root.supid = 0), 0.0) < 0.5;
 
 CREATE VIEW building_evidence AS
-SELECT b.building_id, s.name AS survey, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
-       b.flat_share, b.area3d_share, b.adaptive_share,
-       CASE WHEN root.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,
+SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.h_p90, b.area_m2, b.building_share,
+       b.multiscale_share, b.flat_share, b.area3d_share, b.adaptive_share,
+       CASE WHEN b.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,
        CASE WHEN b.flat_share IS NULL THEN 0 ELSE 1 END + CASE WHEN b.area3d_share IS NULL THEN 0 ELSE 1 END
          + CASE WHEN b.adaptive_share IS NULL THEN 0 ELSE 1 END AS extractors_heard,
        CASE WHEN b.flat_share >= 0.1 THEN 1 ELSE 0 END
@@ -650,13 +663,13 @@ SELECT b.building_id, s.name AS survey, b.state, b.storeys, b.h_p90, b.area_m2, 
        b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-JOIN part AS root ON root.part_id = b.root_id;
+JOIN survey AS s ON s.survey_id = r.survey_id;
 
 CREATE VIEW footprint_current AS
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
        v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
-       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.building_id, v.attributes, v.geometry
+       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN operator_state AS o ON o.uid = v.uid
@@ -669,7 +682,7 @@ SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey
        e.name AS ended_in,
        (SELECT MIN(c.kind) FROM building_change AS c
         WHERE c.version_before = v.version_id AND c.survey_id = v.closed_by) AS ended_as,
-       v.state, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
+       v.state, v.probability, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
@@ -692,13 +705,14 @@ RETURNS TABLE (
   version_id bigint, uid bigint, valid_from text, valid_to text, source text, survey text, state text,
   found_state text, operator text, note text, storeys bigint, h_max double precision, h_mean double precision,
   h_p50 double precision, h_p90 double precision, area_m2 double precision, volume_m3 double precision, parts bigint,
-  flat_share double precision, area3d_share double precision, adaptive_share double precision, building_id bigint,
-  attributes json, geometry geometry
+  flat_share double precision, area3d_share double precision, adaptive_share double precision,
+  probability double precision, building_id bigint, attributes json, geometry geometry
 )
 LANGUAGE sql STABLE AS $$
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
        v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
-       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.building_id, v.attributes, v.geometry
+       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN operator_state AS o ON o.uid = v.uid
@@ -786,7 +800,7 @@ COMMENT ON COLUMN building_version.closed_by IS 'the survey that ended it; null 
 
 COMMENT ON COLUMN building_version.building_id IS 'the building of the survey''s run it was copied from, which a rebuild may replace';
 
-COMMENT ON COLUMN building_version.state IS 'confirmed: by the classes and at least half of the other detectors that were run; else unsure or refuted';
+COMMENT ON COLUMN building_version.state IS 'confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors';
 
 COMMENT ON COLUMN building_version.storeys IS 'storeys of its tallest part [storeys]';
 
@@ -802,13 +816,15 @@ COMMENT ON COLUMN building_version.area_m2 IS 'area of the footprint [m2]';
 
 COMMENT ON COLUMN building_version.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
 
-COMMENT ON COLUMN building_version.parts IS 'number of parts, the root included [count]';
+COMMENT ON COLUMN building_version.parts IS 'number of parts, the roots included [count]';
 
 COMMENT ON COLUMN building_version.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
 
 COMMENT ON COLUMN building_version.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
 
 COMMENT ON COLUMN building_version.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_version.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
 
 COMMENT ON COLUMN building_version.attributes IS 'attributes from an imported inventory, by the names of its columns';
 
@@ -1082,6 +1098,60 @@ COMMENT ON COLUMN spectral_class.roughness_m IS 'median local roughness of the s
 
 COMMENT ON COLUMN spectral_class.height_m IS 'mean height above ground [m]';
 
+COMMENT ON TABLE building IS 'A building: one connected island of roofs that the detectors support, with one or more trees of parts';
+
+COMMENT ON COLUMN building.building_id IS 'stable id of the building: the ID of its largest root';
+
+COMMENT ON COLUMN building.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN building.state IS 'confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors';
+
+COMMENT ON COLUMN building.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
+
+COMMENT ON COLUMN building.storeys IS 'storeys of its tallest part [storeys]';
+
+COMMENT ON COLUMN building.h_max IS 'largest height above ground [m]';
+
+COMMENT ON COLUMN building.h_mean IS 'mean height above ground [m]';
+
+COMMENT ON COLUMN building.h_p50 IS 'median height above ground [m]';
+
+COMMENT ON COLUMN building.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN building.area_m2 IS 'area of the footprint''s cells [m2]';
+
+COMMENT ON COLUMN building.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
+
+COMMENT ON COLUMN building.trees IS 'number of its trees of parts; one root each [count]';
+
+COMMENT ON COLUMN building.parts IS 'number of parts, the roots included [count]';
+
+COMMENT ON COLUMN building.scales IS 'number of scales on which it has parts [count]';
+
+COMMENT ON COLUMN building.speindex IS 'the spectral class of its largest root; 0 for none';
+
+COMMENT ON COLUMN building.class_id IS 'SPE, but null for none';
+
+COMMENT ON COLUMN building.building_share IS 'share of its cells whose class is a building class [1]';
+
+COMMENT ON COLUMN building.xcen IS 'easting of the centroid of its cells [m]';
+
+COMMENT ON COLUMN building.ycen IS 'northing of the centroid of its cells [m]';
+
+COMMENT ON COLUMN building.xin IS 'easting of a point that lies on the building [m]';
+
+COMMENT ON COLUMN building.yin IS 'northing of a point that lies on the building [m]';
+
+COMMENT ON COLUMN building.multiscale_share IS 'share of the footprint that regions of multiscale cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
+
 COMMENT ON TABLE flat_region_candidate IS 'A flat region and a candidate region that share cells: each is evidence for the other';
 
 COMMENT ON COLUMN flat_region_candidate.region_id IS 'the flat region';
@@ -1096,6 +1166,16 @@ COMMENT ON COLUMN flat_region_candidate.region_share IS 'share of the flat regio
 
 COMMENT ON COLUMN flat_region_candidate.candidate_share IS 'share of the candidate region''s cells that the flat region covers [1]';
 
+COMMENT ON TABLE spectral_class_band IS 'The mean of a band in a class';
+
+COMMENT ON COLUMN spectral_class_band.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN spectral_class_band.speindex IS 'the class';
+
+COMMENT ON COLUMN spectral_class_band.band IS 'name of the band';
+
+COMMENT ON COLUMN spectral_class_band.mean IS 'mean value of the band in the class, in the source''s units [DN]';
+
 COMMENT ON TABLE part IS 'A part of a building on one scale; a father holds its children (V32, V33)';
 
 COMMENT ON COLUMN part.part_id IS 'ID: from survey, scale and absolute lattice position; above 0';
@@ -1109,6 +1189,8 @@ COMMENT ON COLUMN part.father_id IS 'SUPID, but null for a root';
 COMMENT ON COLUMN part.supscale IS 'SUPSCALE: the father''s scale; 0 for a root';
 
 COMMENT ON COLUMN part.root_id IS 'ID of the root of its tree';
+
+COMMENT ON COLUMN part.building_id IS 'the building in which its tree stands';
 
 COMMENT ON COLUMN part.scale IS 'SCALE: the scale on which the part exists, 1 = coarsest';
 
@@ -1152,56 +1234,6 @@ COMMENT ON COLUMN part.building_share IS 'share of its cells whose class is a bu
 
 COMMENT ON COLUMN part.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON TABLE spectral_class_band IS 'The mean of a band in a class';
-
-COMMENT ON COLUMN spectral_class_band.run_id IS 'the run that made the row';
-
-COMMENT ON COLUMN spectral_class_band.speindex IS 'the class';
-
-COMMENT ON COLUMN spectral_class_band.band IS 'name of the band';
-
-COMMENT ON COLUMN spectral_class_band.mean IS 'mean value of the band in the class, in the source''s units [DN]';
-
-COMMENT ON TABLE building IS 'A building: a root part with the summary of its tree';
-
-COMMENT ON COLUMN building.building_id IS 'stable id of the building';
-
-COMMENT ON COLUMN building.run_id IS 'the run that made the row';
-
-COMMENT ON COLUMN building.root_id IS 'ID of its root part';
-
-COMMENT ON COLUMN building.state IS 'confirmed: by the classes and at least half of the other detectors that were run; else unsure or refuted';
-
-COMMENT ON COLUMN building.storeys IS 'storeys of its tallest part [storeys]';
-
-COMMENT ON COLUMN building.h_max IS 'largest height above ground [m]';
-
-COMMENT ON COLUMN building.h_mean IS 'mean height above ground [m]';
-
-COMMENT ON COLUMN building.h_p50 IS 'median height above ground [m]';
-
-COMMENT ON COLUMN building.h_p90 IS '90th percentile of the height above ground [m]';
-
-COMMENT ON COLUMN building.area_m2 IS 'area of the footprint''s cells [m2]';
-
-COMMENT ON COLUMN building.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
-
-COMMENT ON COLUMN building.parts IS 'number of parts, the root included [count]';
-
-COMMENT ON COLUMN building.scales IS 'number of scales on which it has parts [count]';
-
-COMMENT ON COLUMN building.speindex IS 'the root''s spectral class; 0 for none';
-
-COMMENT ON COLUMN building.class_id IS 'SPE, but null for none';
-
-COMMENT ON COLUMN building.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
-
-COMMENT ON COLUMN building.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
-
-COMMENT ON COLUMN building.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
-
-COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
-
 COMMENT ON TABLE part_candidate IS 'A part and a candidate region that share cells: each is evidence for the other';
 
 COMMENT ON COLUMN part_candidate.part_id IS 'the part';
@@ -1230,7 +1262,7 @@ COMMENT ON COLUMN part_flat_region.part_share IS 'share of the part''s area that
 
 COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area that the part covers [1]';
 
-COMMENT ON VIEW footprint IS 'The footprints: the root parts, the coarsest of their trees (V49), with the state of their building.';
+COMMENT ON VIEW footprint IS 'The footprints: a row for each building, with its state and its probability.';
 
 COMMENT ON VIEW part_tree IS 'The parts as trees: the depth below the root, and the path of ids from the root down.';
 
@@ -1254,5 +1286,5 @@ COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and cla
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0001');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
 

@@ -1,4 +1,4 @@
--- The schema 0001 of msbdb for spatialite.
+-- The schema 0002 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -73,6 +73,7 @@ CREATE TABLE building_version (
   flat_share DOUBLE,
   area3d_share DOUBLE,
   adaptive_share DOUBLE,
+  probability DOUBLE,
   attributes JSON,
   CONSTRAINT pk_building_version PRIMARY KEY (version_id),
   CONSTRAINT ck_building_version_version_id CHECK (version_id > 0),
@@ -87,6 +88,7 @@ CREATE TABLE building_version (
   CONSTRAINT ck_building_version_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT ck_building_version_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
   CONSTRAINT ck_building_version_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT ck_building_version_probability CHECK (probability >= 0 AND probability <= 1),
   CONSTRAINT fk_building_version_inventory_building FOREIGN KEY(uid) REFERENCES inventory_building (uid),
   CONSTRAINT fk_building_version_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
   CONSTRAINT fk_building_version_closed_by FOREIGN KEY(closed_by) REFERENCES survey (survey_id)
@@ -335,6 +337,50 @@ CREATE TABLE spectral_class (
   CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
+CREATE TABLE building (
+  building_id INTEGER NOT NULL,
+  run_id BIGINT NOT NULL,
+  state TEXT NOT NULL,
+  probability DOUBLE,
+  storeys BIGINT NOT NULL,
+  h_max DOUBLE NOT NULL,
+  h_mean DOUBLE NOT NULL,
+  h_p50 DOUBLE NOT NULL,
+  h_p90 DOUBLE NOT NULL,
+  area_m2 DOUBLE NOT NULL,
+  volume_m3 DOUBLE NOT NULL,
+  trees BIGINT NOT NULL,
+  parts BIGINT NOT NULL,
+  scales BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
+  building_share DOUBLE NOT NULL,
+  xcen DOUBLE NOT NULL,
+  ycen DOUBLE NOT NULL,
+  xin DOUBLE NOT NULL,
+  yin DOUBLE NOT NULL,
+  multiscale_share DOUBLE,
+  flat_share DOUBLE,
+  area3d_share DOUBLE,
+  adaptive_share DOUBLE,
+  CONSTRAINT pk_building PRIMARY KEY (building_id),
+  CONSTRAINT uq_building UNIQUE (building_id, run_id),
+  CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
+  CONSTRAINT ck_building_building_id CHECK (building_id > 0),
+  CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
+  CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
+  CONSTRAINT ck_building_parts CHECK (trees >= 1 AND parts >= trees AND scales >= 1),
+  CONSTRAINT ck_building_probability CHECK (probability >= 0 AND probability <= 1),
+  CONSTRAINT ck_building_building_share CHECK (building_share >= 0 AND building_share <= 1),
+  CONSTRAINT ck_building_multiscale_share CHECK (multiscale_share >= 0 AND multiscale_share <= 1),
+  CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
+  CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
+  CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
+
 CREATE TABLE flat_region_candidate (
   region_id BIGINT NOT NULL,
   candidate_id BIGINT NOT NULL,
@@ -355,6 +401,15 @@ CREATE INDEX ix_flat_region_candidate_candidate_id ON flat_region_candidate (can
 
 CREATE INDEX ix_flat_region_candidate_run_id ON flat_region_candidate (run_id);
 
+CREATE TABLE spectral_class_band (
+  run_id BIGINT NOT NULL,
+  speindex BIGINT NOT NULL,
+  band TEXT NOT NULL,
+  mean DOUBLE NOT NULL,
+  CONSTRAINT pk_spectral_class_band PRIMARY KEY (run_id, speindex, band),
+  CONSTRAINT fk_spectral_class_band_spectral_class FOREIGN KEY(run_id, speindex) REFERENCES spectral_class (run_id, speindex) ON DELETE CASCADE
+);
+
 CREATE TABLE part (
   part_id INTEGER NOT NULL,
   run_id BIGINT NOT NULL,
@@ -362,6 +417,7 @@ CREATE TABLE part (
   father_id BIGINT GENERATED ALWAYS AS (nullif(supid, 0)) STORED,
   supscale BIGINT NOT NULL,
   root_id BIGINT NOT NULL,
+  building_id BIGINT NOT NULL,
   scale BIGINT NOT NULL,
   hindex BIGINT NOT NULL,
   hzone BIGINT NOT NULL,
@@ -385,6 +441,7 @@ CREATE TABLE part (
   CONSTRAINT pk_part PRIMARY KEY (part_id),
   CONSTRAINT uq_part UNIQUE (part_id, scale, root_id, run_id),
   CONSTRAINT fk_part_part FOREIGN KEY(father_id, supscale, root_id, run_id) REFERENCES part (part_id, scale, root_id, run_id) DEFERRABLE INITIALLY DEFERRED,
+  CONSTRAINT fk_part_building FOREIGN KEY(building_id, run_id) REFERENCES building (building_id, run_id) DEFERRABLE INITIALLY DEFERRED,
   CONSTRAINT fk_part_scale FOREIGN KEY(run_id, scale) REFERENCES scale (run_id, scale),
   CONSTRAINT fk_part_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
   CONSTRAINT ck_part_part_id CHECK (part_id > 0),
@@ -395,6 +452,8 @@ CREATE TABLE part (
   CONSTRAINT fk_part_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
+CREATE INDEX ix_part_building_id_run_id ON part (building_id, run_id);
+
 CREATE INDEX ix_part_father_id_supscale_root_id_run_id ON part (father_id, supscale, root_id, run_id);
 
 CREATE INDEX ix_part_root_id ON part (root_id);
@@ -402,50 +461,6 @@ CREATE INDEX ix_part_root_id ON part (root_id);
 CREATE INDEX ix_part_run_id_class_id ON part (run_id, class_id);
 
 CREATE INDEX ix_part_run_id_scale ON part (run_id, scale);
-
-CREATE TABLE spectral_class_band (
-  run_id BIGINT NOT NULL,
-  speindex BIGINT NOT NULL,
-  band TEXT NOT NULL,
-  mean DOUBLE NOT NULL,
-  CONSTRAINT pk_spectral_class_band PRIMARY KEY (run_id, speindex, band),
-  CONSTRAINT fk_spectral_class_band_spectral_class FOREIGN KEY(run_id, speindex) REFERENCES spectral_class (run_id, speindex) ON DELETE CASCADE
-);
-
-CREATE TABLE building (
-  building_id INTEGER NOT NULL,
-  run_id BIGINT NOT NULL,
-  root_id BIGINT NOT NULL,
-  state TEXT NOT NULL,
-  storeys BIGINT NOT NULL,
-  h_max DOUBLE NOT NULL,
-  h_mean DOUBLE NOT NULL,
-  h_p50 DOUBLE NOT NULL,
-  h_p90 DOUBLE NOT NULL,
-  area_m2 DOUBLE NOT NULL,
-  volume_m3 DOUBLE NOT NULL,
-  parts BIGINT NOT NULL,
-  scales BIGINT NOT NULL,
-  speindex BIGINT NOT NULL,
-  class_id BIGINT GENERATED ALWAYS AS (nullif(speindex, 0)) STORED,
-  flat_share DOUBLE,
-  area3d_share DOUBLE,
-  adaptive_share DOUBLE,
-  CONSTRAINT pk_building PRIMARY KEY (building_id),
-  CONSTRAINT uq_building UNIQUE (root_id),
-  CONSTRAINT fk_building_part FOREIGN KEY(root_id) REFERENCES part (part_id) DEFERRABLE INITIALLY DEFERRED,
-  CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
-  CONSTRAINT ck_building_building_id CHECK (building_id > 0),
-  CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
-  CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
-  CONSTRAINT ck_building_parts CHECK (parts >= 1 AND scales >= 1),
-  CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
-  CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
-  CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
-  CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
-);
-
-CREATE INDEX ix_building_run_id_class_id ON building (run_id, class_id);
 
 CREATE TABLE part_candidate (
   part_id BIGINT NOT NULL,
@@ -534,15 +549,13 @@ ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
 ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 
 CREATE VIEW footprint AS
-SELECT p.part_id, s.name AS survey, b.state, p.scale, p.hindex, p.speindex, p.area_m2,
-       p.h_max, p.h_mean, p.h_p50, p.h_p90, p.xin, p.yin, p.geometry
-FROM part AS p
-JOIN run AS r ON r.run_id = p.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN building AS b ON b.root_id = p.part_id
-WHERE p.supid = 0;
+SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.speindex, b.area_m2,
+       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.trees, b.parts, b.xin, b.yin, b.geometry
+FROM building AS b
+JOIN run AS r ON r.run_id = b.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id;
 
-INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('footprint', 'geometry', 'part_id', 'part', 'geometry', 1);
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('footprint', 'geometry', 'building_id', 'building', 'geometry', 1);
 
 CREATE VIEW part_tree AS
 WITH RECURSIVE tree (part_id, depth, path) AS (
@@ -551,7 +564,7 @@ WITH RECURSIVE tree (part_id, depth, path) AS (
   SELECT child.part_id, tree.depth + 1, tree.path || '/' || CAST(child.part_id AS TEXT)
   FROM tree JOIN part AS child ON child.father_id = tree.part_id
 )
-SELECT p.part_id, s.name AS survey, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
+SELECT p.part_id, s.name AS survey, p.building_id, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
        p.hindex, p.speindex, p.area_m2, p.stddis, p.h_max, p.h_p90, p.geometry
 FROM tree
 JOIN part AS p ON p.part_id = tree.part_id
@@ -561,23 +574,23 @@ JOIN survey AS s ON s.survey_id = r.survey_id;
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_tree', 'geometry', 'part_id', 'part', 'geometry', 1);
 
 CREATE VIEW building_summary AS
-SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.root_id, b.state, b.storeys,
-       b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90, b.area_m2, b.volume_m3,
+SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.state, b.probability, b.storeys,
+       b.multiscale_share, b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90,
+       b.area_m2, b.volume_m3,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
-        WHERE p.root_id = b.root_id) AS floor_area_m2,
-       b.parts, b.scales, b.speindex, c.label AS class_label, root.xcen, root.ycen, root.xin, root.yin, b.geometry
+        WHERE p.building_id = b.building_id) AS floor_area_m2,
+       b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.xcen, b.ycen, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
-JOIN part AS root ON root.part_id = b.root_id
 LEFT JOIN spectral_class AS c ON c.run_id = b.run_id AND c.speindex = b.class_id;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_summary', 'geometry', 'building_id', 'building', 'geometry', 1);
 
 CREATE VIEW part_evidence AS
-SELECT p.part_id, s.name AS survey, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+SELECT p.part_id, s.name AS survey, p.building_id, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
        CASE WHEN flat.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.part_share) FROM part_flat_region AS l WHERE l.part_id = p.part_id), 0.0) END AS flat_share,
        CASE WHEN flat.method IS NOT NULL THEN (
@@ -653,9 +666,9 @@ WHERE COALESCE((
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('unexplained_candidate', 'geometry', 'candidate_id', 'candidate_region', 'geometry', 1);
 
 CREATE VIEW building_evidence AS
-SELECT b.building_id, s.name AS survey, b.state, b.storeys, b.h_p90, b.area_m2, root.building_share,
-       b.flat_share, b.area3d_share, b.adaptive_share,
-       CASE WHEN root.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,
+SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.h_p90, b.area_m2, b.building_share,
+       b.multiscale_share, b.flat_share, b.area3d_share, b.adaptive_share,
+       CASE WHEN b.building_share >= 0.5 THEN 1 ELSE 0 END AS classes_for,
        CASE WHEN b.flat_share IS NULL THEN 0 ELSE 1 END + CASE WHEN b.area3d_share IS NULL THEN 0 ELSE 1 END
          + CASE WHEN b.adaptive_share IS NULL THEN 0 ELSE 1 END AS extractors_heard,
        CASE WHEN b.flat_share >= 0.1 THEN 1 ELSE 0 END
@@ -664,15 +677,15 @@ SELECT b.building_id, s.name AS survey, b.state, b.storeys, b.h_p90, b.area_m2, 
        b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-JOIN part AS root ON root.part_id = b.root_id;
+JOIN survey AS s ON s.survey_id = r.survey_id;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_evidence', 'geometry', 'building_id', 'building', 'geometry', 1);
 
 CREATE VIEW footprint_current AS
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
        v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
-       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.building_id, v.attributes, v.geometry
+       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN operator_state AS o ON o.uid = v.uid
@@ -687,7 +700,7 @@ SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey
        e.name AS ended_in,
        (SELECT MIN(c.kind) FROM building_change AS c
         WHERE c.version_before = v.version_id AND c.survey_id = v.closed_by) AS ended_as,
-       v.state, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
+       v.state, v.probability, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
@@ -709,5 +722,5 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0001');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
 

@@ -8,7 +8,7 @@ import geopandas as gpd
 from msbdb.errors import FileError, InputError
 from msbdb.io.vector import existing_files, write_layers
 
-IDS = ("part_id", "supid", "root_id")
+IDS = ("part_id", "supid", "root_id", "building_id")
 """Columns that GeoJSON writes as strings."""
 
 FIELDS = {

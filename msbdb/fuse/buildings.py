@@ -1,91 +1,122 @@
-"""Buildings from the roots of the forest, and the regions of other detectors that support them (V30, V49)."""
+"""Buildings: the islands of roots in which trees of parts stand, and the detectors that support them (V30, V49)."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from msbdb.errors import GridMismatchError, TableError
 from msbdb.grid import Grid
-from msbdb.labels import Labels, height_statistics, order_heights, reorder, shared_cells, sizes, sums
-from msbdb.tables import BUILDING, CONFIRMING_CLASS_SHARE, CONFIRMING_COVER, EXTRACTOR_SHARES, Table
-
-if TYPE_CHECKING:
-    import geopandas as gpd
+from msbdb.labels import Labels, height_statistics, order_heights, shared_cells, sizes, sums
+from msbdb.params import FuseParams
+from msbdb.tables import BUILDING, CONFIRMING_CLASS_SHARE, CONFIRMING_COVER, DETECTOR_SHARES, Table
 
 Ids = NDArray[np.int64]
 
 
-def buildings_from_parts(parts: "gpd.GeoDataFrame", root_labels: NDArray[np.int32], ndsm: Grid) -> "gpd.GeoDataFrame":
-    """Return one building for each root of the forest of parts.
+def label_buildings(parts: pd.DataFrame, root_labels: Labels) -> Labels:
+    """Return which building covers a cell: the roots of one building are one region.
 
     Parameters
     ----------
-    parts : GeoDataFrame
-        ``tables.PART`` with geometry.
+    parts : DataFrame
+        ``tables.PART``, with or without geometry.
     root_labels : (H, W) ndarray of int32
         Row number + 1 in ``parts`` of the root that covers a cell; 0 for none (``Forest.root_labels``).
-    ndsm : Grid
-        Heights above ground on the labels' lattice, metres.
 
     Returns
     -------
-    GeoDataFrame
-        ``tables.BUILDING``, in order of the parts' table, with the root's polygon as footprint (V49) and the parts'
-        CRS.
+    (H, W) ndarray of int32
+        0 for none, otherwise row number + 1 in the buildings in order of their ids.
 
     Raises
     ------
     TableError
         When the labels do not show exactly the roots of the parts.
 
-    Notes
-    -----
-    - ``building_id`` is the root's ID: the building is known by its place. An inventory that is updated may carry an
-      older id on; ``root_id`` then still names the root.
-    - ``state`` says how far heights and classes agree. The heights found every building. It is 'confirmed' when at
-      least half of its root's cells have a building class, and 'unsure' when fewer have, or there are no classes.
-      Only a reference or an operator makes a building 'refuted', so none is here.
-    - ``storeys`` are those of the tallest part; heights are of all valid cells in the footprint. The volume is
-      exact for a surface above flat ground: the sum of height times cell area, in which heights below 0 count as 0.
-    - The shares that other detectors cover are null here; `with_support` adds them.
+    Examples
+    --------
+    Two roots side by side stand in building 4, the third one in building 7:
+
+    >>> parts = pd.DataFrame({"supid": [0, 0, 0], "building_id": [4, 7, 4]})
+    >>> label_buildings(parts, np.array([[1, 3, 0, 2]], dtype=np.int32))
+    array([[1, 1, 0, 2]], dtype=int32)
     """
     is_root = (parts["supid"] == 0).to_numpy()
-    root_rows = np.flatnonzero(is_root)
     _require_roots(root_labels, is_root)
-    footprints = reorder(root_labels, root_rows, len(parts))
-    heights = height_statistics(footprints, slice(0, len(root_rows)), order_heights(ndsm, footprints > 0))
-    roots = parts.iloc[root_rows].reset_index(drop=True)
-    trees = parts.groupby("root_id")
-    summary = pd.DataFrame(
-        {
-            "storeys": trees["hindex"].max(),
-            "parts": trees.size(),
-            "scales": trees["scale"].nunique(),
-        }
-    ).reindex(roots["part_id"])
-    frame = roots.assign(
-        building_id=roots["part_id"],
-        root_id=roots["part_id"],
-        state=np.where(roots["building_share"] >= CONFIRMING_CLASS_SHARE, "confirmed", "unsure"),
-        volume_m3=_volume(footprints, len(root_rows), ndsm),
-        **dict.fromkeys(EXTRACTOR_SHARES.values(), np.nan),
+    _, row = np.unique(parts["building_id"].to_numpy(), return_inverse=True)
+    number = np.concatenate([[0], np.where(is_root, row + 1, 0)]).astype(np.int32)
+    return number[root_labels]
+
+
+def buildings_from_parts(parts: pd.DataFrame, labels: Labels, ndsm: Grid) -> pd.DataFrame:
+    """Return the buildings in which the trees of parts stand.
+
+    Parameters
+    ----------
+    parts : DataFrame
+        ``tables.PART``, with or without geometry.
+    labels : (H, W) ndarray of int32
+        Which building covers a cell (`label_buildings`).
+    ndsm : Grid
+        Heights above ground on the labels' lattice, metres.
+
+    Returns
+    -------
+    DataFrame
+        ``tables.BUILDING`` without geometry, in order of the ids.
+
+    Raises
+    ------
+    TableError
+        When a label has no building.
+
+    Notes
+    -----
+    - ``state`` is 'confirmed' when at least half of the building's cells have a building class, and 'unsure' when
+      fewer have, or there are no classes. `with_support` hears the other detectors.
+    - ``storeys`` are those of the tallest part; heights are of all valid cells in the footprint. The volume is
+      exact for a surface above flat ground: the sum of height times cell area, in which heights below 0 count as 0.
+    - The shares that other detectors cover, and the probability, are null here; `with_support` adds them.
+    """
+    parts = pd.DataFrame(parts)
+    ids = np.unique(parts["building_id"].to_numpy())
+    _require_ids(labels, ids, "building_id")
+    heights = height_statistics(labels, slice(0, len(ids)), order_heights(ndsm, labels > 0))
+    within = parts.groupby("building_id")
+    roots = parts[parts["supid"] == 0]
+    weighted = {name: roots[name] * roots["area_px"] for name in ("xcen", "ycen", "building_share")}
+    cells = roots.groupby("building_id")["area_px"].sum()
+    means = pd.DataFrame(weighted).groupby(roots["building_id"]).sum(min_count=1).div(cells, axis=0)
+    # The largest root gives its id to the building.
+    largest = roots.set_index("part_id").loc[ids, ["speindex", "xin", "yin"]].reset_index(drop=True)
+    frame = largest.assign(
+        building_id=ids,
+        **{name: means[name].to_numpy() for name in means.columns},
+        storeys=within["hindex"].max().to_numpy(),
+        area_m2=cells.to_numpy() * ndsm.spec.cell_area_m2,
+        volume_m3=_volume(labels, len(ids), ndsm),
+        trees=roots.groupby("building_id").size().to_numpy(),
+        parts=within.size().to_numpy(),
+        scales=within["scale"].nunique().to_numpy(),
+        probability=np.nan,
+        **dict.fromkeys(DETECTOR_SHARES.values(), np.nan),
         **{name: heights[name] for name in ("h_max", "h_mean", "h_p50", "h_p90")},
-        **{name: summary[name].to_numpy() for name in summary.columns},
     )
-    return BUILDING.typed(frame)
+    confirmed = frame["building_share"] >= CONFIRMING_CLASS_SHARE
+    return BUILDING.typed(frame.assign(state=np.where(confirmed, "confirmed", "unsure")))
 
 
-def _volume(footprints: NDArray[np.int32], count: int, ndsm: Grid) -> NDArray[np.float64]:
+def _volume(footprints: Labels, count: int, ndsm: Grid) -> NDArray[np.float64]:
     """Return height times area, summed over the valid cells of each footprint, cubic metres."""
     cells = np.flatnonzero((footprints > 0) & ndsm.valid)
     heights = np.maximum(np.asarray(ndsm.values).ravel()[cells].astype(np.float64), 0)
     return sums(footprints.ravel()[cells], heights, count) * ndsm.spec.cell_area_m2
 
 
-def _require_roots(root_labels: NDArray[np.int32], is_root: NDArray[np.bool_]) -> None:
+def _require_roots(root_labels: Labels, is_root: NDArray[np.bool_]) -> None:
     """Refuse labels that do not show exactly the roots of the parts."""
     shown = sizes(root_labels, len(is_root)) > 0
     if shown.size != is_root.size or (shown != is_root).any():
@@ -96,20 +127,27 @@ def _require_roots(root_labels: NDArray[np.int32], is_root: NDArray[np.bool_]) -
         raise TableError(msg)
 
 
-def with_support(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]]) -> pd.DataFrame:
-    """Return buildings with the support of the other detectors: the share that each covers, and the state.
+def with_support(
+    buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float64]], *, params: FuseParams | None = None
+) -> pd.DataFrame:
+    """Return buildings with the support of the detectors: the share that each covers, the probability, and the state.
 
-    A detector supports a building when it covers at least ``CONFIRMING_COVER`` of the footprint. A building that the
-    classes confirm stays confirmed when at least half of the other detectors support it, and is unsure otherwise.
-    Without other detectors the classes alone decide.
+    Where the detectors decide together, their mean share s gives the log-odds of a building, k (s - s₀), and so its
+    probability. It is 'confirmed' from the probability p₁ on, 'refuted' up to 1 - p₁, and 'unsure' between.
+
+    Otherwise a detector supports a building when it covers at least ``CONFIRMING_COVER`` of the footprint. A building
+    that the classes confirm stays confirmed when at least half of the detectors besides ``multiscale`` support it. It
+    is unsure otherwise. Without other detectors the classes alone decide.
 
     Parameters
     ----------
     buildings : DataFrame
         ``tables.BUILDING``.
     shares : mapping of str to (N,) ndarray of float64
-        By detector (``tables.EXTRACTOR_SHARES``), only those that were run: the share of each footprint that its
+        By detector (``tables.DETECTOR_SHARES``), only those that were run: the share of each footprint that its
         regions cover.
+    params : FuseParams, optional
+        ``support_slope`` k, ``support_even`` s₀ and ``sure`` p₁. None where the detectors do not decide together.
 
     Examples
     --------
@@ -118,30 +156,47 @@ def with_support(buildings: pd.DataFrame, shares: Mapping[str, NDArray[np.float6
     >>> buildings = pd.DataFrame({"state": ["confirmed", "confirmed", "unsure"]})
     >>> with_support(buildings, {"flatregions": np.array([0.9, 0.0, 1.0])})["state"].tolist()
     ['confirmed', 'unsure', 'unsure']
+
+    Four detectors together; two of them see the second building:
+
+    >>> seen = {"multiscale": np.array([1.0, 1.0]), "flatregions": np.array([0.9, 0.0])}
+    >>> seen |= {"area3d": np.array([1.0, 1.0]), "adaptive": np.array([0.9, 0.0])}
+    >>> found = with_support(buildings[:2], seen, params=FuseParams())
+    >>> found[["probability", "state"]].round(2).to_numpy().tolist()
+    [[1.0, 'confirmed'], [0.19, 'unsure']]
     """
-    supports = np.zeros(len(buildings), dtype=np.int64)
-    for covered in shares.values():
-        supports += covered >= CONFIRMING_COVER
-    confirmed = (buildings["state"] == "confirmed") & (2 * supports >= len(shares))
-    columns = {EXTRACTOR_SHARES[name]: covered for name, covered in shares.items()}
+    columns = {DETECTOR_SHARES[name]: covered for name, covered in shares.items()}
+    if params is not None:
+        support = np.mean(list(shares.values()), axis=0)
+        probability = expit(params.support_slope * (support - params.support_even))
+        state = np.select(
+            [probability >= params.sure, probability <= 1 - params.sure], ["confirmed", "refuted"], "unsure"
+        )
+        return buildings.assign(**columns, probability=probability, state=state)
+    others = [covered >= CONFIRMING_COVER for name, covered in shares.items() if name != "multiscale"]
+    supports = np.sum(others, axis=0)
+    confirmed = (buildings["state"] == "confirmed") & (2 * supports >= len(others))
     return buildings.assign(**columns, state=np.where(confirmed, "confirmed", "unsure"))
 
 
-def covered_shares(part_ids: Ids, links: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the share of each part's area that the regions of one image cover, from 0 to 1.
-
-    A building's is that of its root, whose cells are the building's footprint.
+def covered_shares(labels: Labels, count: int, regions: Labels) -> NDArray[np.float64]:
+    """Return the share of each building's cells that the regions of a detector cover, from 0 to 1.
 
     Parameters
     ----------
-    part_ids : (N,) ndarray of int64
-        Ids of the parts, or of the roots.
-    links : DataFrame
-        ``tables.PART_FLAT_REGION``, or ``tables.PART_CANDIDATE`` of one detector.
+    labels : (H, W) ndarray of int32
+        Which building covers a cell: 0 for none, otherwise row number + 1.
+    count : int
+        Number of buildings.
+    regions : (H, W) ndarray of int32
+        The detector's regions, 0 for none.
+
+    Examples
+    --------
+    >>> covered_shares(np.array([[1, 1, 2, 2]]), 2, np.array([[5, 0, 0, 0]]))
+    array([0.5, 0. ])
     """
-    shares = links.groupby("part_id")["part_share"].sum().reindex(part_ids, fill_value=0.0)
-    # Shares of disjoint regions may exceed 1 by the rounding of their sum.
-    return np.asarray(np.minimum(shares.to_numpy(dtype=np.float64), 1.0))
+    return sizes(labels[regions > 0], count) / np.maximum(sizes(labels, count), 1)
 
 
 def link_labels(

@@ -69,6 +69,14 @@ def fuse_cells(heights: Grid, regions: Mapping[str, Regions], params: FuseParams
     return decided & ~small_zones(decided, least, connectivity=4)
 
 
+def is_fused(regions: Mapping[str, Regions], params: FuseParams) -> bool:
+    """Return whether the detectors decide together.
+
+    There are three at least, as two have no majority; the multi-scale one, which makes the parts, is among them.
+    """
+    return params.votes and len(regions) > 2 and "multiscale" in regions
+
+
 def _apart(decided: Mask, high: Mask) -> Mask:
     """Keep of the cells below the mask those beside one building, unless they touch those of another."""
     labels, _ = label_zones(high)

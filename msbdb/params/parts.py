@@ -70,6 +70,12 @@ class FuseParams:
         ours="a third of a storey; 0.5 m differs little", low=0.01, high=100)
     piece_m2: float = param(10.0, "m2", "Smaller holes of buildings are filled, and smaller pieces dropped.",
         ours="the finest scale", low=0, high=1e4)
+    support_even: float = param(0.59, "1", "s₀: mean share that the detectors cover of a building of even odds.",
+        ours="fitted to objects of seven places; 0.57 to 0.60 with any of them left out", low=0, high=1)
+    support_slope: float = param(15.8, "1", "k: log-odds of a building by its mean share beyond s₀.",
+        ours="fitted to objects of seven places; 13.2 to 17.6 with any of them left out", low=0, high=1000)
+    sure: float = param(0.9, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",
+        ours="99 of 100 confirmed objects are true on places that the odds were not fitted to", low=0.5, high=1)
 
 
 @dataclass(frozen=True, slots=True)

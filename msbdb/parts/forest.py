@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from msbdb.grid import Grid, GridSpec
 from msbdb.identity import part_ids
-from msbdb.labels import Labels, central_cells, centroids, height_statistics, order_heights, reorder
+from msbdb.labels import Labels, central_cells, centroids, height_statistics, label_zones, order_heights, reorder
 from msbdb.landcover import ClassMap
 from msbdb.params import SurfaceParams
 from msbdb.parts.clusters import ClusterLedger, Clusters, storeys
@@ -61,6 +61,7 @@ class Context:
     scales: pd.DataFrame
     survey: str
     surface: SurfaceParams
+    connectivity: int
 
 
 def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> Forest:
@@ -86,12 +87,14 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     father = link(clusters)
     has_father = father != NONE
     scale = _scale_of(rows, context)
+    roots = find_roots(father)
     parts = pd.DataFrame(
         {
             "part_id": ids[: len(rows)],
             "supid": np.where(has_father, ids[father], 0),
             "supscale": np.where(has_father, scale[father], 0) if len(rows) else scale,
-            "root_id": ids[find_roots(father)],
+            "root_id": ids[roots],
+            "building_id": ids[_largest_roots(clusters, father, ids, context.connectivity)[roots]],
             "scale": scale,
             "hzone": rows["hzone"].to_numpy(),
             **_places(clusters, context.ndsm.spec),
@@ -123,6 +126,29 @@ def _cover(images: tuple[Labels, ...], chosen: NDArray[np.bool_]) -> Labels:
     for image in images[1:]:
         np.maximum(cover, label[image], out=cover)
     return cover
+
+
+def _largest_roots(
+    clusters: Clusters, father: NDArray[np.int64], ids: NDArray[np.int64], connectivity: int
+) -> NDArray[np.int64]:
+    """Return, by the row of a root, the row of the largest root of its building; of equals, that of the smallest id.
+
+    A building is a connected island of roots, with the connectivity of the scale-space.
+    """
+    is_root = father == NONE
+    rows = np.flatnonzero(is_root)
+    largest = np.arange(len(ids))
+    if not len(rows):
+        return largest
+    cover = _cover(clusters.labels, is_root)
+    islands, _ = label_zones(cover > 0, connectivity=connectivity)
+    island = np.zeros(len(ids), dtype=np.int64)
+    island[cover[cover > 0] - 1] = islands[cover > 0]
+    area = clusters.rows["area"].to_numpy()[rows]
+    order = rows[np.lexsort((ids[rows], -area, island[rows]))]
+    first = np.searchsorted(island[order], island[order])
+    largest[order] = order[first]
+    return largest
 
 
 def _scale_of(rows: pd.DataFrame, context: Context) -> NDArray[np.int64]:

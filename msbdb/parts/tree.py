@@ -92,7 +92,9 @@ def extract_parts(
         clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
     step = drop_fake_fathers(clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0])
     clusters = ledger.record("fake fathers", clusters, step)
-    forest = grow_forest(clusters, Context(ndsm, classes, scales, survey, params.surface), ledger)
+    forest = grow_forest(
+        clusters, Context(ndsm, classes, scales, survey, params.surface, params.scale.connectivity), ledger
+    )
     logger.info("Parts: %d, rejected regions: %d", len(forest.parts), len(forest.rejections))
     return forest
 

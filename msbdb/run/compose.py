@@ -17,7 +17,7 @@ from msbdb.detect.flatregions.mongus2013 import lowest_surface
 from msbdb.detect.registry import DETECTORS
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import MsbdbWarning, ParameterError
-from msbdb.fuse.cells import fuse_cells
+from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.grid import Grid
 from msbdb.kept import KeptRun
 from msbdb.params import Params, as_dict, with_values
@@ -155,18 +155,10 @@ def fuse_and_decompose(scene: Scene, regions: Mapping[str, Regions], params: Par
     """Decide which cells are building, and return the tree of parts inside them."""
     built = None
     with stages.stage("fusion"):
-        if is_fused(regions, params):
+        if is_fused(regions, params.fuse):
             built = fuse_cells(scene.heights, regions, params.fuse, mask_m=params.surface.mask_m)
     with stages.stage("parts"):
         return decompose(scene, regions, built, params)
-
-
-def is_fused(regions: Mapping[str, Regions], params: Params) -> bool:
-    """Return whether the detectors decide together.
-
-    There are three at least, as two have no majority; the multi-scale one, which makes the parts, is among them.
-    """
-    return params.fuse.votes and len(regions) > 2 and "multiscale" in regions
 
 
 def decompose(scene: Scene, regions: Mapping[str, Regions], built: NDArray[np.bool_] | None, params: Params) -> Forest:

@@ -8,11 +8,14 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
-from msbdb.fuse.buildings import buildings_from_parts, covered_shares, link_labels, with_support
+from msbdb.fuse.buildings import buildings_from_parts, covered_shares, label_buildings, link_labels, with_support
+from msbdb.fuse.cells import is_fused
 from msbdb.grid import Grid, GridSpec
 from msbdb.kept import Rasters
+from msbdb.labels import Labels
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
 from msbdb.params import POINT_DETECTORS, Params, VectorParams
@@ -71,7 +74,8 @@ def describe(scene: Scene, regions: Mapping[str, Regions], forest: Forest, param
     # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
     counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
     some = {name: stages for name, stages in counts.items() if stages}
-    return Description(make_frames(scene, regions, forest, parts), _rasters(scene, regions), some)
+    frames = make_frames(scene, regions, forest, parts, params)
+    return Description(frames, _rasters(scene, regions), some)
 
 
 def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDataFrame:
@@ -87,16 +91,22 @@ def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDa
         if count <= 0:
             continue
         local = np.where(labels > 0, labels - offset, 0).astype(np.int32)
-        traced = polygonise(local, spec, count)
-        outlines[offset : offset + count] = simplify_coverage(traced, params.simplify_px * spec.cell_m)
+        outlines[offset : offset + count] = _outlines(local, count, spec, params)
         offset += count
     parts = gpd.GeoDataFrame(forest.parts, geometry=list(outlines), crs=spec.crs)
     validate_parts(parts)
     return parts
 
 
+def _outlines(labels: Labels, count: int, spec: GridSpec, params: VectorParams) -> NDArray[np.object_]:
+    """Return the outline of each of the labelled regions, which do not overlap."""
+    if not count:
+        return np.empty(0, dtype=object)
+    return simplify_coverage(polygonise(labels, spec, count), params.simplify_px * spec.cell_m)
+
+
 def make_frames(
-    scene: Scene, regions: Mapping[str, Regions], forest: Forest, parts: gpd.GeoDataFrame
+    scene: Scene, regions: Mapping[str, Regions], forest: Forest, parts: gpd.GeoDataFrame, params: Params
 ) -> dict[str, pd.DataFrame]:
     """Return all tables of the run, checked against their declarations.
 
@@ -110,6 +120,8 @@ def make_frames(
         The parts; empty where none were sought.
     parts : GeoDataFrame
         The same parts with their outlines.
+    params : Params
+        Sections ``fuse`` and ``vector``.
     """
     spec = scene.heights.spec
     link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
@@ -123,9 +135,12 @@ def make_frames(
         ids = found.table["candidate_id"].to_numpy()
         links[found.method] = link(forest.labels, part_ids, found.labels, ids, table=PART_CANDIDATE)
         between.append(link([flat.labels], flat_ids, found.labels, ids, table=FLAT_REGION_CANDIDATE))
-    buildings = buildings_from_parts(parts, forest.root_labels, scene.heights)
-    roots = buildings["root_id"].to_numpy()
-    buildings = with_support(buildings, {name: covered_shares(roots, found) for name, found in links.items()})
+    labels = label_buildings(parts, forest.root_labels)
+    buildings = buildings_from_parts(parts, labels, scene.heights)
+    fusion = params.fuse if is_fused(regions, params.fuse) else None
+    shares = {name: covered_shares(labels, len(buildings), found.labels) for name, found in regions.items()}
+    outlines = _outlines(labels, len(buildings), spec, params.vector)
+    buildings = gpd.GeoDataFrame(with_support(buildings, shares, params=fusion), geometry=outlines, crs=spec.crs)
     rejections = _joined(forest.rejections, [flat.ledger, *(found.ledger for found in candidates)])
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     none = no_regions("area3d", CANDIDATE_REGION, spec)

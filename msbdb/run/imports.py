@@ -20,7 +20,17 @@ from msbdb.tables import EXTRACTOR_SHARES
 SINCE_EVER = "0001-01-01"
 """First day of an inventory of unknown age."""
 
-MEASURED = ("storeys", "h_max", "h_mean", "h_p50", "h_p90", "volume_m3", "parts", *EXTRACTOR_SHARES.values())
+MEASURED = (
+    "storeys",
+    "h_max",
+    "h_mean",
+    "h_p50",
+    "h_p90",
+    "volume_m3",
+    "parts",
+    *EXTRACTOR_SHARES.values(),
+    "probability",
+)
 
 
 def take_inventory(

@@ -53,7 +53,7 @@ ATTEMPTS = 5
 
 MEASURED_FIRST = "its heights are known for the first time"
 
-FROM_SURVEY = ("state", "storeys", "parts", *EXTRACTOR_SHARES.values())
+FROM_SURVEY = ("state", "storeys", "parts", *EXTRACTOR_SHARES.values(), "probability")
 
 HEIGHTS = ("h_max", "h_mean", "h_p50", "h_p90")
 

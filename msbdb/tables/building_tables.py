@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 EXTRACTOR_SHARES = {"flatregions": "flat_share", "area3d": "area3d_share", "adaptive": "adaptive_share"}
 """The detectors that can confirm parts and buildings, each with the column of the share that its regions cover."""
 
+DETECTOR_SHARES = {"multiscale": "multiscale_share"} | EXTRACTOR_SHARES
+"""All detectors with the column of a building that has the share which their regions cover."""
+
 CONFIRMING_CLASS_SHARE = 0.5
 """The classes confirm a building when at least this share of its cells has a building class."""
 
@@ -51,6 +54,7 @@ PART = Table(
         Column("father_id", "int64", "-", "SUPID, but null for a root", nullable=True, zero_of="supid", in_frame=False),
         Column("supscale", "int64", "-", "SUPSCALE: the father's scale; 0 for a root"),
         Column("root_id", "int64", "-", "ID of the root of its tree"),
+        Column("building_id", "int64", "-", "the building in which its tree stands"),
         Column("scale", "int64", "-", "SCALE: the scale on which the part exists, 1 = coarsest"),
         Column(
             "hindex",
@@ -91,6 +95,7 @@ PART = Table(
             ("part_id", "scale", "root_id", "run_id"),
             deferred=True,
         ),
+        KeyReference(("building_id", "run_id"), "building", ("building_id", "run_id"), deferred=True),
         KeyReference(("run_id", "scale"), "scale", ("run_id", "scale")),
         KeyReference(("run_id", "class_id"), "spectral_class", ("run_id", "speindex")),
         Check("part_id", "part_id > 0"),
@@ -105,24 +110,52 @@ PART = Table(
     indexes=(
         Index(("father_id", "supscale", "root_id", "run_id")),
         Index(("root_id",)),
+        Index(("building_id", "run_id")),
         Index(("run_id", "scale")),
         Index(("run_id", "class_id")),
     ),
     geometry="MULTIPOLYGON",
 )
 
+
+def _covered() -> tuple[Column, ...]:
+    """Return a column for each detector: the share of the footprint that its regions cover."""
+    words = {
+        "multiscale": "regions of multiscale cover",
+        "flatregions": "flat regions cover",
+        "area3d": "candidates of area3d cover",
+        "adaptive": "candidates of adaptive cover",
+    }
+    return tuple(
+        Column(
+            DETECTOR_SHARES[name],
+            "float64",
+            "1",
+            f"share of the footprint that {what}; null when this detector was not run",
+            nullable=True,
+        )
+        for name, what in words.items()
+    )
+
+
 BUILDING = Table(
     "building",
-    "A building: a root part with the summary of its tree",
+    "A building: one connected island of roofs that the detectors support, with one or more trees of parts",
     (
-        Column("building_id", "int64", "-", "stable id of the building", primary=True),
+        Column("building_id", "int64", "-", "stable id of the building: the ID of its largest root", primary=True),
         RUN_ID,
-        Column("root_id", "int64", "-", "ID of its root part"),
         Column(
             "state",
             "str",
             "-",
-            "confirmed: by the classes and at least half of the other detectors that were run; else unsure or refuted",
+            "confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors",
+        ),
+        Column(
+            "probability",
+            "float64",
+            "1",
+            "probability that it is a building, from the support of all detectors; null with fewer than three",
+            nullable=True,
         ),
         Column("storeys", "int64", "storeys", "storeys of its tallest part"),
         Column("h_max", "float64", "m", "largest height above ground"),
@@ -131,41 +164,26 @@ BUILDING = Table(
         Column("h_p90", "float64", "m", "90th percentile of the height above ground"),
         Column("area_m2", "float64", "m2", "area of the footprint's cells"),
         Column("volume_m3", "float64", "m3", "sum over the footprint's cells of height times cell area"),
-        Column("parts", "int64", "count", "number of parts, the root included"),
+        Column("trees", "int64", "count", "number of its trees of parts; one root each"),
+        Column("parts", "int64", "count", "number of parts, the roots included"),
         Column("scales", "int64", "count", "number of scales on which it has parts"),
-        Column("speindex", "int64", "-", "the root's spectral class; 0 for none"),
+        Column("speindex", "int64", "-", "the spectral class of its largest root; 0 for none"),
         _CLASS_ID,
-        Column(
-            "flat_share",
-            "float64",
-            "1",
-            "share of the footprint that flat regions cover; null when this detector was not run",
-            nullable=True,
-        ),
-        Column(
-            "area3d_share",
-            "float64",
-            "1",
-            "share of the footprint that candidates of area3d cover; null when this detector was not run",
-            nullable=True,
-        ),
-        Column(
-            "adaptive_share",
-            "float64",
-            "1",
-            "share of the footprint that candidates of adaptive cover; null when this detector was not run",
-            nullable=True,
-        ),
+        Column("building_share", "float64", "1", "share of its cells whose class is a building class"),
+        Column("xcen", "float64", "m", "easting of the centroid of its cells"),
+        Column("ycen", "float64", "m", "northing of the centroid of its cells"),
+        Column("xin", "float64", "m", "easting of a point that lies on the building"),
+        Column("yin", "float64", "m", "northing of a point that lies on the building"),
+        *_covered(),
     ),
     rules=(
-        Unique(("root_id",)),
-        KeyReference(("root_id",), "part", ("part_id",), deferred=True),
+        Unique(("building_id", "run_id")),
         KeyReference(("run_id", "class_id"), "spectral_class", ("run_id", "speindex")),
         Check("building_id", "building_id > 0"),
         one_of("state", BUILDING_STATES),
         Check("size", "storeys >= 0 AND area_m2 > 0"),
-        Check("parts", "parts >= 1 AND scales >= 1"),
-        *shares(*EXTRACTOR_SHARES.values()),
+        Check("parts", "trees >= 1 AND parts >= trees AND scales >= 1"),
+        *shares("probability", "building_share", *DETECTOR_SHARES.values()),
     ),
     indexes=(Index(("run_id", "class_id")),),
     geometry="MULTIPOLYGON",
@@ -389,6 +407,11 @@ def validate_parts(parts: "pd.DataFrame") -> None:
     _require(father["scale"].to_numpy() < child["scale"].to_numpy(), child, "has a father on no coarser scale")
     _require(child["area_px"].to_numpy() < father["area_px"].to_numpy(), child, "is not smaller than its father")
     _require(father["root_id"].to_numpy() == child["root_id"].to_numpy(), child, "has another root than its father")
+    _require(
+        father["building_id"].to_numpy() == child["building_id"].to_numpy(),
+        child,
+        "is in another building than its father",
+    )
     root = parts[parts["supid"] == 0]
     _require(
         (root["supscale"] == 0) & (root["root_id"] == root["part_id"]), root, "is a root with a father's scale or root"

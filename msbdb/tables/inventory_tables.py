@@ -88,7 +88,7 @@ BUILDING_VERSION = Table(
         BUILDING["state"],
         *_measured("storeys", "h_max", "h_mean", "h_p50", "h_p90"),
         Column("area_m2", "float64", "m2", "area of the footprint"),
-        *_measured("volume_m3", "parts", "flat_share", "area3d_share", "adaptive_share"),
+        *_measured("volume_m3", "parts", "flat_share", "area3d_share", "adaptive_share", "probability"),
         Column(
             "attributes",
             "json",
@@ -107,7 +107,7 @@ BUILDING_VERSION = Table(
         one_of("state", BUILDING_STATES),
         Check("area", "area_m2 > 0"),
         Check("parts", "storeys >= 0 AND parts >= 1"),
-        *shares(*EXTRACTOR_SHARES.values()),
+        *shares(*EXTRACTOR_SHARES.values(), "probability"),
     ),
     indexes=(
         Index(("uid", "valid_from")),

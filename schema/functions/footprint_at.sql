@@ -5,13 +5,14 @@ RETURNS TABLE (
   version_id bigint, uid bigint, valid_from text, valid_to text, source text, survey text, state text,
   found_state text, operator text, note text, storeys bigint, h_max double precision, h_mean double precision,
   h_p50 double precision, h_p90 double precision, area_m2 double precision, volume_m3 double precision, parts bigint,
-  flat_share double precision, area3d_share double precision, adaptive_share double precision, building_id bigint,
-  attributes json, geometry geometry
+  flat_share double precision, area3d_share double precision, adaptive_share double precision,
+  probability double precision, building_id bigint, attributes json, geometry geometry
 )
 LANGUAGE sql STABLE AS $$
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
        v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
-       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.building_id, v.attributes, v.geometry
+       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN operator_state AS o ON o.uid = v.uid

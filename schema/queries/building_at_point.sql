@@ -4,16 +4,16 @@
 -- :northing = null  northing of the point, metres; null takes a point on the building of most parts
 WITH place AS (
   SELECT COALESCE(CAST(:easting AS DOUBLE PRECISION), (
-           SELECT xin FROM building JOIN part ON part_id = building.root_id ORDER BY parts DESC, building_id LIMIT 1
+           SELECT xin FROM building ORDER BY parts DESC, building_id LIMIT 1
          )) AS easting,
          COALESCE(CAST(:northing AS DOUBLE PRECISION), (
-           SELECT yin FROM building JOIN part ON part_id = building.root_id ORDER BY parts DESC, building_id LIMIT 1
+           SELECT yin FROM building ORDER BY parts DESC, building_id LIMIT 1
          )) AS northing
 ), spot AS (
   SELECT ST_GeomFromText('POINT(' || CAST(easting AS TEXT) || ' ' || CAST(northing AS TEXT) || ')',
                          (SELECT ST_SRID(geometry) FROM building LIMIT 1)) AS point
   FROM place
 )
-SELECT b.building_id, b.survey, b.state, b.storeys, b.h_max, b.area_m2, b.volume_m3, b.parts, b.class_label
+SELECT b.building_id, b.survey, b.state, b.probability, b.storeys, b.h_max, b.area_m2, b.volume_m3, b.trees, b.parts, b.class_label
 FROM spot JOIN building_summary AS b ON ST_Intersects(b.geometry, spot.point)
 ORDER BY b.building_id;

@@ -1,13 +1,14 @@
--- Which parts does a building have? Its tree, fathers before children, each part below its father.
+-- Which parts does a building have? Its trees, fathers before children, each part below its father.
 --
 -- :building_id = null  the building; null takes the one of most parts
 WITH RECURSIVE chosen AS (
-  SELECT root_id FROM building
+  SELECT building_id FROM building
   WHERE building_id = COALESCE(
     CAST(:building_id AS BIGINT), (SELECT building_id FROM building ORDER BY parts DESC, building_id LIMIT 1)
   )
 ), tree (part_id, depth, path) AS (
-  SELECT part_id, 0, CAST(part_id AS TEXT) FROM part WHERE part_id = (SELECT root_id FROM chosen)
+  SELECT part_id, 0, CAST(part_id AS TEXT) FROM part
+  WHERE building_id = (SELECT building_id FROM chosen) AND supid = 0
   UNION ALL
   SELECT child.part_id, tree.depth + 1, tree.path || '/' || CAST(child.part_id AS TEXT)
   FROM tree JOIN part AS child ON child.father_id = tree.part_id

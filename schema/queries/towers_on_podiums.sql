@@ -2,7 +2,7 @@
 --
 -- :storeys = 2  fewest storeys by which a part rises above its father
 -- :survey = null  name of a survey; null takes all
-SELECT tower.part_id, tower.root_id, tower.hindex - podium.hindex AS rises_storeys, tower.h_max, tower.area_m2,
+SELECT tower.part_id, tower.building_id, tower.hindex - podium.hindex AS rises_storeys, tower.h_max, tower.area_m2,
        podium.part_id AS podium_id, podium.hindex AS podium_storeys, tower.area_m2 / podium.area_m2 AS area_share
 FROM part AS tower
 JOIN part AS podium ON podium.part_id = tower.father_id

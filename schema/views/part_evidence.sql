@@ -1,6 +1,6 @@
 -- The parts with evidence from other detectors: the share that flat regions, candidates of area3d and candidates of
 -- adaptive cover, and the number of these regions; null for a detector that was not run.
-SELECT p.part_id, s.name AS survey, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
+SELECT p.part_id, s.name AS survey, p.building_id, p.root_id, p.supid, p.scale, p.hindex, p.area_m2, p.building_share,
        CASE WHEN flat.method IS NOT NULL THEN COALESCE((
          SELECT SUM(l.part_share) FROM part_flat_region AS l WHERE l.part_id = p.part_id), 0.0) END AS flat_share,
        CASE WHEN flat.method IS NOT NULL THEN (

@@ -44,7 +44,7 @@ def test_a_survey_of_copies_is_a_sound_build(script, tile):
     boxes = np.concatenate([shapely.bounds(np.asarray(s.frames["building"]["geometry"])) for s in surveys])
     assert len(np.unique(boxes, axis=0)) == len(boxes)
     np.testing.assert_allclose(boxes[:4] - boxes[4:8], [[-lattice.step[0], 0, -lattice.step[0], 0]] * 4)
-    roots = surveys[0].frames["part"].set_index("part_id").loc[surveys[0].frames["building"]["root_id"]]
+    roots = surveys[0].frames["part"].set_index("part_id").loc[surveys[0].frames["building"]["building_id"]]
     shapes = np.asarray(surveys[0].frames["building"]["geometry"])
     assert shapely.intersects(shapes, shapely.points(roots["xin"], roots["yin"])).all()
     assert (shapely.to_wkb(np.asarray(tile.frames["building"]["geometry"])) == before).all()

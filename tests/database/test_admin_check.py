@@ -161,8 +161,8 @@ CORRUPTIONS = [
         "a part more than was kept",
         *("ledger", "part", f"run_id={RUN}", "7 parts"),
         sql=(
-            f"INSERT INTO part (part_id, supid, supscale, root_id, {KEPT}) "
-            f"SELECT 99, 0, 0, 99, {KEPT} FROM part WHERE part_id = {HOUSE}",
+            f"INSERT INTO part (part_id, supid, supscale, root_id, building_id, {KEPT}) "
+            f"SELECT 99, 0, 0, 99, building_id, {KEPT} FROM part WHERE part_id = {HOUSE}",
         ),
     ),
     Corruption(
@@ -176,14 +176,14 @@ CORRUPTIONS = [
         sql=(f"UPDATE building SET parts = 9 WHERE building_id = {PODIUM}",),
     ),
     Corruption(
-        "a root without a building",
-        *("buildings", "part", f"part_id={HOUSE}", "no building has this root"),
+        "a part without a building",
+        *("buildings", "part", f"part_id={HOUSE}", "its building does not exist"),
         sql=(f"DELETE FROM building WHERE building_id = {HOUSE}",),
     ),
     Corruption(
-        "a building on a part that is no root",
-        *("buildings", "building", f"building_id={HOUSE}", f"part {SLAB} is no root"),
-        sql=(f"UPDATE building SET root_id = {SLAB} WHERE building_id = {HOUSE}",),
+        "a part in another building than its root",
+        *("buildings", "part", f"part_id={LIFT}", f"it is in building {HOUSE}"),
+        sql=(f"UPDATE part SET building_id = {HOUSE} WHERE part_id = {LIFT}",),
     ),
     Corruption(
         "a share above 1",

@@ -34,7 +34,7 @@ def fill(engine: Engine) -> None:
     """Import an inventory, update it by two surveys, and let operators speak."""
     frame = footprints(ROW)
     values = dict.fromkeys(("storeys", "h_max", "h_mean", "h_p50", "h_p90", "volume_m3", "parts"))
-    shares = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share"))
+    shares = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share", "probability"))
     keys = [str(n) for n in range(len(frame))]
     attributes = [{"käse": f"{n}'; --", "number": n} for n in range(len(frame))]
     office = frame.assign(key=keys, state="unsure", area_m2=frame.area, attributes=attributes, **values, **shares)

@@ -74,7 +74,7 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
         ["buildings", "floor_area_m2"],
         [(4, 4220.0 + 200 + 3200 + 30)],
     ),
-    ("plain_buildings", {}, ["part_id", "area_m2"], [(BLOCK, 800.0), (HOUSE, 100.0)]),
+    ("plain_buildings", {}, ["building_id", "area_m2"], [(BLOCK, 800.0), (HOUSE, 100.0)]),
     ("densest_blocks", {"count": 1}, ["buildings", "built_share", "most_storeys"], [(3, 0.21, 7)]),
     ("towers_on_podiums", {}, ["part_id", "rises_storeys", "podium_id"], [(SLAB, 3, PODIUM)]),
     ("parts_by_scale", {}, ["scale", "parts", "roots"], [(1, 2, 2), (2, 2, 1), (3, 2, 1)]),

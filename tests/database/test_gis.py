@@ -57,7 +57,7 @@ LAYERS = {
     "part": Layer("part_id", "Multi Polygon", WHOLE, PARTS, ("supid", "root_id")),
     "building": Layer("building_id", "Multi Polygon", WHOLE, ROOTS),
     "rejection": Layer("rejection_id", "Point", (WEST + 20, SOUTH + 15, WEST + 160, SOUTH + 20), None),
-    "footprint": Layer("part_id", "Multi Polygon", WHOLE, ROOTS),
+    "footprint": Layer("building_id", "Multi Polygon", WHOLE, ROOTS),
     "part_tree": Layer("part_id", "Multi Polygon", WHOLE, PARTS, ("supid", "root_id")),
     "building_summary": Layer("building_id", "Multi Polygon", WHOLE, ROOTS),
     "flat_region": Layer(
@@ -166,7 +166,7 @@ def test_extents_follow_the_content(tmp_path: Path) -> None:
     write_build(engine, small_build())
     build = small_build(version="2")
     for name in ("part", "building"):
-        build.frames[name] = build.frames[name][build.frames[name]["root_id"] != SHED]
+        build.frames[name] = build.frames[name][build.frames[name]["building_id"] != SHED]
     build.frames["part_candidate"] = build.frames["part_candidate"][build.frames["part_candidate"]["part_id"] != SHED]
     write_build(engine, build)
     for name, count in (("part", 5), ("footprint", 3), ("part_tree", 5), ("building_summary", 3)):

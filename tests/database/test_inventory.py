@@ -283,8 +283,9 @@ def test_an_imported_building_that_the_extraction_misses_still_stands(engine: En
     """Where the inventory has no heights, a building is gone when its place is open, not when it was overlooked."""
     write_import(engine, "cadastre", "2015-01-01", office_frame(ROW), digest="a")
     build = built(*FIRST)
-    found = build.frames["building"]
-    without = {**build.frames, "building": found.iloc[1:].reset_index(drop=True)}
+    first = build.frames["building"]["building_id"].iloc[0]
+    kept = {name: build.frames[name].query("building_id != @first") for name in ("building", "part")}
+    without = {**build.frames, **{name: frame.reset_index(drop=True) for name, frame in kept.items()}}
     write_build(engine, replace(build, frames=without))
     assert advance(engine.url, "s1").counts["unchanged"] == 8
 
@@ -300,7 +301,7 @@ def office_frame(houses: list[House]) -> pd.DataFrame:
     """Return footprints as an import hands them over."""
     frame = footprints(houses)
     values = dict.fromkeys(("storeys", "h_max", "h_mean", "h_p50", "h_p90", "volume_m3", "parts"))
-    shares = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share"))
+    shares = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share", "probability"))
     keys = [str(n) for n in range(len(frame))]
     attributes = [{"number": n, "owner": "O'Hara; DROP TABLE part"} for n in range(len(frame))]
     return frame.assign(key=keys, state="unsure", area_m2=frame.area, attributes=attributes, **values, **shares)
@@ -386,7 +387,7 @@ def test_the_example_queries_tell_of_the_inventory(engine: Engine) -> None:
         "UPDATE building_version SET state = 'lost'",
         "INSERT INTO building_version SELECT version_id + 1, uid, valid_from, valid_to, source, survey_id, closed_by, "
         "building_id, state, storeys, h_max, h_mean, h_p50, h_p90, area_m2, volume_m3, parts, flat_share, "
-        "area3d_share, adaptive_share, attributes, geometry, row_digest FROM building_version",
+        "area3d_share, adaptive_share, probability, attributes, geometry, row_digest FROM building_version",
         "UPDATE building_change SET kind = 'not surveyed'",
         "UPDATE building_change SET uid_after = NULL",
         "UPDATE inventory_event SET kind = 'import'",

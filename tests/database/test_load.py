@@ -360,7 +360,8 @@ BAD = {
     "an infinite area": ("building", {"area_m2": np.inf}, "area_m2 is missing or infinite"),
     "an unknown scale": ("part", {"scale": 9}, "scale refers to no row"),
     "an unknown class": ("building", {"speindex": 9}, "speindex refers to no row"),
-    "a building without root": ("building", {"root_id": SLAB}, "root_id refers to no row"),
+    "a part without building": ("part", {"row": 5, "building_id": SLAB}, "building_id refers to no row"),
+    "a part in another building": ("part", {"row": 1, "building_id": HOUSE}, "in another building than its father"),
     "a scale given twice": ("scale", {"scale": 2}, "scale is given twice"),
     "a flat region given twice": ("flat_region", {"region_id": WING}, "region_id is given twice"),
     "a link given twice": (
@@ -532,13 +533,13 @@ def test_both_dialects_dump_the_same(tmp_path, new_postgis) -> None:
 
 
 def test_views_show_the_trees(engine: Engine) -> None:
-    """Footprints are the roots, the tree has depths and paths, and the summary estimates floor areas."""
+    """Footprints are the buildings, the tree has depths and paths, and the summary estimates floor areas."""
     write_build(engine, small_build())
     with engine.connect() as connection:
-        roots = connection.execute(text("SELECT part_id, state FROM footprint ORDER BY part_id")).all()
+        roots = connection.execute(text("SELECT building_id, state, trees FROM footprint ORDER BY building_id")).all()
         tree = connection.execute(text("SELECT part_id, depth, path FROM part_tree ORDER BY part_id")).all()
         floors = connection.execute(text("SELECT floor_area_m2 FROM building_summary ORDER BY building_id")).all()
-    assert roots == [(part, "confirmed") for part in (PODIUM, HOUSE, BLOCK, SHED)]
+    assert roots == [(building, "confirmed", 1) for building in (PODIUM, HOUSE, BLOCK, SHED)]
     assert tree[2] == (LIFT, 2, f"{PODIUM}/{SLAB}/{LIFT}")
     assert [depth for _, depth, _ in tree] == [0, 1, 2, 0, 0, 0]
     assert [area for (area,) in floors] == [3 * 1200 + 3 * 200 + 20, 200, 3200, 30]
@@ -606,7 +607,7 @@ def test_a_building_shows_its_evidence(engine: Engine) -> None:
     """The number of other detectors that were run, and of those that cover enough of it to confirm it."""
     write_build(engine, small_build())
     write_build(engine, small_build("leiden", "flatregions,multiscale", shift=1000))
-    build = changed(small_build("gouda", "multiscale", shift=2000), "part", 3, building_share=0.4375)
+    build = changed(small_build("gouda", "multiscale", shift=2000), "building", 1, building_share=0.4375)
     write_build(engine, build)
     query = "SELECT survey, classes_for, extractors_heard, extractors_for FROM building_evidence ORDER BY building_id"
     with engine.connect() as connection:

@@ -76,7 +76,7 @@ def test_an_upgrade_that_fails_at_the_end_changes_nothing(
         patch.setattr(dialect_of(database_url(target)), "after_load", full)
         with pytest.raises(DatabaseError, match="no space"):
             open_database(target, create=True)
-    assert (version(old), schema(old), list(canonical_dump(old))) == ("0001", before, content)
+    assert (version(old), schema(old), list(canonical_dump(old))) == ("0002", before, content)
     open_database(target, create=True)
     assert list(canonical_dump(old)) == content
 
@@ -87,7 +87,7 @@ def test_a_downgraded_schema_is_the_old_one(old: Engine, target: str) -> None:
     upgrade_schema(target)
     assert schema(old) != before
     downgrade_schema(target, force=True)
-    assert version(old) == "0001"
+    assert version(old) == "0002"
     assert schema(old) == before
 
 

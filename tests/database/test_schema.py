@@ -123,7 +123,7 @@ def test_the_dictionary_names_everything() -> None:
 def test_views_and_tables_agree_on_what_confirms() -> None:
     """The numbers in the view's text are those that the package decides by."""
     text_of = {view.name: view.sql for view in VIEWS}["building_evidence"]
-    assert f"root.building_share >= {CONFIRMING_CLASS_SHARE} " in text_of
+    assert f"b.building_share >= {CONFIRMING_CLASS_SHARE} " in text_of
     for column in ("flat_share", "area3d_share", "adaptive_share"):
         assert f"b.{column} >= {CONFIRMING_COVER} " in text_of
 

@@ -43,7 +43,7 @@ def scene():
     parts["root_id"], parts["supscale"], parts["scale"] = BIG, [0, 1], [1, 3]
     parts["stddis"] = [1.25, np.nan]
     buildings = filled(tables.BUILDING, 1, crs, [shapely.MultiPolygon([ring])])
-    buildings["building_id"] = buildings["root_id"] = BIG
+    buildings["building_id"] = parts["building_id"] = BIG
     tables.validate(parts, tables.PART)
     tables.validate(buildings, tables.BUILDING)
     regions = filled(tables.FLAT_REGION, 1, crs, [child])

@@ -10,7 +10,7 @@ from pyproj import CRS
 from shapely import MultiPolygon, box
 
 from msbdb.errors import TableError
-from msbdb.fuse.buildings import buildings_from_parts
+from msbdb.fuse.buildings import buildings_from_parts, label_buildings
 from msbdb.grid import Grid, GridSpec
 from msbdb.landcover import ClassMap
 from msbdb.params import Params
@@ -42,11 +42,16 @@ def build(share=1.0, *, classes=True):
     return gpd.GeoDataFrame(forest.parts, geometry=squares, crs=UTM), forest.root_labels, ndsm
 
 
-def test_one_building_a_root_with_its_summary():
+def made(parts, roots, ndsm):
+    """Return the buildings of parts."""
+    return buildings_from_parts(parts, label_buildings(parts, roots), ndsm)
+
+
+def test_a_building_has_the_summary_of_its_trees():
     """Storeys of the tallest part, parts and scales of the tree, heights and volume of the footprint."""
     parts, labels, ndsm = build()
-    buildings = buildings_from_parts(parts, labels, ndsm)
-    validate(buildings, BUILDING)
+    buildings = made(parts, labels, ndsm)
+    validate(buildings.assign(geometry=None), BUILDING)
     podium = buildings.sort_values("parts").iloc[-1]
     assert len(buildings) == 2
     assert podium[["storeys", "parts", "scales"]].tolist() == [10, 2, 2]
@@ -54,38 +59,58 @@ def test_one_building_a_root_with_its_summary():
     assert podium["volume_m3"] == pytest.approx((400 - 64) * 0.25 * 6.5 + 64 * 0.25 * 30.5)
     assert podium["h_max"] == 30.5
     assert podium["h_p50"] == 6.5
-    assert podium["building_id"] == podium["root_id"] == parts.set_index("supid").loc[podium["root_id"], "root_id"]
-    assert buildings.crs == UTM
+    assert podium["building_id"] == parts.set_index("supid").loc[podium["building_id"], "root_id"]
+    assert buildings["trees"].tolist() == [1, 1]
 
 
-def test_heights_of_a_building_are_those_of_its_root():
+def test_a_building_of_one_root_has_what_its_root_has():
     """The footprint is the root, so both tables agree."""
     parts, labels, ndsm = build()
-    buildings = buildings_from_parts(parts, labels, ndsm)
-    roots = parts.set_index("part_id").loc[buildings["root_id"]]
-    for name in ("h_max", "h_mean", "h_p50", "h_p90", "area_m2"):
-        assert buildings[name].tolist() == roots[name].tolist()
+    buildings = made(parts, labels, ndsm)
+    roots = parts.set_index("part_id").loc[buildings["building_id"]]
+    for name in ("h_max", "h_mean", "h_p50", "h_p90", "area_m2", "xcen", "ycen", "xin", "yin", "building_share"):
+        assert buildings[name].tolist() == pytest.approx(roots[name].tolist(), rel=1e-12)
+
+
+def test_roots_that_touch_are_one_building():
+    """Four wings of different height, of which two meet at a corner: one island, and a tree for each wing."""
+    heights = np.zeros((30, 60), dtype=np.float32)
+    heights[2:12, 2:12], heights[2:12, 12:32], heights[12:28, 32:50] = 6.5, 24.5, 12.5
+    heights[20:28, 2:12] = 9.5
+    spec = GridSpec((30, 60), Affine(0.5, 0, 389_000, 0, -0.5, 5_821_000), UTM)
+    ndsm = Grid(heights, np.ones(heights.shape, dtype=bool), spec)
+    classes = ClassMap(np.where(heights > 0, 2, 0).astype(np.uint8), {2: "building"}, spec)
+    params = replace(Params(), scale=replace(Params().scale, scales_m2=(5.0,)))
+    forest = extract_parts(ndsm, classes, survey="test", params=params)
+    buildings = made(forest.parts, forest.root_labels, ndsm).sort_values("area_m2")
+    assert buildings["trees"].tolist() == [1, 3]
+    assert buildings["area_m2"].tolist() == [20.0, (100 + 200 + 288) / 4]
+    largest = forest.parts.sort_values("area_m2").iloc[-1]
+    assert buildings["building_id"].iloc[-1] == largest["part_id"]
+    assert buildings["h_max"].tolist() == [9.5, 24.5]
+    assert buildings["storeys"].iloc[-1] == forest.parts["hindex"].max()
+    inside = heights[12:28, 32:50].size, heights[2:12, 2:32].size
+    assert buildings["xcen"].iloc[-1] == pytest.approx(389_000 + (inside[0] * 20.5 + inside[1] * 8.5) / sum(inside))
 
 
 @pytest.mark.parametrize(("share", "state"), [(1.0, "confirmed"), (0.5, "confirmed"), (0.4, "unsure")])
 def test_classes_confirm_a_building(share, state):
     """Half of the root's cells must have a building class."""
-    buildings = buildings_from_parts(*build(share))
+    buildings = made(*build(share))
     assert buildings.sort_values("parts")["state"].tolist() == [state, "confirmed"]
 
 
 def test_without_classes_a_building_is_unsure():
     """Heights or classes alone are not enough."""
-    assert set(buildings_from_parts(*build(classes=False))["state"]) == {"unsure"}
+    assert set(made(*build(classes=False))["state"]) == {"unsure"}
 
 
 def test_no_parts_make_no_buildings():
-    """An empty forest gives an empty table with the parts' CRS."""
+    """An empty forest gives an empty table."""
     parts, labels, ndsm = build()
-    buildings = buildings_from_parts(parts.iloc[:0], np.zeros_like(labels), ndsm)
-    validate(buildings, BUILDING)
+    buildings = made(parts.iloc[:0], np.zeros_like(labels), ndsm)
+    validate(buildings.assign(geometry=None), BUILDING)
     assert len(buildings) == 0
-    assert buildings.crs == UTM
 
 
 def test_another_forest_is_refused():
@@ -93,4 +118,6 @@ def test_another_forest_is_refused():
     parts, _, ndsm = build()
     _, other, _ = build(0.0)
     with pytest.raises(TableError, match="Take both from one build"):
-        buildings_from_parts(parts, other, ndsm)
+        label_buildings(parts, other)
+    with pytest.raises(TableError, match="has no building_id"):
+        buildings_from_parts(parts.iloc[:1], label_buildings(*build()[:2]), ndsm)

@@ -5,10 +5,9 @@ import pytest
 from pyproj import CRS
 
 from msbdb.detect.scene import Regions
-from msbdb.fuse.cells import fuse_cells
+from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.grid import Grid, lattice
-from msbdb.params import FuseParams, Params, with_values
-from msbdb.run.compose import is_fused
+from msbdb.params import FuseParams
 
 PARAMS = FuseParams()
 SHAPE = (40, 60)
@@ -105,6 +104,6 @@ def test_two_detectors_and_the_papers_profiles_leave_it_to_the_multiscale_one():
     three = {
         name: Regions(name, NONE.astype(np.int32), None, None, {}) for name in ("area3d", "adaptive", "multiscale")
     }
-    assert is_fused(three, Params())
-    assert not is_fused({name: three[name] for name in ("area3d", "multiscale")}, Params())
-    assert not is_fused(three, with_values(Params(), {"fuse": {"votes": False}}))
+    assert is_fused(three, FuseParams())
+    assert not is_fused({name: three[name] for name in ("area3d", "multiscale")}, FuseParams())
+    assert not is_fused(three, FuseParams(votes=False))

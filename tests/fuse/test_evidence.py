@@ -55,7 +55,8 @@ def test_links_equal_a_count_pair_by_pair():
         if (cells := np.count_nonzero((labels == i + 1) & (flat == j + 1)))
     ]
     assert list(links.itertuples(index=False, name=None)) == naive
-    assert covered_shares(ids, links) == pytest.approx([np.mean(flat[labels == i] > 0) for i in range(1, 6)])
+    covered = [np.mean(flat[labels == i] > 0) for i in range(1, 6)]
+    assert covered_shares(labels, 5, flat) == pytest.approx(covered)
 
 
 def test_links_seen_from_either_side_are_the_same():
@@ -81,11 +82,12 @@ def test_a_region_without_a_cell_has_no_link():
     assert sorted(set(links["part_id"])) == [501, 503]
 
 
-def test_shares_add_the_regions_up_and_are_zero_without_any():
-    """A part under no region has a share of 0; a building has its root's."""
-    labels, flat = scene()
-    links = link(labels, PARTS, flat, REGIONS)
-    assert covered_shares(np.array([503, 501, 777]), links) == pytest.approx([0.7, 1.0, 0.0])
+def test_the_support_of_a_building_is_the_share_of_its_cells():
+    """All regions of a detector count together; a building under none has a share of 0."""
+    buildings = np.array([[1, 1, 1, 1, 0, 2, 2, 3]])
+    regions = np.array([[7, 7, 0, 4, 4, 0, 0, 9]])
+    assert covered_shares(buildings, 3, regions).tolist() == [0.75, 0.0, 1.0]
+    assert covered_shares(0 * buildings, 0, regions).tolist() == []
 
 
 @pytest.mark.parametrize("table", LINKS, ids=lambda table: table.name)

@@ -96,7 +96,7 @@ def frames(*witnesses):
     found = detect_multiscale(scene, params)
     parts = outline_parts(found.forest, scene.heights, params.vector)
     regions = {"multiscale": found, **{one.method: one for one in witnesses}}
-    return make_frames(scene, regions, found.forest, parts)
+    return make_frames(scene, regions, found.forest, parts, params)
 
 
 def test_every_pair_of_witnesses_is_linked():
@@ -109,7 +109,9 @@ def test_every_pair_of_witnesses_is_linked():
     assert buildings["flat_share"].tolist() == [1, 0, 0]
     assert buildings["area3d_share"].tolist() == [1, 0.5, 0]
     assert buildings["adaptive_share"].tolist() == [0, 0, 1]
-    assert buildings["state"].tolist() == ["confirmed", "unsure", "unsure"]
+    assert buildings["multiscale_share"].tolist() == [1, 1, 1]
+    # Mean shares of 0.75, 0.375 and 0.5.
+    assert buildings["state"].tolist() == ["confirmed", "refuted", "unsure"]
     links = found["part_candidate"].set_index("candidate_id")
     assert links["overlap_m2"].to_dict() == {2000: 100, 1000: 100, 1001: 50}
     assert links["candidate_share"].to_dict() == {2000: 1, 1000: 1, 1001: 0.5}

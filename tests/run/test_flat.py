@@ -45,7 +45,7 @@ def test_flat_regions_confirm_the_house_and_no_crown(town):
     house = buildings.iloc[0]
     assert house["flat_share"] > 0.8
     assert house["state"] == "confirmed"
-    root = links[links["part_id"] == house["root_id"]]
+    root = links[links["part_id"] == house["building_id"]]
     assert root["part_share"].sum() == pytest.approx(house["flat_share"])
     overlap = regions.union_all().intersection(house.geometry).area
     assert overlap == pytest.approx(root["overlap_m2"].sum(), rel=0.05)

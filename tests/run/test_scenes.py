@@ -57,8 +57,7 @@ class Outcome:
 
     def part(self, fact: scenes.Fact) -> pd.Series:
         """Return the part of a known building that is most like a fact in area and storeys of its zone."""
-        root = self.building(fact.building)["root_id"]
-        family = self.parts[self.parts["root_id"] == root]
+        family = self.parts[self.parts["building_id"] == self.building(fact.building)["building_id"]]
         alike = family[family["hzone"] == 1 + np.floor((fact.height_m - 2) / 3)]
         assert len(alike), f"no part of {self.scene.name} has the storeys of {fact.name}"
         return alike.loc[(alike["area_m2"] - fact.area_m2).abs().idxmin()]
@@ -233,7 +232,7 @@ def test_a_steep_earthwork_passes_for_a_building(built):
     assert outcome.report.buildings == 2
     assert outcome.overlap(2) > 0.95
     assert upper["area_m2"] > 1900
-    child = outcome.parts[outcome.parts["supid"] == upper["root_id"]]
+    child = outcome.parts[outcome.parts["supid"] == upper["building_id"]]
     assert child["area_m2"].tolist() == pytest.approx([168], rel=0.05)
     assert lower["storeys"] == 2
 
@@ -298,7 +297,7 @@ def test_a_large_hall_is_one_building_with_an_office_on_it(built):
     """A hall of 5400 m2 is one root; what stands on it are its children, of the office's area and storeys."""
     outcome = built("large_building")
     assert outcome.report.buildings == 1
-    office = outcome.parts[outcome.parts["supid"] == outcome.buildings["root_id"].iloc[0]]
+    office = outcome.parts[outcome.parts["supid"] == outcome.buildings["building_id"].iloc[0]]
     assert office["area_m2"].sum() == pytest.approx(400, rel=0.04)
     assert (office["hzone"] == 6).all()
 

@@ -19,9 +19,7 @@ revision = "9000"
 down_revision = "{today}"
 
 NEW_VIEW = """
-SELECT p.part_id, b.colour, p.geometry
-FROM part AS p LEFT JOIN building AS b ON b.root_id = p.part_id
-WHERE p.supid = 0
+SELECT building_id, colour, geometry FROM building
 """
 OLD_VIEW = """{footprint}"""
 
@@ -56,7 +54,7 @@ def drop_view() -> None:
 
 def create_view(query: str) -> None:
     op.execute("CREATE VIEW footprint AS\\n" + query.strip())
-    for statement in hooks().view_ddl("footprint", "part_id", "part"):
+    for statement in hooks().view_ddl("footprint", "building_id", "building"):
         op.execute(statement)
 '''
 
@@ -64,7 +62,7 @@ def create_view(query: str) -> None:
 def migrations_of_tomorrow(folder: Path, *, broken: str = "") -> Path:
     """Write a copy of the migrations with one more; ``broken`` is a statement at the end of its upgrade."""
     shutil.copytree(ROOT / "migrations", folder, ignore=shutil.ignore_patterns("__pycache__"))
-    text = (folder / "sql" / "0001" / "footprint.sql").read_text()
+    text = (folder / "sql" / upgrade.head_version() / "footprint.sql").read_text()
     footprint = "\n".join(line for line in text.splitlines() if not line.startswith("--")).rstrip(";")
     words = MIGRATION.format(today=upgrade.head_version(), footprint=footprint, broken=broken)
     (folder / "versions" / "9000_next.py").write_text(words)

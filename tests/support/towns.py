@@ -90,7 +90,7 @@ def _town_build(
     scene = Scene(survey, ndsm, cover, None)
     found = detect_multiscale(scene, params)
     parts = outline_parts(found.forest, ndsm, params.vector).assign(speindex=0)
-    frames = make_frames(scene, {"multiscale": found}, found.forest, parts)
+    frames = make_frames(scene, {"multiscale": found}, found.forest, parts, params)
     counts = Counts(
         {"multiscale": found.counts}, count_cells(ndsm, cover), {"colours_decide": 0, "green_decides": 0}, {}
     )

@@ -30,7 +30,7 @@ COUNTED_ONLY = "duplicates"
 LAST_STAGE = ("multiscale", "fake fathers")
 """The method and the stage whose kept regions are the parts."""
 
-_UNREADABLE = (MsbdbError, ValueError, TypeError, KeyError, OverflowError, zlib.error, shapely.errors.ShapelyError)
+UNREADABLE = (MsbdbError, ValueError, TypeError, KeyError, OverflowError, zlib.error, shapely.errors.ShapelyError)
 """Errors of reading damaged rows."""
 
 
@@ -111,7 +111,7 @@ def check_content(connection: Connection) -> Iterator[Finding]:
         key = by_id("run", "run_id", run_id)
         try:
             found = content_of(connection, survey).digest()
-        except _UNREADABLE as error:
+        except UNREADABLE as error:
             yield Finding("content", "run", key, f"its rows cannot be read: {error}", "the rows that were written")
             continue
         if digest != found:
@@ -164,25 +164,33 @@ def check_forest(connection: Connection) -> Iterator[Finding]:
 
 
 def check_buildings(connection: Connection) -> Iterator[Finding]:
-    """Yield roots without a building, buildings without a root, and buildings whose numbers differ from their tree."""
+    """Yield parts without a building, trees in several, and buildings whose numbers are not those of their trees."""
     part, building = PART.c, BUILDING.c
-    has_building = exists().where(building.root_id == part.part_id)
-    for root in connection.scalars(select(part.part_id).where(part.supid == 0, ~has_building)):
-        yield Finding("buildings", "part", by_id("part", "part_id", root), "no building has this root", "one")
-    has_root = exists().where(part.part_id == building.root_id, part.supid == 0)
-    for number, root in connection.execute(select(building.building_id, building.root_id).where(~has_root)):
-        key = by_id("building", "building_id", number)
-        yield Finding("buildings", "building", key, f"part {root} is no root", "the root of a tree")
-    sizes = {"parts": func.count(), "scales": func.count(part.scale.distinct())}
-    trees = select(part.root_id, *(size.label(name) for name, size in sizes.items())).group_by(part.root_id).subquery()
+    has_building = exists().where(building.building_id == part.building_id, building.run_id == part.run_id)
+    for number in connection.scalars(select(part.part_id).where(~has_building)):
+        yield Finding("buildings", "part", by_id("part", "part_id", number), "its building does not exist", "one")
+    root = PART.alias("root")
+    strayed = select(part.part_id, part.building_id, root.c.building_id).join_from(
+        PART, root, part.root_id == root.c.part_id
+    )
+    for number, held, expected in connection.execute(strayed.where(part.building_id != root.c.building_id)):
+        what = f"it is in building {held}"
+        yield Finding("buildings", "part", by_id("part", "part_id", number), what, f"{expected}, its root's building")
+    sizes = {
+        "trees": func.count(part.part_id).filter(part.supid == 0),
+        "parts": func.count(part.part_id),
+        "scales": func.count(part.scale.distinct()),
+    }
+    counted = select(part.building_id, *(size.label(name) for name, size in sizes.items()))
+    trees = counted.group_by(part.building_id).subquery()
     for name in sizes:
         found, expected = building[name], func.coalesce(trees.c[name], 0)
-        query = select(building.building_id, found, expected).where(has_root, found != expected)
+        query = select(building.building_id, found, expected).where(found != expected)
         for number, held, size in connection.execute(
-            query.select_from(BUILDING).outerjoin(trees, trees.c.root_id == building.root_id)
+            query.select_from(BUILDING).outerjoin(trees, trees.c.building_id == building.building_id)
         ):
             key = by_id("building", "building_id", number)
-            yield Finding("buildings", "building", key, f"{name} is {held}", f"{size}, the number in its tree")
+            yield Finding("buildings", "building", key, f"{name} is {held}", f"{size}, the number in its trees")
 
 
 def _columns(connection: Connection, names: tuple[str, ...], table: Table) -> dict[str, NDArray[np.int64]]:

@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 
 MEASURES = (
     "state", "storeys", "h_max", "h_mean", "h_p50", "h_p90", "area_m2", "volume_m3", "parts", "flat_share",
-    "area3d_share", "adaptive_share",
+    "area3d_share", "adaptive_share", "probability",
 )  # fmt: skip
 """Attributes of a version, besides its outline."""
 

@@ -13,6 +13,7 @@ from msbdb.params import DETECTORS, POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
     CANDIDATE_REGION,
+    PART,
     REJECTION,
     TABLES,
     KeyReference,
@@ -120,8 +121,9 @@ def _check_references(frames: "dict[str, pd.DataFrame]", methods: tuple[str, ...
             holds = frame[column].isin(known) | (allows_none & (frame[column] == 0))
             _require(holds, frame, table, f"{column} refers to no row")
     parts, buildings, candidates = frames["part"], frames["building"], frames["candidate_region"]
-    roots = parts.loc[parts["supid"] == 0, "part_id"]
-    _require(buildings["root_id"].isin(roots), buildings, BUILDING, "root_id refers to no row")
+    _require(parts["building_id"].isin(buildings["building_id"]), parts, PART, "building_id refers to no row")
+    roots = parts.loc[parts["supid"] == 0, "building_id"]
+    _require(buildings["building_id"].isin(roots), buildings, BUILDING, "the building has no tree of parts")
     asked = [name for name in POINT_DETECTORS if name in methods]
     _require(candidates["method"].isin(asked), candidates, CANDIDATE_REGION, "method refers to no row")
     rejected = frames["rejection"]

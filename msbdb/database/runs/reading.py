@@ -103,7 +103,7 @@ def read_build(engine: Engine, survey: str | None = None, *, tables: Sequence[Ta
     with snapshot(engine) as connection:
         content = content_of(connection, survey, tables)
     frames = {table.name: _as_frame(table, content.columns[table.name], content.survey) for table in tables}
-    return KeptRun(content.survey, content.run, frames, content.rasters)
+    return KeptRun(content.survey, content.run, frames, _known_rasters(content.rasters, content.survey.name, engine))
 
 
 def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] = TABLES) -> RunContent:
@@ -113,7 +113,7 @@ def content_of(connection: Connection, survey: str | None, tables: Sequence[Tabl
         survey=_survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
         columns={table.name: _read_columns(connection, table, run.run_id) for table in tables},
-        rasters=_read_rasters(connection, run),
+        rasters=_read_rasters(connection, run.run_id),
     )
 
 
@@ -272,7 +272,8 @@ def read_class_bands(engine: Engine, survey: str | None = None) -> "pd.DataFrame
 def read_rasters(engine: Engine, survey: str | None = None) -> Rasters:
     """Return a run's rasters, from which its classes can be labelled again without the source data."""
     with snapshot(engine) as connection:
-        return _read_rasters(connection, _find_run(connection, survey, shown(engine.url)))
+        run = _find_run(connection, survey, shown(engine.url))
+        return _known_rasters(_read_rasters(connection, run.run_id), run.survey, engine)
 
 
 def _read_plain(engine: Engine, table: Table, survey: str | None) -> "pd.DataFrame":
@@ -370,13 +371,18 @@ def _as_frame(table: Table, columns: Mapping[str, NDArray[Any]], survey: Survey)
     return gpd.GeoDataFrame(frame, geometry="geometry", crs=horizontal(crs_from(survey.epsg, survey.crs_wkt)))
 
 
-def _read_rasters(connection: Connection, run: Any) -> Rasters:  # noqa: ANN401  (a row of _find_run)
-    rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run.run_id).order_by(RUN_STATE.c.name))
-    named = {
+def _read_rasters(connection: Connection, run_id: int) -> dict[str, NDArray[Any]]:
+    """Return a run's rasters by the names of their rows."""
+    rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name))
+    return {
         row.name: np.frombuffer(zlib.decompress(row.data), dtype=np.dtype(row.dtype)).reshape(row.shape) for row in rows
     }
+
+
+def _known_rasters(named: Mapping[str, NDArray[Any]], survey: str, engine: Engine) -> Rasters:
+    """Return rasters as one value; refuse missing and unknown ones."""
     try:
         return Rasters.from_names(named)
     except TableError as error:
-        msg = f"The survey '{run.survey}' of {shown(connection.engine.url)} cannot be read. {error}"
+        msg = f"The survey '{survey}' of {shown(engine.url)} cannot be read. {error}"
         raise TableError(msg) from error

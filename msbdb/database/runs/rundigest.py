@@ -10,7 +10,6 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.database.schema.canonical import plain, to_json
-from msbdb.kept import Rasters
 from msbdb.tables import Run, Survey
 
 
@@ -27,14 +26,14 @@ class RunContent:
     columns : mapping of str to mapping of str to (N,) ndarray
         The columns of each of ``tables.TABLES`` by their names: int64, float64 with NaN for null, or objects for texts
         and geometries. Rows are in the table's order, polygons are multipolygons.
-    rasters : Rasters
-        Heights, classes and labels of the regions.
+    rasters : mapping of str to (H, W) ndarray
+        Heights, classes and labels of the regions, by the names of their rows.
     """
 
     survey: Survey
     run: Run
     columns: Mapping[str, Mapping[str, NDArray[Any]]]
-    rasters: Rasters
+    rasters: Mapping[str, NDArray[Any]]
 
     def digest(self) -> str:
         """Return the SHA-256 of the content except its timings."""
@@ -46,7 +45,7 @@ class RunContent:
             for name, values in columns.items():
                 digest.update(f"\0{table}.{name}\0".encode())
                 digest.update(_column_bytes(name, values))
-        for name, raster in sorted(self.rasters.by_name().items()):
+        for name, raster in sorted(self.rasters.items()):
             cells = portable(raster)
             digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
             digest.update(cells.ravel().data)

@@ -178,7 +178,7 @@ class _Rows:
         counts = {name: len(frame) for name, frame in frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
         columns = {table: {str(name): frame[name].to_numpy() for name in frame} for table, frame in frames.items()}
-        return cls(frames, counts, RunContent(build.survey, build.run, columns, build.rasters).digest())
+        return cls(frames, counts, RunContent(build.survey, build.run, columns, build.rasters.by_name()).digest())
 
 
 def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:

@@ -89,7 +89,7 @@ class View:
 
 
 VIEWS = (
-    View("footprint", key="part_id", base="part"),
+    View("footprint", key="building_id", base="building", complete=True),
     View("part_tree", key="part_id", base="part", complete=True),
     View("building_summary", key="building_id", base="building", complete=True),
     View("part_evidence", key="part_id", base="part", complete=True),

@@ -170,6 +170,7 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> KeptRun
                     "supid": ids * is_child,
                     "supscale": n * is_child,
                     "root_id": ids,
+                    "building_id": ids,
                     "scale": n + is_child,
                     "hindex": n + is_child,
                     "hzone": n + is_child,
@@ -282,6 +283,7 @@ def _parts(shift: int) -> gpd.GeoDataFrame:
                 *moved,
                 supscale,
                 root + shift,
+                root + shift,
                 scale,
                 storeys,
                 storeys,
@@ -361,8 +363,9 @@ def _buildings(parts: pd.DataFrame, links_of: Mapping[str, pd.DataFrame]) -> gpd
     made = pd.DataFrame(
         {
             "building_id": roots["part_id"],
-            "root_id": roots["part_id"],
             "state": "confirmed",
+            "probability": 0.96875,
+            "multiscale_share": 1.0,
             "storeys": trees["hindex"].max(),
             "h_max": trees["h_max"].max(),
             "h_mean": roots["h_mean"],
@@ -370,15 +373,16 @@ def _buildings(parts: pd.DataFrame, links_of: Mapping[str, pd.DataFrame]) -> gpd
             "h_p90": roots["h_p90"],
             "area_m2": roots["area_m2"],
             "volume_m3": roots["area_m2"] * roots["h_mean"],
+            "trees": 1,
             "parts": trees.size(),
             "scales": trees["scale"].nunique(),
-            "speindex": roots["speindex"],
+            **{name: roots[name] for name in ("speindex", "building_share", "xcen", "ycen", "xin", "yin")},
             **dict.fromkeys(EXTRACTOR_SHARES.values(), np.nan),
         }
     ).reset_index(drop=True)
     for name, links in links_of.items():
         covered = links.groupby("part_id")["part_share"].sum()
-        made[EXTRACTOR_SHARES[name]] = made["root_id"].map(covered).fillna(0.0)
+        made[EXTRACTOR_SHARES[name]] = made["building_id"].map(covered).fillna(0.0)
     made["state"] = made["state"].astype("str")
     return gpd.GeoDataFrame(made[BUILDING.names], geometry=list(roots["geometry"]), crs=f"EPSG:{EPSG}")
 
