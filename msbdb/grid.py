@@ -1,4 +1,4 @@
-"""Georeferenced grids: the lattice, with shape, place and CRS, and values with their validity on it."""
+"""Georeferenced grids: the lattice, with shape, place and CRS; on it values with their validity, and image bands."""
 
 import math
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from msbdb.errors import CRSError, GridMismatchError, InputError, ParameterError
+from msbdb.errors import CRSError, GridMismatchError, InputError
 
 S = TypeVar("S", bound=np.generic)
 
@@ -130,61 +130,6 @@ class GridSpec:
         held = values[np.clip(row, 0, self.shape[0] - 1), np.clip(col, 0, self.shape[1] - 1)]
         return np.where(self.inside(row, col), held, values.dtype.type(outside))
 
-    def tiles(self, size: int) -> list[tuple[int, int]]:
-        """Return the numbers (row, column) of the tiles of ``size`` by ``size`` cells that the grid has cells of.
-
-        Tile (i, j) has the rows ``i * size`` to ``(i + 1) * size`` of the absolute lattice, and its columns by ``j`` in
-        the same way. So neighbouring grids share their tiles. The order is row-major.
-
-        Raises
-        ------
-        ParameterError
-            When the size is not above 0.
-        """
-        _require_tile(size, 0)
-        rows, cols = (
-            range(first // size, (first + count - 1) // size + 1)
-            for first, count in zip(self.origin, self.shape, strict=True)
-        )
-        return [(i, j) for i in rows for j in cols]
-
-    def tile_of(
-        self, row: NDArray[np.integer], col: NDArray[np.integer], size: int
-    ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
-        """Return the numbers (row, column) of the tiles that hold cells of the grid, see `tiles`."""
-        _require_tile(size, 0)
-        return (row + self.origin[0]) // size, (col + self.origin[1]) // size
-
-    def tile_window(self, tile: tuple[int, int], size: int, *, halo: int = 0) -> tuple[slice, slice]:
-        """Return the rows and columns of a tile on this grid, with a halo of cells around it, cut to the grid.
-
-        Parameters
-        ----------
-        tile : tuple of int
-            One of `tiles`.
-        size : int
-            Cells along a side of a tile.
-        halo : int
-            Cells around the tile that belong to the window too, where the grid has them.
-
-        Raises
-        ------
-        ParameterError
-            When the size is not above 0, or the halo is below 0.
-        InputError
-            When the grid has no cell of the tile.
-        """
-        _require_tile(size, halo)
-        limits = list(zip(tile, self.origin, self.shape, strict=True))
-        if not all(first < (number + 1) * size and number * size < first + count for number, first, count in limits):
-            msg = f"The grid at {self.origin} of {self.shape} cells has no cell of the tile {tile} of {size} cells."
-            raise InputError(msg)
-        rows, cols = (
-            slice(max(number * size - first - halo, 0), min((number + 1) * size - first + halo, count))
-            for number, first, count in limits
-        )
-        return rows, cols
-
     def same_lattice(self, other: "GridSpec") -> bool:
         """Whether both grids have the same shape, position and CRS."""
         if self.shape != other.shape or self.crs != other.crs:
@@ -232,13 +177,6 @@ class Grid:
         return Grid(values, self.valid if valid is None else valid, self.spec)
 
 
-def _require_tile(size: int, halo: int) -> None:
-    """Refuse tiles without cells and halos below 0."""
-    if size < 1 or halo < 0:
-        msg = f"Tiles need a side of at least 1 cell and a halo of 0 or more; got {size} and {halo}."
-        raise ParameterError(msg)
-
-
 def require_metric(crs: CRS) -> None:
     """Refuse a CRS that is not projected with metres on both axes.
 
@@ -284,3 +222,46 @@ def lattice(bounds: Bounds, cell_m: float, crs: CRS) -> GridSpec:
     row0, row1 = math.floor(-north / cell_m), math.floor(-south / cell_m) + 1
     transform = Affine(cell_m, 0.0, col0 * cell_m, 0.0, -cell_m, -row0 * cell_m)
     return GridSpec((row1 - row0, col1 - col0), transform, crs)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bands:
+    """Band values and their shared validity on a lattice (V13: any number of bands); the arrays are read-only.
+
+    Parameters
+    ----------
+    values : (B, H, W) ndarray of float32
+        Finite everywhere, in the source's units (digital numbers); zero where not valid.
+    names : tuple of str
+        One unique name a band; ``red``, ``green``, ``blue``, ``nir`` and ``intensity`` have a meaning.
+    valid : (H, W) ndarray of bool
+        Where every band was observed.
+    spec : GridSpec
+        The lattice.
+    """
+
+    values: NDArray[np.float32]
+    names: tuple[str, ...]
+    valid: NDArray[np.bool_]
+    spec: GridSpec
+
+    def __post_init__(self) -> None:
+        """Check shapes, dtypes and names, and freeze the arrays."""
+        expected = (len(self.names), *self.spec.shape)
+        if self.values.shape != expected or self.valid.shape != self.spec.shape:
+            msg = (
+                f"Values {self.values.shape} and validity {self.valid.shape} must fit the bands and lattice {expected}."
+            )
+            raise GridMismatchError(msg)
+        if self.values.dtype != np.float32 or self.valid.dtype != np.bool_:
+            msg = f"Values must be float32 and validity bool; got {self.values.dtype} and {self.valid.dtype}."
+            raise InputError(msg)
+        if not self.names or len(set(self.names)) != len(self.names):
+            msg = f"Every band needs a name of its own; got {self.names}."
+            raise InputError(msg)
+        self.values.flags.writeable = False
+        self.valid.flags.writeable = False
+
+    def band(self, name: str) -> NDArray[np.float32] | None:
+        """Return the (H, W) values of the named band, or None if there is no such band."""
+        return self.values[self.names.index(name)] if name in self.names else None

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import CRS
 
-from msbdb.errors import GridMismatchError, InputError, ParameterError
+from msbdb.errors import GridMismatchError
 from msbdb.grid import GridSpec, lattice
 
 METRIC = CRS.from_epsg(28992)
@@ -61,52 +61,13 @@ def test_values_of_another_shape_are_not_sampled():
         spec.sample(np.zeros((3, 4)), np.zeros(1), np.zeros(1), outside=0)
 
 
-@given(specs(), st.integers(1, 12))
-def test_tiles_partition_the_grid(spec, size):
-    """Each cell lies in the window of one tile, which is the tile that is located for it."""
-    found = np.zeros(spec.shape, dtype=np.int64)
-    tile_row, tile_col = spec.tile_of(*np.indices(spec.shape), size)
-    tiles = spec.tiles(size)
-    assert len(set(tiles)) == len(tiles)
-    for tile in tiles:
-        window = spec.tile_window(tile, size)
-        found[window] += 1
-        assert found[window].size > 0
-        assert (tile_row[window] == tile[0]).all()
-        assert (tile_col[window] == tile[1]).all()
-    assert (found == 1).all()
-
-
-@given(specs(), specs(), st.integers(1, 12))
-def test_grids_share_their_tiles(one, other, size):
-    """A tile that two grids have cells of holds the same cells of the absolute lattice in both, where they have it."""
-    for tile in set(one.tiles(size)) & set(other.tiles(size)):
-        for spec in (one, other):
-            row, col = spec.crop(*spec.tile_window(tile, size)).origin
-            assert row // size == tile[0]
-            assert col // size == tile[1]
-
-
-@given(specs(), st.integers(1, 12), st.integers(0, 5))
-def test_a_cropped_tile_is_its_window(spec, size, halo):
-    """The crop has the window's cells at their places, and the halo reaches as far as the grid allows."""
+@given(specs(), st.data())
+def test_a_crop_has_its_cells_at_their_places(spec, data):
+    """A window of a grid is a grid of the same lattice."""
     values = np.arange(spec.shape[0] * spec.shape[1]).reshape(spec.shape)
-    for tile in spec.tiles(size):
-        core, window = spec.tile_window(tile, size), spec.tile_window(tile, size, halo=halo)
-        crop = spec.crop(*window)
-        assert crop.origin == (spec.origin[0] + window[0].start, spec.origin[1] + window[1].start)
-        np.testing.assert_array_equal(spec.sample(values, *crop.centres(), outside=-1), values[window])
-        for inner, outer, count in zip(core, window, spec.shape, strict=True):
-            assert outer.start == max(inner.start - halo, 0)
-            assert outer.stop == min(inner.stop + halo, count)
-
-
-def test_a_tile_elsewhere_and_impossible_sizes_are_refused():
-    """A tile without cells of the grid has no window, even if its halo would reach the grid."""
-    spec = lattice((0, 0.1, 8.9, 8.9), 1.0, METRIC)
-    with pytest.raises(InputError, match="no cell of the tile"):
-        spec.tile_window((0, 0), 5, halo=3)
-    with pytest.raises(ParameterError, match="at least 1 cell"):
-        spec.tiles(0)
-    with pytest.raises(ParameterError, match="halo of 0 or more"):
-        spec.tile_window((-1, 0), 5, halo=-1)
+    start = [data.draw(st.integers(0, count - 1)) for count in spec.shape]
+    stop = [data.draw(st.integers(first + 1, count)) for first, count in zip(start, spec.shape, strict=True)]
+    window = tuple(slice(*ends) for ends in zip(start, stop, strict=True))
+    crop = spec.crop(*window)
+    assert crop.origin == (spec.origin[0] + start[0], spec.origin[1] + start[1])
+    np.testing.assert_array_equal(spec.sample(values, *crop.centres(), outside=-1), values[window])

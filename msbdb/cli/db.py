@@ -7,8 +7,7 @@ from typing import Any
 
 import click
 
-from msbdb.cli.command import Command, command
-from msbdb.cli.options import OUTPUT_FILE, crs_name, shared
+from msbdb.cli.command import OUTPUT_FILE, Command, command, crs_name, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
 
 UNSOUND = 1

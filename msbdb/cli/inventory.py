@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msbdb.cli.build import check_inputs, emit_report, inputs, parameters, values
-from msbdb.cli.command import command, notice
-from msbdb.cli.options import INPUT_FILE, OUTPUT_FILE, assignment, crs_name, iso_date, shared
+from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, notice, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
 
 if TYPE_CHECKING:

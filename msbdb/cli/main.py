@@ -2,12 +2,10 @@
 
 import click
 
-from msbdb.cli.build import build
-from msbdb.cli.classify import classify
+from msbdb.cli.build import build, classify
 from msbdb.cli.db import db
-from msbdb.cli.evaluate import evaluate
 from msbdb.cli.inventory import changes, import_, state, update
-from msbdb.cli.outputs import classes, export, info, view
+from msbdb.cli.outputs import classes, evaluate, export, info, view
 from msbdb.cli.params import params
 from msbdb.version import __version__
 

@@ -12,9 +12,8 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
-from msbdb.bands import Bands
 from msbdb.detect.scene import Regions, Scene
-from msbdb.grid import GridSpec
+from msbdb.grid import Bands, GridSpec
 from msbdb.ground.quadratic import ground_heights
 from msbdb.identity import part_ids
 from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, reorder, sizes, sums

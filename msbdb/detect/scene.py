@@ -7,9 +7,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.bands import Bands
 from msbdb.errors import InputError
-from msbdb.grid import Grid
+from msbdb.grid import Bands, Grid
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import PointCloud
 from msbdb.spectral.coverclasses import Cover

@@ -12,13 +12,16 @@ from scipy import ndimage
 
 from msbdb.errors import CRSError, InputError, NodataError
 from msbdb.evaluate.agreement import AreaScore, flat, plain, score_area
-from msbdb.evaluate.byobject import ObjectScore, groups, overlaps, score_objects
-from msbdb.evaluate.matched import (
+from msbdb.evaluate.byobject import (
     BoundaryScore,
     HeightScore,
+    ObjectScore,
     ShapeScore,
+    groups,
+    overlaps,
     score_boundary,
     score_heights,
+    score_objects,
     score_shape,
     united,
 )

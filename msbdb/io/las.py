@@ -29,8 +29,7 @@ from msbdb.io.lasheader import (
     read_las_header,
     vertical_unit,
 )
-from msbdb.points.cloud import NOISE_CLASSES, PointCloud
-from msbdb.points.density import lone_points
+from msbdb.points.cloud import NOISE_CLASSES, PointCloud, lone_points
 
 logger = logging.getLogger(__name__)
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.

@@ -17,9 +17,8 @@ from rasterio.transform import rowcol
 from rasterio.warp import transform_bounds
 from rasterio.windows import Window
 
-from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
-from msbdb.grid import Bounds, GridSpec
+from msbdb.grid import Bands, Bounds, GridSpec
 from msbdb.io.crs import CrsLike, same_crs, split_crs
 from msbdb.io.raster import open_raster, raster_bounds, raster_crs, warp
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError
 from msbdb.labels.numbering import MAX_CELLS, require_connectivity
+from msbdb.morphology.area import require_valid
 from msbdb.morphology.flood import flood
-from msbdb.morphology.runs import require_valid
 from msbdb.order import order_of
 from msbdb.threads import kernel
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.labels.numbering import require_image
-from msbdb.morphology.area import area_open_close, require_threshold
-from msbdb.morphology.runs import widen
+from msbdb.morphology.area import area_open_close, require_threshold, widen
 from msbdb.params import GranulometryParams
 from msbdb.threads import kernel
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.morphology.area import require_valid
 from msbdb.morphology.profiles import MAX_ZONES
-from msbdb.morphology.runs import require_valid
 
 Mask = NDArray[np.bool_] | None
 

@@ -1,6 +1,8 @@
-"""A point cloud in memory: coordinates in metres and the attributes that were asked for."""
+"""A point cloud in memory, and how its points are spread: mean spacing, the area of each point, and lone points."""
 
+import math
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,11 +10,27 @@ from pyproj import CRS
 
 from msbdb.errors import InputError
 from msbdb.grid import Bounds, require_metric
+from msbdb.points.cellindex import CellIndex, index_cells
 
 UNCLASSIFIED_CLASS, GROUND_CLASS, BUILDING_CLASS = 1, 2, 6
 
 NOISE_CLASSES = (7, 18)
 """Classes of points by the ASPRS LAS specification; noise is low or high."""
+
+FIRST_CELL_M = 2.0
+"""Cells on which the covered area is counted first; smaller ones would count the street beside a roof as empty."""
+
+LEAST_A_CELL = 4.0
+"""With fewer points a cell on average, cells without any would be many by chance: they are taken larger."""
+
+LARGEST_CELL_M = 100.0
+"""Beyond it there is no survey, but single points."""
+
+LONE_GAP_Z_M, LONE_GAP_XY_M = 500.0, 50_000.0
+"""A gap of this width without any point separates lone points from the main body, in height or in position."""
+
+LONE_SHARE = 0.01
+"""Points are lone if they are at most this share of all; one point always may be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,3 +113,115 @@ class PointCloud:
     def has_echoes(self) -> bool:
         """Whether some pulse gave more than one echo, so that the echoes hold information."""
         return self.number_of_returns is not None and bool((self.number_of_returns > 1).any())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Density:
+    """How dense a cloud is.
+
+    Parameters
+    ----------
+    spacing_m : float
+        Mean spacing of the points in plan, 1/sqrt(density).
+    area_m2 : (N,) ndarray of float64
+        Area of each point: one over the local density (A17).
+    """
+
+    spacing_m: float
+    area_m2: NDArray[np.float64]
+
+
+def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_]) -> Density:
+    """Measure the spacing of the first echoes, and share the ground out among all points (A17).
+
+    Parameters
+    ----------
+    x, y : (N,) ndarray of float64, metres
+    first_echo : (N,) ndarray of bool
+        The points that decide the spacing: later echoes of a pulse lie at the same place and make nothing denser. All
+        points count where none is a first echo.
+
+    Returns
+    -------
+    Density
+        Of spacing 1 m where there is no point.
+
+    Notes
+    -----
+    The density is that of the covered cells of 2 m, or of larger ones where these hold fewer than four points. The
+    area of a point is that of its cell, of side two spacings, divided by the number of points in the cell. So the
+    areas of all points sum up to the covered area: a strip scanned twice, walls, and all echoes of a crown count the
+    ground once. T_a is compared in m2, at any density of the survey.
+
+    Examples
+    --------
+    Sixteen points a metre apart, and a second echo at the place of the first:
+
+    >>> x, y = (place.ravel() for place in np.meshgrid(np.arange(0.5, 4), np.arange(0.5, 4)))
+    >>> found = measure_density(np.append(x, 0.5), np.append(y, 0.5), np.append(np.ones(16, dtype=bool), False))
+    >>> found.spacing_m, float(found.area_m2.sum())
+    (1.0, 16.0)
+    >>> found.area_m2[[0, 15, 16]]
+    array([0.8, 1. , 0.8])
+    """
+    if not len(x):
+        return Density(1.0, np.zeros(0))
+    chosen = first_echo if first_echo.any() else np.ones(len(x), dtype=np.bool_)
+    east, north = x[chosen], y[chosen]
+    cell_m = FIRST_CELL_M
+    cells = index_cells(east, north, cell_m)
+    while cells.order.size < LEAST_A_CELL * cells.keys.size and cell_m < LARGEST_CELL_M:
+        cell_m *= 1.5
+        cells = index_cells(east, north, cell_m)
+    spacing_m = cell_m * math.sqrt(cells.keys.size / cells.order.size)
+    return Density(spacing_m, _areas(index_cells(x, y, 2 * spacing_m)))
+
+
+def _areas(cells: CellIndex) -> NDArray[np.float64]:
+    """Share the area of each cell among its points."""
+    points = np.diff(cells.starts)
+    area = np.empty(cells.order.size)
+    area[cells.order] = np.repeat(cells.cell_m**2 / points, points)
+    return area
+
+
+def lone_points(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return (N,) bool, which points are lone by their height or by their position: birds, planes, faults of a file."""
+    lone = lone_values(z, LONE_GAP_Z_M)
+    lone |= lone_values(x, LONE_GAP_XY_M) | lone_values(y, LONE_GAP_XY_M)
+    return lone
+
+
+def lone_values(values: NDArray[np.float64], gap: float) -> NDArray[np.bool_]:
+    """Return which values are lone: few, and separated from the main body by a wide gap.
+
+    Parameters
+    ----------
+    values : (N,) ndarray of float64
+        Finite.
+    gap : float
+        Width without any value that separates two groups, in the values' unit.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+        True in every group of at most ``LONE_SHARE`` of the values (or of one value) besides the largest group.
+        It depends on the values alone, not on their order.
+
+    Examples
+    --------
+    >>> lone_values(np.array([12.0, 14.0, 2900.0, 13.0]), 500.0)
+    array([False, False,  True, False])
+    """
+    lone = np.zeros(len(values), dtype=np.bool_)
+    if len(values) < 3 or values.max() - values.min() <= gap:
+        return lone
+    ordered = np.sort(values)
+    starts = np.flatnonzero(np.diff(ordered) > gap) + 1
+    edges = [0, *starts.tolist(), len(values)]
+    largest = max(end - start for start, end in pairwise(edges))
+    few = max(1, int(LONE_SHARE * len(values)))
+    for start, end in pairwise(edges):
+        if end - start <= few and end - start < largest:
+            lone |= (values >= ordered[start]) & (values <= ordered[end - 1])
+    return lone

@@ -14,12 +14,12 @@ from msbdb.change.netchange import Net, net_changes
 from msbdb.database import Engine, footprint_at, opened, read_rasters, read_survey
 from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError
-from msbdb.export.changelist import write_changes
+from msbdb.export.formats import write_changes
 from msbdb.grid import Grid, lattice
 from msbdb.io.vector import read_polygons
 from msbdb.kept import heights_of
 from msbdb.run.reports import Changes
-from msbdb.view.changemap import draw_changes
+from msbdb.view.buildingmap import draw_changes
 
 NOT_SURVEYED = "not surveyed"
 """Kind of a building within the area of interest that no survey of the period covered."""

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
-from msbdb.grid import GridSpec
+from msbdb.grid import Bands, GridSpec
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Frame, cell_of, frame
 from msbdb.threads import in_threads, kernel

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from msbdb.bands import Bands
+from msbdb.grid import Bands
 from msbdb.spectral.colours import Scaling, fit_scaling
 from msbdb.threads import kernel
 

@@ -1,4 +1,4 @@
-"""A map of the parts by scale and height on a hillshade of the surface."""
+"""Maps of buildings on a hillshade: their parts by scale and height, and their changes between surveys."""
 
 import io
 import math
@@ -42,6 +42,17 @@ HEIGHTS: Colormap = LinearSegmentedColormap.from_list(
     "heights", ["#fff6d5", "#fddc8a", "#fdb35a", "#f1803c", "#d2502c", "#9c2b25"]
 )
 """Light to dark and yellow to red, which colour-blind readers can order, also in grey."""
+
+KINDS = {
+    "unchanged": "#c4c4c4",
+    "not surveyed": "#ffffff",
+    "modified": "#e69f00",
+    "merged": "#56b4e9",
+    "split": "#0072b2",
+    "new": "#009e73",
+    "demolished": "#d55e00",
+}
+"""Colours by Okabe and Ito, which colour-blind readers can distinguish, in the order in which they are drawn."""
 
 
 def draw_map(
@@ -308,3 +319,63 @@ def write_picture(figure: Figure, out: Path) -> None:
         raise FileError(msg) from error
     with write_atomic(out) as temporary:
         temporary.write_bytes(picture.getvalue())
+
+
+def draw_changes(changes: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: str, subtitle: str = "") -> None:
+    """Draw buildings coloured by kind of change, on a hillshade.
+
+    Parameters
+    ----------
+    changes : GeoDataFrame
+        Column ``kind`` and polygons, in metres. May be empty.
+    relief : Grid
+        Heights, metres, for the hillshade.
+    out : Path
+        The picture, ``.png``.
+    title, subtitle : str
+        What is shown; when, and in which CRS.
+
+    Raises
+    ------
+    InputError
+        When the file is no ``.png``.
+    FileError
+        When it cannot be written.
+    """
+    require_png(out)
+    figure, axes = sheet(relief)
+    draw_relief(axes, relief)
+    for order, (kind, colour) in enumerate(KINDS.items()):
+        chosen = changes[changes["kind"] == kind]
+        paths = outlines(chosen.geometry.to_numpy())
+        is_quiet = kind in ("unchanged", "not surveyed")
+        fills = PathCollection(
+            paths, facecolors=colour, edgecolors="#555555" if is_quiet else "black",
+            linewidths=0.4 if is_quiet else 1.0, joinstyle="round", zorder=2 + order / 100,
+        )  # fmt: skip
+        axes.add_collection(fills, autolim=False)
+    furnish(figure, axes, title, subtitle)
+    _change_legend(figure, axes, changes)
+    write_picture(figure, out)
+
+
+def _change_legend(figure: Figure, axes: Axes, changes: gpd.GeoDataFrame) -> None:
+    """Explain the colours beside the map, with the number of rows of each kind that occurs."""
+    counts = changes["kind"].value_counts()
+    handles = [
+        Patch(facecolor=colour, edgecolor="black", linewidth=0.6, label=f"{kind}: {counts[kind]}")
+        for kind, colour in reversed(KINDS.items())
+        if kind in counts.index
+    ]
+    box = axes.get_position()
+    figure.legend(
+        handles=handles,
+        title="Buildings",
+        loc="upper left",
+        bbox_to_anchor=(box.x1 + 0.15 / figure.get_figwidth(), box.y1),
+        borderaxespad=0.0,
+        frameon=False,
+        alignment="left",
+        fontsize=8,
+        title_fontsize=9,
+    )

@@ -23,7 +23,7 @@ SQL = re.compile(
 
 OUR_NAMES = "names of tables, columns and views are the declared tables'"
 ALLOWED = {
-    "admin/rowchecks.py": f"{OUR_NAMES}; conditions are the declared rules",
+    "admin/declarationchecks.py": f"{OUR_NAMES}; conditions are the declared rules",
     "admin/shapechecks.py": OUR_NAMES,
     "dialects/bulk.py": OUR_NAMES,
     "dialects/postgis.py": OUR_NAMES,

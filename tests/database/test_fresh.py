@@ -12,9 +12,7 @@ from simulated.builds import EPSG, small_build
 from sqlalchemy import Connection, make_url, text
 
 from msbdb.database import canonical_dump, check_database, copy_database, open_database, store_build, write_build
-from msbdb.database.dialects import freshtables as fresh
 from msbdb.database.dialects import postgis
-from msbdb.database.dialects.postgis import exists
 from msbdb.errors import LoadError
 
 pytestmark = pytest.mark.postgis
@@ -32,7 +30,7 @@ ORDER BY 1, 2, 3
 @pytest.fixture(autouse=True)
 def few_rows_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the way of many rows for the small build too."""
-    monkeypatch.setattr(fresh, "WORTH", 1)
+    monkeypatch.setattr(postgis, "WORTH", 1)
 
 
 def objects(url: str) -> list[tuple[str, ...]]:
@@ -85,7 +83,7 @@ def test_tables_in_use_keep_their_indexes(new_postgis: Callable[[], str], monkey
 
 def test_few_rows_go_in_beside_the_indexes(new_postgis: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Below the bound indexes stay, as making them takes longer."""
-    monkeypatch.setattr(fresh, "WORTH", 1000)
+    monkeypatch.setattr(postgis, "WORTH", 1000)
     seen = watched(monkeypatch)
     store_build(new_postgis(), small_build())
     assert seen[0] > 10
@@ -99,7 +97,7 @@ def test_a_copy_of_rows_that_break_a_key_leaves_nothing(new_postgis: Callable[[]
         connection.execute("UPDATE part_flat_region SET region_id = 77 WHERE rowid = 1")
     with pytest.raises(LoadError, match=r"refused the rows.*fk_part_flat_region_flat_region"):
         copy_database(source, url)
-    assert not exists(make_url(url), 5.0)
+    assert not postgis.exists(make_url(url), 5.0)
 
 
 def test_large_outlines_are_packed_by_lz4(new_postgis: Callable[[], str]) -> None:

@@ -11,11 +11,10 @@ from simulated.scenes import SCENES
 from support.notices import with_notices
 
 import msbdb
-from msbdb.bands import Bands
 from msbdb.detect.adaptive import bathurst
 from msbdb.detect.area3d import caowu
 from msbdb.detect.pointregions import Candidates, point_ndvi
-from msbdb.grid import GridSpec
+from msbdb.grid import Bands, GridSpec
 from msbdb.io.las import read_points
 from msbdb.points.cloud import PointCloud
 from msbdb.run.classify import points_in

@@ -7,9 +7,8 @@ import pytest
 from pyproj import CRS
 from simulated import scenes
 
-from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError, InputError
-from msbdb.grid import lattice
+from msbdb.grid import Bands, lattice
 from msbdb.points.cloud import PointCloud
 from msbdb.spectral.colours import fit_scaling, grid_colours, grid_intensity, spectral_bands, stack
 

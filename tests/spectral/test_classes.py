@@ -5,12 +5,11 @@ import pytest
 from scipy import ndimage
 from simulated import scenes
 
-from msbdb.bands import Bands
 from msbdb.errors import GridMismatchError
-from msbdb.grid import Grid
+from msbdb.grid import Bands, Grid
 from msbdb.params import Params
-from msbdb.spectral.classes import classify
 from msbdb.spectral.colours import spectral_bands
+from msbdb.spectral.coverclasses import classify
 from msbdb.surface.gridding import sample_nearest
 from msbdb.surface.texture import roughness
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate

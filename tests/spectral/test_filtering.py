@@ -7,8 +7,7 @@ from hypothesis.extra import numpy as hnp
 from pyproj import CRS
 from support.sizes import examples
 
-from msbdb.bands import Bands
-from msbdb.grid import lattice
+from msbdb.grid import Bands, lattice
 from msbdb.morphology.area import area_open_close
 from msbdb.spectral.model import filter_bands
 

@@ -3,8 +3,7 @@
 import numpy as np
 from pyproj import CRS
 
-from msbdb.bands import Bands
-from msbdb.grid import lattice
+from msbdb.grid import Bands, lattice
 from msbdb.spectral.kmeans import draw_sample, fit_centres, lattice_keys, nearest_class, predict
 
 UTM = CRS.from_epsg(32633)

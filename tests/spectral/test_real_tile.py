@@ -8,13 +8,12 @@ import pytest
 from scipy import ndimage
 from support.notices import with_notices
 
-from msbdb.bands import Bands
-from msbdb.grid import Grid, lattice
+from msbdb.grid import Bands, Grid, lattice
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.params import Params, with_values
-from msbdb.spectral.classes import classify
 from msbdb.spectral.colours import spectral_bands
+from msbdb.spectral.coverclasses import classify
 from msbdb.surface.gridding import sample_nearest
 from msbdb.surface.texture import roughness
 

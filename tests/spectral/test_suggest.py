@@ -6,7 +6,7 @@ import pytest
 from msbdb.params import SpectralParams
 from msbdb.spectral.colours import fit_scaling
 from msbdb.spectral.kmeans import Sample
-from msbdb.spectral.suggest import (
+from msbdb.spectral.model import (
     ClassFacts,
     brightness,
     choose_index,

@@ -6,11 +6,16 @@ from collections.abc import Callable, Iterator
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DBAPIError
 
+from msbdb.database.admin.declarationchecks import (
+    check_foreign_keys,
+    check_links,
+    check_schema,
+    check_values,
+    missing_tables,
+)
 from msbdb.database.admin.findings import Finding
 from msbdb.database.admin.historychecks import check_digests, check_events, check_intervals, check_orphans
-from msbdb.database.admin.rowchecks import check_foreign_keys, check_links, check_values
 from msbdb.database.admin.runchecks import check_buildings, check_content, check_forest, check_ledger, check_rasters
-from msbdb.database.admin.schemachecks import check_schema, missing_tables
 from msbdb.database.admin.shapechecks import check_geometries, check_registers, check_spatial_index
 from msbdb.database.dialects.connection import snapshot
 from msbdb.errors import MsbdbError

@@ -1,8 +1,8 @@
-"""The dialect of PostGIS."""
+"""The dialect of PostGIS, and bulk loads into its new tables: rows first, then indexes and foreign keys."""
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import Any
 
 import psycopg
@@ -28,7 +28,6 @@ from sqlalchemy.dialects.postgresql.base import ischema_names
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
-from msbdb.database.dialects import freshtables as fresh
 from msbdb.database.schema.canonical import to_json
 from msbdb.database.schema.sqlfiles import read_sql
 from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
@@ -108,6 +107,41 @@ SELECT set_config('default_toast_compression', 'lz4', true) FROM pg_settings
 WHERE name = 'default_toast_compression' AND 'lz4' = ANY(enumvals)
 """
 """Large outlines are compressed by LZ4 where the server supports it: a third of the default's time, some more space."""
+
+WORTH = 1000
+"""Rows from which it is quicker to make indexes and keys after the load."""
+
+_NEW = """
+SELECT c.relname
+FROM pg_class AS c
+WHERE c.relnamespace = current_schema()::regnamespace AND c.relkind = 'r' AND c.relname = ANY(:tables)
+  AND c.xmin = pg_current_xact_id_if_assigned()::xid
+ORDER BY c.relname
+"""
+"""Tables that this transaction made: nobody else sees them, so locking them disturbs nobody."""
+
+_KEYS = """
+SELECT format('ALTER TABLE %s DROP CONSTRAINT %I', conrelid::regclass, conname),
+       format('ALTER TABLE %s ADD CONSTRAINT %I %s', conrelid::regclass, conname, pg_get_constraintdef(oid))
+FROM pg_constraint
+WHERE contype = 'f' AND connamespace = current_schema()::regnamespace AND conrelid = ANY(CAST(:tables AS regclass[]))
+ORDER BY conrelid, conname
+"""
+
+_INDEXES = """
+SELECT format('DROP INDEX %s', i.indexrelid::regclass), pg_get_indexdef(i.indexrelid)
+FROM pg_index AS i
+WHERE i.indrelid = ANY(CAST(:tables AS regclass[]))
+  AND NOT EXISTS (SELECT FROM pg_constraint AS k WHERE k.conindid = i.indexrelid AND k.contype IN ('p', 'u', 'x'))
+ORDER BY i.indrelid, i.indexrelid
+"""
+"""Statements that drop and make again foreign keys, and indexes that belong to no constraint."""
+
+_ROOM = """
+SELECT set_config('maintenance_work_mem', '256MB', true) FROM pg_settings
+WHERE name = 'maintenance_work_mem' AND CAST(setting AS bigint) < 262144
+"""
+"""Memory for sorting an index until the end of the transaction; a larger setting of the server is kept."""
 
 
 def exists(url: URL, timeout_s: float) -> bool:
@@ -197,11 +231,6 @@ def writing(engine: Engine) -> Iterator[Connection]:
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
         connection.execute(text(_COMPRESSION))
         yield connection
-
-
-def in_bulk(connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:
-    """Index and check new tables when they are filled; in other tables this would lock readers out."""
-    return fresh.in_bulk(connection, coming)
 
 
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
@@ -300,3 +329,37 @@ def explain(error: BaseException, where: str) -> MsbdbError:
         )
     what, step = _EXPLAINED.get(state, ("{where} failed: {cause}", "Check the URL, the server and the rights."))
     return DatabaseError(f"The database {what.format(where=where, cause=cause)} {step}")
+
+
+@contextmanager
+def in_bulk(connection: Connection, coming: Mapping[str, int]) -> Iterator[None]:
+    """Drop the foreign keys and indexes of new tables while they are filled, and make them at the end.
+
+    In other tables this would lock readers out.
+    Primary keys and unique constraints are kept: rows come in their order, so they cost little.
+
+    Parameters
+    ----------
+    connection : Connection
+        In a writer's transaction. A failure or a kill undoes all of it.
+    coming : Mapping
+        Number of rows that will be inserted into each table. Tables of an earlier transaction, and those with fewer
+        than `WORTH` incoming rows, keep their keys and indexes.
+
+    Raises
+    ------
+    IntegrityError
+        At the end, when a row breaks a key.
+    """
+    large = [table for table, rows in coming.items() if rows >= WORTH]
+    new = list(connection.scalars(text(_NEW), {"tables": large})) if large else []
+    keys = connection.execute(text(_KEYS), {"tables": new}).all()
+    indexes = connection.execute(text(_INDEXES), {"tables": new}).all()
+    for off, _ in [*keys, *indexes]:
+        connection.exec_driver_sql(off)
+    yield
+    if new:
+        logger.debug("%d indexes and %d keys are made for the new tables %s", len(indexes), len(keys), ", ".join(new))
+        connection.execute(text(_ROOM))
+    for _, on in [*indexes, *keys]:
+        connection.exec_driver_sql(on)

@@ -18,8 +18,7 @@ from msbdb.grid import GridSpec
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams
 from msbdb.points.cellindex import CellIndex, cell_place, index_cells, strip
-from msbdb.points.cloud import PointCloud
-from msbdb.points.density import measure_density
+from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]

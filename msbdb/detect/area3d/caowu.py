@@ -22,8 +22,7 @@ from msbdb.grid import GridSpec
 from msbdb.labels import chosen_cells, sums
 from msbdb.order import order_of_points, ranks
 from msbdb.params import Area3dParams, Params
-from msbdb.points.cloud import PointCloud
-from msbdb.points.density import measure_density
+from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.points.graph import PointGraph, components, connect
 from msbdb.points.pointarea import build_point_scale_space, open_close_on_set
 
