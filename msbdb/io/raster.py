@@ -1,4 +1,4 @@
-"""Reading and writing heights as rasters: nodata and units end here, a ``Grid`` knows only validity and metres.
+"""Reading heights from rasters: nodata and units end here, a ``Grid`` knows only validity and metres.
 
 Images are opened and moved onto a lattice by the same functions; see ``msbdb.io.ortho``.
 """
@@ -21,7 +21,6 @@ from rasterio.warp import Resampling, reproject
 from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbWarning, NodataError
 from msbdb.grid import Bounds, Grid, GridSpec
 from msbdb.io.crs import CrsLike, reference, same_crs, settle
-from msbdb.io.files import write_atomic
 
 logger = logging.getLogger(__name__)
 
@@ -37,8 +36,6 @@ BAND_UNITS = {
     "us-ft": "us-ft", "ftus": "us-ft", "us survey foot": "us-ft", "us survey feet": "us-ft",
 }  # fmt: skip
 """Names of units in a band's unit tag."""
-
-WRITTEN_NODATA = -9999.0
 
 
 def read_grid(
@@ -179,47 +176,6 @@ def align_grid(grid: Grid, onto: GridSpec, *, role: str = "DTM", resampling: str
         missing = 100.0 * float(np.mean(~valid))
         warnings.warn(f"The {role} leaves {missing:.1f} % of the lattice without a value.", MsbdbWarning, stacklevel=2)
     return Grid(np.where(valid, values, np.float32(0)), valid, onto)
-
-
-def write_grid(path: str | os.PathLike[str], grid: Grid) -> None:
-    """Write a grid as a GeoTIFF, tiled and compressed; the file appears complete or not at all.
-
-    Floating-point values get the nodata value -9999 where not valid; whole numbers and masks are written as they
-    are, with a mask of their own where a cell is not valid.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
-    """
-    values = grid.values.astype(np.uint8) if grid.values.dtype == np.bool_ else grid.values
-    floating = bool(np.issubdtype(values.dtype, np.floating))
-    profile = {
-        "driver": "GTiff",
-        "width": grid.spec.shape[1],
-        "height": grid.spec.shape[0],
-        "count": 1,
-        "dtype": values.dtype.name,
-        "crs": grid.spec.crs.to_wkt(),
-        "transform": grid.spec.transform,
-        "tiled": True,
-        "blockxsize": 256,
-        "blockysize": 256,
-        "compress": "deflate",
-        "predictor": 3 if floating else 2,
-    }
-    if floating:
-        profile["nodata"] = WRITTEN_NODATA
-        values = np.where(grid.valid, values, np.asarray(WRITTEN_NODATA, dtype=values.dtype))
-    with write_atomic(path) as temporary:
-        try:
-            with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(temporary, "w", **profile) as dataset:
-                dataset.write(values, 1)
-                if not floating and not grid.valid.all():
-                    dataset.write_mask(grid.valid)
-        except RasterioError as error:
-            msg = f"{path} cannot be written ({error}). Check the folder and the free space."
-            raise FileError(msg) from error
 
 
 @contextmanager

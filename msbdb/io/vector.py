@@ -174,26 +174,6 @@ def _areas_of(geometry: shapely.Geometry | None) -> shapely.Geometry | None:
     return shapely.union_all(areas) if len(areas) else None
 
 
-def write_layer(
-    frame: gpd.GeoDataFrame, path: str | os.PathLike[str], layer: str | None = None, driver: str = "GPKG"
-) -> None:
-    """Write one layer into a new file of any vector format, which replaces an old one, complete or not at all.
-
-    Parameters
-    ----------
-    frame : GeoDataFrame
-        With a CRS.
-    path : path
-        The file.
-    layer : str, optional
-        The layer's name; by default the file's without its ending.
-    driver : str
-        OGR's name of the format.
-    """
-    path = Path(path)
-    write_layers(path, {layer or path.stem: frame}, driver)
-
-
 def write_layers(path: Path, layers: dict[str, gpd.GeoDataFrame], driver: str, **options: object) -> None:
     """Write layers into a new vector file, which replaces an old one.
 

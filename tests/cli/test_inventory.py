@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.image import imread
 from shapely import Point, box
+from simulated.files import write_heights
 from support.towns import ROW, SOUTH, UTM, WEST, House, footprints, town_heights
 
 from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, footprint_at, open_database, read_changes
-from msbdb.io.raster import write_grid
 
 LATER: list[House] = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
 
@@ -34,7 +34,7 @@ def rasters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     paths = {}
     for name, houses in (("first", ROW), ("second", LATER)):
         paths[name] = folder / f"{name}.tif"
-        write_grid(paths[name], town_heights(houses))
+        write_heights(paths[name], town_heights(houses))
     return paths
 
 

@@ -13,6 +13,7 @@ import psycopg
 import pytest
 from click.testing import CliRunner
 from simulated.builds import EPSG, small_build
+from simulated.files import write_heights
 from sqlalchemy import make_url
 from support.towns import ROW, footprints, town_heights
 
@@ -20,7 +21,6 @@ from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, create_database, footprint_at, open_database, write_build
 from msbdb.database.dialects.connection import database_url, shown
 from msbdb.errors import DatabaseError
-from msbdb.io.raster import write_grid
 
 SECRET = "Geheim&42"
 QUOTED = "Geheim%2642"
@@ -65,7 +65,7 @@ def run(words: list[str], url: str) -> Any:
 def write_town(folder: Path) -> None:
     """Write an office's footprints and heights of the same town into a folder."""
     footprints(ROW).to_file(folder / "town.gpkg")
-    write_grid(folder / "town.tif", town_heights(ROW))
+    write_heights(folder / "town.tif", town_heights(ROW))
 
 
 def assert_no_secret(*texts: str) -> None:

@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 from simulated.builds import HOSTILE
+from simulated.files import write_heights
 from sqlalchemy import inspect, text
 from support.sizes import sample
 from support.towns import EPSG, ROW, UTM, House, footprints, town_build, town_heights
 
 from msbdb.cli.main import cli
 from msbdb.database import check_database, footprint_at, open_database, read_changes, read_states, write_build
-from msbdb.io.raster import write_grid
 
 LATER: list[House] = ROW[1:]
 NAMES = [HOSTILE, '"quoted"; a\\\'b', "%s %(x)s :name {0} $1^{$ 🏠 [/red]"]
@@ -37,7 +37,7 @@ def test_hostile_words_stay_data_through_import_update_state_and_changes(
     office.to_file(tmp_path / "office.geojson", layer=name)
     words = ("import", tmp_path / "office.geojson", "--as", "inventory", "--db", target, "--date", "2015")
     assert json.loads(run(*words, "--layer", name, "--name", name, "--id", name, "--json"))["name"] == name
-    write_grid(tmp_path / "later.tif", town_heights(LATER))
+    write_heights(tmp_path / "later.tif", town_heights(LATER))
     words = ("update", "--ndsm", tmp_path / "later.tif", "--db", target, "--survey", name, "--date", "2021")
     assert json.loads(run(*words, "--json"))["inventory"]["counts"]["demolished"] == 1
     engine = open_database(target)

@@ -16,7 +16,7 @@ from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, Msb
 from msbdb.grid import Grid, GridSpec
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
-from msbdb.io.raster import align_grid, read_grid, write_grid
+from msbdb.io.raster import align_grid, read_grid
 
 LAMBERT = CRS.from_epsg(2154)
 NORTH_UP = Affine(1.0, 0.0, 700000.0, 0.0, -1.0, 6600010.0)
@@ -178,36 +178,6 @@ def test_grids_apart_are_refused():
     far = GridSpec((10, 12), NORTH_UP @ Affine.translation(1000, 0), LAMBERT)
     with pytest.raises(GridMismatchError, match="same place"):
         align_grid(Grid(slope(), np.ones((10, 12), dtype=bool), far), SPEC)
-
-
-def test_written_grids_read_back(tmp_path):
-    """Heights, validity, lattice and CRS; also of a single cell; never a half-written file."""
-    valid = np.ones((10, 12), dtype=bool)
-    valid[2, 3] = False
-    grid = Grid(np.where(valid, slope(), 0).astype(np.float32), valid, SPEC)
-    write_grid(tmp_path / "out.tif", grid)
-    back = read_grid(tmp_path / "out.tif")
-    np.testing.assert_array_equal(back.values, grid.values)
-    np.testing.assert_array_equal(back.valid, valid)
-    assert back.spec.same_lattice(SPEC)
-    with rasterio.open(tmp_path / "out.tif") as dataset:
-        assert dataset.compression.name == "deflate"
-        assert dataset.profile["tiled"]
-    assert [file.name for file in tmp_path.iterdir()] == ["out.tif"]
-    with pytest.raises(FileError, match="Choose a folder"):
-        write_grid(tmp_path / "none" / "out.tif", grid)
-
-
-@pytest.mark.parametrize("dtype", [np.int32, np.uint8, np.bool_])
-def test_labels_and_masks_are_written_as_they_are(tmp_path, dtype):
-    """Whole numbers keep their zeros valid; only the mask says what is not."""
-    labels = (slope(np.int64) % 2).astype(dtype)
-    valid = np.ones((10, 12), dtype=bool)
-    valid[0, 0] = False
-    write_grid(tmp_path / "labels.tif", Grid(labels, valid, SPEC))
-    with rasterio.open(tmp_path / "labels.tif") as dataset:
-        np.testing.assert_array_equal(dataset.read(1), labels.astype(dataset.dtypes[0]))
-        np.testing.assert_array_equal(dataset.read_masks(1) != 0, valid)
 
 
 def image(*levels, side=100):

@@ -11,7 +11,7 @@ from pyproj import CRS
 from shapely import GeometryCollection, LineString, MultiPolygon, Point, Polygon, box
 
 from msbdb.errors import CRSError, FileError, InputError, MsbdbWarning, NodataError
-from msbdb.io.vector import read_polygons, write_layer
+from msbdb.io.vector import read_polygons, write_layers
 
 LAMBERT = CRS.from_epsg(2154)
 BOWTIE = Polygon([(0, 0), (2, 2), (2, 0), (0, 2)])
@@ -102,10 +102,10 @@ def test_files_without_polygons_are_refused(tmp_path):
 
 
 def test_a_written_layer_replaces_the_old_file_whole(tmp_path):
-    """The layer's name is the file's unless given, and nothing else is left in the folder."""
+    """Nothing else is left in the folder."""
     path = tmp_path / "parts.gpkg"
     path.write_text("old")
-    write_layer(gpd.GeoDataFrame({"part_id": [1]}, geometry=[HOUSE], crs=LAMBERT), path)
+    write_layers(path, {"parts": gpd.GeoDataFrame({"part_id": [1]}, geometry=[HOUSE], crs=LAMBERT)}, "GPKG")
     frame = read_polygons(path, layer="parts")
     assert list(frame["part_id"]) == [1]
     assert [file.name for file in tmp_path.iterdir()] == ["parts.gpkg"]
@@ -122,7 +122,7 @@ def test_the_way_gdal_writes_is_restored(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pyogrio, "write_dataframe", fail)
     with pytest.raises(FileError, match="No space left"):
-        write_layer(frame, tmp_path / "houses.gpkg")
+        write_layers(tmp_path / "houses.gpkg", {"houses": frame}, "GPKG")
     assert seen == [False]
     assert pyogrio.get_gdal_config_option(option) is None
 

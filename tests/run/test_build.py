@@ -14,7 +14,7 @@ import shapely
 from click.testing import CliRunner
 from pyproj import CRS, Transformer
 from simulated import scenes
-from simulated.files import write_image, write_points
+from simulated.files import write_heights, write_image, write_points
 from support.sizes import sample
 
 import msbdb
@@ -22,7 +22,6 @@ from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, open_database, read_build
 from msbdb.errors import DatabaseError, InputError
 from msbdb.grid import Grid, lattice
-from msbdb.io.raster import write_grid
 from msbdb.outline.polygons import rasterise
 from msbdb.params import profile, with_values
 from msbdb.run.stages import STAGES
@@ -300,11 +299,11 @@ def test_rasters_serve_instead_of_points(tower, tmp_path, kind):
     dsm, dtm = rasters(tower)
     if kind == "ndsm":
         heights = replace(dsm, values=dsm.values - dtm.values)
-        write_grid(tmp_path / "ndsm.tif", heights)
+        write_heights(tmp_path / "ndsm.tif", heights)
         given = {"ndsm": tmp_path / "ndsm.tif"}
     else:
-        write_grid(tmp_path / "dsm.tif", dsm)
-        write_grid(tmp_path / "dtm.tif", dtm)
+        write_heights(tmp_path / "dsm.tif", dsm)
+        write_heights(tmp_path / "dtm.tif", dtm)
         given = {"dsm": tmp_path / "dsm.tif", "dtm": tmp_path / "dtm.tif"}
     report = msbdb.build(**given, db=tmp_path / "raster.sqlite")
     assert report.buildings == 1

@@ -7,7 +7,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 
-from msbdb.grid import GridSpec
+from msbdb.grid import Grid, GridSpec
 from msbdb.points.cloud import PointCloud
 
 FORMATS = {(): 6, ("red", "green", "blue"): 7, ("red", "green", "blue", "nir"): 8}
@@ -43,4 +43,13 @@ def write_image(path: Path, bands: NDArray[np.number], spec: GridSpec, names: tu
         image.write(np.clip(np.round(bands), 0, 255).astype(np.uint8))
         for number, name in enumerate(names, 1):
             image.set_band_description(number, name)
+    return path
+
+
+def write_heights(path: Path, grid: Grid) -> Path:
+    """Write heights as a GeoTIFF, with the nodata value -9999 where they are not valid."""
+    spec, nodata = grid.spec, -9999.0
+    profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": spec.crs.to_wkt(), "transform": spec.transform}
+    with rasterio.open(path, "w", height=spec.shape[0], width=spec.shape[1], nodata=nodata, **profile) as image:
+        image.write(np.where(grid.valid, grid.values, nodata).astype(np.float32), 1)
     return path
