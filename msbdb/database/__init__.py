@@ -44,6 +44,7 @@ from msbdb.database.runs.reading import (
     read_run,
     read_scales,
     read_survey,
+    read_tables,
     run_heads,
     summarise_run,
 )
@@ -101,6 +102,7 @@ __all__ = [
     "read_standing",
     "read_states",
     "read_survey",
+    "read_tables",
     "run_example",
     "run_heads",
     "shown",

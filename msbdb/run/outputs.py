@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from msbdb.database import RunSummary, opened, read_build, run_heads, shown, summarise_run
+from msbdb.database import RunSummary, opened, read_build, read_tables, run_heads, shown, summarise_run
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
 
@@ -87,6 +87,6 @@ def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bo
     from msbdb.export import export
 
     with opened(db) as engine:
-        build = read_build(engine, survey, tables=tuple(LAYERS.values()))
-    layers = {layer: gpd.GeoDataFrame(build.frames[table.name]) for layer, table in LAYERS.items()}
+        frames = read_tables(engine, tuple(LAYERS.values()), survey)
+    layers = {layer: gpd.GeoDataFrame(frames[table.name]) for layer, table in LAYERS.items()}
     export(layers, out, overwrite=overwrite)

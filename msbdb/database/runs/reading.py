@@ -83,7 +83,7 @@ def run_heads(engine: Engine) -> list[dict[str, Any]]:
     return sorted(heads, key=lambda head: str(head["survey"]))
 
 
-def read_build(engine: Engine, survey: str | None = None, *, tables: Sequence[Table] = TABLES) -> KeptRun:
+def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
     """Return a run as the build that was written, rows in the tables' order, as one committed state.
 
     Parameters
@@ -92,8 +92,6 @@ def read_build(engine: Engine, survey: str | None = None, *, tables: Sequence[Ta
         From ``open_database``.
     survey : str, optional
         Its name; not needed where the database holds only one.
-    tables : sequence of Table
-        The tables whose frames are read; all by default.
 
     Raises
     ------
@@ -101,18 +99,30 @@ def read_build(engine: Engine, survey: str | None = None, *, tables: Sequence[Ta
         When there is no such survey, or no name was given and there are several.
     """
     with snapshot(engine) as connection:
-        content = content_of(connection, survey, tables)
-    frames = {table.name: _as_frame(table, content.columns[table.name], content.survey) for table in tables}
+        content = content_of(connection, survey)
+    frames = {table.name: _as_frame(table, content.columns[table.name], content.survey) for table in TABLES}
     return KeptRun(content.survey, content.run, frames, _known_rasters(content.rasters, content.survey.name, engine))
 
 
-def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] = TABLES) -> RunContent:
+def read_tables(engine: Engine, tables: Sequence[Table], survey: str | None = None) -> "dict[str, pd.DataFrame]":
+    """Return some tables of a run by name, as one committed state, without its rasters.
+
+    Survey and errors are those of `read_build`; GeoDataFrames where the table has a geometry.
+    """
+    with snapshot(engine) as connection:
+        run = _find_run(connection, survey, shown(engine.url))
+        columns = [_read_columns(connection, table, run.run_id) for table in tables]
+        record = _survey_record(connection, run.survey_id)
+    return {table.name: _as_frame(table, own, record) for table, own in zip(tables, columns, strict=True)}
+
+
+def content_of(connection: Connection, survey: str | None) -> RunContent:
     """Return a run as plain columns, as an open transaction sees it; the parameters are those of `read_build`."""
     run = _find_run(connection, survey, shown(connection.engine.url))
     return RunContent(
         survey=_survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
-        columns={table.name: _read_columns(connection, table, run.run_id) for table in tables},
+        columns={table.name: _read_columns(connection, table, run.run_id) for table in TABLES},
         rasters=_read_rasters(connection, run.run_id),
     )
 
@@ -284,10 +294,7 @@ def _read_plain(engine: Engine, table: Table, survey: str | None) -> "pd.DataFra
 
 def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN401
     """Return one table of one run, as a GeoDataFrame where it has a geometry."""
-    with snapshot(engine) as connection:
-        run = _find_run(connection, survey, shown(engine.url))
-        columns = _read_columns(connection, table, run.run_id)
-        return _as_frame(table, columns, _survey_record(connection, run.survey_id))
+    return read_tables(engine, (table,), survey)[table.name]
 
 
 def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  # noqa: ANN401
