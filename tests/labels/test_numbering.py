@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from support import oracles
 
-from msbdb.labels import boxes, chosen_cells, label_zones, renumber, reorder, shared_cells, sizes, sums
+from msbdb.labels import boxes, chosen_cells, label_zones, renumber, reorder, shared_cells, sizes, small_zones, sums
 
 COUNT = 6
 IMAGES = hnp.arrays(np.int32, st.tuples(st.integers(1, 8), st.integers(1, 8)), elements=st.integers(0, COUNT))
@@ -98,3 +99,14 @@ def test_zones_of_zones_are_the_same_zones(connectivity, labels):
     mask = labels > 0
     of_mask, of_numbers = (label_zones(image, connectivity=connectivity)[0] for image in (mask, mask.astype("f4") * -2))
     np.testing.assert_array_equal(of_mask, of_numbers)
+
+
+@pytest.mark.parametrize("connectivity", [4, 8])
+@given(
+    mask=hnp.arrays(np.bool_, st.tuples(st.integers(1, 8), st.integers(1, 8))),
+    cells=st.integers(0, 12) | st.floats(0, 12),
+)
+def test_small_zones_are_what_an_opening_removes(connectivity, mask, cells):
+    """Components of fewer cells, and no component of just so many, nor of more."""
+    opened = oracles.binary_area_opening(mask, cells, connectivity)
+    np.testing.assert_array_equal(small_zones(mask, cells, connectivity=connectivity), mask & ~opened)

@@ -223,6 +223,20 @@ def test_vegetation_told_by_structure_is_masked_with_the_ground():
     assert forest.rejections["area_m2"].tolist() == [64.0]
 
 
+def test_edges_below_the_mask_are_raised_inside_the_built_cells():
+    """They belong to the highest storey beside them; the same cells outside of it stay ground."""
+    image = np.zeros((30, 30), dtype=int)
+    image[5:20, 5:20] = 2
+    built = image > 0
+    built[5:20, 20] = True
+    params = params_of(20.0)
+    parts = extract_parts(heights_of(image), None, survey="test", params=params, built=built).parts
+    assert parts["area_px"].tolist() == [15 * 16]
+    assert parts["hzone"].tolist() == [2]
+    bare = extract_parts(heights_of(image), None, survey="test", params=params, built=image > 0).parts
+    assert bare["area_px"].tolist() == [15 * 15]
+
+
 IMAGES = hnp.arrays(
     np.int64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=14), elements=st.integers(0, 4)
 )

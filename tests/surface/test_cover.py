@@ -13,7 +13,8 @@ from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.prepare import build_surface
 from msbdb.surface import cover_from_surface, normalise, surface_from_rasters
-from msbdb.surface.structure import ROOF, VEGETATION, smooth_share
+from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_share, structural_cover
+from msbdb.surface.texture import Echoes
 
 Scene = scenes.Scene
 PARAMS = with_values(Params(), {"surface": {"cell_m": 0.5}})
@@ -162,3 +163,31 @@ def test_each_cell_s_own_probability_tells_roofs_from_crowns(echoed):
     crowns = scene.cover == scenes.VEGETATION
     assert np.nanmean(own[(scene.buildings > 0) & ~crowns]) > 0.75
     assert np.nanmean(own[crowns & (scene.buildings == 0)]) < 0.4
+
+
+@pytest.mark.parametrize(("rough_m", "expected"), [(0.03, ROOF), (0.4, VEGETATION)])
+def test_split_echoes_of_a_plane_are_glass_and_those_of_a_rough_surface_leaves(rough_m, expected):
+    """A roof of 10 x 10 m of which each pulse is split, by how far its echoes scatter."""
+    spec = lattice((0, 0, 20, 20), 0.5, scenes.UTM33)
+    heights = np.zeros(spec.shape, dtype=np.float32)
+    heights[10:30, 10:30] = 6.0
+    one = np.ones_like(heights)
+    rough = np.float32(rough_m) * one
+    split = np.where(heights > 0, one, 0)
+    echoes = Echoes(split, split, split, one)
+    ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
+    found = structural_cover(ndsm, rough, rough, echoes, mask_m=2.0, params=PARAMS.cover)
+    assert set(np.unique(found.cover.index[heights > 0])) == {expected}
+
+
+def test_the_share_of_leaves_rises_between_its_limits_which_grow_with_the_cell():
+    """0 up to glass_m, 1 from leaf_m on, never falling; on cells of 2 m at twice the roughness."""
+    params = PARAMS.cover
+    rough = np.geomspace(0.001, 5, 200).astype(np.float32)
+    for cell_m, factor in ((0.3, 1.0), (1.0, 1.0), (2.0, 2.0)):
+        share = leaf_share(rough, cell_m, params)
+        assert (np.diff(share) >= 0).all()
+        assert (share[rough <= 0.999 * factor * params.glass_m] == 0).all()
+        assert (share[rough >= 1.001 * factor * params.leaf_m] == 1).all()
+        between = (rough > 1.01 * factor * params.glass_m) & (rough < 0.99 * factor * params.leaf_m)
+        assert ((share[between] > 0) & (share[between] < 1)).all()

@@ -16,6 +16,7 @@ from simulated.scenes import BUILDING, courtyard, under_trees
 from support.notices import with_notices
 
 from msbdb.detect.adaptive.bathurst import extract_adaptive, ladder
+from msbdb.detect.adaptive.offground import OffGround, classify_vegetation, structure
 from msbdb.errors import InputError
 from msbdb.evaluate import PointReference, evaluate
 from msbdb.grid import lattice
@@ -157,6 +158,38 @@ def test_a_tree_is_no_region_but_a_row_of_the_ledger(echoes):
     near = found.rejections[np.hypot(found.rejections["xcen"] - WEST - 20, found.rejections["ycen"] - SOUTH - 38) < 3]
     assert len(near)
     assert near["stage"].isin(list(found.counts)).all()
+
+
+def off_ground_points(points, split):
+    """Return (N, 3) points as off-ground points at a spacing of half a metre."""
+    x, y, z = points.T
+    some = np.zeros(len(x), dtype=np.int64)
+    area = np.full(len(x), SPACING**2)
+    return OffGround(some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), None, some, SPACING)
+
+
+def test_split_echoes_count_on_rough_surfaces_alone():
+    """A plane of which each echo is split is glass and stays; a crown of the same echoes goes."""
+    params = Params().adaptive
+    roof, leaves = off_ground_points(HOUSE, split=True), off_ground_points(TREE, split=True)
+    assert not classify_vegetation(roof, structure(roof, params), params).any()
+    assert (classify_vegetation(leaves, structure(leaves, params), params) > 0).all()
+    # With limits that no surface reaches, the plane would go as well.
+    leafy = replace(params, leaf_level=1.0, glass_level=2.0)
+    assert np.mean(classify_vegetation(roof, structure(roof, leafy), leafy) > 0) > 0.9
+
+
+def test_points_without_a_plane_are_not_rough():
+    """On two lines of a scanner, far apart, few points have neighbours enough; these alone decide the level."""
+    lines = np.array([(x, y, 6.0) for y in (0.0, 2.0) for x in np.arange(0, 20, 1.0)])
+    patch = np.array([(x, y, 6.0) for y in (0.8, 1.0, 1.2) for x in (9.0, 9.3, 9.6)])
+    points = off_ground_points(np.concatenate([lines, patch]), split=False)
+    params = Params().adaptive
+    found = structure(points, params)
+    near = np.hypot(points.x - 9.3, points.y - 1.0) < 1.5
+    np.testing.assert_allclose(found.level[near], 1.0)
+    # Nothing is known where no point around has a plane.
+    np.testing.assert_array_equal(found.level[points.x < 4], 0.0)
 
 
 def test_roofs_are_one_region_or_two_by_the_distance_between_them():
