@@ -1,0 +1,1 @@
+"""Labelled places, copies of them as other sensors and lands would give them, and what a build is worth on each."""

@@ -1,0 +1,51 @@
+"""Copies of a cloud as another sensor would have recorded it: fewer pulses, first echoes only, or no classes."""
+
+import laspy
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.points.cloud import UNCLASSIFIED_CLASS
+
+SEED = 1
+PULSE_TOLERANCE = 0.1
+"""Times name pulses where there are as many of them as first echoes, but for this share."""
+
+
+def pulses(cloud: laspy.LasData) -> NDArray[np.int64]:
+    """Return (N,) the number of each echo's pulse.
+
+    The echoes of a pulse have one time. Where times are missing, shared or changed, each echo is its own pulse.
+    """
+    times, pulse = np.unique(np.asarray(cloud.gps_time), return_inverse=True)
+    first = np.count_nonzero(np.asarray(cloud.return_number) <= 1)
+    if abs(len(times) - first) > PULSE_TOLERANCE * first:
+        return np.arange(len(cloud.points))
+    return np.asarray(pulse, dtype=np.int64)
+
+
+def thinned(cloud: laspy.LasData, share: float) -> laspy.LasData:
+    """Return a share of the pulses, chosen by a fixed seed, with all their echoes."""
+    pulse = pulses(cloud)
+    kept = np.random.default_rng(SEED).random(int(pulse.max(initial=-1)) + 1) < share
+    return taken(cloud, kept[pulse])
+
+
+def first_only(cloud: laspy.LasData) -> laspy.LasData:
+    """Return what a sensor of one echo records: the first one of each pulse, numbered 1 of 1."""
+    copy = taken(cloud, np.asarray(cloud.return_number) <= 1)
+    copy.return_number = np.ones(len(copy.points), dtype=np.uint8)
+    copy.number_of_returns = np.ones(len(copy.points), dtype=np.uint8)
+    return copy
+
+
+def with_class_alone(cloud: laspy.LasData, kept: int | None) -> laspy.LasData:
+    """Return a copy in which all points are unclassified, but for those of one class."""
+    copy = taken(cloud, np.ones(len(cloud.points), dtype=np.bool_))
+    classes = np.asarray(cloud.classification)
+    copy.classification = np.where(classes == kept, classes, UNCLASSIFIED_CLASS).astype(np.uint8)
+    return copy
+
+
+def taken(cloud: laspy.LasData, chosen: NDArray[np.bool_]) -> laspy.LasData:
+    """Return a copy of the chosen points."""
+    return laspy.LasData(cloud.header, cloud.points[chosen].copy())

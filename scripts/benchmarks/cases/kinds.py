@@ -1,0 +1,96 @@
+"""The kinds of cases: the places as they are, thinned, with first echoes only, and laid over hills."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import laspy
+import numpy as np
+from pyproj import CRS
+from simulated.hills import RELIEFS, Relief, lifted, relief_of
+
+from cases.copies import first_only, taken, thinned
+from cases.labelled import NAMED, PLACES, Place, cell_for, first_density, reference_of
+from cases.measures import Case
+from msbdb.grid import lattice
+from msbdb.ground.choice import terrain
+from msbdb.io.las import read_points
+from msbdb.params import GroundParams
+
+DENSITIES = (8.0, 4.0, 2.0, 1.0, 0.5, 0.3)
+"""First echoes a square metre of the thinned copies."""
+
+THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
+
+LIFTED = ("delft_2", "montpellier", "amsterdam", "sevilla_plaza", "beziers_right")
+
+WINDOW_M = 300.0
+"""Of a larger place only so much of the south-western corner is laid over hills."""
+
+KNOLLS = "guldheden_east"
+"""The place whose terrain is used as wooded knolls."""
+
+
+def as_they_are(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield the places."""
+    for place in PLACES:
+        if place.name in names:
+            clouds = place.read(data)
+            reference = reference_of(place, clouds, data, cell_for(first_density(clouds)))
+            yield Case(place.name, place.crs, clouds, reference, {"pdal": place.pdal, "whitebox": place.whitebox})
+
+
+def with_fewer_pulses(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield thinned copies of places; the reference is made of all points."""
+    for name in THINNED:
+        if name not in names:
+            continue
+        place = NAMED[name]
+        clouds = place.read(data)
+        density = first_density(clouds)
+        for target in DENSITIES:
+            if target < density:
+                copies = [thinned(cloud, target / density) for cloud in clouds]
+                reference = reference_of(place, clouds, data, cell_for(target))
+                yield Case(f"{name}, {target:g}", place.crs, copies, reference, {})
+
+
+def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places as a sensor of one echo records them, each place once."""
+    for case in as_they_are(data, {name for name in names if not name.endswith("cadastre")}):
+        yield Case(case.name, case.crs, [first_only(cloud) for cloud in case.clouds], case.reference, {})
+
+
+def over_hills(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield towns that are laid over other relief."""
+    reliefs = {name: relief for name, relief in RELIEFS.items() if name != "waves"}
+    reliefs["knolls"] = knolls(data)
+    for name in LIFTED:
+        if name in names:
+            place = NAMED[name]
+            clouds = [south_west(cloud, WINDOW_M) for cloud in place.read(data)]
+            reference = reference_of(place, clouds, data, cell_for(first_density(clouds)))
+            for kind, relief in reliefs.items():
+                laid = [laid_over(cloud, relief) for cloud in clouds]
+                yield Case(f"{name}, {kind}", place.crs, laid, reference, {})
+
+
+def knolls(data: Path) -> Relief:
+    """Return the relief of the knolls, by their class 2."""
+    place: Place = NAMED[KNOLLS]
+    points = read_points([data / file for file in place.files], crs=CRS.from_user_input(place.crs))
+    spec = lattice(points.bounds, 1.0, points.crs)
+    return relief_of(terrain(points, spec, GroundParams(ground_filter="class2"))[0])
+
+
+def south_west(cloud: laspy.LasData, side_m: float) -> laspy.LasData:
+    """Return the points of a square at the south-western corner."""
+    x, y = np.asarray(cloud.x), np.asarray(cloud.y)
+    return taken(cloud, (x < x.min() + side_m) & (y < y.min() + side_m))
+
+
+def laid_over(cloud: laspy.LasData, relief: Relief) -> laspy.LasData:
+    """Return a copy whose points are lifted onto a relief."""
+    copy = taken(cloud, np.ones(len(cloud.points), dtype=np.bool_))
+    x, y, z = (np.asarray(cloud[axis], dtype=np.float64) for axis in "xyz")
+    copy.z = lifted(x, y, z, np.asarray(cloud.classification), relief)
+    return copy

@@ -1,0 +1,79 @@
+"""What a build of a case is worth: each detector and their fusion, on the ground of its own and on others."""
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import laspy
+
+from cases.copies import with_class_alone
+from cases.labelled import Objects, Reference
+from msbdb.detect.scene import Scene
+from msbdb.params import DETECTORS, profile, with_values
+from msbdb.parts.forest import Forest
+from msbdb.points.cloud import GROUND_CLASS
+from msbdb.run.compose import Regions, detect, fuse_and_decompose
+from msbdb.run.prepare import Inputs, Label, prepare, read_cloud
+from msbdb.run.stages import Notices, Stages, collect_notices
+
+GIVEN = "class 2"
+"""The ground of the given classes."""
+
+OWN = "walls"
+"""The ground of the default values."""
+
+Value = float | str | Objects | None
+
+
+@dataclass(frozen=True)
+class Case:
+    """Points to build from, and what is building there."""
+
+    name: str
+    crs: str
+    clouds: list[laspy.LasData]
+    reference: Reference
+    known: dict[str, Value]
+    """What its row says beforehand."""
+
+
+def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
+    """Build a case on each ground, and compare what is found.
+
+    Returns
+    -------
+    dict
+        Density; quality by area, per cent, of each detector and of the buildings on the ground of the default values,
+        and of the buildings on each other ground; objects found and true; seconds.
+    """
+    begun = time.perf_counter()
+    row: dict[str, Value] = {"case": case.name, **case.known}
+    for ground in grounds:
+        scene, regions, forest = build(case, ground)
+        spec, built = scene.heights.spec, forest.root_labels > 0
+        quality = case.reference.quality(built, spec)
+        if ground == OWN:
+            row |= {"density": scene.survey.density}
+            row |= {name: case.reference.quality(regions[name].labels > 0, spec) for name in DETECTORS}
+            row |= {"buildings": quality, "found": case.reference.found_objects(built, spec)}
+            row |= {"true": case.reference.true_objects(built, spec)}
+        else:
+            row[ground] = quality
+    return {**row, "seconds": time.perf_counter() - begun}
+
+
+def build(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Forest]:
+    """Build a case by the default values on a ground, without any other class than that of the ground."""
+    kept = GROUND_CLASS if ground == GIVEN else None
+    params = with_values(profile(), {"ground": {"ground_filter": "class2" if ground == GIVEN else ground}})
+    with tempfile.TemporaryDirectory() as folder, collect_notices(Notices()):
+        files = []
+        for number, cloud in enumerate(case.clouds):
+            files.append(Path(folder) / f"{number}.las")
+            with_class_alone(cloud, kept).write(files[-1])
+        inputs, stages = Inputs(points=tuple(files), crs=case.crs), Stages(None)
+        cloud = read_cloud(inputs, None)
+        scene, params = prepare(inputs, cloud, params, stages, Label(case.name))
+        regions = detect(scene, DETECTORS, params, stages)
+        return scene, regions, fuse_and_decompose(scene, regions, params, stages)

@@ -1,0 +1,152 @@
+"""The cases of the places: references, copies, towns over hills, and the page; on a simulated place."""
+
+import laspy
+import numpy as np
+import pytest
+from cases.copies import first_only, pulses, thinned, with_class_alone
+from cases.labelled import Objects, Place, cell_for, first_density, reference_of
+from cases.measures import GIVEN, OWN, Case, measure
+from simulated import hills, scenes
+from simulated.files import write_points
+from support.processes import BENCHMARKS, load_script
+
+from msbdb.grid import Grid, lattice
+
+HOUSES = scenes.row_houses(density=4.0)
+
+
+@pytest.fixture(scope="module")
+def places():
+    """Return scripts/benchmarks/places."""
+    return load_script(BENCHMARKS / "places")
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """Return a simulated place in a folder: its description, its points and the folder."""
+    data = tmp_path_factory.mktemp("data")
+    points = HOUSES.points
+    write_points(data / "points.laz", points)
+    cloud = laspy.read(data / "points.laz")
+    cloud.classification = HOUSES.labels
+    # As a scanner writes it: a new time with each first echo.
+    cloud.gps_time = np.cumsum(points.return_number == 1).astype(float)
+    cloud.write(data / "points.laz")
+    place = Place("town", ("points.laz",), "EPSG:32633")
+    return place, place.read(data), data
+
+
+def test_the_truth_against_itself_is_perfect_and_half_of_it_is_half(town):
+    """Quality and objects of the reference's own cells, and of those of its western half."""
+    place, clouds, data = town
+    reference = reference_of(place, clouds, data, 0.5)
+    spec, built = reference.spec, reference.built
+    every = reference.found_objects(built, spec)
+    assert reference.quality(built, spec) == 100
+    assert every.covered == every.all > 0
+    half = built & (np.cumsum(built.any(axis=0)) <= built.any(axis=0).sum() / 2)
+    assert 30 < reference.quality(half, spec) < 70
+    assert reference.true_objects(half, spec).covered == reference.true_objects(half, spec).all > 0
+    assert reference.true_objects(~built, spec) == Objects(0, 1)
+    assert reference.found_objects(~built, spec) == Objects(0, every.all)
+
+
+def test_the_reference_lies_where_the_scene_has_buildings(town):
+    """Cells of first echoes of class 6 are the scene's own buildings, but for their edges."""
+    place, clouds, data = town
+    reference = reference_of(place, clouds, data, 0.5)
+    assert reference.quality(HOUSES.buildings > 0, HOUSES.spec) > 90
+    assert first_density(clouds) == pytest.approx(4.0, rel=0.1)
+    assert [cell_for(density) for density in (8, 3, 2, 1, 0.5)] == [0.5, 0.5, 1.0, 1.0, 2.0]
+
+
+def test_thinned_copies_keep_whole_pulses(town):
+    """All echoes of a kept pulse stay, and the same ones each time; the copy has about the share."""
+    _, (cloud,), _ = town
+    copy = thinned(cloud, 0.3)
+    assert len(copy.points) / len(cloud.points) == pytest.approx(0.3, abs=0.05)
+    kept = np.isin(np.asarray(cloud.gps_time), np.asarray(copy.gps_time))
+    np.testing.assert_array_equal(np.asarray(cloud.x)[kept], np.asarray(copy.x))
+    np.testing.assert_array_equal(np.asarray(thinned(cloud, 0.3).x), np.asarray(copy.x))
+
+
+def test_without_times_each_echo_is_a_pulse(town):
+    """A file whose times are all alike is thinned point by point."""
+    _, (cloud,), _ = town
+    other = with_class_alone(cloud, None)
+    other.gps_time = np.zeros(len(cloud.points))
+    assert len(np.unique(pulses(other))) == len(cloud.points)
+    assert len(np.unique(pulses(cloud))) == np.count_nonzero(cloud.return_number == 1)
+
+
+def test_a_sensor_of_one_echo_numbers_all_as_one_of_one(town):
+    """Later echoes are gone, and nothing tells that they were."""
+    _, (cloud,), _ = town
+    copy = first_only(cloud)
+    assert len(copy.points) == np.count_nonzero(cloud.return_number == 1) < len(cloud.points)
+    assert set(copy.return_number) == set(copy.number_of_returns) == {1}
+    assert set(with_class_alone(cloud, 2).classification) == {1, 2}
+    assert 6 in cloud.classification
+
+
+def test_a_town_over_hills_keeps_its_roofs_level_and_lays_its_ground_on_the_relief():
+    """The ground rises by the relief; a house by its mean, as one."""
+    x, y = (place.ravel().astype(float) for place in np.meshgrid(np.arange(60), np.arange(40)))
+    house = (x >= 20) & (x < 30) & (y >= 10) & (y < 22)
+    classes = np.where(house, 6, 2).astype(np.uint8)
+    z = np.where(house, 5.0, 0.0)
+    for relief in hills.RELIEFS.values():
+        laid = hills.lifted(x, y, z, classes, relief)
+        np.testing.assert_allclose(laid[~house], relief(x, y)[~house])
+        np.testing.assert_allclose(laid[house], 5.0 + relief(x, y)[house].mean())
+    assert hills.terraces(x, y).max() > 10
+    # A block beyond the largest size goes up the slope in steps.
+    block = np.where((x > 5) & (y > 2), 6, 2).astype(np.uint8)
+    assert len(np.unique(hills.lifted(x, y, z * 0, block, hills.slope)[block == 6].round(6))) > 2
+
+
+def test_a_real_relief_begins_at_its_south_western_corner_and_is_mirrored():
+    """Beyond the border it comes back, without a step."""
+    spec = lattice((0, 0.1, 2.9, 1.9), 1.0, scenes.UTM33)
+    values = np.array([[5, 6, 8], [1, 2, 3]], dtype=np.float32)
+    relief = hills.relief_of(Grid(values, np.ones((2, 3), dtype=bool), spec))
+    assert relief(np.array([0.5, 2.5, 3.5, 5.5, 0.5]), np.array([0.5, 0.5, 0.5, 1.5, 2.5])).tolist() == [0, 2, 2, 4, 4]
+
+
+def test_a_case_is_measured_on_each_ground(town, places):
+    """Detectors, buildings and objects have figures; the houses are found, and the page says so."""
+    place, clouds, data = town
+    reference = reference_of(place, clouds, data, 0.5)
+    row = measure(Case("town", place.crs, clouds, reference, {"pdal": None, "whitebox": 50.0}), (OWN, GIVEN))
+    assert row["buildings"] > 80
+    assert row[GIVEN] > 80
+    assert row["found"].covered == row["found"].all == row["true"].covered == row["true"].all > 0
+    assert all(50 < row[name] <= 100 for name in ("multiscale", "flatregions", "area3d", "adaptive"))
+    text = places.section(places.TABLES["places"], [row, row])
+    header, _, first, _, mean = text.splitlines()[4:]
+    assert header.startswith("| case | density | pdal |")
+    assert first.startswith("| town | 4.")
+    assert f"| {2 * row['found'].all}/{2 * row['found'].all} |" in mean
+    assert mean.startswith("| mean | \N{EN DASH} | \N{EN DASH} | 50.0 |")
+
+
+def test_tables_that_were_not_measured_stay_on_the_page(places):
+    """The others are replaced; the order is that of the script."""
+    before = "\n".join(["# Places", "", "## Thinned copies", "", "old thin", "", "## The places", "", "old places", ""])
+    after = places.page({"places": "## The places\n\nnew\n"}, before)
+    assert "old places" not in after
+    assert after.index("new") < after.index("old thin")
+    assert places.page({}, after) == after
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--tables", "thinned,thick"], "got thick"), (["--write", "--place", "champs"], "leave --place out")],
+)
+def test_wrong_arguments_are_explained(words, said, places, monkeypatch, capsys):
+    """Before any data is asked for."""
+    monkeypatch.setattr("sys.argv", ["places", *words])
+    with pytest.raises(SystemExit) as ended:
+        places.main()
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
