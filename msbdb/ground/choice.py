@@ -65,7 +65,8 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
     """Return the DTM on a lattice, and the name of the ground filter.
 
     The filter detects the ground among points or cells. The terrain is interpolated under the other ones on cells of
-    ``ground_cell_m``, or of the lattice where that is coarser, and refined bilinearly.
+    ``ground_cell_m``, or of half the lattice's where those are larger, and taken bilinearly at the lattice's cells.
+    Walls are steps between cells: on cells as large as the spacing of sparse points, low houses would have none.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
         When class 2 is asked for and there is none.
     """
     name = _resolve(points, params.ground_filter)
-    coarse = lattice(spec.bounds, max(params.ground_cell_m, spec.cell_m), spec.crs)
+    coarse = lattice(spec.bounds, max(params.ground_cell_m, spec.cell_m / 2), spec.crs)
     if name == "class2":
         return refine(_through(points, points.in_class(GROUND_CLASS), coarse), spec), name
     if name in POINT_FILTERS:

@@ -171,6 +171,15 @@ def test_scattered_points_all_count():
     np.testing.assert_array_equal(surface.values, 20.0)
 
 
+def test_low_houses_among_sparse_points_are_bounded_by_walls():
+    """Garages of 2.4 m at 0.25 points a square metre stay above ground, on cells of 2 m."""
+    x, y = np.random.default_rng(0).uniform(0, 160, (2, 6400))
+    house = (x % 30 > 14) & (y % 30 > 14)
+    points = PointCloud(x, y, np.where(house, 22.4, 20.0), CRS_M)
+    found, _ = terrain(points, lattice((0.0, 0.0, 160.0, 160.0), 2.0, CRS_M), GroundParams(ground_filter="walls"))
+    assert np.abs(np.asarray(found.values) - 20).max() < 0.1
+
+
 def test_a_mound_without_walls_is_terrain():
     """A mound of 6 m, smooth to all sides, stays; a box as wide and as high beside it goes."""
 
