@@ -62,9 +62,9 @@ def frame(spec: GridSpec) -> Frame:
 def density(points: PointCloud) -> float:
     """First echoes a square metre of covered ground.
 
-    Covered are the 2 m cells that hold a first echo. Sparse points would cover more than their share, and islands far
-    apart would need many empty cells. With less than one echo a cell of the bounding box the cells grow, up to
-    `LARGEST_OCCUPANCY_M`, until the cells with points hold four on average.
+    Covered are the 2 m cells that hold a first echo. Sparse points would cover less than their share, and islands far
+    apart would need many empty cells. With less than one echo a cell of the bounding box, or four a covered cell, the
+    cells grow, up to `LARGEST_OCCUPANCY_M`, until the cells with points hold four on average.
 
     Raises
     ------
@@ -78,10 +78,11 @@ def density(points: PointCloud) -> float:
         raise NodataError(msg)
     x, y = points.x, points.y
     spec = lattice(_bounds(x, y, first), OCCUPANCY_CELL_M, points.crs)
-    if count < spec.shape[0] * spec.shape[1]:
-        return _scattered_density(x[first], y[first])
-    covered = np.count_nonzero(_occupied(x, y, first, frame(spec), spec.shape)) * spec.cell_area_m2
-    return float(count / covered)
+    if count >= spec.shape[0] * spec.shape[1]:
+        covered = np.count_nonzero(_occupied(x, y, first, frame(spec), spec.shape))
+        if count >= LEAST_A_CELL * covered:
+            return float(count / (covered * spec.cell_area_m2))
+    return _scattered_density(x[first], y[first])
 
 
 def _scattered_density(x: Floats, y: Floats) -> float:

@@ -127,6 +127,13 @@ def test_the_density_of_sparse_points_is_their_own():
     assert density(grid_points(200, 10)) == pytest.approx(1 / 100, rel=0.15)
 
 
+@pytest.mark.parametrize("points_m2", [0.3, 0.5, 0.8])
+def test_cells_that_random_points_miss_are_covered_as_well(points_m2):
+    """Of the cells of 2 m a third has no point at 0.3 points a square metre; the ground is covered all the same."""
+    x, y = np.random.default_rng(3).uniform(0, 200, (2, round(points_m2 * 200**2)))
+    assert density(PointCloud(x, y, np.zeros(x.size), CRS_M)) == pytest.approx(points_m2, rel=0.06)
+
+
 @pytest.mark.parametrize("away_m", [1e3, 1e5, 1e7])
 def test_islands_far_apart_have_the_density_of_one(away_m):
     """Nothing between them counts, however far they are: two fields of 4 points/m2 have 4 points/m2."""
