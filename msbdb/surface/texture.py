@@ -18,6 +18,9 @@ from msbdb.threads import kernel
 NO_PLANE_M = 5.0
 """Largest roughness that is reported, also where the samples are too few for a plane, metres."""
 
+LEAST_SAMPLES = 5
+"""A plane always fits fewer samples, or nearly: of a crown, too."""
+
 Field = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int32]
@@ -62,7 +65,7 @@ def roughness(samples: Samples, window_m: float) -> Field:
     Returns
     -------
     (H, W) ndarray of float32, metres
-        At most ``NO_PLANE_M``; that value also where no window holds four samples that span a plane.
+        At most ``NO_PLANE_M``; that value also where no window holds five samples that span a plane.
 
     Notes
     -----
@@ -206,7 +209,7 @@ def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell
                 sez += m[7] + shift * m[3]
                 snz += m[8]
                 szz += m[9]
-            if n < 4:
+            if n < LEAST_SAMPLES:
                 continue
             cee, cen, cnn = see - se * se / n, sen - se * sn / n, snn - sn * sn / n
             cez, cnz, czz = sez - se * sz / n, snz - sn * sz / n, szz - sz * sz / n

@@ -10,7 +10,7 @@ from pyproj import CRS
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples, sample_nearest
-from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, grid_samples, roughness, window_cells
+from msbdb.surface.texture import LEAST_SAMPLES, NO_PLANE_M, Echoes, echoes, grid_samples, roughness, window_cells
 
 CRS_M = CRS.from_epsg(32633)
 
@@ -65,7 +65,7 @@ def naive_residual(samples: Samples, half: int) -> NDArray[np.float64]:
             window = np.s_[max(r - half, 0) : r + half + 1, max(c - half, 0) : c + half + 1]
             seen = samples.observed[window]
             e, n, z = east[window][seen], north[window][seen], samples.z[window][seen]
-            if z.size < 4:
+            if z.size < LEAST_SAMPLES:
                 continue
             plane = np.column_stack([np.ones(z.size), e - e.mean(), n - n.mean()])
             moments = plane.T @ plane
@@ -104,6 +104,15 @@ def test_without_a_plane_the_largest_roughness_stands():
     assert np.all(roughness(Samples(z, zero, zero, spec_of(5, 5)), 1.5) == NO_PLANE_M)
     z[2] = 1.0
     assert np.all(roughness(Samples(z, zero, zero, spec_of(5, 5)), 2.5) == NO_PLANE_M)
+
+
+def test_four_echoes_tell_no_plane_and_five_do():
+    """Four echoes of a crown lie on a plane, or nearly, wherever they are."""
+    zero = np.zeros((3, 3), dtype=np.float32)
+    corners = np.array([[1, np.nan, 1], [np.nan] * 3, [1, np.nan, 1.0]])
+    assert np.all(roughness(Samples(corners, zero, zero, spec_of(3, 3)), 1.5) == NO_PLANE_M)
+    corners[1, 1] = 1.0
+    assert np.all(roughness(Samples(corners, zero, zero, spec_of(3, 3)), 1.5) == 0)
 
 
 def test_a_raster_is_sampled_at_its_centres():
