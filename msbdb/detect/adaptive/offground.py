@@ -161,13 +161,13 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
 
     Points with too few neighbours for a plane do not count in the mean of the planes: strips of a scanner leave gaps.
     Split echoes count in full up to ``leaf_level``, and not at all from ``glass_level`` on: such planes are glass or
-    nets.
+    nets. Among points more than 1 m apart a sphere spans several planes of a roof, so that ``level_m`` grows with them.
     """
     small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m)
     wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
     residuals = plane_residuals(points.x, points.y, points.z, small_m)
     values = np.zeros((len(points), 3), dtype=np.float32)
-    values[:, 0] = _degree(residuals, params.level_m)
+    values[:, 0] = _degree(residuals, params.level_m * max(1.0, points.spacing_m))
     values[:, 1] = np.isfinite(residuals)
     if points.split is not None:
         values[:, 2] = points.split

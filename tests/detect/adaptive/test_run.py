@@ -160,12 +160,12 @@ def test_a_tree_is_no_region_but_a_row_of_the_ledger(echoes):
     assert near["stage"].isin(list(found.counts)).all()
 
 
-def off_ground_points(points, split):
-    """Return (N, 3) points as off-ground points at a spacing of half a metre."""
+def off_ground_points(points, split, spacing_m=SPACING):
+    """Return (N, 3) points as off-ground points."""
     x, y, z = points.T
     some = np.zeros(len(x), dtype=np.int64)
-    area = np.full(len(x), SPACING**2)
-    return OffGround(some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), None, some, SPACING)
+    area = np.full(len(x), spacing_m**2)
+    return OffGround(some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), None, some, spacing_m)
 
 
 def test_split_echoes_count_on_rough_surfaces_alone():
@@ -177,6 +177,19 @@ def test_split_echoes_count_on_rough_surfaces_alone():
     # With limits that no surface reaches, the plane would go as well.
     leafy = replace(params, leaf_level=1.0, glass_level=2.0)
     assert np.mean(classify_vegetation(roof, structure(roof, leafy), leafy) > 0) > 0.9
+
+
+def test_a_gable_of_sparse_points_is_level_and_a_crown_of_them_is_not():
+    """Two metres apart, neighbours lie on both sides of the ridge of a house 10 m wide."""
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0, 40, 200), rng.uniform(0, 20, 200)
+    params = Params().adaptive
+    levels = []
+    for z in (6 + 0.25 * np.abs(y % 10 - 5), 6 + rng.uniform(0, 4, x.size)):
+        points = off_ground_points(np.column_stack((x, y, z)), split=False, spacing_m=2.0)
+        levels.append(structure(points, params).level.mean())
+    assert levels[0] > 0.7
+    assert levels[1] < 0.2
 
 
 def test_points_without_a_plane_are_not_rough():
