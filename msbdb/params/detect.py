@@ -20,7 +20,8 @@ class FlatRegionParams:
     gaps: str = param("near", "-",
         "Empty cells to interpolate from lowest points: those within surface.max_gap_m, or all.", paper="M8: all",
         ours="over water the surface would slope from quay to quay and be flat", choices=("near", "all"))
-    s_max_m: float = param(1.5, "m", "S_I: largest window of the profile that finds outliers.", paper="M11 gives 3.0",
+    s_max_m: float = param(1.5, "m", "S_I: largest window of the profile that finds outliers, at least 3 cells.",
+        paper="M11 gives 3.0",
         ours="that removes narrow roofs and corners too; against crowns 1 to 2 m do as well", low=0, high=50)
     valley_factor: float = param(0.0, "cells", "A valley this many times R_g deep is an outlier; 0 keeps valleys.",
         paper="M10 gives 2", ours="with one or two pulses a cell, valleys distinguish a crown from a roof",
@@ -55,9 +56,9 @@ class FlatRegionParams:
         ours="that cuts roofs of 3 m and all that trees indent", low=0, high=50)
     compactness: str = param("inverse", "-", "Ψ: P²/(4πA), or 4πA/P² as printed.", paper="M20: 4πA/P²",
         ours="A9: that is 1 at most, so that Ψ < ψ = 9 rejects nothing", choices=("inverse", "literal"))
-    max_compactness: float = param(30.0, "1", "ψ: regions of this Ψ or more are too long and thin.",
+    max_compactness: float = param(100.0, "1", "ψ: regions of this Ψ or more are too long and thin.",
         paper="M20, M23 give 9, 11, 10.5",
-        ours="connected blocks of an old town reach 18; 30 is a rectangle of 93 to 1", low=1, high=1e6)
+        ours="connected blocks of old towns reach 55; 100 is a rectangle of 312 to 1", low=1, high=1e6)
     grow_m: float = param(0.9, "m", "Width of the edge that is given back to regions on heights above ground.",
         ours="in the cells of a roof's edge the lowest points lie beside or below the roof", low=0, high=20)
     grow_step_m: float = param(1.0, "m", "Largest step in height to a cell that is given back.",

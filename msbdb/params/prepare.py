@@ -43,7 +43,7 @@ class GroundParams:
     ground_filter: str = param("auto", "-",
         "'auto' uses class 2 where the points have it, and the filter by walls elsewhere.", paper="V16",
         choices=("auto", "class2", "walls", "progressive", "wavelet", "quadratic", "adaptive"))
-    ground_cell_m: float = param(1.0, "m", "Cell of the ground filter; half of the lattice's cell where that is larger.",
+    ground_cell_m: float = param(1.0, "m", "Cell of the ground filter; half of the lattice's where that is larger.",
         ours="fine enough for courtyards, coarse enough to see past crowns", low=0.25, high=20)
     clutter_m: float = param(2.0, "m", "Filter by walls: half-width of the square that removes crowns, cars and masts.",
         ours="narrower than a shed with its eaves; 3 and 4 m lose sheds, 2 m keeps them", low=0.5, high=20)

@@ -139,13 +139,14 @@ def find_outliers(g: Grid, params: FlatRegionParams) -> tuple[NDArray[np.bool_],
     A cell is a peak where r(g) > r(-g), a valley where r(g) < r(-g), neither where they are equal (Eq. 7). Its response
     r̄ is the larger of the two (Eq. 8, read as a maximum: A11), and it is an outlier when r̄ ≥ t, with t = 2 R_g in
     valleys and 4 R_g on peaks (Eq. 9, 10). The branch that was taken decides which threshold counts, not a comparison
-    of scales (M10).
+    of scales (M10). The largest window has three cells at least (ours), as smaller ones find nothing; with ``s_max_m``
+    of 0 there is none.
     """
     cell_m = g.spec.cell_m
-    none = np.zeros(g.spec.shape, dtype=np.bool_)
-    windows = range(3, window_px(params.s_max_m, cell_m) + 1, 2)
-    if not windows:
+    if params.s_max_m <= 0:
+        none = np.zeros(g.spec.shape, dtype=np.bool_)
         return none, none.copy()
+    windows = range(3, max(3, window_px(params.s_max_m, cell_m)) + 1, 2)
     surface = np.asarray(g.values)
     valid = np.asarray(g.valid)
     up = window_profile(surface, windows, valid).response

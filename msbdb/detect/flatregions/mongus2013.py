@@ -195,7 +195,8 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
     thin = ledger.reject("opening", THIN, vanished)
     ledger.count("opening", candidates, count, thin, pieces=count + thin - candidates)
     if own.on == "ndsm":
-        steps = int(own.grow_m / cell_m + 0.5)
+        # On cells of any size, the lowest points take the outermost cells of a roof.
+        steps = max(1, int(own.grow_m / cell_m + 0.5)) if own.grow_m > 0 else 0
         labels = grow(labels, heights, steps=steps, step_m=own.grow_step_m, least_m=params.surface.mask_m)
     return _drop_long(labels, count, own, cell_m, ledger)
 

@@ -143,6 +143,15 @@ def test_recognition_rejects_a_wall(changes, stage):
     assert found.counts[stage]["dropped"] == 1
 
 
+@pytest.mark.parametrize(("grow_m", "gained"), [(0.9, True), (0.0, False)])
+def test_on_large_cells_a_roof_gets_an_edge_of_one_cell_back(grow_m, gained):
+    """The outermost cells of a roof hold ground points, also where a cell is wider than the edge that returns."""
+    first, low = np.zeros((2, 20, 20), dtype=np.float32)
+    first[5:15, 5:15], low[6:14, 6:14] = 7.0, 7.0
+    found = extract(grid(low, cell_m=2.0), with_flat(grow_m=grow_m), heights=grid(first, cell_m=2.0))
+    np.testing.assert_array_equal(found.labels > 0, (first if gained else low) > 0)
+
+
 def test_the_compactness_as_printed_rejects_nothing():
     """4πA/P² is 1 at most, so that a wall stays that P²/(4πA) rejects (A9, M20)."""
     heights = np.zeros((60, 160), dtype=np.float32)

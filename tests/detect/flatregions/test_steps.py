@@ -138,6 +138,17 @@ def test_peaks_from_four_cells_and_valleys_from_two(step, peak, valley):
     assert np.count_nonzero(peaks | valleys) == peak + valley
 
 
+@pytest.mark.parametrize("cell_m", [0.5, 1.0, 1.2, 2.0])
+def test_a_peak_of_one_cell_is_found_on_cells_of_any_size(cell_m):
+    """On cells above 1 m the least window of 3 cells is wider than S_I; without S_I there is none."""
+    values = np.zeros((9, 9))
+    values[4, 4] = 4 * cell_m
+    found, _ = find_outliers(grid(values, cell_m=cell_m), FlatRegionParams(s_max_m=1.5, peak_factor=4.0))
+    assert found[4, 4]
+    found, _ = find_outliers(grid(values, cell_m=cell_m), FlatRegionParams(s_max_m=0.0, peak_factor=4.0))
+    assert not found.any()
+
+
 def test_what_is_wider_than_the_largest_window_stays():
     """A house of 4 m keeps its height, a chimney of 2 m does not (S_I = 3 m; M11)."""
     values = np.zeros((16, 16))
