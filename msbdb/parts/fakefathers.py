@@ -1,7 +1,7 @@
 """Fake fathers: roots that only join neighbouring buildings, with children dispersed in them (V46)."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,9 @@ FAKE = "fake father"
 GAP = "gap between the children of a fake father"
 
 
-def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, smallest_px: int) -> Step:
+def drop_fake_fathers(
+    clusters: Clusters, scale: ScaleParams, *, cell_m: float, smallest_px: int, supported: bool = False
+) -> Step:
     """Drop roots whose children are dispersed in them; the children become roots; repeat until none is left.
 
     Parameters
@@ -36,13 +38,16 @@ def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, 
         Side of a cell, metres.
     smallest_px : int
         s of the finest scale, cells.
+    supported : bool
+        Whether several detectors take all cells of the clusters for building.
 
     Returns
     -------
     Step
         The children do not change. The cells that only the father held fall into connected areas. Areas of at least
         ``smallest_px`` that are mostly wider than two cells become roots on the father's scale, with ids of their own:
-        houses of the row that were dropped as duplicates of it. The others are gaps and go to the ledger.
+        houses of the row that were dropped as duplicates of it. The others are gaps and go to the ledger. Where the
+        cells are supported, areas of that size are roots whatever their width: no gap, but edges of roofs.
 
     Notes
     -----
@@ -58,7 +63,7 @@ def drop_fake_fathers(clusters: Clusters, scale: ScaleParams, *, cell_m: float, 
         father = np.where(np.isin(father, found), NONE, father)
     logger.debug("%d fake fathers", len(fake))
     rows = np.sort(np.array(fake, dtype=np.int64))
-    remainders = _keep_remainders(clusters, rows, link(before), smallest_px)
+    remainders = _keep_remainders(clusters, rows, link(before), _large if supported else _wide, smallest_px)
     dropped = pd.concat([before.rows.iloc[rows].assign(reason=FAKE), remainders.dropped])
     return replace(remainders, dropped=dropped)
 
@@ -129,8 +134,14 @@ def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: fl
     return pd.DataFrame({"children": children, "stddis": np.sqrt(variance), "covered": covered})
 
 
-def _keep_remainders(clusters: Clusters, fake: NDArray[np.int64], father: NDArray[np.int64], smallest_px: int) -> Step:
-    """Make roots of what fake fathers hold beside their children, where it is large and wide."""
+def _keep_remainders(
+    clusters: Clusters,
+    fake: NDArray[np.int64],
+    father: NDArray[np.int64],
+    is_kept: Callable[[NDArray[np.int32], int, int], NDArray[np.bool_]],
+    smallest_px: int,
+) -> Step:
+    """Make roots of what fake fathers hold beside their children, where it is large, or large and wide."""
     steps = []
     # From coarse to fine, as a child that is fake as well must still have all its cells when its father is cut.
     for level in np.unique(clusters.rows["level"].to_numpy()[fake])[::-1].tolist():
@@ -142,7 +153,7 @@ def _keep_remainders(clusters: Clusters, fake: NDArray[np.int64], father: NDArra
         for window, remainder in _remainders(clusters, level, here, father):
             pieces, found = label_zones(remainder)
             zones[window] += np.where(pieces > 0, pieces + count, 0).astype(np.int32)
-            kept.append(_wide(pieces, found, smallest_px))
+            kept.append(is_kept(pieces, found, smallest_px))
             count += found
         keep = np.concatenate([np.zeros(0, dtype=np.bool_), *kept])
         table = measure(zones, count)
@@ -177,5 +188,10 @@ def _wide(pieces: NDArray[np.int32], count: int, smallest_px: int) -> NDArray[np
     area = sizes(pieces, count)
     inside = ndimage.binary_opening(pieces > 0, EIGHT)
     core = sizes(pieces[inside], count)
-    wide: NDArray[np.bool_] = (area >= smallest_px) & (2 * core >= area)
+    wide: NDArray[np.bool_] = _large(pieces, count, smallest_px) & (2 * core >= area)
     return wide
+
+
+def _large(pieces: NDArray[np.int32], count: int, smallest_px: int) -> NDArray[np.bool_]:
+    """Return which pieces are as large as a part may be."""
+    return sizes(pieces, count) >= smallest_px

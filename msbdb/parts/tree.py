@@ -90,7 +90,9 @@ def extract_parts(
     clusters = ledger.record("duplicates", clusters, step, lost=False)
     if classes is not None:
         clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
-    step = drop_fake_fathers(clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0])
+    step = drop_fake_fathers(
+        clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0], supported=built is not None
+    )
     clusters = ledger.record("fake fathers", clusters, step)
     forest = grow_forest(
         clusters, Context(ndsm, classes, scales, survey, params.surface, params.scale.connectivity), ledger

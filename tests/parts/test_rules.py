@@ -417,6 +417,15 @@ class TestFathers:
         assert step.dropped["reason"].tolist() == [FAKE, GAP, GAP]
         assert step.dropped["area"].tolist() == [192, 6, 6]
 
+    def test_cells_that_detectors_support_are_no_gaps(self):
+        """Strips of two cells become roots where they are supported and large enough; else they are gaps."""
+        clusters = label_clusters(row_of_houses(3, depth=12, gap=2), connectivity=8)
+        for supported, least, left in ((False, 20, 3), (True, 20, 5), (True, 25, 3)):
+            step = drop_fake_fathers(clusters, ScaleParams(), cell_m=1.0, smallest_px=least, supported=supported)
+            rows = living(step.clusters)
+            assert rows["area"].tolist() == [120, 120, 120, 24, 24][:left]
+            assert (step.dropped["reason"] == GAP).sum() == 5 - left
+
     def test_two_children_are_too_few(self):
         """Only fathers with more than two children are judged."""
         assert len(self.drop(row_of_houses(2)).dropped) == 0
