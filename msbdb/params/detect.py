@@ -158,9 +158,9 @@ class AdaptiveParams:
         ours="ten points, enough for a plane and its residuals", low=1, high=20)
     surface_least_m: float = param(1.25, "m", "The same, at least.", ours="smaller than the narrowest roof plane",
         low=0, high=20)
-    level_m: float = param(0.1, "m",
+    level_m: float = param(0.12, "m",
         "Residual of the plane between level and not: at half of it a surface is level, at twice it is not.",
-        ours=CALIBRATED + "; 0.1 and 0.15 m tried", low=0.005, high=5)
+        ours=CALIBRATED + ", as 0.1 m of ten points before the residual was freed of their number", low=0.005, high=5)
     around_factor: float = param(2.5, "spacings", "Radius of the shares.", ours="enough echoes for a share",
         low=1, high=50)
     around_least_m: float = param(2.5, "m", "The same, at least.",

@@ -163,8 +163,8 @@ class CoverParams:
     min_roof_m2: float = param(10.0, "m2", "Smaller regions are no roof.", ours="the finest scale", low=0, high=1e4)
     smooth_m_limit: float = param(0.12, "m", "Cells of less roughness are smooth.",
         ours="three times a scanner's range noise", low=0.01, high=5)
-    min_smooth_share: float = param(0.3, "1", "Least smooth share of a roof, without echoes.", ours=CALIBRATED,
-        low=0, high=1)
+    min_smooth_share: float = param(0.5, "1", "Least smooth share of a roof, without echoes.",
+        ours="most of a roof is smooth; with 0.6 blocks at 1 point/m2 are lost", low=0, high=1)
     smooth_per_split: float = param(3.0, "1", "Smooth share that a roof needs per share of split echoes.",
         ours=CALIBRATED, low=0, high=100)
     free_split_share: float = param(0.05, "1", "Share of split echoes that needs no smooth cells.",

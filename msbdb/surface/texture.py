@@ -69,8 +69,9 @@ def roughness(samples: Samples, window_m: float) -> Field:
 
     Notes
     -----
-    A plane z = a + b·e + c·n is fitted to the samples of a window by least squares. Roughness is the root mean square
-    of its residuals.
+    A plane z = a + b·e + c·n is fitted to the samples of a window by least squares. Roughness is the root of the sum of
+    its squared residuals over n - 3, as three samples fit any plane. So leaves are as rough under few samples as under
+    many; over n, the few samples of a sparse survey would make crowns smooth.
 
     Border: windows are cut at the edge. Nodata: cells without a first echo have no weight.
 
@@ -86,7 +87,7 @@ def roughness(samples: Samples, window_m: float) -> Field:
     0.0
     >>> samples.z[2, 2] += 1
     >>> roughness(samples, 3.0)[2].round(2)
-    array([0.  , 0.  , 0.25, 0.  , 0.  ], dtype=float32)
+    array([0. , 0. , 0.3, 0. , 0. ], dtype=float32)
     """
     size = window_cells(window_m, samples.spec.cell_m)
     if not samples.observed.any():
@@ -218,7 +219,8 @@ def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell
             if det <= 1e-4 * (n * cell * cell) ** 2:
                 continue
             slope_e, slope_n = (cnn * cez - cen * cnz) / det, (cee * cnz - cen * cez) / det
-            residual = max(czz - slope_e * cez - slope_n * cnz, 0.0) / n
+            # Over n - 3, as the plane takes three degrees of freedom: the mean does not depend on the samples' number.
+            residual = max(czz - slope_e * cez - slope_n * cnz, 0.0) / (n - 3)
             out[row, col] = min(np.sqrt(residual), NO_PLANE_M)
     return out
 

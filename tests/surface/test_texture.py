@@ -10,7 +10,16 @@ from pyproj import CRS
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples, sample_nearest
-from msbdb.surface.texture import LEAST_SAMPLES, NO_PLANE_M, Echoes, echoes, grid_samples, roughness, window_cells
+from msbdb.surface.texture import (
+    LEAST_SAMPLES,
+    NO_PLANE_M,
+    Echoes,
+    _plane_residual,
+    echoes,
+    grid_samples,
+    roughness,
+    window_cells,
+)
 
 CRS_M = CRS.from_epsg(32633)
 
@@ -72,7 +81,7 @@ def naive_residual(samples: Samples, half: int) -> NDArray[np.float64]:
             if np.linalg.det(moments[1:, 1:]) <= 1e-4 * (z.size * samples.spec.cell_area_m2) ** 2:
                 continue
             fit, *_ = np.linalg.lstsq(plane, z, rcond=None)
-            out[r, c] = min(np.sqrt(np.mean((z - plane @ fit) ** 2)), NO_PLANE_M)
+            out[r, c] = min(np.sqrt(np.sum((z - plane @ fit) ** 2) / (z.size - 3)), NO_PLANE_M)
     return out
 
 
@@ -95,6 +104,17 @@ def test_the_kernel_agrees_with_least_squares(seed, shape, window_m, sparse):
     half = window_cells(window_m, 0.5) // 2
     expected = naive_best(naive_residual(samples, half), half)
     np.testing.assert_allclose(roughness(samples, window_m), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(("half", "seen_share"), [(1, 0.7), (1, 1.0), (2, 0.4), (2, 1.0), (4, 1.0)])
+def test_noise_is_as_rough_under_few_samples_as_under_many(half, seen_share):
+    """Noise of 0.2 m over a slope has a mean squared residual of 0.04 m2, whatever the number of samples."""
+    rng = np.random.default_rng(3)
+    cells = np.indices((150, 150)).sum(axis=0)
+    z = np.where(rng.random(cells.shape) < seen_share, 0.3 * cells + rng.normal(0, 0.2, cells.shape), np.nan)
+    zero = np.zeros(cells.shape, dtype=np.float32)
+    residual = _plane_residual(z, (zero, zero), 40.0, 0.5, half)
+    assert np.mean(residual[residual < NO_PLANE_M] ** 2) == pytest.approx(0.04, rel=0.05)
 
 
 def test_without_a_plane_the_largest_roughness_stands():

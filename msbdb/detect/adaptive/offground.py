@@ -233,9 +233,10 @@ def plane_residuals(x: Floats, y: Floats, z: Floats, radius_m: float) -> NDArray
     Returns
     -------
     (N,) ndarray of float32, metres
-        Root mean square distance from the plane of least squares, upright ones included: the root of the smallest
-        eigenvalue of the neighbours' covariance. Infinite for fewer than `LEAST_POINTS` points. The point is one of
-        its neighbours.
+        Distance from the plane of least squares, upright ones included: the root of n/(n - 3) times the smallest
+        eigenvalue of the covariance of n neighbours. The plane takes three degrees of freedom, so that crowns are as
+        rough under few points as under many. Infinite for fewer than `LEAST_POINTS` points. The point is one of its
+        neighbours.
     """
     index = index_cells(x, y, radius_m / SPLITS)
     found = np.empty(len(x), dtype=np.float32)
@@ -319,7 +320,7 @@ def _residuals(points: Sorted, z: Floats, part: tuple[int, int], found: NDArray[
                 squares = (xx / n - mx * mx, yy / n - my * my, zz / n - mz * mz)
                 products = (xy / n - mx * my, xz / n - mx * mz, yz / n - my * mz)
                 least = _least_eigenvalue(squares, products)
-                found[index.order[point]] = math.sqrt(max(least, 0.0))
+                found[index.order[point]] = math.sqrt(max(least, 0.0) * n / (n - 3))
 
 
 @kernel

@@ -16,7 +16,7 @@ from simulated.scenes import BUILDING, courtyard, under_trees
 from support.notices import with_notices
 
 from msbdb.detect.adaptive.bathurst import extract_adaptive, ladder
-from msbdb.detect.adaptive.offground import OffGround, classify_vegetation, structure
+from msbdb.detect.adaptive.offground import OffGround, classify_vegetation, plane_residuals, structure
 from msbdb.errors import InputError
 from msbdb.evaluate import PointReference, evaluate
 from msbdb.grid import lattice
@@ -263,6 +263,16 @@ def test_ndvi_removes_a_smooth_hedge_and_spares_a_planted_roof():
     assert sorted(found.regions["ndvi"].round(1)) == [-0.1, 0.6]
     unknown = extract(cloud, ndvi=np.full(len(cloud), np.nan, dtype=np.float32))
     assert (unknown.labels == without.labels).all()
+
+
+@pytest.mark.parametrize("radius_m", [1.2, 2.0, 5.0])
+def test_noise_is_as_rough_among_few_points_as_among_many(radius_m):
+    """Noise of 0.05 m over a slope has a mean squared residual of 0.0025 m2 among five points and among eighty."""
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(0, 100, (2, 10_000))
+    residual = plane_residuals(x, y, 0.2 * x + rng.normal(0, 0.05, x.size), radius_m)
+    # Across the slope the noise is shorter by its cosine, and the best plane of few points tilts a little towards it.
+    assert np.mean(residual[np.isfinite(residual)] ** 2) == pytest.approx(0.0025 / 1.04, rel=0.08)
 
 
 def test_the_order_of_points_does_not_matter():
