@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from msbdb.detect.scene import Regions
+from msbdb.detect.scene import Evidence, Regions
+from msbdb.fuse.secondlook import with_flush_planes, without_crowns
 from msbdb.grid import Grid
 from msbdb.labels import Labels, Pairs, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
@@ -14,14 +15,23 @@ from msbdb.params import FuseParams
 Mask = NDArray[np.bool_]
 
 
-def fuse_cells(heights: Grid, regions: Mapping[str, Regions], params: FuseParams, *, mask_m: float) -> Mask:
+def fuse_cells(
+    heights: Grid,
+    regions: Mapping[str, Regions],
+    params: FuseParams,
+    *,
+    mask_m: float,
+    evidence: Evidence | None = None,
+) -> Mask:
     """Decide for each cell whether it is building, from the regions of all detectors that were run.
 
     Each detector has one vote, and half of the votes are enough. A cell costs the votes that its kind lacks. A pair of
     neighbours of different kinds costs λ exp(-d/τ), with d their difference in height: edges of buildings are cheap
     along steps. The cheapest division of all cells is taken (`msbdb.labels.minimum_cut`). Holes and pieces smaller
-    than ``piece_m2`` are filled and dropped. Cells below the mask stay where they are the edge of one building; those
-    that would join two buildings do not.
+    than ``piece_m2`` are filled and dropped. Cells below the mask stay
+    where they are the edge of one building; those that would join two buildings do not. A second look
+    (`msbdb.fuse.secondlook`) drops rough objects that hardly enough detectors support, and adds smooth regions that lie
+    flush with a building.
 
     Parameters
     ----------
@@ -30,9 +40,11 @@ def fuse_cells(heights: Grid, regions: Mapping[str, Regions], params: FuseParams
     regions : mapping of str to Regions
         By detector, at least one; labels on the lattice of the heights.
     params : FuseParams
-        ``edge_cost`` λ, ``edge_height_m`` τ, ``piece_m2``.
+        ``edge_cost`` λ, ``edge_height_m`` τ, ``piece_m2``; ``smooth_m``, ``flush_m`` and ``flush_share``.
     mask_m : float
         Height of the mask (V17), metres.
+    evidence : Evidence, optional
+        The cells' roughness, for the second look; without it there is none.
 
     Returns
     -------
@@ -62,9 +74,20 @@ def fuse_cells(heights: Grid, regions: Mapping[str, Regions], params: FuseParams
         votes += found.labels > 0
     votes[~heights.valid] = 0
     needed = (len(regions) + 1) // 2 - 0.5
-    decided = _cut(votes, needed, heights, params)
+    decided = _tidy(_cut(votes, needed, heights, params), heights, params, mask_m)
+    if evidence is None:
+        return decided
+    roughness_m = evidence.roughness_mm.astype(np.float32) / np.float32(1000)
+    limit_m = params.smooth_m * max(1.0, heights.spec.cell_m)
+    decided = without_crowns(decided, votes, roughness_m, clear=needed + 1, limit_m=limit_m)
+    smooth = (votes > 0) & (roughness_m <= limit_m) & (np.asarray(heights.values) >= mask_m)
+    return _tidy(with_flush_planes(decided, smooth, heights, params), heights, params, mask_m)
+
+
+def _tidy(decided: Mask, heights: Grid, params: FuseParams, mask_m: float) -> Mask:
+    """Fill small holes, keep buildings apart, and drop small pieces."""
     least = params.piece_m2 / heights.spec.cell_area_m2
-    decided |= small_zones(~decided, least, connectivity=4) & heights.valid
+    decided = decided | (small_zones(~decided, least, connectivity=4) & heights.valid)
     decided = _apart(decided, decided & (np.asarray(heights.values) >= mask_m))
     return decided & ~small_zones(decided, least, connectivity=4)
 

@@ -70,6 +70,13 @@ class FuseParams:
         ours="a third of a storey; 0.5 m differs little", low=0.01, high=100)
     piece_m2: float = param(10.0, "m2", "Smaller holes of buildings are filled, and smaller pieces dropped.",
         ours="the finest scale", low=0, high=1e4)
+    smooth_m: float = param(0.06, "m", "Roughness up to which a cell is smooth; grows with cells above 1 m.",
+        ours="1.5 times a scanner's range noise; 0.05 to 0.08 m do alike", low=0.001, high=5)
+    flush_m: float = param(0.3, "m", "Neighbouring cells are flush, of one roof, up to this step of height.",
+        ours="less than a parapet or an eave over a lower roof; 0.2 and 0.5 m do alike", low=0, high=10)
+    flush_share: float = param(0.2, "1",
+        "Smooth regions of which this share of the edge is flush with a building belong to it.",
+        ours="less than one side of a square; 0.1 does alike, 0.3 loses blocks of glass", low=0, high=1)
     support_even: float = param(0.59, "1", "s₀: mean share that the detectors cover of a building of even odds.",
         ours="fitted to objects of seven places; 0.57 to 0.60 with any of them left out", low=0, high=1)
     support_slope: float = param(15.8, "1", "k: log-odds of a building by its mean share beyond s₀.",

@@ -156,7 +156,8 @@ def fuse_and_decompose(scene: Scene, regions: Mapping[str, Regions], params: Par
     built = None
     with stages.stage("fusion"):
         if is_fused(regions, params.fuse):
-            built = fuse_cells(scene.heights, regions, params.fuse, mask_m=params.surface.mask_m)
+            mask_m, evidence = params.surface.mask_m, scene.evidence
+            built = fuse_cells(scene.heights, regions, params.fuse, mask_m=mask_m, evidence=evidence)
     with stages.stage("parts"):
         return decompose(scene, regions, built, params)
 

@@ -1,0 +1,126 @@
+"""A second look at the cells that the detectors decided: roofs are planes, and planes do not end inside of a roof."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from msbdb.grid import Grid
+from msbdb.labels import Labels, chosen_cells, label_zones, neighbours, sizes, sums
+from msbdb.params import FuseParams
+
+Mask = NDArray[np.bool_]
+Field = NDArray[np.float32]
+Votes = NDArray[np.int8]
+
+MOST = 0.5
+"""An object is smooth where this share of its cells is."""
+
+
+def without_crowns(decided: Mask, votes: Votes, roughness_m: Field, *, clear: float, limit_m: float) -> Mask:
+    """Drop the objects that hardly enough detectors support, and that are mostly rough.
+
+    Detectors of one kind share their errors: two that look at the surface take the same dense crown for a roof. A roof
+    that two others miss, by its size or its echoes, is still smooth.
+
+    Parameters
+    ----------
+    decided : (H, W) ndarray of bool
+        Cells of buildings; objects are 8-connected.
+    votes : (H, W) ndarray of int8
+        Number of detectors that take a cell for building.
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small window.
+    clear : float
+        Objects with this mean of votes stay.
+    limit_m : float
+        Cells of at most this roughness are smooth.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+
+    Examples
+    --------
+    Of two objects with two votes of four, the rough one goes:
+
+    >>> decided = np.array([[True, True, False, True, True]])
+    >>> rough = np.float32([[0.02, 0.03, 1, 0.2, 0.1]])
+    >>> without_crowns(decided, 2 * np.int8(decided), rough, clear=2.5, limit_m=0.06).astype(int)
+    array([[1, 1, 0, 0, 0]])
+    """
+    labels, count = label_zones(decided)
+    area = sizes(labels, count)
+    support = sums(labels, votes, count) / area
+    smooth = sizes(labels[roughness_m <= limit_m], count) / area
+    return decided & ~chosen_cells(labels, (support < clear) & (smooth < MOST))
+
+
+def with_flush_planes(decided: Mask, candidates: Mask, heights: Grid, params: FuseParams) -> Mask:
+    """Add the smooth regions that lie flush with a building along enough of their edge: they are part of its roof.
+
+    A roof of glass, of panels or under plants may be lost to most detectors in the midst of a kept one. A lower annex,
+    a lorry or a crown beside the eaves has a step towards it.
+
+    Parameters
+    ----------
+    decided : (H, W) ndarray of bool
+        Cells of buildings.
+    candidates : (H, W) ndarray of bool
+        Smooth cells above the mask that at least one detector takes; those of ``decided`` do not count.
+    heights : Grid
+        Heights above ground, metres.
+    params : FuseParams
+        ``flush_m``: neighbours are flush where their heights differ by no more; regions are 4-connected flush
+        candidates. ``flush_share``: a region's least share of pairs towards other cells that are flush with a building.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+
+    Notes
+    -----
+    Border: pairs end at the lattice. Nodata: invalid cells are no candidates, and their pairs are not flush.
+    Linear in the cells.
+
+    Examples
+    --------
+    Of the cells between two roofs, those in their plane join them:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec = lattice((0, 0.1, 6, 0.9), 1.0, CRS.from_epsg(2154))
+    >>> heights = Grid(np.float32([[9, 9, 9.1, 9, 4, 4, 9]]), np.ones((1, 7), dtype=bool), spec)
+    >>> decided = np.array([[True, True, False, False, False, False, True]])
+    >>> with_flush_planes(decided, ~decided, heights, FuseParams()).astype(int)
+    array([[1, 1, 1, 1, 0, 0, 1]])
+    """
+    candidates = candidates & ~decided & heights.valid
+    values = np.asarray(heights.values)
+    flush = [np.abs(values[one] - values[other]) <= params.flush_m for one, other in neighbours(decided.shape)]
+    labels, count = _flush_regions(candidates, flush)
+    edge, joined = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    for (one, other), level in zip(neighbours(decided.shape), flush, strict=True):
+        for here, there in ((one, other), (other, one)):
+            rim = (labels[here] > 0) & (labels[here] != labels[there])
+            edge += sizes(labels[here][rim], count)
+            joined += sizes(labels[here][rim & level & decided[there]], count)
+    return decided | chosen_cells(labels, joined >= np.maximum(params.flush_share * edge, 1))
+
+
+def _flush_regions(candidates: Mask, flush: list[Mask]) -> tuple[Labels, int]:
+    """Label the candidates that paths of flush neighbours connect."""
+    total = int(np.count_nonzero(candidates))
+    node = np.zeros(candidates.shape, dtype=np.int32)
+    node[candidates] = np.arange(total, dtype=np.int32)
+    first, second = [], []
+    for (one, other), level in zip(neighbours(candidates.shape), flush, strict=True):
+        both = candidates[one] & candidates[other] & level
+        first.append(node[one][both])
+        second.append(node[other][both])
+    pairs = np.concatenate(first), np.concatenate(second)
+    graph = coo_matrix((np.ones(len(pairs[0]), dtype=np.bool_), pairs), shape=(total, total))
+    count, component = connected_components(graph, directed=False)
+    labels = np.zeros(candidates.shape, dtype=np.int32)
+    labels[candidates] = component + 1
+    return labels, int(count)

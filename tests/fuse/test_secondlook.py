@@ -1,0 +1,126 @@
+"""The second look: rough objects of few votes go, smooth regions in a roof's plane come back."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import CRS
+
+from msbdb.detect.scene import Evidence, Regions
+from msbdb.fuse.cells import fuse_cells
+from msbdb.fuse.secondlook import with_flush_planes, without_crowns
+from msbdb.grid import Grid, lattice
+from msbdb.params import FuseParams
+
+PARAMS = FuseParams()
+
+
+def grid(heights):
+    """Heights on cells of 1 m, all valid."""
+    rows, cols = heights.shape
+    spec = lattice((0, 0.1, cols - 0.1, rows), 1.0, CRS.from_epsg(2154))
+    return Grid(np.asarray(heights, dtype=np.float32), np.ones(heights.shape, dtype=bool), spec)
+
+
+def block(shape, rows, cols):
+    """Return a mask of a block of cells."""
+    mask = np.zeros(shape, dtype=bool)
+    mask[slice(*rows), slice(*cols)] = True
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("votes", "rough_share", "kept"),
+    [(2, 0.4, True), (2, 0.6, False), (3, 1.0, True), (4, 1.0, True)],
+)
+def test_only_rough_objects_of_few_votes_go(votes, rough_share, kept):
+    """Either three votes or a smooth half is enough."""
+    shape = (20, 20)
+    decided = block(shape, (5, 15), (5, 15))
+    rough = np.full(shape, 0.02, dtype=np.float32)
+    rough[5 : 5 + round(10 * rough_share), 5:15] = 0.3
+    found = without_crowns(decided, np.int8(votes) * decided, rough, clear=2.5, limit_m=0.06)
+    assert found.any() == kept
+    assert np.array_equal(found, decided if kept else np.zeros(shape, dtype=bool))
+
+
+def test_each_object_is_judged_by_itself():
+    """A house and a crown with the same votes."""
+    shape = (10, 30)
+    house, crown = block(shape, (2, 8), (2, 12)), block(shape, (2, 8), (15, 22))
+    rough = np.where(crown, 0.2, 0.03).astype(np.float32)
+    found = without_crowns(house | crown, 2 * np.int8(house | crown), rough, clear=2.5, limit_m=0.06)
+    np.testing.assert_array_equal(found, house)
+
+
+def test_a_pane_comes_back_and_an_annex_does_not():
+    """A block of glass in a long roof lies flush at both ends; a lower annex and a lorry at the wall have steps."""
+    shape = (30, 60)
+    roof, glass = block(shape, (10, 20), (5, 50)), block(shape, (10, 20), (20, 32))
+    annex, lorry = block(shape, (20, 26), (5, 12)), block(shape, (6, 9), (30, 40))
+    heights = np.where(roof, 18.0, np.where(annex, 14.0, np.where(lorry, 3.5, 0.0)))
+    found = with_flush_planes(roof & ~glass, glass | annex | lorry, grid(heights), PARAMS)
+    np.testing.assert_array_equal(found, roof)
+
+
+def test_a_terrace_that_touches_a_roof_at_one_end_alone_does_not_join():
+    """A wide deck level with a kept roof along a tenth of its edge is something else."""
+    shape = (40, 60)
+    roof, deck = block(shape, (18, 22), (0, 10)), block(shape, (5, 35), (10, 45))
+    heights = np.where(roof | deck, 6.0, 0.0)
+    np.testing.assert_array_equal(with_flush_planes(roof, deck, grid(heights), PARAMS), roof)
+
+
+def naive_planes(decided, candidates, heights, flush_m, share):
+    """Flood each region from its first cell, and count the pairs at its edge."""
+    rows, cols = decided.shape
+    free, out = candidates & ~decided, decided.copy()
+
+    def around(cell):
+        for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            r, c = cell[0] + down, cell[1] + right
+            if 0 <= r < rows and 0 <= c < cols:
+                yield (r, c), abs(heights[r, c] - heights[cell]) <= flush_m
+
+    seen = set()
+    for start in zip(*np.nonzero(free), strict=True):
+        if start in seen:
+            continue
+        region, queue = {start}, [start]
+        while queue:
+            for other, level in around(queue.pop()):
+                if level and free[other] and other not in region:
+                    region.add(other)
+                    queue.append(other)
+        seen |= region
+        rim = [(other, level) for cell in region for other, level in around(cell) if other not in region]
+        joined = sum(level and decided[other] for other, level in rim)
+        if joined >= max(share * len(rim), 1):
+            out[tuple(zip(*region, strict=True))] = True
+    return out
+
+
+@given(st.integers(0, 10_000), st.sampled_from([0.1, 0.2, 0.5, 0.8]))
+def test_planes_agree_with_a_flood_from_each_cell(seed, share):
+    """On random cells of three levels."""
+    rng = np.random.default_rng(seed)
+    shape = (9, 11)
+    heights = rng.choice(np.float32([3.0, 3.25, 6.0]), shape, p=[0.4, 0.4, 0.2])
+    decided, candidates = rng.random(shape) < 0.3, rng.random(shape) < 0.7
+    found = with_flush_planes(decided, candidates, grid(heights), FuseParams(flush_share=share))
+    np.testing.assert_array_equal(found, naive_planes(decided, candidates, heights, PARAMS.flush_m, share))
+
+
+def test_the_fusion_looks_twice_where_there_is_evidence():
+    """One detector of four sees the glass, two see a crown: by votes alone the crown is taken, and not the glass."""
+    shape = (40, 70)
+    roof, glass, crown = (
+        block(shape, rows, cols) for rows, cols in (((10, 22), (5, 45)), ((10, 22), (20, 30)), ((28, 36), (50, 60)))
+    )
+    heights = grid(np.where(roof, 12.0, np.where(crown, 7.0, 0.0)))
+    masks = [roof | crown, (roof & ~glass) | crown, roof & ~glass, roof & ~glass]
+    regions = {str(n): Regions(str(n), mask.astype(np.int32), None, None, {}) for n, mask in enumerate(masks)}
+    evidence = Evidence(np.where(crown, 150, 20).astype(np.uint16), np.full(shape, 200, dtype=np.uint8))
+    np.testing.assert_array_equal(fuse_cells(heights, regions, PARAMS, mask_m=2.0), (roof & ~glass) | crown)
+    found = fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence)
+    np.testing.assert_array_equal(found, roof)
