@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.secondlook import with_flush_planes, without_crowns
@@ -28,7 +28,7 @@ def fuse_cells(
     Each detector has one vote, and half of the votes are enough. A cell costs the votes that its kind lacks. A pair of
     neighbours of different kinds costs λ exp(-d/τ), with d their difference in height: edges of buildings are cheap
     along steps. The cheapest division of all cells is taken (`msbdb.labels.minimum_cut`). Holes and pieces smaller
-    than ``piece_m2`` are filled and dropped. Cells below the mask stay
+    than ``piece_m2`` are filled and dropped, and bumps and notches of a cell at the edges go. Cells below the mask stay
     where they are the edge of one building; those that would join two buildings do not. A second look
     (`msbdb.fuse.secondlook`) drops rough objects that hardly enough detectors support, and adds smooth regions that lie
     flush with a building.
@@ -85,9 +85,10 @@ def fuse_cells(
 
 
 def _tidy(decided: Mask, heights: Grid, params: FuseParams, mask_m: float) -> Mask:
-    """Fill small holes, keep buildings apart, and drop small pieces."""
+    """Fill small holes, straighten edges, keep buildings apart, and drop small pieces."""
     least = params.piece_m2 / heights.spec.cell_area_m2
     decided = decided | (small_zones(~decided, least, connectivity=4) & heights.valid)
+    decided = _straight(decided) & heights.valid
     decided = _apart(decided, decided & (np.asarray(heights.values) >= mask_m))
     return decided & ~small_zones(decided, least, connectivity=4)
 
@@ -98,6 +99,19 @@ def is_fused(regions: Mapping[str, Regions], params: FuseParams) -> bool:
     There are three at least, as two have no majority; the multi-scale one, which makes the parts, is among them.
     """
     return params.votes and len(regions) > 2 and "multiscale" in regions
+
+
+def _straight(decided: Mask) -> Mask:
+    """Let most of the 3 by 3 cells around each cell decide, as one echo a cell does not; corners stay as they are.
+
+    A corner has four of its nine cells. So what an opening by 3 by 3 cells keeps stays, and what a closing leaves empty
+    stays empty: bumps and notches of a cell go.
+    """
+    most = uniform_filter(decided.astype(np.float32), 3, mode="nearest") > 0.5
+    opened = maximum_filter(minimum_filter(decided, 3, mode="nearest"), 3, mode="nearest")
+    closed = minimum_filter(maximum_filter(decided, 3, mode="nearest"), 3, mode="nearest")
+    straight: Mask = (most | opened) & closed
+    return straight
 
 
 def _apart(decided: Mask, high: Mask) -> Mask:

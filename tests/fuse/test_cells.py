@@ -49,10 +49,22 @@ def test_half_of_the_votes_make_a_building(votes, of, kept):
 def test_the_edge_follows_the_step_of_height():
     """A ragged rim on the ground, which half of the detectors add, stays without costs of edges and goes with them."""
     ragged = HOUSE.copy()
-    ragged[12:28:2, 30] = True
+    ragged[12:28, 30] = np.tile([True, True, False, False], 4)
     votes = [HOUSE, HOUSE, ragged, ragged]
     np.testing.assert_array_equal(fused(HEIGHTS, votes, FuseParams(edge_cost=0.0)), ragged)
     np.testing.assert_array_equal(fused(HEIGHTS, votes, FuseParams(edge_cost=0.5)), HOUSE)
+
+
+def test_bumps_and_notches_of_a_cell_go_and_corners_stay():
+    """Of single cells at the edge, the nine cells around decide; wings and recesses of three cells keep their shape."""
+    shape = HOUSE | box((14, 17), (30, 34))
+    shape &= ~box((10, 14), (18, 22))
+    rough = shape.copy()
+    rough[9, 14] = rough[25, 30] = True
+    rough[20, 10] = rough[29, 22] = False
+    heights = np.where(rough | shape, 6.0, 0.0)
+    found = fused(heights, [rough] * 4, FuseParams(edge_cost=0.0))
+    np.testing.assert_array_equal(found, shape)
 
 
 def test_houses_beside_a_lane_stay_apart():
