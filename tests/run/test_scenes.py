@@ -265,11 +265,12 @@ def test_ground_classes_settle_the_earthwork(built):
 def test_a_free_wall_is_rejected_with_its_reason(built, profile_name, stage, reason):
     """A wall of 40 m2 is in the ledger, and the house is the only building.
 
-    For the default it is too thin for a roof; for the paper, which does not speak of walls, it is below 50 m2.
+    For the default it is too thin for a roof; for the paper, which does not speak of walls, it is below 50 m2. Single
+    cells that stand out from the house's edge are lost with it, 4 m2 in all.
     """
     outcome = built("wall", profile_name)
     assert outcome.report.buildings == 1
-    assert outcome.lost(stage) == pytest.approx(40, rel=0.1)
+    assert outcome.lost(stage) == pytest.approx(40, abs=5)
     assert set(outcome.rejections["reason"]) == {reason}
 
 
