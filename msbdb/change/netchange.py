@@ -16,7 +16,7 @@ RELATED_SHARE = 0.3
 """Buildings that were merged or split on the way are related at the end when they share this much of the smaller; a
 strip along a common wall is less."""
 
-STATES = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
+STATES = ("state", "probability", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
 """Attributes of a building before and after."""
 
 COLUMNS = (
@@ -295,6 +295,6 @@ _TYPES = (
 
 def _typed(frame: pd.DataFrame) -> pd.DataFrame:
     """Return the rows in settled dtypes."""
-    numbers = [f"{name}_{side}" for name in ("h_max", "h_p90", "area_m2", "volume_m3") for side in ("before", "after")]
+    numbers = [f"{name}_{side}" for name in ("probability", "h_max", "h_p90", "area_m2", "volume_m3") for side in ("before", "after")]
     numbers += ["overlap_m2", "iou", "dh_m", "darea_m2"]
     return frame.astype(_TYPES | dict.fromkeys(numbers, "float64"))

@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from msbdb.change.differences import Offset, earlier_heights
 from msbdb.change.netchange import Net, net_changes
-from msbdb.database import Engine, footprint_at, opened, read_rasters, read_survey
+from msbdb.database import Engine, footprint_at, opened, read_rasters, read_states, read_survey
 from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError
 from msbdb.export.formats import write_changes
@@ -23,6 +23,9 @@ from msbdb.view.buildingmap import draw_changes
 
 NOT_SURVEYED = "not surveyed"
 """Kind of a building within the area of interest that no survey of the period covered."""
+
+UNSURE = "unsure"
+"""Kind of a building that came or went without ever being confirmed, by its probability or an operator."""
 
 END = "9999-12-31"
 """A day after all surveys."""
@@ -54,7 +57,7 @@ def changes_of(
             net = Net(rows, rows.iloc[:0])
         else:
             net = net_changes(rows, period.versions, period.offsets)
-        table, passing = net.table, net.passing
+        table, passing = _with_unsure(net.table, read_states(engine)), net.passing
         if aoi is not None:
             area = read_polygons(aoi, to=rows.crs).union_all()
             rows, table, passing = (frame[frame.intersects(area)] for frame in (rows, table, passing))
@@ -68,6 +71,20 @@ def changes_of(
     return Changes(table, {str(kind): int(counts[kind]) for kind in sorted(counts.index)}, len(passing))
 
 
+def _with_unsure(table: gpd.GeoDataFrame, decided: pd.DataFrame) -> gpd.GeoDataFrame:
+    """Name the buildings that came or went without being confirmed: what is unsure in one survey is no change by itself.
+
+    A building of unknown probability counts as confirmed, such as one of an imported inventory.
+    """
+    by_operator = set(decided.loc[decided["state"] == "confirmed", "uid"])
+    table = table.copy()
+    for kind, side in (("new", "after"), ("demolished", "before")):
+        known = table[f"probability_{side}"].notna() & ~table[f"uid_{side}"].isin(by_operator)
+        unsure = known & (table[f"state_{side}"] != "confirmed") & (table["kind"] == kind)
+        table.loc[unsure, "kind"] = UNSURE
+    return table
+
+
 def _with_unseen(table: gpd.GeoDataFrame, standing: gpd.GeoDataFrame, area: shapely.Geometry) -> gpd.GeoDataFrame:
     """Add the buildings within an area that no survey of the period covered."""
     seen = set(table["uid_before"].dropna()) | set(table["uid_after"].dropna())
@@ -75,7 +92,7 @@ def _with_unseen(table: gpd.GeoDataFrame, standing: gpd.GeoDataFrame, area: shap
     if unseen.empty:
         return table
     names = {"uid": "uid_before", "version_id": "version_before", "state": "state_before", "storeys": "storeys_before"}
-    names |= {name: f"{name}_before" for name in ("h_max", "h_p90", "area_m2", "volume_m3", "attributes")}
+    names |= {name: f"{name}_before" for name in ("probability", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")}
     rows = unseen[[*names, "geometry"]].rename(columns=names)
     rows = rows.assign(
         kind=NOT_SURVEYED, survey="", date="", note="", outline=False, height=False, parts=False, times=0
@@ -123,8 +140,8 @@ def _relief(grids: list[Grid]) -> Grid:
 
 
 def records_of(found: Changes) -> list[dict[str, Any]]:
-    """Return a record of plain values for each row that is not 'unchanged'."""
-    changed = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
+    """Return a record of plain values for each row that is a change."""
+    changed = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED, UNSURE])]
     plain = pd.DataFrame(changed.drop(columns="geometry")).astype(object)
     return [
         {str(name): value for name, value in row.items()}

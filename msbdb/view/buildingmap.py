@@ -46,6 +46,7 @@ HEIGHTS: Colormap = LinearSegmentedColormap.from_list(
 KINDS = {
     "unchanged": "#c4c4c4",
     "not surveyed": "#ffffff",
+    "unsure": "#ece7d5",
     "modified": "#e69f00",
     "merged": "#56b4e9",
     "split": "#0072b2",
@@ -348,7 +349,7 @@ def draw_changes(changes: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: s
     for order, (kind, colour) in enumerate(KINDS.items()):
         chosen = changes[changes["kind"] == kind]
         paths = outlines(chosen.geometry.to_numpy())
-        is_quiet = kind in ("unchanged", "not surveyed")
+        is_quiet = kind in ("unchanged", "not surveyed", "unsure")
         fills = PathCollection(
             paths, facecolors=colour, edgecolors="#555555" if is_quiet else "black",
             linewidths=0.4 if is_quiet else 1.0, joinstyle="round", zorder=2 + order / 100,

@@ -284,8 +284,9 @@ def test_an_imported_building_that_the_extraction_misses_still_stands(engine: En
     write_import(engine, "cadastre", "2015-01-01", office_frame(ROW), digest="a")
     build = built(*FIRST)
     first = build.frames["building"]["building_id"].iloc[0]
-    kept = {name: build.frames[name].query("building_id != @first") for name in ("building", "part")}
-    without = {**build.frames, **{name: frame.reset_index(drop=True) for name, frame in kept.items()}}
+    frames = {name: build.frames[name] for name in ("building", "part")}
+    kept = {name: frame[frame["building_id"] != first].reset_index(drop=True) for name, frame in frames.items()}
+    without = {**build.frames, **kept}
     write_build(engine, replace(build, frames=without))
     assert advance(engine.url, "s1").counts["unchanged"] == 8
 

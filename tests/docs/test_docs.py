@@ -176,7 +176,7 @@ def test_sql_of_the_docs_runs(page, tmp_path):
     engine = open_database(tmp_path / "town.sqlite", create=True, srid=2154)
     with engine.connect() as connection:
         for statement in statements:
-            connection.execute(sqlalchemy.text(statement), {"root": 1} if ":root" in statement else {}).all()
+            connection.execute(sqlalchemy.text(statement), {"building": 1} if ":building" in statement else {}).all()
     engine.dispose()
 
 

@@ -216,7 +216,7 @@ def read_period(engine: Engine, since: str | None = None, until: str | None = No
 def _changes(connection: Connection, since: str | None, until: str | None) -> "gpd.GeoDataFrame":
     """Return the changes of a period."""
     one, two = (BUILDING_VERSION.alias(name) for name in ("version_1", "version_2"))
-    states = ("state", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
+    states = ("state", "probability", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
     columns = [c for c in _columns_of(BUILDING_CHANGE) if c.name != "survey_id"]
     query = (
         select(
