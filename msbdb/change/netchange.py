@@ -295,6 +295,10 @@ _TYPES = (
 
 def _typed(frame: pd.DataFrame) -> pd.DataFrame:
     """Return the rows in settled dtypes."""
-    numbers = [f"{name}_{side}" for name in ("probability", "h_max", "h_p90", "area_m2", "volume_m3") for side in ("before", "after")]
+    numbers = [
+        f"{name}_{side}"
+        for name in ("probability", "h_max", "h_p90", "area_m2", "volume_m3")
+        for side in ("before", "after")
+    ]
     numbers += ["overlap_m2", "iou", "dh_m", "darea_m2"]
     return frame.astype(_TYPES | dict.fromkeys(numbers, "float64"))

@@ -218,8 +218,8 @@ def changes(
     The result is the net change, a row a building: unchanged, modified (outline, height or parts), new, demolished,
     merged or split. State, heights and area are given before and after. Changes by several surveys count as one: raised
     and then demolished is demolished. Buildings that were new and then demolished between the dates are only counted;
-    --each shows them. Unchanged buildings are counted and not printed, and so are unsure ones: buildings that came or went
-    without ever being confirmed.
+    --each shows them. Unchanged buildings are counted and not printed. So are unsure ones, which came or went without
+    ever being confirmed.
     """
     from msbdb import api
 

@@ -72,7 +72,7 @@ def changes_of(
 
 
 def _with_unsure(table: gpd.GeoDataFrame, decided: pd.DataFrame) -> gpd.GeoDataFrame:
-    """Name the buildings that came or went without being confirmed: what is unsure in one survey is no change by itself.
+    """Name the buildings that came or went without being confirmed: what one survey is unsure of is no change.
 
     A building of unknown probability counts as confirmed, such as one of an imported inventory.
     """
@@ -92,7 +92,9 @@ def _with_unseen(table: gpd.GeoDataFrame, standing: gpd.GeoDataFrame, area: shap
     if unseen.empty:
         return table
     names = {"uid": "uid_before", "version_id": "version_before", "state": "state_before", "storeys": "storeys_before"}
-    names |= {name: f"{name}_before" for name in ("probability", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")}
+    names |= {
+        name: f"{name}_before" for name in ("probability", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
+    }
     rows = unseen[[*names, "geometry"]].rename(columns=names)
     rows = rows.assign(
         kind=NOT_SURVEYED, survey="", date="", note="", outline=False, height=False, parts=False, times=0

@@ -3,6 +3,7 @@
 import geopandas as gpd
 import numpy as np
 import pytest
+import shapely
 from pyproj import CRS
 from shapely import box
 from shapely.affinity import translate
@@ -240,6 +241,22 @@ def test_half_of_the_houses_raised_is_no_vertical_offset() -> None:
     raised = [(*house[:4], house[4] + 4 * (n % 2)) for n, house in enumerate(ROW)]
     found = estimate_offset(town(ROW), town(raised), least_pairs=5)
     assert found.dz_m == 0
+
+
+def test_the_offset_is_finer_than_the_cells_of_the_outlines():
+    """Outlines on cells of 0.5 m, each as its survey's lattice lies, still tell a shift of 0.2 m."""
+    rng = np.random.default_rng(4)
+    west, south = 60 * np.arange(40) + rng.uniform(0, 1, 40), rng.uniform(0, 1, 40)
+    sides = rng.uniform(8, 40, (2, 40))
+
+    def traced(shift):
+        low, high = (np.round((place + shift) / 0.5) * 0.5 for place in (west, west + sides[0]))
+        shapes = shapely.box(low, south, high, south + sides[1])
+        return gpd.GeoDataFrame({"h_p90": np.full(40, 6.0)}, geometry=shapes)
+
+    found = estimate_offset(traced(0.0), traced(0.2), least_pairs=5)
+    assert found.dx_m == pytest.approx(0.2, abs=0.08)
+    assert found.dy_m == pytest.approx(0, abs=0.01)
 
 
 def test_each_change_names_the_new_state_of_its_building() -> None:

@@ -40,7 +40,12 @@ class Story:
         (west, south, east, north), height = state
         shape = box(west, south, east, north)
         values = {"state": "unsure", "storeys": 1, "h_max": height, "h_p90": height, "area_m2": shape.area}
-        values |= {"probability": float("nan"), "volume_m3": height * shape.area, "attributes": None, "geometry": shapely.multipolygons([shape])}
+        values |= {
+            "probability": float("nan"),
+            "volume_m3": height * shape.area,
+            "attributes": None,
+            "geometry": shapely.multipolygons([shape]),
+        }
         self.versions.append({"version_id": len(self.versions) + 1, "uid": uid, "survey_id": survey, **values})
         return len(self.versions)
 
