@@ -33,9 +33,9 @@ def classify(
     out : path
         LAS or LAZ, by its ending; everything but the classes is as in the source.
     extract : sequence of str
-        The detectors; with several, a point that any of them finds is a building. ``area3d`` and ``adaptive`` find
-        points. Of ``multiscale`` and ``flatregions``, the points in the cells of a part or flat region count. They must
-        be at least ``surface.mask_m`` above ground.
+        The detectors. Three or more with ``multiscale`` decide together, as in a build; of others, a point that any of
+        them finds is a building. ``area3d`` and ``adaptive`` find points. Of ``multiscale`` and ``flatregions``, the
+        points in the cells of a part or flat region count. They must be at least ``surface.mask_m`` above ground.
     crs, ortho_crs : str, optional
         CRS of points and orthophotos that state none.
     ortho : sequence of path

@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
+from msbdb.fuse.cells import is_fused
 from msbdb.grid import GridSpec
 from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.laswrite import check_output, write_classes
 from msbdb.params import Params
 from msbdb.points.cloud import BUILDING_CLASS, UNCLASSIFIED_CLASS, PointCloud
-from msbdb.run.compose import choose_detectors, detect
+from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
 from msbdb.run.prepare import Inputs, Label, prepare
 from msbdb.run.reports import ClassifyReport
 from msbdb.run.stages import Notices, Progress, Stages, collect_notices
@@ -44,8 +45,13 @@ def classify_points(
         heights = heights_above(cloud, scene.require_surface().dtm)
         regions = detect(scene, methods, params, stages)
         taken = np.zeros(len(cloud), dtype=np.bool_)
-        for one in regions.values():
-            taken |= _points_of(one, scene, heights, params)
+        if is_fused(regions, params.fuse):
+            # The buildings of a build: what the detectors decide together, and not what any of them takes.
+            built = fuse_and_decompose(scene, regions, params, stages).root_labels > 0
+            taken = points_in(built, scene.heights.spec, cloud, heights, params.surface.mask_m)
+        else:
+            for one in regions.values():
+                taken |= _points_of(one, scene, heights, params)
         stale = np.zeros_like(taken) if keep else _stale(cloud, taken)
         with stages.stage("write"):
             classes, where = _as_in_file(read_las_header(source).points, index, taken, stale)

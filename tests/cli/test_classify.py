@@ -96,6 +96,18 @@ def test_several_extractors_take_what_any_of_them_takes(folder, tmp_path):
     assert report["regions"] == {"flatregions": 1, "multiscale": 1}
 
 
+def test_three_detectors_decide_together_as_in_a_build(folder, tmp_path):
+    """The points of class 6 are those in the build's buildings, and fewer than what any detector takes."""
+    three = ("--extract", "adaptive,flatregions,multiscale")
+    classified(folder / "plain.laz", tmp_path / "three.laz", *three)
+    assert run("build", "--points", folder / "plain.laz", "--db", tmp_path / "town.sqlite", *three).exit_code == 0
+    agreed = scored(tmp_path / "town.sqlite", "--reference", tmp_path / "three.laz", "--by", "point")
+    assert agreed["points"]["rates"]["quality"] > 0.95
+    taken = classes_of(tmp_path / "three.laz") == BUILDING
+    classified(folder / "plain.laz", tmp_path / "one.laz", "--extract", "adaptive")
+    assert (classes_of(tmp_path / "one.laz")[~taken] == BUILDING).any()
+
+
 def test_former_buildings_are_demoted_or_kept(folder, tmp_path):
     """Class 6 of crowns becomes 1, with --keep it stays; ground stays ground; noise and withheld points stay."""
     las, found = laspy.read(folder / "truth.laz"), classes_of(folder / "found.laz") == BUILDING
