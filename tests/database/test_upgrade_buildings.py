@@ -1,5 +1,8 @@
 """A database of the first schema, in which a building is one root, becomes one of buildings as objects."""
 
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +11,7 @@ from simulated.builds import BLOCK, EPSG, HOUSE, PODIUM, SHED, small_build
 from sqlalchemy import Engine, text
 from support import towns
 from support.baseline import as_baseline, first_migration
+from support.processes import environment
 from support.schemaobjects import objects
 
 from msbdb.api.update import advance
@@ -115,3 +119,51 @@ def test_there_is_no_way_back(old: Engine, target: str) -> None:
     with pytest.raises(SchemaVersionError, match="brought down to: none"):
         downgrade_schema(target, force=True)
     assert len(read_buildings(old)) == 4
+
+
+UPGRADE = """
+import sys
+from msbdb.database import upgrade_schema
+from msbdb.database.dialects import {dialect}
+
+def stop_here(original):
+    def stopped(*args, **options):
+        found = original(*args, **options)
+        if {when}:
+            print("here", flush=True)
+            sys.stdin.read()
+        return found
+    return stopped
+
+{dialect}.{function} = stop_here({dialect}.{function})
+upgrade_schema(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize(
+    ("function", "when"),
+    [
+        ("drop_geometry_ddl", "args[0] == 'building'"),
+        ("geometry_ddl", "args[0] == 'building_version'"),
+        ("after_load", "True"),
+    ],
+)
+def test_a_kill_during_the_upgrade_leaves_the_first_schema(old: Engine, target: str, function: str, when: str) -> None:
+    """Whether tables are dropped, made anew, or filled and all but committed; the next upgrade completes."""
+    dialect = "postgis" if "://" in target else "spatialite"
+    code = UPGRADE.format(dialect=dialect, function=function, when=when)
+    call = [sys.executable, "-c", code, target]
+    process = subprocess.Popen(call, env=environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdin is not None
+    assert process.stdout.readline() == "here\n"
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    process.stdin.close()
+    process.stdout.close()
+    with old.connect() as connection:
+        assert connection.scalar(text("SELECT version_num FROM msbdb_schema_version")) == "0001"
+        assert connection.scalar(text("SELECT count(root_id) FROM building")) == 4
+        assert connection.scalar(text("SELECT count(*) FROM footprint")) == 4
+    assert upgrade_schema(target) == ("0001", "0002")
+    assert check_database(old) == []

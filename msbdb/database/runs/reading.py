@@ -116,13 +116,16 @@ def read_tables(engine: Engine, tables: Sequence[Table], survey: str | None = No
     return {table.name: _as_frame(table, own, record) for table, own in zip(tables, columns, strict=True)}
 
 
-def content_of(connection: Connection, survey: str | None) -> RunContent:
-    """Return a run as plain columns, as an open transaction sees it; the parameters are those of `read_build`."""
+def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] = TABLES) -> RunContent:
+    """Return a run as plain columns, as an open transaction sees it.
+
+    Survey and errors are those of `read_build`; a migration gives the tables of its own schema.
+    """
     run = _find_run(connection, survey, shown(connection.engine.url))
     return RunContent(
         survey=_survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
-        columns={table.name: _read_columns(connection, table, run.run_id) for table in TABLES},
+        columns={table.name: _read_columns(connection, table, run.run_id) for table in tables},
         rasters=_read_rasters(connection, run.run_id),
     )
 
