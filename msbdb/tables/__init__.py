@@ -2,16 +2,11 @@
 
 from msbdb.tables.building_tables import (
     BUILDING,
-    CANDIDATE_REGION,
     CONFIRMING_CLASS_SHARE,
     CONFIRMING_COVER,
     DETECTOR_SHARES,
     EXTRACTOR_SHARES,
-    FLAT_REGION,
-    FLAT_REGION_CANDIDATE,
     PART,
-    PART_CANDIDATE,
-    PART_FLAT_REGION,
     validate_parts,
 )
 from msbdb.tables.declaration import Check, Column, Index, KeyReference, Table, Unique, validate
@@ -27,6 +22,13 @@ from msbdb.tables.inventory_tables import (
     SURVEY_OFFSET,
 )
 from msbdb.tables.records import Counts, Run, Source, Survey
+from msbdb.tables.region_tables import (
+    CANDIDATE_REGION,
+    FLAT_REGION,
+    FLAT_REGION_CANDIDATE,
+    PART_CANDIDATE,
+    PART_FLAT_REGION,
+)
 from msbdb.tables.run_tables import (
     CLASS_LABELS,
     REJECTION,
