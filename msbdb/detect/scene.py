@@ -56,7 +56,7 @@ class Scene:
     cover : Cover
         Land cover by structure, colours and the operator's labels.
     evidence : Evidence, optional
-        Each cell's own evidence of roof, for the fused footprints; None without these.
+        Each cell's own evidence of roof; None where a run of an older msbdb kept none.
     surface : Surface, optional
         DSM, DTM and nDSM; None where a scene is read back from the database.
     cloud : PointCloud, optional
@@ -125,8 +125,6 @@ class Regions:
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
         ``dropped``.
-    firm : (H, W) ndarray of bool, optional
-        The cells that count in the fused footprints; None where all do.
     of_points : (N,) ndarray of int32, optional
         Labels of the points, of a detector that takes the points themselves.
     forest : Forest, optional
@@ -138,11 +136,5 @@ class Regions:
     table: gpd.GeoDataFrame | pd.DataFrame
     ledger: pd.DataFrame
     counts: dict[str, dict[str, int]]
-    firm: NDArray[np.bool_] | None = None
     of_points: NDArray[np.int32] | None = None
     forest: Forest | None = None
-
-    @property
-    def firm_labels(self) -> NDArray[np.int32]:
-        """``labels`` of the firm cells, 0 elsewhere."""
-        return self.labels if self.firm is None else np.where(self.firm, self.labels, np.int32(0))

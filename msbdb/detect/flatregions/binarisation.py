@@ -29,8 +29,6 @@ class Binarised:
         G, the union of all zones' flat components (Eq. 14).
     zones : (H, W) ndarray of int32
         i of the largest flat component that holds a cell; 0 outside of G.
-    firm : (H, W) ndarray of bool
-        The part of G that is left with R as given, see `ratio_at`.
     risen : (H, W) ndarray of bool
         The cells that were to be judged: all that are above the lowest level of their connected area.
     gradient : (H, W) ndarray
@@ -41,7 +39,6 @@ class Binarised:
 
     flat: NDArray[np.bool_]
     zones: NDArray[np.int32]
-    firm: NDArray[np.bool_]
     risen: NDArray[np.bool_]
     gradient: NDArray[np.floating]
     thresholds: NDArray[np.float64]
@@ -110,18 +107,13 @@ def binarise(g: Grid, initial: Grid, params: FlatRegionParams) -> Binarised:
     area = areas(tree) * cell_area
     inner = np.s_[margin : margin + g.spec.shape[0], margin : margin + g.spec.shape[1]]
 
-    def union_at(ratio: float) -> NDArray[np.int32]:
-        # Areas are whole cells: a region of just R λ_i must not miss it by rounding.
-        kept = profile.filter_supports(area * (1 + 1e-12), ratio * thresholds)
-        if params.largest_m2 > 0:
-            kept &= area <= params.largest_m2
-        return profile.union(kept)[inner]
-
-    ratio = ratio_at(g.spec.cell_m, params)
-    node = union_at(ratio)
-    firm = node if ratio == params.ratio else union_at(params.ratio)
+    # Areas are whole cells: a region of just R λ_i must not miss it by rounding.
+    kept = profile.filter_supports(area * (1 + 1e-12), ratio_at(g.spec.cell_m, params) * thresholds)
+    if params.largest_m2 > 0:
+        kept &= area <= params.largest_m2
+    node = profile.union(kept)[inner]
     zones = np.where(node >= 0, profile.zone[node], 0).astype(np.int32)
-    return Binarised(node >= 0, zones, firm >= 0, tree.paint(~tree.is_root)[inner], gradient, thresholds)
+    return Binarised(node >= 0, zones, tree.paint(~tree.is_root)[inner], gradient, thresholds)
 
 
 def _framed(g: Grid, margin: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

@@ -44,8 +44,6 @@ class FlatRegions:
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
         ``dropped``.
-    firm : (H, W) ndarray of bool
-        The cells of regions that are left with R as given (`firm_cells`).
     zones : (H, W) ndarray of int32
         i of the largest flat component that holds a cell, 0 for none: the set G of Eq. 14, as in the paper's Fig. 2.
     denoised : Grid
@@ -56,7 +54,6 @@ class FlatRegions:
     regions: pd.DataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
-    firm: NDArray[np.bool_]
     zones: NDArray[np.int32]
     denoised: Grid
 
@@ -86,8 +83,7 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
     outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
     regions = found.regions.iloc[order].reset_index(drop=True)
     table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]
-    firm = None if found.firm[found.labels > 0].all() else found.firm
-    return Regions("flatregions", labels, table, found.rejections, found.counts, firm=firm)
+    return Regions("flatregions", labels, table, found.rejections, found.counts)
 
 
 def lowest_surface(scene: Scene, params: Params) -> Grid:
@@ -168,8 +164,7 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     labels = recognise(found, candidates, heights, params, ledger)
     regions = describe(labels, found, heights, survey)
     logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
-    firm = firm_cells(labels, found, len(regions))
-    return FlatRegions(labels, regions, ledger.rejections(), ledger.counts, firm, found.zones, denoised.grid)
+    return FlatRegions(labels, regions, ledger.rejections(), ledger.counts, found.zones, denoised.grid)
 
 
 def _record_outliers(denoised: Denoised, ledger: FlatRegionLedger) -> None:
@@ -213,12 +208,3 @@ def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float,
     kept, left = label_zones(np.where(inside, labels, 0))
     ledger.count("compactness", count, left, long)
     return kept
-
-
-def firm_cells(labels: Labels, found: Binarised, count: int) -> NDArray[np.bool_]:
-    """Return (H, W) bool, the cells of regions that are left with R as given.
-
-    A region that keeps less than half of its flat cells loses all of its cells, edges included.
-    """
-    flat, firm = (sizes(labels[mask], count) for mask in (found.flat, found.firm))
-    return chosen_cells(labels, 2 * firm >= flat) & (found.firm | ~found.flat)

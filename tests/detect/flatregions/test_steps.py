@@ -15,7 +15,6 @@ from support.sizes import examples
 
 from msbdb.detect.flatregions.binarisation import binarise, gradient_of, ratio_at
 from msbdb.detect.flatregions.initialisation import denoise, fill_by_idw, find_outliers, initialise, window_px
-from msbdb.detect.flatregions.mongus2013 import firm_cells
 from msbdb.detect.flatregions.recognition import FlatRegionLedger, clean, grow, measure_shapes, most_frequent_zone
 from msbdb.errors import NodataError, ParameterError, TableError
 from msbdb.grid import Grid, GridSpec
@@ -281,25 +280,6 @@ def test_r_falls_with_the_window_of_the_gradients():
     assert ratio_at(1.4, own) == pytest.approx(own.ratio / 2)
     assert ratio_at(1.4, replace(own, gradient_window_m=9.8)) == own.ratio
     assert ratio_at(1.4, PAPER) == PAPER.ratio
-
-
-def test_firm_cells_are_those_that_r_leaves_as_it_is_given():
-    """In cells of a metre a roof is flat by the lower R alone; in cells of a quarter of it all flat cells are firm."""
-    rng = np.random.default_rng(0)
-    values = np.zeros((60, 60))
-    values[10:40, 10:40] = 6.0 + rng.uniform(0, 1.5, (30, 30))
-    g = grid(values)
-    found = binarise(g, g, FlatRegionParams())
-    own = FlatRegionParams()
-    strict = binarise(g, g, replace(own, ratio=own.ratio**2 / ratio_at(1.0, own)))
-    assert (found.firm == strict.flat).all()
-    assert found.firm.sum() < found.flat.sum()
-    assert not (found.firm & ~found.flat).any()
-    labels, count = ndimage.label(found.flat, EIGHT)
-    cells = firm_cells(labels, found, count)
-    assert not (cells & ~found.firm).any()
-    fine = binarise(grid(values, cell_m=0.25), grid(values, cell_m=0.25), FlatRegionParams())
-    assert (fine.firm == fine.flat).all()
 
 
 def test_regions_larger_than_the_limit_are_terrain():
