@@ -81,7 +81,8 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     decided = _decide(opened, sure, cell_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
-    return decided & ~clutter
+    ground: Mask = decided & ~clutter
+    return ground
 
 
 def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:
