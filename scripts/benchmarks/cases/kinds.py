@@ -39,7 +39,7 @@ def as_they_are(data: Path, names: set[str]) -> Iterator[Case]:
             yield Case(place.name, place.crs, clouds, reference, {"pdal": place.pdal, "whitebox": place.whitebox})
 
 
-def with_fewer_pulses(data: Path, names: set[str]) -> Iterator[Case]:
+def with_fewer_pulses(data: Path, names: set[str], densities: tuple[float, ...] = DENSITIES) -> Iterator[Case]:
     """Yield thinned copies of places; the reference is made of all points."""
     for name in THINNED:
         if name not in names:
@@ -47,7 +47,7 @@ def with_fewer_pulses(data: Path, names: set[str]) -> Iterator[Case]:
         place = NAMED[name]
         clouds = place.read(data)
         density = first_density(clouds)
-        for target in DENSITIES:
+        for target in densities:
             if target < density:
                 copies = [thinned(cloud, target / density) for cloud in clouds]
                 reference = reference_of(place, clouds, data, cell_for(target))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import geopandas as gpd
 import laspy
@@ -24,6 +25,7 @@ CELLS_M = ((3.0, 0.5), (0.8, 1.0), (0.0, 2.0))
 """The cell of a reference by the least density, first echoes a square metre, that it suits."""
 
 Mask = NDArray[np.bool_]
+S = TypeVar("S", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,16 @@ class Reference:
     scored: Mask
     spec: GridSpec
 
-    def onto(self, found: Mask, spec: GridSpec) -> Mask:
-        """Return the scored cells of this lattice whose centre lies in a found cell of another one."""
+    def sampled(self, values: NDArray[S], spec: GridSpec) -> NDArray[S]:
+        """Return the values of another lattice's cells at the centres of this one's; 0 outside of it."""
         rows, cols = np.indices(self.spec.shape)
         east, north = self.spec.xy(rows.ravel(), cols.ravel())
-        there: Mask = spec.sample(found, east, north, outside=False).reshape(self.spec.shape)
-        return there & self.scored
+        return spec.sample(values, east, north, outside=0).reshape(self.spec.shape)
+
+    def onto(self, found: Mask, spec: GridSpec) -> Mask:
+        """Return the scored cells of this lattice whose centre lies in a found cell of another one."""
+        there: Mask = self.sampled(found, spec) & self.scored
+        return there
 
     def quality(self, found: Mask, spec: GridSpec) -> float:
         """Compare cells of another lattice with the reference, per cent."""

@@ -10,7 +10,7 @@ import laspy
 from cases.copies import with_class_alone
 from cases.labelled import Objects, Reference
 from msbdb.detect.scene import Scene
-from msbdb.params import DETECTORS, profile, with_values
+from msbdb.params import DETECTORS, Params, profile, with_values
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import GROUND_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
@@ -65,6 +65,13 @@ def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
 
 def build(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Forest]:
     """Build a case by the default values on a ground, without any other class than that of the ground."""
+    scene, regions, params = detected(case, ground)
+    with collect_notices(Notices()):
+        return scene, regions, fuse_and_decompose(scene, regions, params, Stages(None))
+
+
+def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params]:
+    """Run the detectors on a case by the default values on a ground, and return the values for the later steps."""
     kept = GROUND_CLASS if ground == GIVEN else None
     params = with_values(profile(), {"ground": {"ground_filter": "class2" if ground == GIVEN else ground}})
     with tempfile.TemporaryDirectory() as folder, collect_notices(Notices()):
@@ -73,7 +80,5 @@ def build(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Forest]:
             files.append(Path(folder) / f"{number}.las")
             with_class_alone(cloud, kept).write(files[-1])
         inputs, stages = Inputs(points=tuple(files), crs=case.crs), Stages(None)
-        cloud = read_cloud(inputs, None)
-        scene, params = prepare(inputs, cloud, params, stages, Label(case.name))
-        regions = detect(scene, DETECTORS, params, stages)
-        return scene, regions, fuse_and_decompose(scene, regions, params, stages)
+        scene, params = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
+        return scene, detect(scene, DETECTORS, params, stages), params
