@@ -81,8 +81,8 @@ class FuseParams:
         ours="fitted to 639 objects of seven places; 0.49 to 0.53 with any of them left out", low=0, high=1)
     support_slope: float = param(13.0, "1", "k: log-odds of a building by its mean share beyond s₀.",
         ours="fitted to 639 objects of seven places; 11.2 to 14.9 with any of them left out", low=0, high=1000)
-    sure: float = param(0.9, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",
-        ours="96 of 100 confirmed objects are true on places that the odds were not fitted to; from 0.97 on 98",
+    sure: float = param(0.97, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",
+        ours="98 of 100 confirmed objects are true on places that the odds were not fitted to; from 0.9 on 96",
         low=0.5, high=1)
 
 

@@ -26,7 +26,7 @@ def test_the_mean_share_gives_the_log_odds():
 
 def test_the_state_follows_from_the_probability():
     """Confirmed from p₁, refuted up to 1 - p₁."""
-    found = supported([1, 1, 1, 1], [1, 1, 0.3, 0.3], [0.5, 0.5, 0.1, 0.1])
+    found = supported([1, 1, 1, 1], [1, 1, 0.3, 0.3], [0.3, 0.3, 0.1, 0.1])
     assert found["state"].tolist() == ["confirmed", "unsure", "refuted"]
     surer = supported([0.8] * 4, params=FuseParams(sure=0.99))
     assert surer["state"].tolist() == ["unsure"]

@@ -111,7 +111,8 @@ def test_every_pair_of_witnesses_is_linked():
     assert buildings["adaptive_share"].tolist() == [0, 0, 1]
     assert buildings["multiscale_share"].tolist() == [1, 1, 1]
     # Mean shares of 0.75, 0.375 and 0.5.
-    assert buildings["state"].tolist() == ["confirmed", "unsure", "unsure"]
+    assert buildings["probability"].tolist() == pytest.approx([0.96, 0.15, 0.47], abs=0.01)
+    assert set(buildings["state"]) == {"unsure"}
     links = found["part_candidate"].set_index("candidate_id")
     assert links["overlap_m2"].to_dict() == {2000: 100, 1000: 100, 1001: 50}
     assert links["candidate_share"].to_dict() == {2000: 1, 1000: 1, 1001: 0.5}

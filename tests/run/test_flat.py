@@ -87,11 +87,13 @@ def test_other_extractors_replace_the_run(points, town, tmp_path):
 
 @pytest.mark.long
 def test_labels_by_the_operator_keep_the_flat_regions(town, tmp_path):
-    """A class labelled anew and back leaves the database as it was, flat regions, links and ledger included."""
-    db = shutil.copy(town[0], tmp_path / "labelled.sqlite")
+    """A class labelled anew and back gives what its label alone gives, flat regions, links and ledger included.
+
+    An operator's label counts more than the detectors at the edge of a roof, so single cells differ from the build's.
+    """
+    db, straight = (shutil.copy(town[0], tmp_path / name) for name in ("labelled.sqlite", "straight.sqlite"))
     with msbdb.open(db) as opened:
-        before, regions = opened.dump(), opened.flat_regions()
-        classes = opened.classes()
+        built, regions, classes = opened.buildings(), opened.flat_regions(), opened.classes()
         roofs = classes.loc[classes["label"] == "building", "speindex"].tolist()
     msbdb.relabel(db, dict.fromkeys(roofs, "vegetation"))
     with msbdb.open(db) as opened:
@@ -99,11 +101,13 @@ def test_labels_by_the_operator_keep_the_flat_regions(town, tmp_path):
         assert len(opened.buildings()) == 0
         assert len(read_part_flat_regions(opened.engine)) == 0
     msbdb.relabel(db, dict.fromkeys(roofs, "building"))
-    with msbdb.open(db) as opened:
-        after = opened.dump()
-    differing = [(one, other) for one, other in zip(before, after, strict=True) if one != other]
-    assert all("automatic" in one and "operator" in other for one, other in differing)
-    assert len(differing) == len(roofs)
+    msbdb.relabel(straight, dict.fromkeys(roofs, "building"))
+    with msbdb.open(db) as one, msbdb.open(straight) as other:
+        assert one.dump() == other.dump()
+        labelled = one.buildings()
+        assert (one.classes().set_index("speindex").loc[roofs, "labelled_by"] == "operator").all()
+    assert labelled["building_id"].tolist() == built["building_id"].tolist()
+    assert labelled["area_m2"].tolist() == pytest.approx(built["area_m2"].tolist(), rel=0.01)
 
 
 def test_shuffled_points_give_the_same_flat_regions(town, tmp_path):

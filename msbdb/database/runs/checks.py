@@ -13,7 +13,6 @@ from msbdb.params import DETECTORS, POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
     CANDIDATE_REGION,
-    PART,
     REJECTION,
     TABLES,
     KeyReference,
@@ -121,7 +120,6 @@ def _check_references(frames: "dict[str, pd.DataFrame]", methods: tuple[str, ...
             holds = frame[column].isin(known) | (allows_none & (frame[column] == 0))
             _require(holds, frame, table, f"{column} refers to no row")
     parts, buildings, candidates = frames["part"], frames["building"], frames["candidate_region"]
-    _require(parts["building_id"].isin(buildings["building_id"]), parts, PART, "building_id refers to no row")
     roots = parts.loc[parts["supid"] == 0, "building_id"]
     _require(buildings["building_id"].isin(roots), buildings, BUILDING, "the building has no tree of parts")
     asked = [name for name in POINT_DETECTORS if name in methods]
@@ -138,8 +136,11 @@ def references(table: Table) -> Iterator[tuple[str, str, str, bool]]:
     Examples
     --------
     >>> from msbdb.tables import PART
-    >>> list(references(PART))
-    [('scale', 'scale', 'scale', False), ('speindex', 'spectral_class', 'speindex', True)]
+    >>> for reference in references(PART):
+    ...     print(*reference)
+    building_id building building_id False
+    scale scale scale False
+    speindex spectral_class speindex True
     """
     for column in table.columns:
         if column.refers:
