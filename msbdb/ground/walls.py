@@ -11,12 +11,18 @@ from scipy.sparse.csgraph import connected_components
 from msbdb.grid import Grid
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
-from msbdb.labels import Pairs, minimum_cut, neighbours
-from msbdb.morphology.windows import opening
+from msbdb.labels import Pairs, chosen_cells, label_zones, minimum_cut, neighbours, sizes
+from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+
+LEAST_M2 = 50.0
+"""No way is sought to smaller regions: clutter, and the cells of walls. Nor does one begin on less even ground."""
+
+WAY_PX = 3
+"""Width of a way, cells."""
 
 
 def walled_ground(surface: Grid, params: GroundParams) -> Mask:
@@ -36,6 +42,9 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
        one too large for the windows of the progressive filter.
     5. Of the ground, cells that rise above the opening are clutter, not ground.
+    6. A region above ground is terrain after all where a way leads from the ground to ``reached_share`` of its cells: a
+       terrace or a ramp. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell. It begins
+       on even ground, so not on a slope where a level roof touches the terrain.
 
     So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
     all regions of a place are decided together: terraces one above the other, roofs beside higher roofs.
@@ -81,8 +90,9 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     decided = _decide(opened, sure, cell_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
-    ground: Mask = decided & ~clutter
-    return ground
+    ground = decided & ~clutter
+    reached: Mask = ground | _reached(heights, ground, cell_m, params)
+    return reached
 
 
 def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:
@@ -123,16 +133,8 @@ def _podiums(heights: Heights, ground: Mask, cell_m: float, params: GroundParams
     A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
     counts as an edge without a wall.
     """
-    wall_m = (params.wall_low_m + params.wall_high_m) / 2 * max(cell_m, 1.0)
-    node = np.arange(heights.size, dtype=np.int32).reshape(heights.shape)
-    links = []
-    for one, other in neighbours(heights.shape):
-        joined = (np.abs(heights[other] - heights[one]) < wall_m) & ground[one] & ground[other]
-        links.append((node[one][joined], node[other][joined]))
-    first, second = (np.concatenate(parts) for parts in zip(*links, strict=True))
-    graph = coo_matrix((np.ones(first.size, dtype=np.bool_), (first, second)), shape=(heights.size, heights.size))
-    count, numbers = connected_components(graph, directed=False)
-    regions = numbers.reshape(heights.shape)
+    wall_m = _wall_m(cell_m, params)
+    regions, count = _joined(heights, ground, wall_m)
     around, falls = (np.zeros(heights.shape, dtype=np.int32) for _ in range(2))
     for one, other in neighbours(heights.shape):
         for here, there in ((one, other), (other, one)):
@@ -142,6 +144,41 @@ def _podiums(heights: Heights, ground: Mask, cell_m: float, params: GroundParams
             falls[here] += differ & (fall >= wall_m)
     for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
         around[side] += 1
-    edges, walls = (np.bincount(numbers, weights=each.ravel(), minlength=count) for each in (around, falls))
+    edges, walls = (np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls))
     podium: Mask = ground & ((walls > 0) & (walls >= params.podium_share * edges))[regions]
     return podium
+
+
+def _reached(heights: Heights, ground: Mask, cell_m: float, params: GroundParams) -> Mask:
+    """Return the regions above ground to most of which a way leads from the ground."""
+    rise = dilation(heights, WAY_PX, None) - erosion(heights, WAY_PX, None)
+    even = rise < (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0)
+    ways, count = label_zones(even)
+    from_ground = sizes(ways[ground], count) * cell_m**2 >= LEAST_M2
+    reached = dilation(chosen_cells(ways, from_ground).astype(np.float32), WAY_PX, None) > 0
+    regions, count = _joined(heights, ~ground, _wall_m(cell_m, params))
+    cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))
+    large = cells * cell_m**2 >= LEAST_M2
+    terrain: Mask = ~ground & (large & (of_them >= params.reached_share * cells))[regions]
+    return terrain
+
+
+def _joined(heights: Heights, among: Mask, step_m: float) -> tuple[NDArray[np.int32], int]:
+    """Return the (H, W) numbers of the regions of cells that are joined by smaller steps than this, and their count.
+
+    Cells that are not among them are regions of their own.
+    """
+    node = np.arange(heights.size, dtype=np.int32).reshape(heights.shape)
+    links = []
+    for one, other in neighbours(heights.shape):
+        joined = (np.abs(heights[other] - heights[one]) < step_m) & among[one] & among[other]
+        links.append((node[one][joined], node[other][joined]))
+    first, second = (np.concatenate(parts) for parts in zip(*links, strict=True))
+    graph = coo_matrix((np.ones(first.size, dtype=np.bool_), (first, second)), shape=(heights.size, heights.size))
+    count, numbers = connected_components(graph, directed=False)
+    return numbers.reshape(heights.shape), count
+
+
+def _wall_m(cell_m: float, params: GroundParams) -> float:
+    """Return the step from which a pair of cells is rather a wall than none, metres."""
+    return (params.wall_low_m + params.wall_high_m) / 2 * max(cell_m, 1.0)

@@ -108,3 +108,24 @@ def test_the_kind_of_a_cell_does_not_depend_on_the_height_of_the_tile():
     heights = terraced()
     low, high = (walled_ground(grid(heights + above), PARAMS) for above in (0, 2000))
     assert np.mean(low != high) < 1e-3
+
+
+@pytest.mark.parametrize(("wide", "leads"), [(0, False), (1, False), (6, True)])
+def test_a_terrace_is_ground_where_a_way_leads_up(wide, leads):
+    """Walls of 4 m bound a terrace of 40 m but for a way up of 1 in 5, which is wide enough to walk or not."""
+    heights = np.zeros((120, 140))
+    heights[40:80, 80:120] = 4
+    heights[60 : 60 + wide, 60:80] = np.linspace(0, 4, 20)
+    ground = walled_ground(grid(heights), PARAMS)
+    assert ground[41:79, 81:119].all() == leads
+    assert ground[41:79, 81:119].any() == leads
+
+
+def test_a_level_roof_that_touches_a_slope_is_a_building():
+    """On a slope of 30 %, the uphill edge of a roof meets the terrain; its other sides are walls."""
+    col = np.indices((120, 160))[1]
+    heights = 0.3 * col
+    heights[50:60, 52:82] = 0.3 * 81
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[51:59, 53:74].any()
+    assert ground[:45].mean() > 0.98
