@@ -1,12 +1,16 @@
-"""Build a database of buildings from one survey."""
+"""Build a database from survey files, label its classes, and classify the points of a file."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from msbdb.params import DETECTORS, Params
 from msbdb.params import profile as named_profile
-from msbdb.run.reports import BuildReport
+from msbdb.run.reports import BuildReport, ClassifyReport
 from msbdb.run.stages import Notices, Progress, Stages
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def build(
@@ -90,3 +94,94 @@ def build(
     with stages.stage("write"):
         changed = store_survey(kept, db, labelled)
     return report_of(kept, stages, changed=changed, passing=notices.passing)
+
+
+def classes(db: str | Path, survey: str | None = None) -> "pd.DataFrame":
+    """Return the land-cover classes of a survey with their statistics."""
+    from msbdb.database import opened, read_classes
+
+    with opened(db) as engine:
+        return read_classes(engine, survey)
+
+
+def relabel(
+    db: str | Path, labels: Mapping[int, str], *, survey: str | None = None, progress: Progress | None = None
+) -> BuildReport:
+    """Give classes the operator's labels (V36), and repeat the build from there on.
+
+    The source data are not needed: the heights and class maps of the run are in the database. Labels that others give
+    to the same survey at the same time are kept.
+
+    Raises
+    ------
+    InputError
+        When a class, a label or the survey does not exist.
+    DatabaseError
+        When the database cannot be written, or the survey was built again meanwhile, so that its classes changed.
+    """
+    from msbdb.run.store import relabel_survey
+
+    return relabel_survey(db, labels, survey=survey, progress=progress)
+
+
+def classify(
+    source: Path,
+    out: Path,
+    *,
+    extract: Sequence[str] = ("area3d",),
+    crs: str | None = None,
+    ortho: Sequence[Path] = (),
+    ortho_crs: str | None = None,
+    z_unit: str = "auto",
+    params: Params | None = None,
+    profile: str = "default",
+    keep: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> ClassifyReport:
+    """Detect the buildings among the points of a file, and write a copy with these points in class 6.
+
+    Parameters
+    ----------
+    source : path
+        LAS, LAZ or COPC.
+    out : path
+        LAS or LAZ, by its ending; everything but the classes is as in the source.
+    extract : sequence of str
+        The detectors. Three or more with ``multiscale`` decide together, as in a build; of others, a point that any of
+        them finds is a building. ``area3d`` and ``adaptive`` find points. Of ``multiscale`` and ``flatregions``, the
+        points in the cells of a part or flat region count. They must be at least ``surface.mask_m`` above ground.
+    crs, ortho_crs : str, optional
+        CRS of points and orthophotos that state none.
+    ortho : sequence of path
+        Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
+    z_unit : str
+        Unit of the heights: ``auto``, ``m``, ``ft`` or ``us-ft``.
+    params : Params, optional
+        Parameters; the profile's by default.
+    profile : str
+        Name of the profile that the parameters come from.
+    keep : bool
+        Keep the points of class 6 of the source in class 6, found or not; otherwise they become unclassified (1).
+    overwrite : bool
+        Replace ``out`` if it exists.
+    progress : callable, optional
+        Called with stage, steps done and steps in all.
+
+    Returns
+    -------
+    ClassifyReport
+
+    Raises
+    ------
+    MsbdbError
+        One of its kinds, when the file cannot be used or written. No file is written then.
+    """
+    from msbdb.run.classify import classify_points
+    from msbdb.run.prepare import Inputs
+
+    inputs = Inputs((Path(source),), tuple(map(Path, ortho)), crs=crs, ortho_crs=ortho_crs, z_unit=z_unit)
+    values = params or named_profile(profile)
+    return classify_points(
+        inputs, Path(out), extract=extract, params=values, keep=keep, overwrite=overwrite, progress=progress
+    )

@@ -1,7 +1,14 @@
-"""What a database holds: as plain values, as a map, and as files for other programs."""
+"""What comes out of a database: data frames, plain values, maps, files, and the comparison with a reference."""
 
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import pandas as pd
+
+    from msbdb.evaluate import Evaluation, PointEvaluation
 
 
 def info(db: str | Path) -> dict[str, Any]:
@@ -35,3 +42,192 @@ def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: b
     from msbdb.run.outputs import write_layers
 
     write_layers(db, Path(out), survey=survey, overwrite=overwrite)
+
+
+def evaluate(
+    db: str | Path,
+    reference: Path,
+    *,
+    layer: str | None = None,
+    aoi: Path | None = None,
+    crs: str | None = None,
+    height: str | None = None,
+    overlap: float = 0.5,
+    cell_m: float = 0.5,
+    survey: str | None = None,
+    of: str = "buildings",
+) -> "Evaluation":
+    """Compare what was found in a survey with a reference.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    reference : path
+        Footprints in any vector format, or LAS or LAZ points whose class 6 is the truth.
+    layer : str, optional
+        Layer of a vector reference.
+    aoi : path, optional
+        Polygons within which to compare.
+    crs : str, optional
+        The reference's CRS where it states none.
+    height : str, optional
+        Column of the reference that holds heights above ground, metres; one called ``height`` (in any case) is found.
+    overlap, cell_m : float
+        Share that counts as found; cell of the grid on which areas are compared, metres.
+    survey : str, optional
+        Not needed where the database holds one.
+    of : {'buildings', 'confirmed', 'parts', 'flatregions', 'area3d', 'adaptive'}
+        What is compared: all buildings, the confirmed ones, the parts of all scales, the flat regions, or the
+        candidate regions of a detector on points.
+    """
+    from msbdb.run.evaluate import evaluate_survey
+
+    return evaluate_survey(
+        db,
+        Path(reference),
+        layer=layer,
+        aoi=aoi,
+        crs=crs,
+        height=height,
+        overlap=overlap,
+        cell_m=cell_m,
+        survey=survey,
+        of=of,
+    )
+
+
+def evaluate_points(
+    found: str | Path, reference: Path, *, crs: str | None = None, survey: str | None = None, of: str = "buildings"
+) -> "PointEvaluation":
+    """Compare by point what was found with points whose class 6 is the truth (C20, C21).
+
+    Parameters
+    ----------
+    found : str or path
+        A LAS or LAZ file of the same points whose class 6 was found, or a database.
+    reference : path
+        A LAS or LAZ file. Its noise points (classes 7 and 18) and points with absurd coordinates are not scored. With a
+        database, withheld and lone points are not scored either, because no build reads them.
+    crs : str, optional
+        CRS of files that state none.
+    survey : str, optional
+        Survey of the database; not needed where it holds one.
+    of : str
+        What of the database is compared, as for `msbdb.api.evaluate`.
+
+    Returns
+    -------
+    PointEvaluation
+
+    Raises
+    ------
+    InputError
+        When the reference is no point file, or the two files are not of the same points.
+    CRSError
+        When the CRS differ.
+
+    Notes
+    -----
+    The database keeps heights above ground on the lattice, and no points. A point of the reference counts as found
+    when its cell's centre lies in an outline and it is high enough above the terrain, by the run's mask. The terrain
+    is the surface of the reference's own first echoes, minus the height that the database has there.
+    """
+    from msbdb.run.evaluate import evaluate_file
+
+    return evaluate_file(found, Path(reference), crs=crs, survey=survey, of=of)
+
+
+class Inventory:
+    """An open database of buildings; close it, or use it in a ``with`` block.
+
+    Each method reads one table of a survey, which need not be named where the database holds only one.
+
+    Parameters
+    ----------
+    db : str or path
+        A SpatiaLite file or a ``postgresql+psycopg://`` URL.
+    """
+
+    def __init__(self, db: str | Path) -> None:
+        from msbdb import database
+
+        self.db = db
+        self.engine = database.open_database(db)
+        self._read = database
+
+    def __enter__(self) -> Self:
+        """Return the inventory itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the database."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the database."""
+        self.engine.dispose()
+
+    def runs(self) -> "pd.DataFrame":
+        """Return a row a run: survey, method, profile, version, date, CRS, density and cell."""
+        return self._read.list_runs(self.engine)
+
+    def buildings(self, survey: str | None = None) -> "gpd.GeoDataFrame":
+        """Return the buildings with their footprints."""
+        return self._read.read_buildings(self.engine, survey)
+
+    def parts(self, survey: str | None = None) -> "gpd.GeoDataFrame":
+        """Return the parts of all scales."""
+        return self._read.read_parts(self.engine, survey)
+
+    def flat_regions(self, survey: str | None = None) -> "gpd.GeoDataFrame":
+        """Return the flat regions."""
+        return self._read.read_flat_regions(self.engine, survey)
+
+    def candidates(self, survey: str | None = None, method: str | None = None) -> "gpd.GeoDataFrame":
+        """Return the candidate regions of the detectors on points, or of one of them: area3d or adaptive."""
+        return self._read.read_candidates(self.engine, survey, method)
+
+    def scales(self, survey: str | None = None) -> "pd.DataFrame":
+        """Return the scales with their thresholds."""
+        return self._read.read_scales(self.engine, survey)
+
+    def classes(self, survey: str | None = None) -> "pd.DataFrame":
+        """Return the land-cover classes."""
+        return self._read.read_classes(self.engine, survey)
+
+    def rejections(self, survey: str | None = None) -> "gpd.GeoDataFrame":
+        """Return the ledger: every region that a stage dropped, and the reason."""
+        return self._read.read_rejections(self.engine, survey)
+
+    def view(self, out: str | Path, survey: str | None = None, *, of: str = "buildings") -> None:
+        """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""
+        view(self.db, Path(out), survey=survey, of=of)
+
+    def export(self, out: str | Path, survey: str | None = None, *, overwrite: bool = False) -> None:
+        """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
+        export(self.db, Path(out), survey=survey, overwrite=overwrite)
+
+    def evaluate(self, reference: str | Path, survey: str | None = None, **options: Any) -> "Evaluation":  # noqa: ANN401
+        """Compare the footprints with a reference; the options are those of ``msbdb evaluate``.
+
+        ``layer``, ``aoi``, ``crs``, ``height``, ``overlap``, ``cell_m`` and ``of``; see `msbdb.api.evaluate`.
+        """
+        return evaluate(self.db, Path(reference), survey=survey, **options)
+
+    def dump(self, *, provenance: bool = False) -> list[str]:
+        """Return the content as lines that are equal for equal content; see `msbdb.database.canonical_dump`."""
+        return list(self._read.canonical_dump(self.engine, provenance=provenance))
+
+
+def open(db: str | Path) -> Inventory:
+    """Open a database that exists.
+
+    Raises
+    ------
+    DatabaseError
+        When it does not exist, or cannot be read.
+    """
+    return Inventory(db)

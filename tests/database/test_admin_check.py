@@ -15,7 +15,7 @@ from simulated.builds import CROWN, EPSG, HOUSE, LIFT, PODIUM, SLAB, SLAB_ROOF, 
 from sqlalchemy import URL, Engine, event, make_url, text
 from support.sizes import sample
 
-from msbdb.api.update import advance
+from msbdb.api import advance
 from msbdb.database import (
     CHECKS,
     Finding,

@@ -12,7 +12,7 @@ from sqlalchemy import Engine, func, make_url, select
 from support.sizes import sample
 from support.towns import EPSG, ROW, footprints, town_build
 
-from msbdb.api.update import advance
+from msbdb.api import advance
 from msbdb.database import (
     canonical_dump,
     check_database,

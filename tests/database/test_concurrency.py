@@ -21,7 +21,7 @@ from support.sizes import sample
 from support.towns import ROW, town_build
 
 from msbdb import api
-from msbdb.api.update import advance
+from msbdb.api import advance
 from msbdb.database import (
     BuildBasis,
     OutdatedError,

@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import Engine, text
 from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
-from msbdb.api.update import advance
+from msbdb.api import advance
 from msbdb.database import (
     canonical_dump,
     check_database,

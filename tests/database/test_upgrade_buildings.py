@@ -14,7 +14,7 @@ from support.baseline import as_baseline, first_migration
 from support.processes import environment
 from support.schemaobjects import objects
 
-from msbdb.api.update import advance
+from msbdb.api import advance
 from msbdb.database import (
     canonical_dump,
     check_database,
