@@ -1,7 +1,11 @@
-"""Stable ids of parts and regions: from the absolute place, never from a running counter."""
+"""Stable ids, from absolute places or from words, never from a running counter; and values as canonical JSON."""
 
 import hashlib
+import json
 import logging
+import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,3 +86,29 @@ def _colliding(keys: NDArray[np.int64], ids: NDArray[np.int64]) -> NDArray[np.in
     other_key = (keys[order][1:] != keys[order][:-1]).any(axis=1)
     late: NDArray[np.intp] = order[1:][same_id & other_key]
     return late
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401  (parameters and counts are nested plain values)
+    """Return nested dictionaries, lists and scalars in the types of JSON; NaN and infinities become null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def to_json(value: Any) -> str:  # noqa: ANN401
+    """Return a value as JSON with sorted keys."""
+    return json.dumps(plain(value), sort_keys=True, ensure_ascii=False, allow_nan=False)
+
+
+def text_id(*words: object) -> int:
+    """Return a key above 0 from the words that identify a row; so keys do not depend on the order of loading."""
+    digest = hashlib.blake2b("\0".join(str(word) for word in words).encode(), digest_size=8).digest()
+    return max(int.from_bytes(digest, "little") >> (64 - ID_BITS), 1)

@@ -405,7 +405,7 @@ def settle_runs(right: list[int]) -> None:
 
 def run_digests(*, old: bool) -> list[tuple[int, str, str | None]]:
     """Return each run with its kept digest, and that of its rows; None where they cannot be read."""
-    from msbdb.database.admin.runchecks import UNREADABLE
+    from msbdb.database.admin.contentchecks import UNREADABLE
     from msbdb.database.runs.reading import content_of
 
     connection = op.get_bind()

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from msbdb.params import DETECTORS, Params
 from msbdb.params import profile as named_profile
-from msbdb.run.reports import BuildReport, ClassifyReport
-from msbdb.run.stages import Notices, Progress, Stages
+from msbdb.run.reports import BuildReport, ClassifyReport, Notices, Progress, Stages
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,7 +77,7 @@ def build(
     from msbdb.database import check_target, read_labelled_classes
     from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.prepare import Inputs, Label
-    from msbdb.run.stages import collect_notices
+    from msbdb.run.reports import collect_notices
     from msbdb.run.store import report_of, store_survey
 
     values = params or named_profile(profile)

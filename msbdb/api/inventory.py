@@ -7,8 +7,7 @@ from typing import Any
 
 from msbdb.api.build import build
 from msbdb.errors import InputError
-from msbdb.run.reports import AdvanceReport, Changes, ImportReport, UpdateReport
-from msbdb.run.stages import Progress, Stages
+from msbdb.run.reports import AdvanceReport, Changes, ImportReport, Progress, Stages, UpdateReport
 
 
 def update(
@@ -140,7 +139,7 @@ def import_inventory(
     ParameterError
         When a column does not exist, or a measure is no number.
     """
-    from msbdb.run.imports import take_inventory
+    from msbdb.run.inventory import take_inventory
 
     return take_inventory(
         db, Path(file), name=name, layer=layer, date=date, mapping=mapping or {}, id_column=id_column, crs=crs
@@ -181,7 +180,7 @@ def import_roof_samples(
     InputError
         When a material is missing.
     """
-    from msbdb.run.imports import take_samples
+    from msbdb.run.inventory import take_samples
 
     return take_samples(db, Path(file), layer=layer, mapping=mapping or {}, crs=crs)
 
@@ -260,13 +259,13 @@ def changes(
     InputError
         When no building is left to draw, or an ending is unknown.
     """
-    from msbdb.run.changes import changes_of
+    from msbdb.run.inventory import changes_of
 
     return changes_of(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
 
 
 def summary(found: Changes) -> dict[str, Any]:
     """Return the changes as plain values for JSON: counts, and a record for each row that is not 'unchanged'."""
-    from msbdb.run.changes import records_of
+    from msbdb.run.inventory import records_of
 
     return {"counts": found.counts, "in_between": found.in_between, "changes": records_of(found)}

@@ -10,8 +10,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.change.decisions import Decisions
-from msbdb.change.differences import Epochs, Mask, Offset, earlier_heights, estimate_offset, find_pieces, moved
-from msbdb.change.matching import Links
+from msbdb.change.differences import Epochs, Links, Mask, Offset, earlier_heights, estimate_offset, find_pieces, moved
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise

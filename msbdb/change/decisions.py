@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from msbdb.change.differences import Epochs, Offset, Pieces, thick, without_slivers
-from msbdb.change.matching import Links
+from msbdb.change.differences import Epochs, Links, Offset, Pieces, thick, without_slivers
 from msbdb.grid import GridSpec
 from msbdb.labels import Box, Labels, boxes, sizes
 from msbdb.outline.polygons import polygonise

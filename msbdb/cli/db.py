@@ -181,7 +181,7 @@ for _command in (create, upgrade, downgrade, check, dump, copy, grant):
 def _shown(target: str) -> str:
     """Return a path or URL without its password."""
     from msbdb.database import shown
-    from msbdb.database.dialects.connection import database_url
+    from msbdb.database.dialects.dialect import database_url
 
     return shown(database_url(target))
 

@@ -6,12 +6,12 @@ Modules import pandas, geopandas, Alembic and drivers inside their functions, so
 from sqlalchemy import Engine
 
 from msbdb.database.admin.copying import canonical_dump, copy_database
-from msbdb.database.admin.examples import ExampleQuery, example_queries, run_example
 from msbdb.database.admin.findings import Finding
 from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_schema, upgrade_schema
-from msbdb.database.admin.roles import ROLES, grant_role
 from msbdb.database.admin.soundness import CHECKS, check_database
-from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened, shown, upgrade_database
+from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened
+from msbdb.database.dialects.dialect import shown
+from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.periods import (
     database_crs_of,
@@ -25,7 +25,7 @@ from msbdb.database.history.periods import (
 )
 from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, write_advance
-from msbdb.database.runs.basis import BuildBasis, OutdatedError, read_digest, read_labelled_classes
+from msbdb.database.runs.digests import BuildBasis, OutdatedError, read_digest, read_labelled_classes
 from msbdb.database.runs.reading import (
     RunSummary,
     list_runs,
@@ -49,6 +49,7 @@ from msbdb.database.runs.reading import (
     summarise_run,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
+from msbdb.database.schema.sqlfiles import ExampleQuery, example_queries, run_example
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [
@@ -110,7 +111,6 @@ __all__ = [
     "store_build",
     "summarise_run",
     "survey_key",
-    "upgrade_database",
     "upgrade_schema",
     "write_advance",
     "write_build",

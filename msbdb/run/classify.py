@@ -16,8 +16,7 @@ from msbdb.params import Params
 from msbdb.points.cloud import BUILDING_CLASS, UNCLASSIFIED_CLASS, PointCloud
 from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
 from msbdb.run.prepare import Inputs, Label, prepare
-from msbdb.run.reports import ClassifyReport
-from msbdb.run.stages import Notices, Progress, Stages, collect_notices
+from msbdb.run.reports import ClassifyReport, Notices, Progress, Stages, collect_notices
 from msbdb.surface import heights_above
 
 Mask = NDArray[np.bool_]

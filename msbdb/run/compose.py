@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.detect.detectors import DETECTORS
 from msbdb.detect.flatregions.initialisation import denoise
 from msbdb.detect.flatregions.mongus2013 import lowest_surface
-from msbdb.detect.registry import DETECTORS
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import MsbdbWarning, ParameterError
 from msbdb.fuse.cells import fuse_cells, is_fused
@@ -25,7 +25,7 @@ from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.run.describe import Description, count_cells, describe, describe_choices
 from msbdb.run.prepare import Inputs, Label, note_missing_sources, prepare, read_cloud
-from msbdb.run.stages import Notices, Stages, collect_notices
+from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.tables import Counts, Run
 from msbdb.version import __version__
 from msbdb.view.regionmap import draw_denoising

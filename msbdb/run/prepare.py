@@ -21,7 +21,7 @@ from msbdb.io.raster import align_grid, read_grid
 from msbdb.params import Params
 from msbdb.parts.tree import choose_scales
 from msbdb.points.cloud import PointCloud
-from msbdb.run.stages import Progress, Stages
+from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import spectral_bands
 from msbdb.spectral.coverclasses import classify_cover, keep_labels
 from msbdb.surface import Surface, cover_from_surface, surface_from_rasters

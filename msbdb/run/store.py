@@ -25,8 +25,7 @@ from msbdb.kept import KeptRun, Rasters, lattice_of
 from msbdb.landcover import ClassMap
 from msbdb.params import POINT_DETECTORS
 from msbdb.run.compose import relabelled
-from msbdb.run.reports import BuildReport
-from msbdb.run.stages import Progress, Stages
+from msbdb.run.reports import BuildReport, Progress, Stages
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import REJECTION
 

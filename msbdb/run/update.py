@@ -31,9 +31,9 @@ from msbdb.database import (
     survey_key,
     write_advance,
 )
-from msbdb.database.schema.canonical import to_json
 from msbdb.errors import DatabaseError, InputError, MsbdbWarning
 from msbdb.grid import Grid
+from msbdb.identity import to_json
 from msbdb.io.vector import read_polygons
 from msbdb.kept import heights_of
 from msbdb.outline.polygons import rasterise
@@ -41,8 +41,7 @@ from msbdb.params import DETECTORS, ChangeParams, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
 from msbdb.run.compose import choose_detectors
 from msbdb.run.prepare import Inputs
-from msbdb.run.reports import AdvanceReport
-from msbdb.run.stages import Notices, collect_notices
+from msbdb.run.reports import AdvanceReport, Notices, collect_notices
 from msbdb.tables import EXTRACTOR_SHARES, Survey
 from msbdb.version import __version__
 

@@ -29,8 +29,8 @@ from msbdb.database import (
 )
 from msbdb.database.admin import shapechecks
 from msbdb.database.history.versions import MEASURES
-from msbdb.database.schema.canonical import text_id
 from msbdb.database.schema.sqltables import METADATA
+from msbdb.identity import text_id
 
 RUN, OTHER_RUN = text_id("run", "delft"), text_id("run", "spring")
 UID = text_id("inventory building", "import", "register", "1")

@@ -19,7 +19,7 @@ from support.towns import ROW, footprints, town_heights
 
 from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, create_database, footprint_at, open_database, write_build
-from msbdb.database.dialects.connection import database_url, shown
+from msbdb.database.dialects.dialect import database_url, shown
 from msbdb.errors import DatabaseError
 
 SECRET = "Geheim&42"

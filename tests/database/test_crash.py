@@ -13,8 +13,7 @@ from support.processes import environment
 from support.sizes import sample
 
 from msbdb.database import canonical_dump, open_database, read_parts, store_build, write_build
-from msbdb.database.dialects.connection import database_url
-from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.dialects.dialect import database_url, dialect_of
 from msbdb.errors import DatabaseError
 
 LOADER = """

@@ -16,8 +16,7 @@ from support.latermigration import LATER, migrations_of_tomorrow
 
 from msbdb.database import canonical_dump, open_database, read_build, srid_of, write_build
 from msbdb.database.dialects import sqliteconnection
-from msbdb.database.dialects.connection import database_url, shown
-from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.dialects.dialect import database_url, dialect_of, shown
 from msbdb.database.schema import migration as upgrade
 from msbdb.errors import CRSError, DatabaseError, MissingDependencyError, ParameterError, SchemaVersionError
 

@@ -13,8 +13,7 @@ from sqlalchemy import Engine, text
 from support.schemaobjects import objects
 
 from msbdb.database import open_database
-from msbdb.database.dialects.connection import database_url
-from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.dialects.dialect import database_url, dialect_of
 from msbdb.database.schema import sqlfiles
 from msbdb.database.schema.ddl import ddl, dictionary, statements
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, footprint_at_query

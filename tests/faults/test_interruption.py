@@ -19,7 +19,7 @@ from support.sizes import sample
 import msbdb
 from msbdb.cli import build as build_module
 from msbdb.cli.main import cli
-from msbdb.run.stages import STAGES
+from msbdb.run.reports import STAGES
 
 TOLD = "Interrupted. A database keeps its last complete build; run the command again."
 

@@ -13,7 +13,7 @@ from simulated.scenes import SCENES
 
 import msbdb
 from msbdb.database import open_database, read_build, read_part_candidates, write_build
-from msbdb.detect.multiscale.vu2009 import detect_multiscale
+from msbdb.detect.detectors import detect_multiscale
 from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import Grid, GridSpec
 from msbdb.kept import KeptRun, Rasters, lattice_of

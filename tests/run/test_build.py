@@ -24,7 +24,7 @@ from msbdb.errors import DatabaseError, InputError
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
 from msbdb.params import profile, with_values
-from msbdb.run.stages import STAGES
+from msbdb.run.reports import STAGES
 from msbdb.tables import validate_parts
 
 FOOT = 0.3048

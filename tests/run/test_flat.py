@@ -15,7 +15,7 @@ from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.prepare import Inputs, Label, prepare
-from msbdb.run.stages import Stages
+from msbdb.run.reports import Stages
 from msbdb.tables import EXTRACTOR_SHARES
 
 MULTISCALE = ("multiscale",)

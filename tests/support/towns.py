@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 from shapely import box
 
-from msbdb.detect.multiscale.vu2009 import detect_multiscale
+from msbdb.detect.detectors import detect_multiscale
 from msbdb.detect.scene import Scene
 from msbdb.grid import Grid, lattice
 from msbdb.kept import KeptRun, Rasters

@@ -15,21 +15,13 @@ import numpy as np
 import shapely
 from sqlalchemy import JSON, URL, Connection, Engine, LargeBinary, Table, func, literal_column, select, text
 
-from msbdb.database.dialects.connection import (
-    TIMEOUT_S,
-    database_url,
-    guarded,
-    open_database,
-    require_srid,
-    shown,
-    snapshot,
-)
-from msbdb.database.dialects.dialect import Dialect, dialect_of
+from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require_srid, snapshot
+from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.schema import migration as upgrade
-from msbdb.database.schema.canonical import to_json
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.database.schema.srid import FIRST_OWN_SRID
 from msbdb.errors import DatabaseError, ParameterError
+from msbdb.identity import to_json
 
 DECIMALS = 6
 """Decimals of numbers: a micrometre."""

@@ -8,10 +8,10 @@ from typing import Any
 from sqlalchemy import URL, Connection, Engine, column, func, inspect, select
 from sqlalchemy import table as sql_table
 
-from msbdb.database.dialects.connection import TIMEOUT_S, database_url, guarded, open_database, shown, upgrade_database
-from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.dialects.connection import TIMEOUT_S, open_database, upgrade_database
+from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
 from msbdb.database.dialects.rights import kept_rights
-from msbdb.database.history.rowdigest import COLUMN
+from msbdb.database.runs.digests import COLUMN
 from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.database.schema.srid import horizontal

@@ -6,6 +6,17 @@ from collections.abc import Callable, Iterator
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DBAPIError
 
+from msbdb.database.admin.contentchecks import (
+    check_buildings,
+    check_content,
+    check_digests,
+    check_events,
+    check_forest,
+    check_intervals,
+    check_ledger,
+    check_orphans,
+    check_rasters,
+)
 from msbdb.database.admin.declarationchecks import (
     check_foreign_keys,
     check_links,
@@ -14,8 +25,6 @@ from msbdb.database.admin.declarationchecks import (
     missing_tables,
 )
 from msbdb.database.admin.findings import Finding
-from msbdb.database.admin.historychecks import check_digests, check_events, check_intervals, check_orphans
-from msbdb.database.admin.runchecks import check_buildings, check_content, check_forest, check_ledger, check_rasters
 from msbdb.database.admin.shapechecks import check_geometries, check_registers, check_spatial_index
 from msbdb.database.dialects.connection import snapshot
 from msbdb.errors import MsbdbError

@@ -1,16 +1,13 @@
 """Opening and creating databases, and reading one committed state by several queries."""
 
 import logging
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from os import PathLike, fspath
-from pathlib import Path
+from os import PathLike
 
-from sqlalchemy import URL, Connection, Engine, make_url, text
-from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy import URL, Connection, Engine, text
 
-from msbdb.database.dialects.dialect import Dialect, dialect_of
+from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.dialects.rights import kept_rights
 from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.srid import srid_of
@@ -116,66 +113,6 @@ def upgrade_database(engine: Engine) -> None:
             upgrade.migrate(connection, dialect, dialect.database_srid(connection))
         dialect.after_load(connection)
         logger.info("Schema of %s upgraded from %s to %s", shown(engine.url), before, upgrade.head_version())
-
-
-def database_url(target: str | PathLike[str] | URL) -> URL:
-    """Return a path or a URL's text as a URL, with the drivers of msbdb.
-
-    Raises
-    ------
-    DatabaseError
-        When it is neither of them.
-    """
-    if isinstance(target, URL):
-        url = target
-    else:
-        words = fspath(target)
-        # The message does not show the text, which may contain a password.
-        unreadable = "The database URL cannot be read. Give one such as postgresql://user@host:5432/name."
-        if _LIBPQ.match(words):
-            raise DatabaseError(unreadable)
-        if "://" not in words:
-            return URL.create("sqlite+pysqlite", database=str(Path(words).absolute()))
-        try:
-            url = make_url(words)
-        except (ArgumentError, ValueError) as error:
-            raise DatabaseError(unreadable) from error
-        if "@" in (url.host or ""):
-            msg = f"{unreadable} Write an @ in a password as %40."
-            raise DatabaseError(msg)
-    if url.drivername in ("postgresql", "postgres", "postgis"):
-        url = url.set(drivername="postgresql+psycopg")
-    if url.get_backend_name() == "sqlite" and not url.database:
-        msg = "A SpatiaLite database needs a file. Give its path."
-        raise DatabaseError(msg)
-    return url
-
-
-def shown(url: URL) -> str:
-    """Return a URL for messages: a file's path, or a server's URL without the password."""
-    if url.get_backend_name() == "sqlite":
-        return str(url.database)
-    secret = dict.fromkeys(set(url.query) - _HARMLESS, "***")
-    url = url.set(query={**url.query, **secret})
-    return url.render_as_string(hide_password=True)
-
-
-_LIBPQ = re.compile(r"\s*((host|hostaddr|port|dbname|user|password|service)\s*=|postgres(ql)?:(?!//))")
-"""Beginnings of PostgreSQL's own connection strings and of URLs with a missing slash: no names of files."""
-
-_HARMLESS = {"host", "port", "dbname", "user", "connect_timeout", "sslmode", "application_name", "service"}
-"""The words of a URL's query that may be shown; others may be passwords, also mistyped ones."""
-
-
-@contextmanager
-def guarded(url: URL) -> Iterator[None]:
-    """Convert errors of SQLAlchemy and the driver to errors of msbdb."""
-    dialect = dialect_of(url)
-    errors: tuple[type[Exception], ...] = (SQLAlchemyError, *dialect.driver_errors())
-    try:
-        yield
-    except errors as error:
-        raise dialect.explain(error, shown(url)) from error
 
 
 def require_srid(connection: Connection, dialect: Dialect, srid: int, where: str) -> None:

@@ -28,10 +28,10 @@ from sqlalchemy.dialects.postgresql.base import ischema_names
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
-from msbdb.database.schema.canonical import to_json
 from msbdb.database.schema.sqlfiles import read_sql
 from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
+from msbdb.identity import to_json
 
 logger = logging.getLogger(__name__)
 

@@ -16,9 +16,9 @@ from sqlalchemy.exc import DBAPIError, IntegrityError
 
 from msbdb.database.dialects import bulk
 from msbdb.database.dialects.sqliteconnection import begin, driver, journal_mode, prepare
-from msbdb.database.schema.canonical import to_json
 from msbdb.database.schema.sqltables import VERSION_TABLE
 from msbdb.errors import DatabaseError, LoadError, MsbdbError, SchemaVersionError
+from msbdb.identity import to_json
 
 logger = logging.getLogger(__name__)
 

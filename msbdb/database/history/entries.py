@@ -6,14 +6,13 @@ import numpy as np
 import shapely
 from sqlalchemy import Column, Connection, Engine, delete, select
 
-from msbdb.database.dialects.connection import guarded
-from msbdb.database.dialects.dialect import dialect_of
+from msbdb.database.dialects.dialect import dialect_of, guarded
 from msbdb.database.history.periods import has_building, read_events
-from msbdb.database.history.rowdigest import insert_digested
 from msbdb.database.history.versions import batches, write_event, write_versions
-from msbdb.database.schema.canonical import text_id, to_json
+from msbdb.database.runs.digests import insert_digested
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import InputError
+from msbdb.identity import text_id, to_json
 
 if TYPE_CHECKING:
     import geopandas as gpd

@@ -23,9 +23,9 @@ from sqlalchemy import (
     union,
 )
 
-from msbdb.database.dialects.connection import guarded, snapshot
-from msbdb.database.dialects.dialect import dialect_of
-from msbdb.database.history.rowdigest import COLUMN
+from msbdb.database.dialects.connection import snapshot
+from msbdb.database.dialects.dialect import dialect_of, guarded
+from msbdb.database.runs.digests import COLUMN
 from msbdb.database.schema.sqlfiles import footprint_at_query
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import FIRST_OWN_SRID

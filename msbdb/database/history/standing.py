@@ -11,9 +11,9 @@ from sqlalchemy import Connection, Engine, func, or_, select
 
 from msbdb.database.dialects.connection import snapshot
 from msbdb.database.history.periods import read_before, read_born, read_events, read_offsets
-from msbdb.database.schema.canonical import text_id
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import InputError
+from msbdb.identity import text_id
 
 if TYPE_CHECKING:
     import geopandas as gpd

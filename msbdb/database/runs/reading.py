@@ -10,8 +10,9 @@ import shapely
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, func, select, text
 
-from msbdb.database.dialects.connection import guarded, shown, snapshot
-from msbdb.database.runs.rundigest import RunContent
+from msbdb.database.dialects.connection import snapshot
+from msbdb.database.dialects.dialect import guarded, shown
+from msbdb.database.runs.digests import RunContent
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import crs_from, horizontal
 from msbdb.errors import InputError, TableError

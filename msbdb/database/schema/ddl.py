@@ -3,12 +3,11 @@
 from sqlalchemy import URL, CheckConstraint, Column, Dialect, ForeignKeyConstraint, Table, UniqueConstraint
 from sqlalchemy.schema import CreateIndex, CreateTable
 
-from msbdb.database.admin.examples import example_queries
 from msbdb.database.dialects import postgis, spatialite
 from msbdb.database.dialects.dialect import Dialect as Hooks
-from msbdb.database.history.rowdigest import COLUMN, TABLES
+from msbdb.database.runs.digests import COLUMN, TABLES
 from msbdb.database.schema.migration import comment_ddl, head_version
-from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
+from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, example_queries
 from msbdb.database.schema.sqltables import METADATA, SPATIAL, VERSION_TABLE
 
 _NOTE = "Written by scripts/generate_schema; change msbdb.tables and the migrations instead."

@@ -15,7 +15,7 @@ from msbdb.parts.forest import Forest
 from msbdb.points.cloud import GROUND_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
 from msbdb.run.prepare import Inputs, Label, prepare, read_cloud
-from msbdb.run.stages import Notices, Stages, collect_notices
+from msbdb.run.reports import Notices, Stages, collect_notices
 
 GIVEN = "class 2"
 """The ground of the given classes."""

@@ -16,7 +16,7 @@ from msbdb.kept import heights_of
 from msbdb.params import profile
 from msbdb.points.cloud import PointCloud
 from msbdb.run.prepare import build_surface
-from msbdb.run.stages import Notices, collect_notices
+from msbdb.run.reports import Notices, collect_notices
 from msbdb.surface import heights_above
 from simulated.epochs import EDITS, Edit, second_epoch
 

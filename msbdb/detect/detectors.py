@@ -1,7 +1,13 @@
-"""The multi-scale detector: buildings as the roots of a tree of parts over scales (Vu et al. 2009, section 3.2)."""
+"""The detectors: the list of them, and the multi-scale one, whose work is the tree of parts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from msbdb.detect.adaptive.bathurst import detect_adaptive
+from msbdb.detect.area3d.caowu import detect_area3d
+from msbdb.detect.flatregions.mongus2013 import detect_flat_regions
 from msbdb.detect.scene import Regions, Scene
 from msbdb.params import Params
 from msbdb.parts.tree import extract_parts
@@ -28,3 +34,34 @@ def detect_multiscale(scene: Scene, params: Params) -> Regions:
     number[1:][is_root] = np.arange(1, np.count_nonzero(is_root) + 1)
     roots = forest.parts[is_root].reset_index(drop=True)
     return Regions("multiscale", number[forest.root_labels], roots, forest.rejections, forest.counts, forest=forest)
+
+
+@dataclass(frozen=True, slots=True)
+class Detector:
+    """A way to detect buildings, independent of the others.
+
+    Parameters
+    ----------
+    name : str
+        Its name on the command line and in the database.
+    detect : callable
+        From a scene and parameters to regions.
+    takes_points : bool
+        Whether it needs the points; the others take rasters.
+    """
+
+    name: str
+    detect: Callable[[Scene, Params], Regions]
+    takes_points: bool = False
+
+
+DETECTORS = {
+    detector.name: detector
+    for detector in (
+        Detector("adaptive", detect_adaptive, takes_points=True),
+        Detector("area3d", detect_area3d, takes_points=True),
+        Detector("flatregions", detect_flat_regions),
+        Detector("multiscale", detect_multiscale),
+    )
+}
+"""By name, in alphabetical order."""

@@ -1,0 +1,306 @@
+"""Digests of content, which detect edits by other programs, and the basis of a build.
+
+A run is replaced completely and has one digest. The history is written row by row over years, and updates end versions
+of earlier ones. So each of its rows has its own digest, in the column `COLUMN`. A build is computed before the
+transaction that writes it; its basis must be unchanged when that transaction begins.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from sqlalchemy import (
+    JSON,
+    URL,
+    Boolean,
+    ColumnElement,
+    Connection,
+    Double,
+    Engine,
+    Table,
+    bindparam,
+    func,
+    select,
+    update,
+)
+from sqlalchemy.types import TypeEngine
+
+from msbdb.database.dialects.connection import TIMEOUT_S
+from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded
+from msbdb.database.schema.sqltables import SQL
+from msbdb.identity import plain, text_id, to_json
+from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Run, Survey
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+COLUMN = ROW_DIGEST.name
+
+TABLES = tuple(table.name for table in DATABASE_TABLES if table.digested)
+"""The tables whose rows have digests."""
+
+BATCH = 5000
+"""Rows in memory at a time."""
+
+
+def digests(table: str, columns: Sequence[tuple[str, TypeEngine[Any]]], rows: Sequence[Sequence[Any]]) -> list[int]:
+    """Return the digest of each row.
+
+    Parameters
+    ----------
+    table : str
+        Its name, which is part of the digest.
+    columns : sequence of str and type
+        Name and type of each column, in any order. A geometry is one of the name ``geometry``.
+    rows : sequence of sequence
+        Values from the database; a geometry as WKB, a document as an object or as JSON. A missing column is null.
+
+    Returns
+    -------
+    list of int
+        Numbers above 0, from `text_id`. Migrations use this function: the result for a row must stay the same.
+    """
+    cells = {
+        name: _canonical(name, type_, values)
+        for (name, type_), values in zip(columns, zip(*rows, strict=True), strict=True)
+    }
+    found = []
+    for values in zip(*cells.values(), strict=True):
+        known = {name: value for name, value in zip(cells, values, strict=True) if value is not None}
+        found.append(text_id(table, json.dumps(known, sort_keys=True, ensure_ascii=False)))
+    return found
+
+
+def _canonical(name: str, type_: TypeEngine[Any], values: Sequence[Any]) -> list[Any]:
+    """Return a column's values in a form that is the same for all dialects."""
+    if name == "geometry":
+        shapes = shapely.from_wkb(np.array([bytes(value) for value in values], dtype=object))
+        return [str(words) for words in shapely.to_wkb(shapes, byte_order=1, output_dimension=2, hex=True)]
+    if isinstance(type_, Boolean):
+        return [None if value is None else bool(value) for value in values]
+    if isinstance(type_, Double):
+        # Adding zero turns -0.0 into 0.0, because SQLite does not store -0.0.
+        return [None if value is None else float(value) + 0.0 for value in values]
+    if isinstance(type_, JSON):
+        words = [value if isinstance(value, str) else to_json(value) for value in values]
+        # The document 'null' is read as no value.
+        return [None if value == "null" else value for value in words]
+    return list(values)
+
+
+def insert_digested(
+    connection: Connection,
+    dialect: Dialect,
+    table: str,
+    columns: Sequence[str],
+    rows: Sequence[tuple[Any, ...]],
+    *,
+    srid: int,
+    shapes: Any = None,  # noqa: ANN401  (an array of geometries)
+) -> None:
+    """Insert rows in bulk, each with its digest; documents are JSON already, ``shapes`` are the rows' geometries."""
+    if not rows:
+        return
+    types = {column.name: column.type for column in SQL[table].columns}
+    names = list(columns)
+    plain, stored = [list(rows)] * 2
+    if shapes is not None:
+        names.append("geometry")
+        plain = [(*row, wkb) for row, wkb in zip(rows, shapely.to_wkb(shapes), strict=True)]
+        stored = [(*row, shape) for row, shape in zip(rows, dialect.encode(shapes, srid), strict=True)]
+    made = digests(table, [(name, types[name]) for name in names], plain)
+    whole = [(*row, digest) for row, digest in zip(stored, made, strict=True)]
+    dialect.insert_rows(connection, table, [*names, COLUMN], whole, srid)
+
+
+def digest_again(connection: Connection, table: Table, where: ColumnElement[bool] | None = None) -> None:
+    """Write the digests of rows again after SQL changed them."""
+    [key] = table.primary_key.columns
+    named = update(table).where(key == bindparam("own_key")).values({COLUMN: bindparam("own_digest")})
+    for batch in list(digested(connection, table, where)):
+        connection.execute(named, [{"own_key": number, "own_digest": digest} for number, _, digest in batch])
+
+
+def digested(
+    connection: Connection, table: Table, where: ColumnElement[bool] | None = None
+) -> Iterator[list[tuple[int, int | None, int]]]:
+    """Yield rows of a table in batches: key, stored digest, and digest of the values."""
+    [key] = table.primary_key.columns
+    columns = [column for column in table.columns if column.name != COLUMN]
+    chosen: list[Any] = [func.ST_AsBinary(c, type_=None) if c.name == "geometry" else c for c in columns]
+    query = select(key, table.c[COLUMN], *chosen).order_by(key)
+    if where is not None:
+        query = query.where(where)
+    kinds = [(column.name, column.type) for column in columns]
+    for rows in connection.execute(query, execution_options={"yield_per": BATCH}).partitions():
+        made = digests(table.name, kinds, [row[2:] for row in rows])
+        yield [(row[0], row[1], digest) for row, digest in zip(rows, made, strict=True)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunContent:
+    """The content of a run as plain columns, which are read faster than frames.
+
+    Parameters
+    ----------
+    survey : Survey
+        The survey with its sources.
+    run : Run
+        Parameters, counts, timings and notices.
+    columns : mapping of str to mapping of str to (N,) ndarray
+        The columns of each of ``tables.TABLES`` by their names: int64, float64 with NaN for null, or objects for texts
+        and geometries. Rows are in the table's order, polygons are multipolygons.
+    rasters : mapping of str to (H, W) ndarray
+        Heights, classes and labels of the regions, by the names of their rows.
+    """
+
+    survey: Survey
+    run: Run
+    columns: Mapping[str, Mapping[str, NDArray[Any]]]
+    rasters: Mapping[str, NDArray[Any]]
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the content except its timings."""
+        digest = hashlib.sha256()
+        run = asdict(self.run)
+        del run["timings"]
+        digest.update(to_json([survey_row(self.survey), source_rows(self.survey), run]).encode())
+        for table, columns in self.columns.items():
+            for name, values in columns.items():
+                digest.update(f"\0{table}.{name}\0".encode())
+                digest.update(_column_bytes(name, values))
+        for name, raster in sorted(self.rasters.items()):
+            cells = portable(raster)
+            digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
+            digest.update(cells.ravel().data)
+        return digest.hexdigest()
+
+
+def survey_row(survey: Survey) -> dict[str, Any]:
+    """Return the survey's columns except its key."""
+    row = asdict(survey)
+    del row["sources"]
+    row["west"], row["south"], row["east"], row["north"] = row.pop("bounds")
+    return {name: plain(value) for name, value in row.items()}
+
+
+def source_rows(survey: Survey) -> list[dict[str, Any]]:
+    """Return the sources in canonical order."""
+    rows = [plain(asdict(source)) for source in survey.sources]
+    return sorted(rows, key=lambda row: (row["role"], row["name"], row["sha256"]))
+
+
+def portable(values: NDArray[Any]) -> NDArray[Any]:
+    """Return an array in C order and little-endian."""
+    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+
+
+def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
+    """Return a column's content as bytes; equal columns give equal bytes."""
+    if name == "geometry":
+        # A point needs no normalisation.
+        shapes = shapely.normalize(values) if shapely.get_dimensions(values).any() else values
+        return b"".join(shapely.to_wkb(shapes, byte_order=1))
+    if values.dtype.kind in "if":
+        return portable(values).tobytes()
+    words = values.tolist()
+    # Each different text is encoded once.
+    written = {word: to_json(word) for word in set(words)}
+    return f"[{', '.join(written[word] for word in words)}]".encode()
+
+
+RUN = SQL["run"]
+
+SPECTRAL_CLASS = SQL["spectral_class"]
+
+SURVEY = SQL["survey"]
+
+COLUMNS = ("speindex", "label", "labelled_by", "source", "cells", "ndvi", "brightness", "roughness_m")
+"""Columns that identify a class over several builds; every schema has them."""
+
+
+def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> "pd.DataFrame":
+    """Return the classes of a survey that an operator has labelled, from a database of any schema.
+
+    Parameters
+    ----------
+    target : str, path or URL
+        The database, which may be missing.
+    survey : str
+        Name of the survey, which may be missing.
+
+    Returns
+    -------
+    DataFrame
+        ``COLUMNS``; empty if no operator has labelled a class.
+    """
+    import pandas as pd
+
+    url = database_url(target)
+    dialect = dialect_of(url)
+    with guarded(url):
+        if dialect.exists(url, TIMEOUT_S):
+            with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
+                return labelled_classes(connection, survey)
+    return pd.DataFrame([], columns=list(COLUMNS))
+
+
+def labelled_classes(connection: Connection, survey: str) -> "pd.DataFrame":
+    """Return what ``read_labelled_classes`` does, as an open transaction sees it."""
+    import pandas as pd
+
+    query = (
+        select(*(SPECTRAL_CLASS.c[name] for name in COLUMNS))
+        .join(RUN, RUN.c.run_id == SPECTRAL_CLASS.c.run_id)
+        .join(SURVEY, SURVEY.c.survey_id == RUN.c.survey_id)
+        .where(SURVEY.c.name == survey)
+        .order_by(SPECTRAL_CLASS.c.speindex)
+    )
+    rows = [tuple(row) for row in connection.execute(query)]
+    found = pd.DataFrame(rows, columns=list(COLUMNS))
+    return found[found["labelled_by"] == "operator"].reset_index(drop=True)
+
+
+class OutdatedError(Exception):
+    """The basis of a computation has changed since it was read; compute it again."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BuildBasis:
+    """The content of the database from which a build was computed, so that no change of others is lost.
+
+    ``labelled`` has the classes labelled by operators, from `read_labelled_classes`; ``content_sha256`` is the digest
+    of the run that the build continues. None means that it is not checked.
+    """
+
+    labelled: "pd.DataFrame | None" = None
+    content_sha256: str | None = None
+
+    def require(self, connection: Connection, survey: str) -> None:
+        """Raise `OutdatedError` when the basis has changed."""
+        if self.labelled is not None:
+            now = labelled_classes(connection, survey)
+            # As text: a missing value is not equal to itself.
+            if repr(now.to_numpy().tolist()) != repr(self.labelled.to_numpy().tolist()):
+                raise OutdatedError
+        if self.content_sha256 is not None and _digest_of(connection, survey) != self.content_sha256:
+            raise OutdatedError
+
+
+def read_digest(engine: Engine, survey: str) -> str | None:
+    """Return the digest of the content of a survey's run, None without a run."""
+    with guarded(engine.url), engine.connect() as connection:
+        return _digest_of(connection, survey)
+
+
+def _digest_of(connection: Connection, survey: str) -> str | None:
+    """Return what `read_digest` does, as an open transaction sees it."""
+    query = select(RUN.c.content_sha256).where(RUN.c.survey_id == text_id("survey", survey))
+    return connection.scalar(query)

@@ -1,1 +1,0 @@
-"""The multi-scale detector (Vu, Yamazaki and Matsuoka 2009): land cover by structure and colours."""
