@@ -8,7 +8,6 @@ surveys mark strip overlap with it, roofs included. What a person should know is
 import logging
 import os
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -17,9 +16,10 @@ import numpy as np
 from laspy import DecompressionSelection as Fields
 from numpy.typing import NDArray
 
-from msbdb.errors import CRSError, InputError, MsbdbWarning, NodataError
+from msbdb.errors import CRSError, InputError, MsbdbWarning
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
+from msbdb.io.lascolumns import COLOURS, Columns, as_cloud, settle_echoes, widen_colours
 from msbdb.io.lasheader import (
     COLOURED_FORMATS,
     INFRARED_FORMATS,
@@ -29,9 +29,8 @@ from msbdb.io.lasheader import (
     read_las_header,
     vertical_unit,
 )
-from msbdb.points.cloud import NOISE_CLASSES, PointCloud, lone_points
+from msbdb.points.cloud import NOISE_CLASSES, PointCloud
 
-logger = logging.getLogger(__name__)
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.
 logging.getLogger("laspy").addHandler(logging.NullHandler())
 
@@ -44,62 +43,11 @@ MAX_EASTING_M = 1e8
 MAX_HEIGHT_M = 2e4
 """Beyond it, up or down, there is no ground, building or aircraft."""
 
-COLOURS = ("red", "green", "blue", "nir")
 EXTRA_NAMES = {"red": "red", "green": "green", "blue": "blue", "nir": "nir", "infrared": "nir", "near_infrared": "nir"}
 """Names of extra bytes, in lower case, that hold a colour."""
 
 Progress = Callable[[str, int, int], None]
 """Called with the step's name, the points done and the points in all."""
-
-DTYPES = {
-    "x": np.float64,
-    "y": np.float64,
-    "z": np.float64,
-    "classification": np.uint8,
-    "return_number": np.uint8,
-    "number_of_returns": np.uint8,
-    "intensity": np.uint16,
-}
-
-
-class _Columns:
-    """The columns of all points, filled file by file; ``filled`` counts the rows in use, ``seen`` what was offered."""
-
-    def __init__(self, points: int, colour_names: tuple[str, ...], *, indexed: bool, noise: bool) -> None:
-        """Make room for that many points; ``indexed`` keeps their places in the files, ``noise`` keeps noise points."""
-        self.arrays: dict[str, NDArray[Any]] = {name: np.empty(points, dtype) for name, dtype in DTYPES.items()}
-        self.arrays["colours"] = np.empty((points, len(colour_names)), dtype=np.uint16)
-        self.index = np.empty(points if indexed else 0, dtype=np.int64)
-        self.colour_names = colour_names
-        self.indexed, self.noise = indexed, noise
-        self.filled = self.seen = 0
-        self.dropped: Counter[str] = Counter()
-        self._notices: dict[str, list[str]] = {}
-
-    def note(self, notice: str, *files: str) -> None:
-        """Keep a notice about files, or about all points."""
-        self._notices.setdefault(notice, []).extend(files)
-
-    @property
-    def notices(self) -> list[str]:
-        """The notices, each once, with the first file that it is about and the number of others."""
-        found = []
-        for notice, files in self._notices.items():
-            others = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
-            found.append(f"{files[0]}{others}: {notice}" if files else notice)
-        return found
-
-    def append(self, values: Mapping[str, NDArray[Any]], keep: NDArray[np.bool_]) -> None:
-        """Append the kept rows of a chunk."""
-        begin, end = self.filled, self.filled + int(keep.sum())
-        every = end - begin == len(keep)
-        for name, column in values.items():
-            target = self.arrays["colours"][:, self.colour_names.index(name)] if name in COLOURS else self.arrays[name]
-            target[begin:end] = column if every else column[keep]
-        if self.indexed:
-            self.index[begin:end] = self.seen + np.flatnonzero(keep)
-        self.filled = end
-        self.seen += len(keep)
 
 
 def read_points(
@@ -201,7 +149,7 @@ def _read(
     references = _references(files, crs, z_unit)
     colours = [set(_colour_fields(info)) for info in files]
     common = tuple(name for name in COLOURS if name in set.intersection(*colours))
-    columns = _Columns(sum(info.points for info in files), common, indexed=indexed, noise=noise)
+    columns = Columns(sum(info.points for info in files), common, indexed=indexed, noise=noise)
     for info, each in zip(files, references, strict=True):
         for notice in each.notices:
             columns.note(notice, info.path.name)
@@ -209,7 +157,7 @@ def _read(
     if partly:
         columns.note(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
     has_echoes = _fill(files, references, columns, progress)
-    cloud, index = _finish(columns, references, has_echoes=has_echoes)
+    cloud, index = as_cloud(columns, references, has_echoes=has_echoes)
     wrong_place = misplaced(cloud.crs, cloud.bounds)
     if wrong_place is not None:
         columns.note(wrong_place)
@@ -219,7 +167,7 @@ def _read(
 
 
 def _fill(
-    files: Sequence[LasInfo], references: Sequence[Reference], columns: _Columns, progress: Progress | None
+    files: Sequence[LasInfo], references: Sequence[Reference], columns: Columns, progress: Progress | None
 ) -> bool:
     """Fill the columns file by file; return whether any file has echo numbers."""
     total = sum(info.points for info in files)
@@ -233,11 +181,11 @@ def _fill(
                 progress("read", done, total)
         if columns.filled > begin:
             own = {name: column[begin : columns.filled] for name, column in columns.arrays.items()}
-            if _widen_colours(own["colours"]):
+            if widen_colours(own["colours"]):
                 columns.note("colours of 8 bits (none above 255) were multiplied by 257.", info.path.name)
             if _leaves_bounds(info, each, own):
                 columns.note("points lie outside of the bounds in the header, which is not trusted.", info.path.name)
-            echoes.append(_settle_echoes(own))
+            echoes.append(settle_echoes(own))
             if not echoes[-1]:
                 columns.note("no echo information, so that every point counts as a first echo.", info.path.name)
     return any(echoes)
@@ -285,7 +233,7 @@ def _colour_fields(info: LasInfo) -> dict[str, str]:
     return {}
 
 
-def _fill_from(info: LasInfo, how: Reference, columns: _Columns) -> Iterator[int]:
+def _fill_from(info: LasInfo, how: Reference, columns: Columns) -> Iterator[int]:
     """Append a file's points to the columns, yielding the number of points read after each chunk."""
     fields = _colour_fields(info)
     wanted = Fields.XY_RETURNS_CHANNEL | Fields.Z | Fields.CLASSIFICATION | Fields.FLAGS | Fields.INTENSITY
@@ -332,7 +280,7 @@ def read_chunks(info: LasInfo, at_once: int, wanted: Fields | None = None) -> It
 
 
 def _append(
-    chunk: laspy.ScaleAwarePointRecord, info: LasInfo, how: Reference, columns: _Columns, colour_fields: dict[str, str]
+    chunk: laspy.ScaleAwarePointRecord, info: LasInfo, how: Reference, columns: Columns, colour_fields: dict[str, str]
 ) -> None:
     """Append a chunk's good points to the columns."""
     raw = (chunk.X, chunk.Y, chunk.Z)
@@ -356,23 +304,6 @@ def _append(
     columns.append(values, keep)
 
 
-def _widen_colours(colours: NDArray[np.uint16]) -> bool:
-    """Stretch a file's 8-bit colours to 16 bits in place, so that 255 becomes 65535; return whether they were."""
-    narrow = 0 < int(colours.max(initial=0)) <= 255
-    if narrow:
-        colours *= np.uint16(257)
-    return narrow
-
-
-def _settle_echoes(own: Mapping[str, NDArray[Any]]) -> bool:
-    """Return whether a file has echo information; without, its points become single echoes, in place."""
-    if own["return_number"].any():
-        return True
-    own["return_number"][:] = 1
-    own["number_of_returns"][:] = 1
-    return False
-
-
 def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]]) -> bool:
     """Return whether a file's points lie more than a metre outside of the bounds that its header states."""
     if how.transformer is not None:
@@ -382,49 +313,3 @@ def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]
     # Bounds that are no numbers fail the comparison, and count as wrong.
     inside = (xs[0] - 1 <= own["x"].min(), own["x"].max() <= xs[1] + 1)
     return not all((*inside, ys[0] - 1 <= own["y"].min(), own["y"].max() <= ys[1] + 1))
-
-
-def _finish(
-    columns: _Columns, references: Sequence[Reference], *, has_echoes: bool
-) -> tuple[PointCloud, NDArray[np.int64]]:
-    """Drop lone points, leave out constant attributes, and count in the notices; return the points' places, too."""
-    used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
-    index = columns.index[: columns.filled]
-    lone = np.zeros(columns.filled, dtype=np.bool_) if columns.noise else lone_points(used["x"], used["y"], used["z"])
-    columns.dropped["far from all others"] = int(lone.sum())
-    for why, count in columns.dropped.items():
-        if count:
-            columns.note(f"{count} points {why} were dropped.")
-    if lone.all():  # also where nothing is left to be lone
-        msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
-        raise NodataError(msg)
-    colours, intensity = used["colours"], used["intensity"]
-    kept = _varied_colours(colours, columns.colour_names)
-    if len(kept) < len(columns.colour_names):
-        plain = ", ".join(name for i, name in enumerate(columns.colour_names) if i not in kept)
-        columns.note(f"colours that are the same for all points were left out: {plain}.")
-        colours = colours[:, kept]
-    cloud = PointCloud(
-        used["x"],
-        used["y"],
-        used["z"],
-        crs=references[0].crs,
-        vertical_crs=next((each.vertical_crs for each in references if each.vertical_crs is not None), None),
-        classification=used["classification"] if used["classification"].any() else None,
-        return_number=used["return_number"] if has_echoes else None,
-        number_of_returns=used["number_of_returns"] if has_echoes else None,
-        intensity=intensity if intensity.min() != intensity.max() else None,
-        colours=colours if kept else None,
-        colour_names=tuple(columns.colour_names[i] for i in kept),
-    )
-    logger.info("read %d points, dropped %s", len(cloud), dict(columns.dropped))
-    if not lone.any():
-        return cloud, index
-    return cloud.take(~lone), index[~lone] if columns.indexed else index
-
-
-def _varied_colours(colours: NDArray[np.uint16], names: tuple[str, ...]) -> list[int]:
-    """Return the columns of the colours that vary; red, green and blue are kept together."""
-    varied = [bool(len(colours)) and bool(colours[:, i].min() != colours[:, i].max()) for i in range(len(names))]
-    visible = any(varies for varies, name in zip(varied, names, strict=True) if name != "nir")
-    return [i for i, name in enumerate(names) if (varied[i] if name == "nir" else visible)]

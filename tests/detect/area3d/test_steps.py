@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from support.sizes import examples
 
 from msbdb.detect.area3d.curvature import Reach, grow_regions, measure_structure, smallest_share
+from msbdb.detect.area3d.edgelines import main_directions, measure_lines
 from msbdb.detect.area3d.heightscales import OnSets, height_scales, histogram_minima
 from msbdb.detect.area3d.regionshape import (
     bounding_rectangles,
     find_edges,
     judge,
-    main_directions,
-    measure_lines,
     measure_shapes,
     perpendicular,
     reasons_against,
