@@ -2,14 +2,18 @@
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import geopandas as gpd
-import pandas as pd
+import numpy as np
 
 from msbdb.errors import FileError, InputError
 from msbdb.io.files import write_atomic
-from msbdb.io.vector import existing_files, write_layers
+from msbdb.io.layers import Layer, existing_files, texts, write_layers
+
+if TYPE_CHECKING:
+    import geopandas as gpd
 
 IDS = ("part_id", "supid", "root_id", "building_id")
 """Columns that GeoJSON writes as strings."""
@@ -30,7 +34,7 @@ FIELDS = {
 }
 """The paper's name of each column of ``PART`` that it has (V26); none is longer than the 10 characters of a DBF."""
 
-Layers = Mapping[str, gpd.GeoDataFrame]
+Layers = Mapping[str, Layer]
 
 Writer = Callable[[Layers, Path], None]
 
@@ -41,12 +45,12 @@ CHANGE_FORMATS = (".gpkg", ".geojson", ".json", ".csv")
 """The endings that are written."""
 
 
-def write_geojson(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
+def write_geojson(layers: Layers, path: Path) -> None:
     """Write the parts as one FeatureCollection; the footprints are those with ``supid`` "0" (V49).
 
     Parameters
     ----------
-    layers : mapping of str to GeoDataFrame
+    layers : mapping of str to Layer
         ``part``, the table ``PART`` with geometry and CRS. Other layers are not written: GeoJSON holds one, and the
         roots are in it.
     path : Path
@@ -58,40 +62,32 @@ def write_geojson(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
     columns keep their metric units. The ids are strings, and so is each feature's ``id``: they exceed 2^53, and
     browsers round larger JSON numbers.
     """
-    frame = layers["part"].copy()
-    for column in IDS:
-        frame[column] = frame[column].astype("str")
-    frame["id"] = frame["part_id"]  # the driver takes the field of the id out of the properties
-    write_layers(
-        path,
-        {path.stem: frame},
-        "GeoJSON",
-        geometry_type="MultiPolygon",
-        RFC7946="YES",
-        ID_FIELD="id",
-        ID_TYPE="String",
-    )
+    part = layers["part"]
+    columns = {name: texts(values) if name in IDS else values for name, values in part.columns.items()}
+    columns["id"] = columns["part_id"]  # the driver takes the field of the id out of the properties
+    written = {path.stem: replace(part, columns=columns)}
+    write_layers(path, written, "GeoJSON", RFC7946="YES", ID_FIELD="id", ID_TYPE="String")
 
 
-def write_geopackage(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
+def write_geopackage(layers: Layers, path: Path) -> None:
     """Write all layers under their names, all columns and the CRS kept.
 
     Parameters
     ----------
-    layers : mapping of str to GeoDataFrame
+    layers : mapping of str to Layer
         Declared tables of multipolygons with geometry and CRS.
     path : Path
         The file to write or replace.
     """
-    write_layers(path, dict(layers), "GPKG", geometry_type="MultiPolygon")
+    write_layers(path, layers, "GPKG")
 
 
-def write_shapefile(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
+def write_shapefile(layers: Layers, path: Path) -> None:
     """Write the parts; the footprints are those with SUPID = 0 (V49).
 
     Parameters
     ----------
-    layers : mapping of str to GeoDataFrame
+    layers : mapping of str to Layer
         ``part``, the table ``PART`` with geometry and CRS. Other layers are not written: a Shapefile holds one, and the
         roots are in it.
     path : Path
@@ -102,8 +98,9 @@ def write_shapefile(layers: Mapping[str, gpd.GeoDataFrame], path: Path) -> None:
     ID and SUPID take up to 18 digits and are written as N(18), exactly. A program that reads them as floating point
     numbers sees them rounded: join on the file's own values, or use the GeoPackage.
     """
-    frame = layers["part"][[*FIELDS, "geometry"]].rename(columns=FIELDS)
-    write_layers(path, {path.stem: frame}, "ESRI Shapefile", geometry_type="MultiPolygon", encoding="UTF-8")
+    part = layers["part"]
+    columns = {field: part.columns[name] for name, field in FIELDS.items()}
+    write_layers(path, {path.stem: replace(part, columns=columns)}, "ESRI Shapefile", encoding="UTF-8")
 
 
 FORMATS: dict[str, Writer] = {
@@ -120,7 +117,7 @@ def export(layers: Layers, path: Path, *, overwrite: bool = False) -> None:
 
     Parameters
     ----------
-    layers : mapping of str to GeoDataFrame
+    layers : mapping of str to Layer
         ``part``, and for a GeoPackage any others, such as ``footprint``, ``flat_region`` and ``candidate_region``: the
         declared tables with geometry and CRS; they may be empty.
     path : Path
@@ -146,7 +143,7 @@ def export(layers: Layers, path: Path, *, overwrite: bool = False) -> None:
     writer(layers, path)
 
 
-def write_changes(table: gpd.GeoDataFrame, path: Path) -> None:
+def write_changes(table: "gpd.GeoDataFrame", path: Path) -> None:
     """Write changes in the format that the file's ending names.
 
     Parameters
@@ -171,21 +168,21 @@ def write_changes(table: gpd.GeoDataFrame, path: Path) -> None:
     frame = table.copy()
     for column in ("attributes_before", "attributes_after"):
         words = [None if value is None else json.dumps(value, sort_keys=True) for value in frame[column]]
-        frame[column] = pd.Series(words, dtype=object, index=frame.index)
-    if suffix == ".gpkg":
-        write_layers(path, {"change": frame}, "GPKG", geometry_type="MultiPolygon")
-    elif suffix == ".csv":
+        frame[column] = np.array(words, dtype=object)
+    if suffix == ".csv":
         _write_csv(frame, path)
+        return
+    layer = Layer.of(frame)
+    if suffix == ".gpkg":
+        write_layers(path, {"change": layer}, "GPKG")
     else:
-        for column in frame.columns.intersection(list(CHANGE_IDS)):
-            words = [None if pd.isna(value) else str(value) for value in frame[column]]
-            frame[column] = pd.Series(words, dtype=object, index=frame.index)
-        write_layers(path, {"change": frame}, "GeoJSON", geometry_type="MultiPolygon", RFC7946="YES")
+        columns = {name: texts(values) if name in CHANGE_IDS else values for name, values in layer.columns.items()}
+        write_layers(path, {"change": replace(layer, columns=columns)}, "GeoJSON", RFC7946="YES")
 
 
-def _write_csv(frame: gpd.GeoDataFrame, path: Path) -> None:
+def _write_csv(frame: "gpd.GeoDataFrame", path: Path) -> None:
     """Write the rows without outlines."""
     inside = frame.geometry.representative_point()
-    plain = pd.DataFrame(frame.drop(columns="geometry")).assign(easting=inside.x, northing=inside.y)
+    plain = frame.drop(columns="geometry").assign(easting=inside.x, northing=inside.y)
     with write_atomic(path) as temporary:
         plain.to_csv(temporary, index=False)

@@ -1,36 +1,24 @@
-"""Reading polygons and points from any vector format, such as reference footprints; writing layers."""
+"""Reading polygons and points from any vector format, such as reference footprints."""
 
 import logging
 import os
-import tempfile
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pyogrio
 import shapely
-from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
+from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS
 
-from msbdb.errors import CRSError, FileError, InputError, MsbdbWarning, NodataError
+from msbdb.errors import FileError, InputError, MsbdbWarning, NodataError
 from msbdb.io.crs import CrsLike, parse_crs, settle
 
 logger = logging.getLogger(__name__)
 
 POINT, POLYGON, MULTIPOLYGON, COLLECTION = 0, 3, 6, 7
 """Shapely's type numbers of points, and of the geometries that hold areas."""
-
-SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".shp.xml")
-"""The files of a Shapefile, some of them left there by other programs."""
-
-ROOM_BYTES = 2**16
-"""More than the drivers keep in their buffers until they close a file."""
-
-_REFUSALS = (DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError, OSError)
 
 
 def read_polygons(
@@ -172,95 +160,3 @@ def _areas_of(geometry: shapely.Geometry | None) -> shapely.Geometry | None:
     parts = shapely.get_parts(geometry)
     areas = parts[np.isin(shapely.get_type_id(parts), (POLYGON, MULTIPOLYGON))]
     return shapely.union_all(areas) if len(areas) else None
-
-
-def write_layers(path: Path, layers: dict[str, gpd.GeoDataFrame], driver: str, **options: object) -> None:
-    """Write layers into a new vector file, which replaces an old one.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its folder must exist.
-    layers : dict of str to GeoDataFrame
-        By name; each with a CRS. Several only where the format holds several.
-    driver : str
-        OGR's name of the format, such as GPKG.
-    **options
-        Dataset and layer creation options of the driver.
-
-    Raises
-    ------
-    CRSError
-        When a layer has no CRS.
-    FileError
-        When the file cannot be written; what was there before is still there.
-
-    Notes
-    -----
-    The layers are written into a temporary folder beside the file, and moved when complete: a reader sees the old file
-    or the new one. A Shapefile consists of several files, which are moved one by one, the .shp last. A crash between
-    the moves can leave a mixture of old and new files.
-
-    GDAL reports no error when the disk is full as it closes a file, and the last few kB are lost. So some free space is
-    required after it.
-    """
-    for name, frame in layers.items():
-        if frame.crs is None:
-            msg = f"Layer {name} has no CRS; set it before writing {path}."
-            raise CRSError(msg)
-    try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-            written = Path(folder, path.name)
-            with _unsynchronised():
-                for name, frame in layers.items():
-                    more: dict[str, Any] = {"append": written.exists(), "promote_to_multi": None, **options}
-                    pyogrio.write_dataframe(frame, written, layer=name, driver=driver, **more)
-            _require_room(Path(folder))
-            _replace(written, path)
-    except _REFUSALS as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        msg = f"{path} cannot be written: {reason}. Check the folder, its permissions and the space on the disk."
-        raise FileError(msg) from error
-
-
-@contextmanager
-def _unsynchronised() -> Iterator[None]:
-    """Let SQLite's formats leave the waiting for the disk to `_replace`, in place of a wait for each layer."""
-    option = "OGR_SQLITE_SYNCHRONOUS"
-    before = pyogrio.get_gdal_config_option(option)
-    pyogrio.set_gdal_config_options({option: "OFF"})
-    try:
-        yield
-    finally:
-        pyogrio.set_gdal_config_options({option: before})
-
-
-def existing_files(path: Path) -> list[Path]:
-    """Return the files that writing to the path would replace, the sidecars of a Shapefile included."""
-    candidates = [path]
-    if path.suffix.lower() == ".shp":
-        candidates += [path.with_suffix(suffix) for suffix in SIDECARS if suffix != path.suffix]
-    return [candidate for candidate in candidates if candidate.exists()]
-
-
-def _require_room(folder: Path) -> None:
-    """Raise the system's error when the disk is full, so that what was written just now may be cut off."""
-    probe = folder / "room"
-    with probe.open("wb") as file:
-        file.write(bytes(ROOM_BYTES))
-        file.flush()
-        os.fsync(file.fileno())
-    probe.unlink()
-
-
-def _replace(written: Path, path: Path) -> None:
-    """Move the written file and its sidecars over the old ones, and remove the old ones that have no successor."""
-    new = sorted(written.parent.iterdir(), key=lambda file: file == written)
-    for file in new:
-        with file.open("rb") as handle:
-            os.fsync(handle.fileno())
-    for stale in existing_files(path):
-        if stale != path and not written.with_name(stale.name).exists():
-            stale.unlink()
-    for file in new:
-        file.replace(path.with_name(file.name))

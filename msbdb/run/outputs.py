@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from msbdb.database import RunSummary, opened, read_build, read_tables, run_heads, shown, summarise_run
+from msbdb.database import RunSummary, crs_of, opened, read_build, read_columns, run_heads, shown, summarise_run
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
 
@@ -82,11 +82,14 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
 
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
-    import geopandas as gpd
-
     from msbdb.export import export
+    from msbdb.io.layers import Layer
 
     with opened(db) as engine:
-        frames = read_tables(engine, tuple(LAYERS.values()), survey)
-    layers = {layer: gpd.GeoDataFrame(frames[table.name]) for layer, table in LAYERS.items()}
+        read, found = read_columns(engine, tuple(LAYERS.values()), survey)
+    crs = crs_of(found)
+    layers = {}
+    for name, table in LAYERS.items():
+        columns = read[table.name]
+        layers[name] = Layer({own: columns[own] for own in table.names}, columns["geometry"], crs)
     export(layers, out, overwrite=overwrite)

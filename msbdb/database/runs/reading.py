@@ -41,6 +41,7 @@ from msbdb.tables import (
 if TYPE_CHECKING:
     import geopandas as gpd
     import pandas as pd
+    from pyproj import CRS
 
 RUN = SQL["run"]
 
@@ -110,11 +111,21 @@ def read_tables(engine: Engine, tables: Sequence[Table], survey: str | None = No
 
     Survey and errors are those of `read_build`; GeoDataFrames where the table has a geometry.
     """
+    columns, record = read_columns(engine, tables, survey)
+    return {table.name: _as_frame(table, columns[table.name], record) for table in tables}
+
+
+def read_columns(
+    engine: Engine, tables: Sequence[Table], survey: str | None = None
+) -> tuple[dict[str, dict[str, NDArray[Any]]], Survey]:
+    """Return some tables of a run as plain columns, as `RunContent` has them, and the survey; faster than frames.
+
+    Survey and errors are those of `read_build`.
+    """
     with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
-        columns = [_read_columns(connection, table, run.run_id) for table in tables]
-        record = _survey_record(connection, run.survey_id)
-    return {table.name: _as_frame(table, own, record) for table, own in zip(tables, columns, strict=True)}
+        columns = {table.name: _columns_of(connection, table, run.run_id) for table in tables}
+        return columns, _survey_record(connection, run.survey_id)
 
 
 def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] = TABLES) -> RunContent:
@@ -126,7 +137,7 @@ def content_of(connection: Connection, survey: str | None, tables: Sequence[Tabl
     return RunContent(
         survey=_survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
-        columns={table.name: _read_columns(connection, table, run.run_id) for table in tables},
+        columns={table.name: _columns_of(connection, table, run.run_id) for table in tables},
         rasters=_read_rasters(connection, run.run_id),
     )
 
@@ -348,7 +359,7 @@ def _run_record(connection: Connection, row: Any) -> Run:  # noqa: ANN401  (a ro
     )
 
 
-def _read_columns(connection: Connection, table: Table, run_id: int) -> dict[str, NDArray[Any]]:
+def _columns_of(connection: Connection, table: Table, run_id: int) -> dict[str, NDArray[Any]]:
     """Return a table's columns of a run as `RunContent` has them, in the table's order."""
     names = table.names
     chosen = ", ".join(names) + (", ST_AsBinary(geometry)" if table.geometry else "")
@@ -379,7 +390,12 @@ def _as_frame(table: Table, columns: Mapping[str, NDArray[Any]], survey: Survey)
         return frame
     import geopandas as gpd
 
-    return gpd.GeoDataFrame(frame, geometry="geometry", crs=horizontal(crs_from(survey.epsg, survey.crs_wkt)))
+    return gpd.GeoDataFrame(frame, geometry="geometry", crs=crs_of(survey))
+
+
+def crs_of(survey: Survey) -> "CRS":
+    """Return the CRS of a survey's geometries."""
+    return horizontal(crs_from(survey.epsg, survey.crs_wkt))
 
 
 def _read_rasters(connection: Connection, run_id: int) -> dict[str, NDArray[Any]]:

@@ -1,0 +1,235 @@
+"""Layers of vector files: plain columns with geometries, written whole or not at all.
+
+GDAL writes them through pyogrio, which takes arrays. So nothing here needs pandas, which takes longer to load than an
+export of a town takes to write.
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.errors import CRSError, FileError
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    from pyproj import CRS
+
+SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".shp.xml")
+"""The files of a Shapefile, some of them left there by other programs."""
+
+ROOM_BYTES = 2**16
+"""More than the drivers keep in their buffers until they close a file."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layer:
+    """The rows of a layer.
+
+    Parameters
+    ----------
+    columns : mapping of str to (N,) ndarray
+        By name: numbers, where NaN is null; objects, which are texts or None; or a masked array, null where masked.
+    geometry : (N,) ndarray of object
+        Multipolygons.
+    crs : CRS, optional
+        Their CRS; a layer without one cannot be written.
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+    geometry: NDArray[np.object_]
+    crs: "CRS | None"
+
+    @classmethod
+    def of(cls, frame: "gpd.GeoDataFrame") -> Self:
+        """Return the rows of a frame; its nullable columns become masked arrays, texts become objects."""
+        columns = {str(name): _column(frame[name]) for name in frame.columns if name != frame.geometry.name}
+        return cls(columns, frame.geometry.to_numpy(), frame.crs)
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.geometry)
+
+
+def _column(values: Any) -> NDArray[Any]:  # noqa: ANN401  (a series of pandas, which is not loaded here)
+    """Return a column of a frame as an array."""
+    kind = getattr(values.dtype, "numpy_dtype", values.dtype)  # of the nullable numbers
+    if isinstance(values.dtype, np.dtype):
+        return np.asarray(values)
+    null = values.isna().to_numpy()
+    if isinstance(kind, np.dtype):
+        numbers: NDArray[Any] = np.ma.MaskedArray(values.fillna(0).to_numpy(dtype=kind), mask=null)
+        return numbers
+    words = np.array(values, dtype=object)
+    words[null] = None
+    return words
+
+
+def texts(values: NDArray[Any]) -> NDArray[np.object_]:
+    """Return numbers as texts, None for null: as browsers read ids above 2^53 without rounding.
+
+    Examples
+    --------
+    >>> texts(np.array([5, 2**59 - 1]))
+    array(['5', '576460752303423487'], dtype=object)
+    """
+    found = np.empty(len(values), dtype=object)
+    found[:] = [None if value is None else str(value) for value in values.tolist()]
+    return found
+
+
+def write_layers(
+    path: Path, layers: Mapping[str, Layer], driver: str, *, encoding: str | None = None, **options: str
+) -> None:
+    """Write layers of multipolygons into a new vector file, which replaces an old one.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder must exist.
+    layers : mapping of str to Layer
+        By name; each with a CRS. Several only where the format holds several.
+    driver : str
+        OGR's name of the format, such as GPKG.
+    encoding : str, optional
+        Of texts, for drivers with a choice.
+    **options
+        Dataset and layer creation options of the driver.
+
+    Raises
+    ------
+    CRSError
+        When a layer has no CRS.
+    FileError
+        When the file cannot be written; what was there before is still there.
+
+    Notes
+    -----
+    The layers are written into a temporary folder beside the file, and moved when complete: a reader sees the old file
+    or the new one. A Shapefile consists of several files, which are moved one by one, the .shp last. A crash between
+    the moves can leave a mixture of old and new files.
+
+    GDAL reports no error when the disk is full as it closes a file, and the last few kB are lost. So some free space is
+    required after it.
+    """
+    systems = {name: _crs_text(layer.crs, name, path) for name, layer in layers.items()}
+    pyogrio = _pyogrio()
+    refusals = (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            written = Path(folder, path.name)
+            with _unsynchronised(pyogrio):
+                for name, layer in layers.items():
+                    columns = layer.columns.values()
+                    pyogrio.raw.write(
+                        written,
+                        shapely.to_wkb(layer.geometry),
+                        [np.asarray(values) for values in columns],
+                        list(layer.columns),
+                        [values.mask if isinstance(values, np.ma.MaskedArray) else None for values in columns],
+                        layer=name,
+                        driver=driver,
+                        geometry_type="MultiPolygon",
+                        crs=systems[name],
+                        encoding=encoding,
+                        append=written.exists(),
+                        **options,
+                    )
+            _require_room(Path(folder))
+            _replace(written, path)
+    except refusals as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        msg = f"{path} cannot be written: {reason}. Check the folder, its permissions and the space on the disk."
+        raise FileError(msg) from error
+
+
+class _Deferred(ModuleType):
+    """Stands for a library that is imported once it is used; its version is known before."""
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  (any attribute of the library)
+        """Return an attribute of the library itself."""
+        if name == "__version__":
+            return version(self.__name__)
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(import_module(self.__name__), name)
+
+
+def _pyogrio() -> Any:  # noqa: ANN401  (a library without types)
+    """Import pyogrio, but not pandas and geopandas, whose versions are all that it reads as it is imported.
+
+    Its functions on frames import both libraries themselves, as do all others afterwards.
+    """
+    if "pyogrio" not in sys.modules:
+        deferred = {name: _Deferred(name) for name in ("pandas", "geopandas") if name not in sys.modules}
+        sys.modules.update(deferred)
+        try:
+            import_module("pyogrio")
+        finally:
+            for name, stand_in in deferred.items():
+                if sys.modules.get(name) is stand_in:
+                    del sys.modules[name]
+    return import_module("pyogrio")
+
+
+def _crs_text(crs: "CRS | None", name: str, path: Path) -> str:
+    """Return a layer's CRS as GDAL takes it: by its EPSG code, or as WKT."""
+    if crs is None:
+        msg = f"Layer {name} has no CRS; set it before writing {path}."
+        raise CRSError(msg)
+    code = crs.to_epsg()
+    return f"EPSG:{code}" if code else crs.to_wkt("WKT1_GDAL")
+
+
+@contextmanager
+def _unsynchronised(pyogrio: Any) -> Iterator[None]:  # noqa: ANN401  (a library without types)
+    """Let SQLite's formats leave the waiting for the disk to `_replace`, in place of a wait for each layer."""
+    option = "OGR_SQLITE_SYNCHRONOUS"
+    before = pyogrio.get_gdal_config_option(option)
+    pyogrio.set_gdal_config_options({option: "OFF"})
+    try:
+        yield
+    finally:
+        pyogrio.set_gdal_config_options({option: before})
+
+
+def existing_files(path: Path) -> list[Path]:
+    """Return the files that writing to the path would replace, the sidecars of a Shapefile included."""
+    candidates = [path]
+    if path.suffix.lower() == ".shp":
+        candidates += [path.with_suffix(suffix) for suffix in SIDECARS if suffix != path.suffix]
+    return [candidate for candidate in candidates if candidate.exists()]
+
+
+def _require_room(folder: Path) -> None:
+    """Raise the system's error when the disk is full, so that what was written just now may be cut off."""
+    probe = folder / "room"
+    with probe.open("wb") as file:
+        file.write(bytes(ROOM_BYTES))
+        file.flush()
+        os.fsync(file.fileno())
+    probe.unlink()
+
+
+def _replace(written: Path, path: Path) -> None:
+    """Move the written file and its sidecars over the old ones, and remove the old ones that have no successor."""
+    new = sorted(written.parent.iterdir(), key=lambda file: file == written)
+    for file in new:
+        with file.open("rb") as handle:
+            os.fsync(handle.fileno())
+    for stale in existing_files(path):
+        if stale != path and not written.with_name(stale.name).exists():
+            stale.unlink()
+    for file in new:
+        file.replace(path.with_name(file.name))
