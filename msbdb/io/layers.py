@@ -33,6 +33,10 @@ ROOM_BYTES = 2**16
 """More than the drivers keep in their buffers until they close a file."""
 
 
+DEFERRED = ("geopandas", "pandas", "pyproj")
+"""Libraries that writing arrays does not need; loading them takes as long as all the rest of an export."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
     """The rows of a layer.
@@ -43,19 +47,19 @@ class Layer:
         By name: numbers, where NaN is null; objects, which are texts or None; or a masked array, null where masked.
     geometry : (N,) ndarray of object
         Multipolygons.
-    crs : CRS, optional
-        Their CRS; a layer without one cannot be written.
+    crs : str
+        Their CRS as GDAL takes it, from `crs_text`; a layer without one cannot be written.
     """
 
     columns: Mapping[str, NDArray[Any]]
     geometry: NDArray[np.object_]
-    crs: "CRS | None"
+    crs: str
 
     @classmethod
     def of(cls, frame: "gpd.GeoDataFrame") -> Self:
         """Return the rows of a frame; its nullable columns become masked arrays, texts become objects."""
         columns = {str(name): _column(frame[name]) for name in frame.columns if name != frame.geometry.name}
-        return cls(columns, frame.geometry.to_numpy(), frame.crs)
+        return cls(columns, frame.geometry.to_numpy(), "" if frame.crs is None else crs_text(frame.crs))
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -69,11 +73,17 @@ def _column(values: Any) -> NDArray[Any]:  # noqa: ANN401  (a series of pandas, 
         return np.asarray(values)
     null = values.isna().to_numpy()
     if isinstance(kind, np.dtype):
-        numbers: NDArray[Any] = np.ma.MaskedArray(values.fillna(0).to_numpy(dtype=kind), mask=null)
+        numbers: NDArray[Any] = np.ma.MaskedArray(values.to_numpy(dtype=kind, na_value=kind.type(0)), mask=null)
         return numbers
     words = np.array(values, dtype=object)
     words[null] = None
     return words
+
+
+def crs_text(crs: "CRS") -> str:
+    """Return a CRS as GDAL takes it: by its EPSG code, or as WKT."""
+    code = crs.to_epsg()
+    return f"EPSG:{code}" if code else crs.to_wkt("WKT1_GDAL")
 
 
 def texts(values: NDArray[Any]) -> NDArray[np.object_]:
@@ -123,7 +133,10 @@ def write_layers(
     GDAL reports no error when the disk is full as it closes a file, and the last few kB are lost. So some free space is
     required after it.
     """
-    systems = {name: _crs_text(layer.crs, name, path) for name, layer in layers.items()}
+    for name, layer in layers.items():
+        if not layer.crs:
+            msg = f"Layer {name} has no CRS; set it before writing {path}."
+            raise CRSError(msg)
     pyogrio = _pyogrio()
     refusals = (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError)
     try:
@@ -141,7 +154,7 @@ def write_layers(
                         layer=name,
                         driver=driver,
                         geometry_type="MultiPolygon",
-                        crs=systems[name],
+                        crs=layer.crs,
                         encoding=encoding,
                         append=written.exists(),
                         **options,
@@ -167,12 +180,12 @@ class _Deferred(ModuleType):
 
 
 def _pyogrio() -> Any:  # noqa: ANN401  (a library without types)
-    """Import pyogrio, but not pandas and geopandas, whose versions are all that it reads as it is imported.
+    """Import pyogrio, but not the libraries of which it asks no more, as it is imported, than whether they are there.
 
-    Its functions on frames import both libraries themselves, as do all others afterwards.
+    Its functions on frames import them themselves, as do all others afterwards.
     """
     if "pyogrio" not in sys.modules:
-        deferred = {name: _Deferred(name) for name in ("pandas", "geopandas") if name not in sys.modules}
+        deferred = {name: _Deferred(name) for name in DEFERRED if name not in sys.modules}
         sys.modules.update(deferred)
         try:
             import_module("pyogrio")
@@ -181,15 +194,6 @@ def _pyogrio() -> Any:  # noqa: ANN401  (a library without types)
                 if sys.modules.get(name) is stand_in:
                     del sys.modules[name]
     return import_module("pyogrio")
-
-
-def _crs_text(crs: "CRS | None", name: str, path: Path) -> str:
-    """Return a layer's CRS as GDAL takes it: by its EPSG code, or as WKT."""
-    if crs is None:
-        msg = f"Layer {name} has no CRS; set it before writing {path}."
-        raise CRSError(msg)
-    code = crs.to_epsg()
-    return f"EPSG:{code}" if code else crs.to_wkt("WKT1_GDAL")
 
 
 @contextmanager

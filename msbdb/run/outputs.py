@@ -83,11 +83,12 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
     from msbdb.export import export
-    from msbdb.io.layers import Layer
+    from msbdb.io.layers import Layer, crs_text
 
     with opened(db) as engine:
         read, found = read_columns(engine, tuple(LAYERS.values()), survey)
-    crs = crs_of(found)
+    # A code needs no PROJ, which takes time to load.
+    crs = f"EPSG:{found.epsg}" if found.epsg else crs_text(crs_of(found))
     layers = {}
     for name, table in LAYERS.items():
         columns = read[table.name]

@@ -14,8 +14,8 @@ from pyproj import CRS
 
 from msbdb import tables
 from msbdb.errors import CRSError, FileError, InputError
-from msbdb.export import export
-from msbdb.io.vector import write_layers
+from msbdb.export import export as export_layers
+from msbdb.io.layers import Layer, write_layers
 
 BIG = 2**59 - 1  # more than a float holds exactly
 needs_ogrinfo = pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="ogrinfo (gdal-bin) is not installed")
@@ -50,6 +50,11 @@ def scene():
     candidates = filled(tables.CANDIDATE_REGION, 2, crs, [child, child])
     candidates["candidate_id"], candidates["height_scale_m"] = [BIG, BIG - 1], [2.5, np.nan]
     return {"footprint": buildings, "part": parts, "flat_region": regions, "candidate_region": candidates}
+
+
+def export(frames, path, **options):
+    """Export frames as the layers that they are."""
+    export_layers({name: Layer.of(frame) for name, frame in frames.items()}, path, **options)
 
 
 def ogrinfo(path, *layers):
@@ -183,8 +188,8 @@ def test_a_failed_write_leaves_the_old_file(scene, tmp_path):
     export(scene, path)
     before = path.read_bytes()
     with pytest.raises(FileError, match="cannot be written"):
-        write_layers(path, {"part": parts, "other": buildings}, "No such driver")
+        write_layers(path, {"part": Layer.of(parts), "other": Layer.of(buildings)}, "No such driver")
     with pytest.raises(CRSError, match="Layer part has no CRS"):
-        write_layers(path, {"part": parts.set_crs(None, allow_override=True)}, "GPKG")
+        write_layers(path, {"part": Layer.of(parts.set_crs(None, allow_override=True))}, "GPKG")
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["town.gpkg"]

@@ -1,17 +1,16 @@
-"""Polygons in and layers out."""
+"""Polygons in, of any format."""
 
 import json
 import os
 from pathlib import Path
 
 import geopandas as gpd
-import pyogrio
 import pytest
 from pyproj import CRS
 from shapely import GeometryCollection, LineString, MultiPolygon, Point, Polygon, box
 
 from msbdb.errors import CRSError, FileError, InputError, MsbdbWarning, NodataError
-from msbdb.io.vector import read_polygons, write_layers
+from msbdb.io.vector import read_polygons
 
 LAMBERT = CRS.from_epsg(2154)
 BOWTIE = Polygon([(0, 0), (2, 2), (2, 0), (0, 2)])
@@ -99,32 +98,6 @@ def test_files_without_polygons_are_refused(tmp_path):
         read_polygons(tmp_path / "empty.geojson")
     with pytest.warns(MsbdbWarning), pytest.raises(NodataError, match="no polygons"):
         read_polygons(write(tmp_path / "lines.gpkg", [LineString([(0, 0), (1, 1)])]))
-
-
-def test_a_written_layer_replaces_the_old_file_whole(tmp_path):
-    """Nothing else is left in the folder."""
-    path = tmp_path / "parts.gpkg"
-    path.write_text("old")
-    write_layers(path, {"parts": gpd.GeoDataFrame({"part_id": [1]}, geometry=[HOUSE], crs=LAMBERT)}, "GPKG")
-    frame = read_polygons(path, layer="parts")
-    assert list(frame["part_id"]) == [1]
-    assert [file.name for file in tmp_path.iterdir()] == ["parts.gpkg"]
-
-
-def test_the_way_gdal_writes_is_restored(tmp_path, monkeypatch):
-    """No layer waits for the disk, because the whole file does; afterwards GDAL's option is as before."""
-    option, frame = "OGR_SQLITE_SYNCHRONOUS", gpd.GeoDataFrame(geometry=[HOUSE], crs=LAMBERT)
-    seen = []
-
-    def fail(*_args, **_options):
-        seen.append(pyogrio.get_gdal_config_option(option))
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(pyogrio, "write_dataframe", fail)
-    with pytest.raises(FileError, match="No space left"):
-        write_layers(tmp_path / "houses.gpkg", {"houses": frame}, "GPKG")
-    assert seen == [False]
-    assert pyogrio.get_gdal_config_option(option) is None
 
 
 @pytest.mark.data
