@@ -329,19 +329,8 @@ def draw_changes(changes: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: s
     ----------
     changes : GeoDataFrame
         Column ``kind`` and polygons, in metres. May be empty.
-    relief : Grid
-        Heights, metres, for the hillshade.
-    out : Path
-        The picture, ``.png``.
-    title, subtitle : str
-        What is shown; when, and in which CRS.
-
-    Raises
-    ------
-    InputError
-        When the file is no ``.png``.
-    FileError
-        When it cannot be written.
+    relief, out, title, subtitle
+        As for `draw_map`, which raises the same errors.
     """
     require_png(out)
     figure, axes = sheet(relief)

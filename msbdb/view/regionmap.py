@@ -88,19 +88,8 @@ def draw_zones(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: str
     ----------
     regions : GeoDataFrame
         Column ``zone`` (from 1) and polygons, in metres. May be empty.
-    relief : Grid
-        Heights, metres, for the hillshade.
-    out : Path
-        The picture, ``.png``.
-    title, subtitle : str
-        What is shown; when, and in which CRS.
-
-    Raises
-    ------
-    InputError
-        When the file is no ``.png``.
-    FileError
-        When it cannot be written.
+    relief, out, title, subtitle
+        As for `draw_candidates`, which raises the same errors.
     """
     require_png(out)
     figure, axes = sheet(relief)

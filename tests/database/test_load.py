@@ -43,18 +43,15 @@ from msbdb.database import (
     read_build,
     read_buildings,
     read_candidates,
-    read_class_bands,
     read_classes,
-    read_flat_region_candidates,
     read_flat_regions,
-    read_part_candidates,
-    read_part_flat_regions,
     read_parts,
     read_rasters,
     read_rejections,
     read_run,
     read_scales,
     read_survey,
+    read_tables,
     summarise_run,
     write_build,
 )
@@ -63,7 +60,7 @@ from msbdb.database.schema.sqlfiles import VIEWS
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import InputError, LoadError, TableError
 from msbdb.kept import KeptRun
-from msbdb.tables import TABLES
+from msbdb.tables import FLAT_REGION_CANDIDATE, PART_CANDIDATE, PART_FLAT_REGION, SPECTRAL_CLASS_BAND, TABLES
 
 FILLED = {table.name for table in TABLES}
 """The tables that a build fills; those of the inventory have tests of their own."""
@@ -119,10 +116,17 @@ def test_each_table_is_read_by_itself(engine: Engine) -> None:
     assert read_rejections(engine)["reason"].tolist() == ["same storeys", "vegetation", "vegetation"]
     assert read_scales(engine)["threshold_m2"].tolist() == [200, 50, 20]
     assert read_classes(engine)["labelled_by"].tolist() == ["automatic", "automatic", "operator"]
-    assert read_class_bands(engine)["mean"].tolist() == [11, 10, 21, 20, 31, 30]
+    assert read_tables(engine, [SPECTRAL_CLASS_BAND])["spectral_class_band"]["mean"].tolist() == [
+        11,
+        10,
+        21,
+        20,
+        31,
+        30,
+    ]
     assert read_rasters(engine).heights_cm.dtype == np.int32
     assert read_flat_regions(engine)["region_id"].tolist() == [SLAB_ROOF, WING, DECK, PITCH]
-    links = read_part_flat_regions(engine)
+    links = read_tables(engine, [PART_FLAT_REGION])["part_flat_region"]
     assert links["part_id"].tolist() == [PODIUM, SLAB, LIFT, HOUSE, BLOCK]
     assert links["region_share"].tolist() == [1, 1, 0.1, 0.25, 1]
     runs = list_runs(engine)[["survey", "methods", "epsg"]].to_numpy().tolist()
@@ -141,11 +145,13 @@ def test_candidates_are_read_by_method(engine: Engine) -> None:
     assert found.crs.to_epsg() == EPSG
     with pytest.raises(InputError, match="come from area3d and adaptive; got 'flatregions'"):
         read_candidates(engine, method="flatregions")
-    links = read_part_candidates(engine).set_index(["part_id", "candidate_id"])
+    links = read_tables(engine, [PART_CANDIDATE])["part_candidate"].set_index(["part_id", "candidate_id"])
     assert len(links) == 10
     assert links.loc[(SLAB, TERRACE)].tolist() == [200, 1, 1 / 6]
     assert links.loc[(PODIUM, AWNING)].tolist() == [100, 1 / 12, 0.25]
-    links = read_flat_region_candidates(engine).set_index(["region_id", "candidate_id"])
+    links = read_tables(engine, [FLAT_REGION_CANDIDATE])["flat_region_candidate"].set_index(
+        ["region_id", "candidate_id"]
+    )
     assert sorted(links.index) == [
         (SLAB_ROOF, TERRACE),
         (SLAB_ROOF, SLAB_CLUSTER),
@@ -268,8 +274,8 @@ def test_candidates_go_with_their_links(engine: Engine) -> None:
         connection.execute(text("DELETE FROM candidate_region WHERE method = 'adaptive'"))
         connection.execute(text("DELETE FROM flat_region WHERE region_id = :region"), {"region": WING})
         connection.execute(text("DELETE FROM part WHERE part_id = :part"), {"part": LIFT})
-    assert read_part_candidates(engine)["part_id"].tolist() == [PODIUM, SLAB, BLOCK]
-    assert read_flat_region_candidates(engine)["region_id"].tolist() == [SLAB_ROOF]
+    assert read_tables(engine, [PART_CANDIDATE])["part_candidate"]["part_id"].tolist() == [PODIUM, SLAB, BLOCK]
+    assert read_tables(engine, [FLAT_REGION_CANDIDATE])["flat_region_candidate"]["region_id"].tolist() == [SLAB_ROOF]
     for table, column in (("part_candidate", "candidate_id"), ("flat_region_candidate", "region_id")):
         with pytest.raises(IntegrityError), engine.begin() as connection:
             connection.execute(text(f"UPDATE {table} SET {column} = 4711"))

@@ -12,7 +12,7 @@ from simulated.files import write_points
 from simulated.scenes import SCENES
 
 import msbdb
-from msbdb.database import open_database, read_build, read_part_candidates, write_build
+from msbdb.database import open_database, read_build, read_tables, write_build
 from msbdb.detect.detectors import detect_multiscale
 from msbdb.detect.scene import Regions, Scene
 from msbdb.grid import Grid, GridSpec
@@ -26,6 +26,7 @@ from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import (
     CANDIDATE_REGION,
     FLAT_REGION,
+    PART_CANDIDATE,
     REJECTION,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
@@ -181,10 +182,10 @@ def test_labels_by_the_operator_keep_the_candidates(tmp_path):
     with msbdb.open(db) as opened:
         before = opened.dump()
         assert opened.buildings()["area3d_share"].tolist() == [1]
-        assert len(read_part_candidates(opened.engine)) > 0
+        assert len(read_tables(opened.engine, [PART_CANDIDATE])["part_candidate"]) > 0
     msbdb.relabel(db, dict.fromkeys(roofs, "vegetation"))
     with msbdb.open(db) as opened:
-        assert len(opened.buildings()) == len(read_part_candidates(opened.engine)) == 0
+        assert len(opened.buildings()) == len(read_tables(opened.engine, [PART_CANDIDATE])["part_candidate"]) == 0
         assert (opened.rejections()["method"] == "area3d").sum() == 1
     msbdb.relabel(db, dict.fromkeys(roofs, "building"))
     with msbdb.open(db) as opened:

@@ -9,14 +9,14 @@ from simulated.files import write_points
 from simulated.scenes import SCENES
 
 import msbdb
-from msbdb.database import read_part_flat_regions
+from msbdb.database import read_tables
 from msbdb.detect.flatregions.mongus2013 import detect_flat_regions
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.prepare import Inputs, Label, prepare
 from msbdb.run.reports import Stages
-from msbdb.tables import EXTRACTOR_SHARES
+from msbdb.tables import EXTRACTOR_SHARES, PART_FLAT_REGION
 
 MULTISCALE = ("multiscale",)
 
@@ -39,7 +39,7 @@ def test_flat_regions_confirm_the_house_and_no_crown(town):
     db, report = town
     with msbdb.open(db) as opened:
         regions, buildings = opened.flat_regions(), opened.buildings()
-        links = read_part_flat_regions(opened.engine)
+        links = read_tables(opened.engine, [PART_FLAT_REGION])["part_flat_region"]
         parts = opened.parts().set_index("part_id")
     assert report.flat_regions == len(regions) == 1
     house = buildings.iloc[0]
@@ -99,7 +99,7 @@ def test_labels_by_the_operator_keep_the_flat_regions(town, tmp_path):
     with msbdb.open(db) as opened:
         assert opened.flat_regions().equals(regions)
         assert len(opened.buildings()) == 0
-        assert len(read_part_flat_regions(opened.engine)) == 0
+        assert len(read_tables(opened.engine, [PART_FLAT_REGION])["part_flat_region"]) == 0
     msbdb.relabel(db, dict.fromkeys(roofs, "building"))
     msbdb.relabel(straight, dict.fromkeys(roofs, "building"))
     with msbdb.open(db) as one, msbdb.open(straight) as other:

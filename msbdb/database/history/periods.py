@@ -45,8 +45,6 @@ INVENTORY_EVENT = SQL["inventory_event"]
 
 OPERATOR_STATE = SQL["operator_state"]
 
-ROOF_SAMPLE = SQL["roof_sample"]
-
 SURVEY = SQL["survey"]
 
 SURVEY_OFFSET = SQL["survey_offset"]
@@ -240,26 +238,6 @@ def read_states(engine: Engine) -> "pd.DataFrame":
     """Return the operators' decisions on buildings: columns of ``operator_state``, in order of ``uid``."""
     with guarded(engine.url), engine.connect() as connection:
         return _plain(connection, select(*_columns_of(OPERATOR_STATE)).order_by(OPERATOR_STATE.c.uid))
-
-
-def read_roof_samples(engine: Engine) -> "gpd.GeoDataFrame":
-    """Return the roof samples: columns of ``roof_sample``, and geometry."""
-    query = select(*_columns_of(ROOF_SAMPLE), func.ST_AsBinary(ROOF_SAMPLE.c.geometry).label("wkb")).order_by(
-        ROOF_SAMPLE.c.sample_id
-    )
-    with guarded(engine.url), engine.connect() as connection:
-        return _frame(connection, query)
-
-
-def read_material_classes(engine: Engine) -> "pd.DataFrame":
-    """Return the cross table of roof materials and classes (V53), the view ``roof_material_by_class``."""
-    import pandas as pd
-
-    columns = ["survey", "material", "speindex", "class_label", "samples"]
-    query = text(f"SELECT {', '.join(columns)} FROM roof_material_by_class")  # noqa: S608  (our own names)
-    with guarded(engine.url), engine.connect() as connection:
-        rows = pd.DataFrame([tuple(row) for row in connection.execute(query)], columns=columns)
-    return rows.sort_values(columns[:3], ignore_index=True)
 
 
 def has_building(connection: Connection, uid: int) -> bool:

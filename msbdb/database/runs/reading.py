@@ -22,14 +22,10 @@ from msbdb.tables import (
     BUILDING,
     CANDIDATE_REGION,
     FLAT_REGION,
-    FLAT_REGION_CANDIDATE,
     PART,
-    PART_CANDIDATE,
-    PART_FLAT_REGION,
     REJECTION,
     SCALE,
     SPECTRAL_CLASS,
-    SPECTRAL_CLASS_BAND,
     TABLES,
     Counts,
     Run,
@@ -239,11 +235,6 @@ def read_flat_regions(engine: Engine, survey: str | None = None) -> "gpd.GeoData
     return _read(engine, FLAT_REGION, survey)
 
 
-def read_part_flat_regions(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
-    """Return which parts and flat regions share cells, columns as ``tables.PART_FLAT_REGION``."""
-    return _read_plain(engine, PART_FLAT_REGION, survey)
-
-
 def read_candidates(engine: Engine, survey: str | None = None, method: str | None = None) -> "gpd.GeoDataFrame":
     """Return a run's candidate regions, columns as ``tables.CANDIDATE_REGION`` and the geometry, in order of ids.
 
@@ -269,16 +260,6 @@ def read_candidates(engine: Engine, survey: str | None = None, method: str | Non
     return found if method is None else found[found["method"] == method].reset_index(drop=True)
 
 
-def read_part_candidates(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
-    """Return which parts and candidate regions share cells, columns as ``tables.PART_CANDIDATE``."""
-    return _read_plain(engine, PART_CANDIDATE, survey)
-
-
-def read_flat_region_candidates(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
-    """Return which flat and candidate regions share cells, columns as ``tables.FLAT_REGION_CANDIDATE``."""
-    return _read_plain(engine, FLAT_REGION_CANDIDATE, survey)
-
-
 def read_scales(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return a run's scales, columns as ``tables.SCALE``."""
     return _read_plain(engine, SCALE, survey)
@@ -287,11 +268,6 @@ def read_scales(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
 def read_classes(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     """Return a run's classes with their labels and who gave them, columns as ``tables.SPECTRAL_CLASS``."""
     return _read_plain(engine, SPECTRAL_CLASS, survey)
-
-
-def read_class_bands(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
-    """Return the bands' means by class, columns as ``tables.SPECTRAL_CLASS_BAND``."""
-    return _read_plain(engine, SPECTRAL_CLASS_BAND, survey)
 
 
 def read_rasters(engine: Engine, survey: str | None = None) -> Rasters:
