@@ -434,6 +434,7 @@ def _hostile_files():
 
 
 @pytest.mark.data
+@pytest.mark.filterwarnings("ignore:.*is COPC:msbdb.errors.MsbdbWarning")
 @pytest.mark.parametrize("path", _hostile_files(), ids=lambda path: path.name)
 @pytest.mark.parametrize("ending", ["las", "laz"])
 def test_real_hostile_files_end_well(tmp_path, path, ending):
