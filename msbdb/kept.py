@@ -50,6 +50,10 @@ class Rasters:
         Residual of the best plane in the small window, millimetres.
     roof_probability : (H, W) ndarray of uint8, optional
         Probability of roof against vegetation; 255 is certain.
+    terrain_cm : (H, W) ndarray of int32, optional
+        Level of the terrain in the vertical reference of the source, centimetres.
+    echoes : (H, W) ndarray of uint16, optional
+        First echoes in the cell; of a raster 1 where it has a value.
     """
 
     heights_cm: NDArray[np.int32]
@@ -59,6 +63,8 @@ class Rasters:
     regions: Mapping[str, NDArray[np.int32]] = field(default_factory=dict)
     roughness_mm: NDArray[np.uint16] | None = None
     roof_probability: NDArray[np.uint8] | None = None
+    terrain_cm: NDArray[np.int32] | None = None
+    echoes: NDArray[np.uint16] | None = None
 
     def by_name(self) -> dict[str, NDArray[np.generic]]:
         """Return the rasters by the names of their rows in the database, those that are None left out."""
@@ -69,6 +75,8 @@ class Rasters:
             "spectral": self.spectral,
             "roughness_mm": self.roughness_mm,
             "roof_probability": self.roof_probability,
+            "terrain_cm": self.terrain_cm,
+            "echoes": self.echoes,
             **{_REGION_NAMES[method]: labels for method, labels in self.regions.items()},
         }
         return {name: values for name, values in named.items() if values is not None}
@@ -98,6 +106,8 @@ class Rasters:
             regions={method: rows[name].astype(np.int32) for method, name in _REGION_NAMES.items() if name in rows},
             roughness_mm=rows["roughness_mm"].astype(np.uint16) if "roughness_mm" in rows else None,
             roof_probability=rows["roof_probability"].astype(np.uint8) if "roof_probability" in rows else None,
+            terrain_cm=rows["terrain_cm"].astype(np.int32) if "terrain_cm" in rows else None,
+            echoes=rows["echoes"].astype(np.uint16) if "echoes" in rows else None,
         )
 
     @classmethod

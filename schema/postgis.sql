@@ -1,4 +1,4 @@
--- The schema 0002 of msbdb for postgis.
+-- The schema 0003 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -62,7 +62,17 @@ CREATE TABLE building_version (
   closed_by BIGINT,
   building_id BIGINT,
   state TEXT NOT NULL,
+  z_ground DOUBLE PRECISION,
+  z_ground_min DOUBLE PRECISION,
+  z_ground_max DOUBLE PRECISION,
+  z_eaves DOUBLE PRECISION,
+  z_ridge DOUBLE PRECISION,
+  eaves DOUBLE PRECISION,
+  ridge DOUBLE PRECISION,
   storeys BIGINT,
+  storeys_min BIGINT,
+  storeys_max BIGINT,
+  storeys_top BIGINT,
   h_max DOUBLE PRECISION,
   h_mean DOUBLE PRECISION,
   h_p50 DOUBLE PRECISION,
@@ -85,6 +95,8 @@ CREATE TABLE building_version (
   CONSTRAINT ck_building_version_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
   CONSTRAINT ck_building_version_area CHECK (area_m2 > 0),
   CONSTRAINT ck_building_version_parts CHECK (storeys >= 0 AND parts >= 1),
+  CONSTRAINT ck_building_version_heights CHECK (ridge >= eaves),
+  CONSTRAINT ck_building_version_storeys CHECK (storeys_min >= 1 AND storeys_min <= storeys AND storeys <= storeys_max),
   CONSTRAINT ck_building_version_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT ck_building_version_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
   CONSTRAINT ck_building_version_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
@@ -342,13 +354,24 @@ CREATE TABLE building (
   run_id BIGINT NOT NULL,
   state TEXT NOT NULL,
   probability DOUBLE PRECISION,
+  z_ground DOUBLE PRECISION,
+  z_ground_min DOUBLE PRECISION,
+  z_ground_max DOUBLE PRECISION,
+  z_eaves DOUBLE PRECISION,
+  z_ridge DOUBLE PRECISION,
+  eaves DOUBLE PRECISION,
+  ridge DOUBLE PRECISION,
   storeys BIGINT NOT NULL,
+  storeys_min BIGINT,
+  storeys_max BIGINT,
+  storeys_top BIGINT,
   h_max DOUBLE PRECISION NOT NULL,
   h_mean DOUBLE PRECISION NOT NULL,
   h_p50 DOUBLE PRECISION NOT NULL,
   h_p90 DOUBLE PRECISION NOT NULL,
   area_m2 DOUBLE PRECISION NOT NULL,
   volume_m3 DOUBLE PRECISION NOT NULL,
+  floor_area_m2 DOUBLE PRECISION,
   trees BIGINT NOT NULL,
   parts BIGINT NOT NULL,
   scales BIGINT NOT NULL,
@@ -363,12 +386,17 @@ CREATE TABLE building (
   flat_share DOUBLE PRECISION,
   area3d_share DOUBLE PRECISION,
   adaptive_share DOUBLE PRECISION,
+  coverage DOUBLE PRECISION,
+  nodata_share DOUBLE PRECISION,
+  density DOUBLE PRECISION,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (building_id, run_id),
   CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
   CONSTRAINT ck_building_building_id CHECK (building_id > 0),
   CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
   CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
+  CONSTRAINT ck_building_heights CHECK (ridge >= eaves),
+  CONSTRAINT ck_building_storeys CHECK (storeys_min >= 1 AND storeys_min <= storeys AND storeys <= storeys_max),
   CONSTRAINT ck_building_parts CHECK (trees >= 1 AND parts >= trees AND scales >= 1),
   CONSTRAINT ck_building_probability CHECK (probability >= 0 AND probability <= 1),
   CONSTRAINT ck_building_building_share CHECK (building_share >= 0 AND building_share <= 1),
@@ -376,6 +404,8 @@ CREATE TABLE building (
   CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
   CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT ck_building_coverage CHECK (coverage >= 0 AND coverage <= 1),
+  CONSTRAINT ck_building_nodata_share CHECK (nodata_share >= 0 AND nodata_share <= 1),
   CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
@@ -549,7 +579,8 @@ ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
 ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 
 CREATE VIEW footprint AS
-SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.speindex, b.area_m2,
+SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.storeys_min, b.storeys_max,
+       b.storeys_top, b.z_ground, b.eaves, b.ridge, b.z_eaves, b.z_ridge, b.speindex, b.area_m2,
        b.h_max, b.h_mean, b.h_p50, b.h_p90, b.trees, b.parts, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
@@ -571,12 +602,15 @@ JOIN survey AS s ON s.survey_id = r.survey_id;
 
 CREATE VIEW building_summary AS
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.state, b.probability, b.storeys,
+       b.storeys_min, b.storeys_max, b.storeys_top, b.z_ground, b.z_ground_min, b.z_ground_max, b.eaves, b.ridge,
+       b.z_eaves, b.z_ridge, s.vertical_crs, b.coverage, b.nodata_share, b.density,
        b.multiscale_share, b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90,
        b.area_m2, b.volume_m3,
+       COALESCE(b.floor_area_m2,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
-        WHERE p.building_id = b.building_id) AS floor_area_m2,
+        WHERE p.building_id = b.building_id)) AS floor_area_m2,
        b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.xcen, b.ycen, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
@@ -667,8 +701,9 @@ JOIN survey AS s ON s.survey_id = r.survey_id;
 
 CREATE VIEW footprint_current AS
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
-       v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
-       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.state AS found_state, o.operator, o.note, v.storeys, v.storeys_min, v.storeys_max, v.storeys_top, v.z_ground,
+       v.eaves, v.ridge, v.z_eaves, v.z_ridge, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2, v.volume_m3,
+       v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
        v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
@@ -682,7 +717,7 @@ SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey
        e.name AS ended_in,
        (SELECT MIN(c.kind) FROM building_change AS c
         WHERE c.version_before = v.version_id AND c.survey_id = v.closed_by) AS ended_as,
-       v.state, v.probability, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
+       v.state, v.probability, v.storeys, v.eaves, v.ridge, v.z_ground, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
@@ -703,15 +738,18 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 CREATE FUNCTION footprint_at(day date)
 RETURNS TABLE (
   version_id bigint, uid bigint, valid_from text, valid_to text, source text, survey text, state text,
-  found_state text, operator text, note text, storeys bigint, h_max double precision, h_mean double precision,
+  found_state text, operator text, note text, storeys bigint, storeys_min bigint, storeys_max bigint,
+  storeys_top bigint, z_ground double precision, eaves double precision, ridge double precision,
+  z_eaves double precision, z_ridge double precision, h_max double precision, h_mean double precision,
   h_p50 double precision, h_p90 double precision, area_m2 double precision, volume_m3 double precision, parts bigint,
   flat_share double precision, area3d_share double precision, adaptive_share double precision,
   probability double precision, building_id bigint, attributes json, geometry geometry
 )
 LANGUAGE sql STABLE AS $$
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
-       v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
-       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.state AS found_state, o.operator, o.note, v.storeys, v.storeys_min, v.storeys_max, v.storeys_top, v.z_ground,
+       v.eaves, v.ridge, v.z_eaves, v.z_ridge, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2, v.volume_m3,
+       v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
        v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
@@ -802,7 +840,27 @@ COMMENT ON COLUMN building_version.building_id IS 'the building of the survey''s
 
 COMMENT ON COLUMN building_version.state IS 'confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors';
 
-COMMENT ON COLUMN building_version.storeys IS 'storeys of its tallest part [storeys]';
+COMMENT ON COLUMN building_version.z_ground IS 'median level of the ground around it, in the survey''s vertical reference; null where not known [m]';
+
+COMMENT ON COLUMN building_version.z_ground_min IS 'lowest level of the ground around it, but for a twentieth [m]';
+
+COMMENT ON COLUMN building_version.z_ground_max IS 'highest level of the ground around it, but for a twentieth [m]';
+
+COMMENT ON COLUMN building_version.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+
+COMMENT ON COLUMN building_version.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
+
+COMMENT ON COLUMN building_version.eaves IS 'z_eaves above z_ground [m]';
+
+COMMENT ON COLUMN building_version.ridge IS 'z_ridge above z_ground [m]';
+
+COMMENT ON COLUMN building_version.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+
+COMMENT ON COLUMN building_version.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
+
+COMMENT ON COLUMN building_version.storeys_max IS 'most storeys that the eaves can have, if storeys are low [storeys]';
+
+COMMENT ON COLUMN building_version.storeys_top IS 'storeys of the highest eaves of its roofs of weight, as of a tower on a podium [storeys]';
 
 COMMENT ON COLUMN building_version.h_max IS 'largest height above ground [m]';
 
@@ -1108,7 +1166,27 @@ COMMENT ON COLUMN building.state IS 'confirmed, unsure or refuted: from the prob
 
 COMMENT ON COLUMN building.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
 
-COMMENT ON COLUMN building.storeys IS 'storeys of its tallest part [storeys]';
+COMMENT ON COLUMN building.z_ground IS 'median level of the ground around it, in the survey''s vertical reference; null where not known [m]';
+
+COMMENT ON COLUMN building.z_ground_min IS 'lowest level of the ground around it, but for a twentieth [m]';
+
+COMMENT ON COLUMN building.z_ground_max IS 'highest level of the ground around it, but for a twentieth [m]';
+
+COMMENT ON COLUMN building.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+
+COMMENT ON COLUMN building.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
+
+COMMENT ON COLUMN building.eaves IS 'z_eaves above z_ground [m]';
+
+COMMENT ON COLUMN building.ridge IS 'z_ridge above z_ground [m]';
+
+COMMENT ON COLUMN building.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+
+COMMENT ON COLUMN building.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
+
+COMMENT ON COLUMN building.storeys_max IS 'most storeys that the eaves can have, if storeys are low [storeys]';
+
+COMMENT ON COLUMN building.storeys_top IS 'storeys of the highest eaves of its roofs of weight, as of a tower on a podium [storeys]';
 
 COMMENT ON COLUMN building.h_max IS 'largest height above ground [m]';
 
@@ -1121,6 +1199,8 @@ COMMENT ON COLUMN building.h_p90 IS '90th percentile of the height above ground 
 COMMENT ON COLUMN building.area_m2 IS 'area of the footprint''s cells [m2]';
 
 COMMENT ON COLUMN building.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
+
+COMMENT ON COLUMN building.floor_area_m2 IS 'estimate of the area of all storeys, by the eaves of each roof; null in runs of an older msbdb [m2]';
 
 COMMENT ON COLUMN building.trees IS 'number of its trees of parts; one root each [count]';
 
@@ -1149,6 +1229,12 @@ COMMENT ON COLUMN building.flat_share IS 'share of the footprint that flat regio
 COMMENT ON COLUMN building.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
 
 COMMENT ON COLUMN building.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building.coverage IS 'share of the footprint''s cells with a measured height [1]';
+
+COMMENT ON COLUMN building.nodata_share IS 'share of the footprint and the ring around it that has no height, as at water and at the survey''s border [1]';
+
+COMMENT ON COLUMN building.density IS 'first echoes a square metre in it; null for rasters [1/m2]';
 
 COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
 
@@ -1262,11 +1348,11 @@ COMMENT ON COLUMN part_flat_region.part_share IS 'share of the part''s area that
 
 COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area that the part covers [1]';
 
-COMMENT ON VIEW footprint IS 'The footprints: a row for each building, with its state and its probability.';
+COMMENT ON VIEW footprint IS 'The footprints: a row for each building, with its state, its probability and its heights. Levels z_ are in the survey''s vertical reference; eaves and ridge are above z_ground.';
 
 COMMENT ON VIEW part_tree IS 'The parts as trees: the depth below the root, and the path of ids from the root down.';
 
-COMMENT ON VIEW building_summary IS 'One row for each building, for maps and tables: place, heights, volume, class, the shares that other detectors cover, and floor_area_m2, an estimate: each part counts its area once for every storey by which it rises above its father.';
+COMMENT ON VIEW building_summary IS 'One row for each building, for maps and tables: place, storeys, heights, volume, class, and how well it was seen. Levels z_ are in the vertical reference of the survey, vertical_crs where it is known. floor_area_m2 is an estimate: where a run of an older msbdb has none, each part counts its area once for every storey by which it rises above its father.';
 
 COMMENT ON VIEW part_evidence IS 'The parts with evidence from other detectors: the share that flat regions, candidates of area3d and candidates of adaptive cover, and the number of these regions; null for a detector that was not run.';
 
@@ -1286,5 +1372,5 @@ COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and cla
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
 

@@ -1,4 +1,4 @@
--- The schema 0002 of msbdb for spatialite.
+-- The schema 0003 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -62,7 +62,17 @@ CREATE TABLE building_version (
   closed_by BIGINT,
   building_id BIGINT,
   state TEXT NOT NULL,
+  z_ground DOUBLE,
+  z_ground_min DOUBLE,
+  z_ground_max DOUBLE,
+  z_eaves DOUBLE,
+  z_ridge DOUBLE,
+  eaves DOUBLE,
+  ridge DOUBLE,
   storeys BIGINT,
+  storeys_min BIGINT,
+  storeys_max BIGINT,
+  storeys_top BIGINT,
   h_max DOUBLE,
   h_mean DOUBLE,
   h_p50 DOUBLE,
@@ -85,6 +95,8 @@ CREATE TABLE building_version (
   CONSTRAINT ck_building_version_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
   CONSTRAINT ck_building_version_area CHECK (area_m2 > 0),
   CONSTRAINT ck_building_version_parts CHECK (storeys >= 0 AND parts >= 1),
+  CONSTRAINT ck_building_version_heights CHECK (ridge >= eaves),
+  CONSTRAINT ck_building_version_storeys CHECK (storeys_min >= 1 AND storeys_min <= storeys AND storeys <= storeys_max),
   CONSTRAINT ck_building_version_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT ck_building_version_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
   CONSTRAINT ck_building_version_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
@@ -342,13 +354,24 @@ CREATE TABLE building (
   run_id BIGINT NOT NULL,
   state TEXT NOT NULL,
   probability DOUBLE,
+  z_ground DOUBLE,
+  z_ground_min DOUBLE,
+  z_ground_max DOUBLE,
+  z_eaves DOUBLE,
+  z_ridge DOUBLE,
+  eaves DOUBLE,
+  ridge DOUBLE,
   storeys BIGINT NOT NULL,
+  storeys_min BIGINT,
+  storeys_max BIGINT,
+  storeys_top BIGINT,
   h_max DOUBLE NOT NULL,
   h_mean DOUBLE NOT NULL,
   h_p50 DOUBLE NOT NULL,
   h_p90 DOUBLE NOT NULL,
   area_m2 DOUBLE NOT NULL,
   volume_m3 DOUBLE NOT NULL,
+  floor_area_m2 DOUBLE,
   trees BIGINT NOT NULL,
   parts BIGINT NOT NULL,
   scales BIGINT NOT NULL,
@@ -363,12 +386,17 @@ CREATE TABLE building (
   flat_share DOUBLE,
   area3d_share DOUBLE,
   adaptive_share DOUBLE,
+  coverage DOUBLE,
+  nodata_share DOUBLE,
+  density DOUBLE,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (building_id, run_id),
   CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
   CONSTRAINT ck_building_building_id CHECK (building_id > 0),
   CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
   CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
+  CONSTRAINT ck_building_heights CHECK (ridge >= eaves),
+  CONSTRAINT ck_building_storeys CHECK (storeys_min >= 1 AND storeys_min <= storeys AND storeys <= storeys_max),
   CONSTRAINT ck_building_parts CHECK (trees >= 1 AND parts >= trees AND scales >= 1),
   CONSTRAINT ck_building_probability CHECK (probability >= 0 AND probability <= 1),
   CONSTRAINT ck_building_building_share CHECK (building_share >= 0 AND building_share <= 1),
@@ -376,6 +404,8 @@ CREATE TABLE building (
   CONSTRAINT ck_building_flat_share CHECK (flat_share >= 0 AND flat_share <= 1),
   CONSTRAINT ck_building_area3d_share CHECK (area3d_share >= 0 AND area3d_share <= 1),
   CONSTRAINT ck_building_adaptive_share CHECK (adaptive_share >= 0 AND adaptive_share <= 1),
+  CONSTRAINT ck_building_coverage CHECK (coverage >= 0 AND coverage <= 1),
+  CONSTRAINT ck_building_nodata_share CHECK (nodata_share >= 0 AND nodata_share <= 1),
   CONSTRAINT fk_building_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
@@ -549,7 +579,8 @@ ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
 ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 
 CREATE VIEW footprint AS
-SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.speindex, b.area_m2,
+SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.storeys_min, b.storeys_max,
+       b.storeys_top, b.z_ground, b.eaves, b.ridge, b.z_eaves, b.z_ridge, b.speindex, b.area_m2,
        b.h_max, b.h_mean, b.h_p50, b.h_p90, b.trees, b.parts, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
@@ -575,12 +606,15 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE VIEW building_summary AS
 SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.state, b.probability, b.storeys,
+       b.storeys_min, b.storeys_max, b.storeys_top, b.z_ground, b.z_ground_min, b.z_ground_max, b.eaves, b.ridge,
+       b.z_eaves, b.z_ridge, s.vertical_crs, b.coverage, b.nodata_share, b.density,
        b.multiscale_share, b.flat_share, b.area3d_share, b.adaptive_share, b.h_max, b.h_mean, b.h_p50, b.h_p90,
        b.area_m2, b.volume_m3,
+       COALESCE(b.floor_area_m2,
        (SELECT SUM(p.area_m2 * CASE WHEN p.hindex > COALESCE(f.hindex, 0)
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
-        WHERE p.building_id = b.building_id) AS floor_area_m2,
+        WHERE p.building_id = b.building_id)) AS floor_area_m2,
        b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.xcen, b.ycen, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
@@ -683,8 +717,9 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE VIEW footprint_current AS
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
-       v.state AS found_state, o.operator, o.note, v.storeys, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2,
-       v.volume_m3, v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.state AS found_state, o.operator, o.note, v.storeys, v.storeys_min, v.storeys_max, v.storeys_top, v.z_ground,
+       v.eaves, v.ridge, v.z_eaves, v.z_ridge, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2, v.volume_m3,
+       v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
        v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
@@ -700,7 +735,7 @@ SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey
        e.name AS ended_in,
        (SELECT MIN(c.kind) FROM building_change AS c
         WHERE c.version_before = v.version_id AND c.survey_id = v.closed_by) AS ended_as,
-       v.state, v.probability, v.storeys, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
+       v.state, v.probability, v.storeys, v.eaves, v.ridge, v.z_ground, v.h_max, v.h_p90, v.area_m2, v.volume_m3, v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
@@ -722,5 +757,5 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0002');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
 

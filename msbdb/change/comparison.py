@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from msbdb.change.decisions import Decisions
 from msbdb.change.differences import Epochs, Links, Mask, Offset, earlier_heights, estimate_offset, find_pieces, moved
+from msbdb.detect.scene import Elevations
+from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
-from msbdb.params import ChangeParams
+from msbdb.params import ChangeParams, Params
+from msbdb.tables import HEIGHTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,9 +150,42 @@ def measure(shape: shapely.MultiPolygon, heights: Grid) -> dict[str, float]:
     }
 
 
-def _box(shape: shapely.MultiPolygon, spec: GridSpec) -> tuple[slice, slice]:
-    """Return the rows and columns that an outline may cover."""
-    west, south, east, north = shape.bounds
+def measure_roofs(
+    shape: shapely.MultiPolygon, heights: Grid, elevations: Elevations, params: Params
+) -> dict[str, float | int]:
+    """Measure ground, eaves, ridge and storeys in an outline, as in a building.
+
+    Parameters
+    ----------
+    shape : Polygon or MultiPolygon
+        In the lattice's CRS.
+    heights : Grid
+        Heights above ground, metres.
+    elevations : Elevations
+        The terrain above sea, where it is known.
+    params : Params
+        Sections ``heights`` and ``surface``.
+
+    Returns
+    -------
+    dict
+        ``tables.HEIGHTS``; empty where no valid cell has its centre in the outline.
+    """
+    rows, cols = _box(shape, heights.spec, params.heights.far_ring_m)
+    if rows.stop <= rows.start or cols.stop <= cols.start:
+        return {}
+    near = Grid(np.asarray(heights.values)[rows, cols], heights.valid[rows, cols], heights.spec.crop(rows, cols))
+    labels = rasterise([shape], near.spec)
+    if not (near.valid & (labels > 0)).any():
+        return {}
+    terrain_cm = None if elevations.terrain_cm is None else elevations.terrain_cm[rows, cols]
+    found = measure_heights(labels, 1, near, Elevations(terrain_cm), params=params.heights, surface=params.surface)
+    return {name: found[name].iloc[0].item() for name in HEIGHTS}
+
+
+def _box(shape: shapely.MultiPolygon, spec: GridSpec, around_m: float = 0.0) -> tuple[slice, slice]:
+    """Return the rows and columns that an outline may cover, and those around it."""
+    west, south, east, north = shapely.box(*shape.bounds).buffer(around_m, join_style="mitre").bounds
     row, col = spec.rowcol(np.array([west, east]), np.array([north, south]))
     limits = zip((row, col), spec.shape, strict=True)
     top, left = (slice(max(int(first), 0), min(int(last) + 1, size)) for (first, last), size in limits)

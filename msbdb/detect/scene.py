@@ -1,6 +1,6 @@
 """The values between the steps: the scene that every detector takes, and the regions that it returns."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import geopandas as gpd
 import numpy as np
@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError
 from msbdb.grid import Bands, Grid
+from msbdb.kept import PER_METRE
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import PointCloud
 from msbdb.spectral.coverclasses import Cover
 from msbdb.surface import Surface
+from msbdb.surface.gridding import count_first
 from msbdb.surface.structure import Structure
 from msbdb.tables import Survey
 
@@ -44,6 +46,34 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Elevations:
+    """The terrain beneath each cell and the echoes in it, in the whole numbers that the database keeps.
+
+    Parameters
+    ----------
+    terrain_cm : (H, W) ndarray of int32, optional
+        Level of the terrain in the vertical reference of the source, centimetres. None where it is not known: the
+        source has heights above ground, or an older msbdb did not keep it.
+    echoes : (H, W) ndarray of uint16, optional
+        First echoes in the cell; of a raster 1 where it has a value. None where an older msbdb did not keep them.
+    of_points : bool
+        Whether the source has points.
+    """
+
+    terrain_cm: NDArray[np.int32] | None = None
+    echoes: NDArray[np.uint16] | None = None
+    of_points: bool = False
+
+    @classmethod
+    def of(cls, surface: Surface, cloud: PointCloud | None) -> "Elevations":
+        """Take the terrain of a surface, and count the first echoes of its cells."""
+        terrain_cm = np.rint(np.asarray(surface.dtm.values, dtype=np.float64) * PER_METRE).astype(np.int32)
+        spec, observed = surface.dtm.spec, surface.samples.observed
+        echoes = observed.astype(np.uint16) if cloud is None else count_first(cloud, spec)
+        return cls(terrain_cm if surface.terrain_known else None, echoes, cloud is not None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """One survey, prepared for the detectors: all on one lattice.
 
@@ -57,6 +87,8 @@ class Scene:
         Land cover by structure, colours and the operator's labels.
     evidence : Evidence, optional
         Each cell's own evidence of roof; None where a run of an older msbdb kept none.
+    elevations : Elevations
+        The terrain above sea and the echoes of each cell, where they are known.
     surface : Surface, optional
         DSM, DTM and nDSM; None where a scene is read back from the database.
     cloud : PointCloud, optional
@@ -69,6 +101,7 @@ class Scene:
     heights: Grid
     cover: Cover
     evidence: Evidence | None
+    elevations: Elevations = field(default_factory=Elevations)
     surface: Surface | None = None
     cloud: PointCloud | None = None
     bands: Bands | None = None

@@ -7,10 +7,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from msbdb.detect.scene import Elevations
 from msbdb.errors import GridMismatchError, TableError
+from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid
 from msbdb.labels import Labels, height_statistics, order_heights, shared_cells, sizes, sums
-from msbdb.params import FuseParams
+from msbdb.params import FuseParams, Params
 from msbdb.tables import BUILDING, CONFIRMING_CLASS_SHARE, CONFIRMING_COVER, DETECTOR_SHARES, Table
 
 Ids = NDArray[np.int64]
@@ -51,7 +53,13 @@ def label_buildings(parts: pd.DataFrame, root_labels: Labels) -> Labels:
     return number[root_labels]
 
 
-def buildings_from_parts(parts: pd.DataFrame, labels: Labels, ndsm: Grid) -> pd.DataFrame:
+def buildings_from_parts(
+    parts: pd.DataFrame,
+    labels: Labels,
+    ndsm: Grid,
+    elevations: Elevations | None = None,
+    params: Params | None = None,
+) -> pd.DataFrame:
     """Return the buildings in which the trees of parts stand.
 
     Parameters
@@ -62,6 +70,10 @@ def buildings_from_parts(parts: pd.DataFrame, labels: Labels, ndsm: Grid) -> pd.
         Which building covers a cell (`label_buildings`).
     ndsm : Grid
         Heights above ground on the labels' lattice, metres.
+    elevations : Elevations, optional
+        The terrain above sea and the echoes of each cell; without them levels above sea and the density are null.
+    params : Params, optional
+        Sections ``heights`` and ``surface``.
 
     Returns
     -------
@@ -77,10 +89,12 @@ def buildings_from_parts(parts: pd.DataFrame, labels: Labels, ndsm: Grid) -> pd.
     -----
     - ``state`` is 'confirmed' when at least half of the building's cells have a building class, and 'unsure' when
       fewer have, or there are no classes. `with_support` hears the other detectors.
-    - ``storeys`` are those of the tallest part; heights are of all valid cells in the footprint. The volume is
-      exact for a surface above flat ground: the sum of height times cell area, in which heights below 0 count as 0.
+    - Ground, eaves, ridge and storeys are those of `msbdb.fuse.roofheights.measure_heights`. ``h_max`` and the other
+      ``h_`` are of all valid cells in the footprint. The volume is exact for a surface above flat ground: the sum of
+      height times cell area, in which heights below 0 count as 0.
     - The shares that other detectors cover, and the probability, are null here; `with_support` adds them.
     """
+    params, elevations = params or Params(), elevations or Elevations()
     parts = pd.DataFrame(parts)
     ids = np.unique(parts["building_id"].to_numpy())
     _require_ids(labels, ids, "building_id")
@@ -92,10 +106,10 @@ def buildings_from_parts(parts: pd.DataFrame, labels: Labels, ndsm: Grid) -> pd.
     means = pd.DataFrame(weighted).groupby(roots["building_id"]).sum(min_count=1).div(cells, axis=0)
     # The largest root gives its id to the building.
     largest = roots.set_index("part_id").loc[ids, ["speindex", "xin", "yin"]].reset_index(drop=True)
-    frame = largest.assign(
+    measured = measure_heights(labels, len(ids), ndsm, elevations, params=params.heights, surface=params.surface)
+    frame = pd.concat([largest, measured], axis=1).assign(
         building_id=ids,
         **{name: means[name].to_numpy() for name in means.columns},
-        storeys=within["hindex"].max().to_numpy(),
         area_m2=cells.to_numpy() * ndsm.spec.cell_area_m2,
         volume_m3=_volume(labels, len(ids), ndsm),
         trees=roots.groupby("building_id").size().to_numpy(),

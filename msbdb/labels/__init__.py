@@ -27,6 +27,7 @@ from msbdb.labels.statistics import (
     measure,
     offsets,
     order_heights,
+    quantiles,
     region_means,
 )
 
@@ -47,6 +48,7 @@ __all__ = [
     "neighbours",
     "offsets",
     "order_heights",
+    "quantiles",
     "region_means",
     "renumber",
     "reorder",

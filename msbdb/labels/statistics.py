@@ -172,6 +172,33 @@ def _quantile(
     return result
 
 
+def quantiles(labels: NDArray[np.int32], values: NDArray[np.floating], count: int, share: float) -> NDArray[np.float64]:
+    """Return a quantile of the values over the cells or points of each region; NaN for a region without any.
+
+    Parameters
+    ----------
+    labels : ndarray of int32
+        0 for none, otherwise 1 to ``count``.
+    values : ndarray of float, of the same shape
+        Without NaN.
+    count : int
+        Number of regions.
+    share : float
+        0 for the lowest value, 0.5 for the median, 1 for the highest; interpolated linearly between the two nearest.
+
+    Examples
+    --------
+    >>> quantiles(np.array([1, 1, 1, 3, 0]), np.array([4.0, 6.0, 9.0, 1.0, 7.0]), 3, 0.5)
+    array([ 6., nan,  1.])
+    """
+    use = labels > 0
+    member, numbers = labels[use], values[use].astype(np.float64)
+    order = np.lexsort((numbers, member))
+    starts = np.concatenate([[0], np.cumsum(sizes(member, count))])
+    some = np.diff(starts) > 0
+    return np.where(some, _quantile(numbers[order], starts, some, share), np.nan)
+
+
 def central_cells(
     labels: Labels,
     span: slice,

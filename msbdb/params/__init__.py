@@ -7,7 +7,15 @@ values.
 
 from msbdb.params.declare import checked_value, param, read_params, with_values
 from msbdb.params.detect import AdaptiveParams, Area3dParams, FlatRegionParams
-from msbdb.params.parts import ChangeParams, EvaluateParams, FuseParams, GranulometryParams, ScaleParams, VectorParams
+from msbdb.params.parts import (
+    ChangeParams,
+    EvaluateParams,
+    FuseParams,
+    GranulometryParams,
+    HeightParams,
+    ScaleParams,
+    VectorParams,
+)
 from msbdb.params.prepare import CoverParams, GroundParams, SpectralParams, SurfaceParams
 from msbdb.params.profiles import (
     DETECTORS,
@@ -35,6 +43,7 @@ __all__ = [
     "FuseParams",
     "GranulometryParams",
     "GroundParams",
+    "HeightParams",
     "Params",
     "ScaleParams",
     "SpectralParams",

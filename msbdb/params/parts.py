@@ -87,6 +87,43 @@ class FuseParams:
 
 
 @dataclass(frozen=True, slots=True)
+class HeightParams:
+    """Ground, eaves, ridge and storeys of buildings; no paper gives them."""
+
+    wall_m: float = param(1.0, "m", "A step between neighbouring cells larger than those beside it by this is a wall.",
+        ours="dormers and parapets step less, storeys more", low=0.1, high=20)
+    wall_slope: float = param(2.0, "m/m", "A step above wall_m that is steeper than this is a wall in any case.",
+        ours="roofs of 63 degrees rise as much", low=0, high=10)
+    roof_m2: float = param(50.0, "m2", "A roof of this area has weight in the heights of its building.",
+        ours="a small house; lift houses are smaller", low=0, high=1e4)
+    roof_share: float = param(0.1, "1", "So has a smaller one of this share of its building, from least_roof_m2 on.",
+        ours="an annex or a tower is more, a dormer less", low=0, high=1)
+    least_roof_m2: float = param(10.0, "m2", "Least area of a roof of weight, unless all are smaller.",
+        ours="the finest scale; chimneys and crowns over roofs are smaller", low=0, high=1e4)
+    eaves_share: float = param(0.2, "1", "Share of a roof's rim that lies below its eaves.",
+        ours="verges and gables take up to two thirds of a rim, one low side of a shed roof a fifth or more",
+        low=0, high=1)
+    ridge_share: float = param(0.98, "1", "Share of a roof that lies below its ridge.",
+        ours="chimneys and antennas take a hundredth of a roof", low=0.5, high=1)
+    ring_m: float = param(2.0, "m", "Width of the ring around a building; two cells at least.",
+        ours="a pavement or a narrow garden, before the next building or terrace", low=0.1, high=50)
+    far_ring_m: float = param(10.0, "m", "Ground as far as this counts where the ring shows too little.",
+        ours="a street's width", low=0.1, high=200)
+    bare_m: float = param(0.3, "m", "Ground is seen where the surface is this near to the terrain.",
+        ours="kerbs and grass are lower, cars and hedges higher", low=0.01, high=5)
+    ground_cells: int = param(8, "cells", "Fewer cells of seen ground are too little.",
+        ours="the corners of a house", low=1, high=1000)
+    ground_tail: float = param(0.05, "1", "Share of the ground below its lowest and above its highest level.",
+        ours="steps, light wells and flower beds", low=0, high=0.49)
+    low_storey_m: float = param(2.5, "m", "Lowest plausible storey, floor to floor.",
+        ours="2.2 to 2.4 m of room and a floor", low=1.5, high=10)
+    tall_storey_m: float = param(4.0, "m", "Tallest plausible storey, floor to floor.",
+        ours="old town houses and offices; halls have no storeys", low=1.5, high=20)
+    roof_build_m: float = param(1.0, "m", "Plinth, roof structure and parapet within the height of the eaves, at most.",
+        ours="half a metre below the first floor, and as much above the last", low=0, high=5)
+
+
+@dataclass(frozen=True, slots=True)
 class VectorParams:
     """From raster parts to polygons."""
 

@@ -121,7 +121,7 @@ def make_frames(
     parts : GeoDataFrame
         The same parts with their outlines.
     params : Params
-        Sections ``fuse`` and ``vector``.
+        Sections ``fuse``, ``heights``, ``surface`` and ``vector``.
     """
     spec = scene.heights.spec
     link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
@@ -136,7 +136,7 @@ def make_frames(
         links[found.method] = link(forest.labels, part_ids, found.labels, ids, table=PART_CANDIDATE)
         between.append(link([flat.labels], flat_ids, found.labels, ids, table=FLAT_REGION_CANDIDATE))
     labels = label_buildings(parts, forest.root_labels)
-    buildings = buildings_from_parts(parts, labels, scene.heights)
+    buildings = buildings_from_parts(parts, labels, scene.heights, scene.elevations, params)
     fusion = params.fuse if is_fused(regions, params.fuse) else None
     shares = {name: covered_shares(labels, len(buildings), found.labels) for name, found in regions.items()}
     outlines = _outlines(labels, len(buildings), spec, params.vector)
@@ -211,4 +211,6 @@ def _rasters(scene: Scene, regions: Mapping[str, Regions]) -> Rasters:
         regions={name: found.labels for name, found in regions.items() if name != "multiscale"},
         roughness_mm=None if evidence is None else evidence.roughness_mm,
         roof_probability=None if evidence is None else evidence.roof_probability,
+        terrain_cm=scene.elevations.terrain_cm,
+        echoes=scene.elevations.echoes,
     )

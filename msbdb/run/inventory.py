@@ -34,14 +34,14 @@ from msbdb.grid import Grid, lattice
 from msbdb.io.vector import read_point_features, read_polygons
 from msbdb.kept import heights_of
 from msbdb.run.reports import Changes, ImportReport
-from msbdb.tables import EXTRACTOR_SHARES
+from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS
 from msbdb.view.buildingmap import draw_changes
 
 SINCE_EVER = "0001-01-01"
 """First day of an inventory of unknown age."""
 
 MEASURED = (
-    "storeys",
+    *HEIGHTS,
     "h_max",
     "h_mean",
     "h_p50",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from msbdb.detect.scene import Evidence, Scene
+from msbdb.detect.scene import Elevations, Evidence, Scene
 from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
@@ -136,8 +136,8 @@ def prepare(
         if label.classes is not None:
             cover = keep_labels(cover, label.classes)
     record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
-    evidence = Evidence.of(structure)
-    return Scene(record, surface.ndsm, cover, evidence, surface=surface, cloud=cloud, bands=bands), params
+    evidence, elevations = Evidence.of(structure), Elevations.of(surface, cloud)
+    return Scene(record, surface.ndsm, cover, evidence, elevations, surface, cloud, bands), params
 
 
 def note_missing_sources(scene: Scene) -> None:
@@ -155,7 +155,7 @@ def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Su
         return build_surface(cloud, params)
     if inputs.ndsm is not None:
         ndsm = read_grid(inputs.ndsm, crs=inputs.crs, role="nDSM", z_unit=inputs.z_unit)
-        return surface_from_rasters(ndsm, flat_ground(ndsm))
+        return surface_from_rasters(ndsm, flat_ground(ndsm), terrain_known=False)
     if inputs.dsm is None or inputs.dtm is None:  # kept from happening by Inputs
         msg = "A DSM needs a DTM."
         raise InputError(msg)

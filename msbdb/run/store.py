@@ -18,7 +18,7 @@ from msbdb.database import (
     read_survey,
     store_build,
 )
-from msbdb.detect.scene import Evidence, Regions, Scene
+from msbdb.detect.scene import Elevations, Evidence, Regions, Scene
 from msbdb.errors import DatabaseError
 from msbdb.grid import GridSpec
 from msbdb.kept import KeptRun, Rasters, lattice_of
@@ -27,7 +27,7 @@ from msbdb.params import POINT_DETECTORS
 from msbdb.run.compose import relabelled
 from msbdb.run.reports import BuildReport, Progress, Stages
 from msbdb.spectral.coverclasses import Cover
-from msbdb.tables import REJECTION
+from msbdb.tables import REJECTION, Survey
 
 logger = logging.getLogger(__name__)
 
@@ -101,7 +101,13 @@ def report_of(kept: KeptRun, stages: Stages, *, changed: bool, passing: Sequence
 
 def recall_scene(kept: KeptRun) -> Scene:
     """Return the scene of a kept run, with the operator's labels so far; without surface, points and bands."""
-    return Scene(kept.survey, kept.heights, _cover(kept, lattice_of(kept.survey)), _evidence(kept.rasters))
+    cover, elevations = _cover(kept, lattice_of(kept.survey)), recall_elevations(kept.survey, kept.rasters)
+    return Scene(kept.survey, kept.heights, cover, _evidence(kept.rasters), elevations)
+
+
+def recall_elevations(survey: Survey, rasters: Rasters) -> Elevations:
+    """Return the terrain and the echoes of a kept run; without them where an older msbdb wrote it."""
+    return Elevations(rasters.terrain_cm, rasters.echoes, any(source.role == "points" for source in survey.sources))
 
 
 def recall_regions(kept: KeptRun) -> dict[str, Regions]:

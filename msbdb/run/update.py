@@ -13,7 +13,7 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
-from msbdb.change.comparison import Comparison, compare, measure
+from msbdb.change.comparison import Comparison, compare, measure, measure_roofs
 from msbdb.database import (
     PATIENCE_S,
     Advance,
@@ -42,7 +42,8 @@ from msbdb.params import profile as named_profile
 from msbdb.run.compose import choose_detectors
 from msbdb.run.prepare import Inputs
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
-from msbdb.tables import EXTRACTOR_SHARES, Survey
+from msbdb.run.store import recall_elevations
+from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey
 from msbdb.version import __version__
 
 logger = logging.getLogger(__name__)
@@ -52,9 +53,9 @@ ATTEMPTS = 5
 
 MEASURED_FIRST = "its heights are known for the first time"
 
-FROM_SURVEY = ("state", "storeys", "parts", *EXTRACTOR_SHARES.values(), "probability")
+FROM_SURVEY = ("state", "parts", *EXTRACTOR_SHARES.values(), "probability")
 
-HEIGHTS = ("h_max", "h_mean", "h_p50", "h_p90")
+CELL_HEIGHTS = ("h_max", "h_mean", "h_p50", "h_p90")
 
 
 def is_built(
@@ -157,6 +158,7 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
     params = _params(engine, record.name)
     found = compare(before, after, heights=heights, earlier=_earlier(engine, standing), surveyed=inside, params=params)
     found, states = _states(found, before, after, heights)
+    states = _with_roofs(states, found, engine, record, heights)
     states = _with_parts(states, found, engine, record.name)
     made = Advance(
         survey=record.name, survey_id=survey_key(record.name), date=date, area=area, digest=standing.digest,
@@ -212,7 +214,9 @@ def _states(
     known = pd.DataFrame(after.drop(columns="geometry")).astype(object)
     values = known.reindex(rows).set_axis(versions.index)
     states = gpd.GeoDataFrame(
-        values[["building_id", *FROM_SURVEY, *HEIGHTS, "area_m2", "volume_m3"]].assign(before=versions["before"]),
+        values[["building_id", *FROM_SURVEY, *HEIGHTS, *CELL_HEIGHTS, "area_m2", "volume_m3"]].assign(
+            before=versions["before"]
+        ),
         geometry=versions.geometry,
         crs=after.crs,
     )
@@ -245,8 +249,24 @@ def _with_first_measures(found: Comparison, before: gpd.GeoDataFrame, heights: G
     return replace(found, changes=changes, versions=versions.astype(types))
 
 
+def _with_roofs(
+    states: gpd.GeoDataFrame, found: Comparison, engine: Engine, record: Survey, heights: Grid
+) -> gpd.GeoDataFrame:
+    """Give versions with an outline that is not the survey's own the ground, eaves, ridge and storeys inside it."""
+    rows = np.flatnonzero(~found.versions["adopted"].to_numpy())
+    if not len(rows):
+        return states
+    elevations = recall_elevations(record, read_rasters(engine, record.name))
+    values: Any = read_run(engine, record.name).parameters
+    params = with_values(Params(), {name: values.get(name, {}) for name in ("heights", "surface")})
+    for row in rows.tolist():
+        for name, value in measure_roofs(states.geometry.iloc[row], heights, elevations, params).items():
+            states.loc[states.index[row], name] = value
+    return states
+
+
 def _with_parts(states: gpd.GeoDataFrame, found: Comparison, engine: Engine, survey: str) -> gpd.GeoDataFrame:
-    """Give versions with an outline that is not the survey's own the storeys and number of the parts inside it."""
+    """Give versions with an outline that is not the survey's own the number of the parts inside it."""
     rows = np.flatnonzero(~found.versions["adopted"].to_numpy())
     if not len(rows):
         return states
@@ -256,7 +276,6 @@ def _with_parts(states: gpd.GeoDataFrame, found: Comparison, engine: Engine, sur
     for row in rows.tolist():
         inside = parts.iloc[tree.query(states.geometry.iloc[row], predicate="contains")]
         if len(inside):
-            states.loc[states.index[row], "storeys"] = int(inside["hindex"].max())
             states.loc[states.index[row], "parts"] = len(inside)
     return states
 

@@ -120,6 +120,11 @@ def sample_nearest(points: PointCloud, spec: GridSpec) -> Samples:
     return Samples(*_nearest(arrays, points.first_echo, frame(spec), spec.shape), spec)
 
 
+def count_first(points: PointCloud, spec: GridSpec) -> NDArray[np.uint16]:
+    """Count the first echoes in each cell; more than 65,535 count as that."""
+    return _count(points.x, points.y, points.first_echo, frame(spec), spec.shape)
+
+
 def lowest(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None = None) -> Grid:
     """Grid the lowest of the chosen points (all unless given) of each cell; cells without one are not valid."""
     wanted = np.ones(len(points), dtype=np.bool_) if chosen is None else chosen
@@ -198,6 +203,18 @@ def _occupied(x: Floats, y: Floats, chosen: Mask, frame: Frame, shape: tuple[int
             if row >= 0:
                 found[row, col] = True
     return found
+
+
+@kernel
+def _count(x: Floats, y: Floats, chosen: Mask, frame: Frame, shape: tuple[int, int]) -> NDArray[np.uint16]:
+    """Count the chosen points of each cell, up to what 16 bits hold."""
+    counts = np.zeros(shape, dtype=np.uint16)
+    for i in range(x.size):
+        if chosen[i]:
+            row, col = cell_of(x[i], y[i], frame, shape)
+            if row >= 0 and counts[row, col] < 65_535:
+                counts[row, col] += np.uint16(1)
+    return counts
 
 
 @kernel

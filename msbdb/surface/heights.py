@@ -35,6 +35,8 @@ class Surface:
         Name of the ground filter; ``given`` for a terrain raster.
     density : float
         First echoes, or cells of the source raster, a square metre.
+    terrain_known : bool
+        Whether the terrain has its level; False where the source has heights above ground.
     """
 
     dsm: Grid
@@ -43,6 +45,7 @@ class Surface:
     samples: Samples
     ground_filter: str
     density: float
+    terrain_known: bool = True
 
 
 def normalise(dsm: Grid, dtm: Grid) -> Grid:
@@ -121,12 +124,15 @@ def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Gr
     return Grid(heights.astype(np.float32), valid, spec), samples
 
 
-def surface_from_rasters(dsm: Grid, dtm: Grid) -> Surface:
+def surface_from_rasters(dsm: Grid, dtm: Grid, *, terrain_known: bool = True) -> Surface:
     """Take a surface and a terrain as they are given.
+
+    ``terrain_known`` is False where the surface holds heights above ground, and the terrain is 0 everywhere.
 
     Raises
     ------
     GridMismatchError
         When the lattices differ.
     """
-    return Surface(dsm, dtm, normalise(dsm, dtm), grid_samples(dsm), GIVEN_GROUND, 1 / dsm.spec.cell_area_m2)
+    density = 1 / dsm.spec.cell_area_m2
+    return Surface(dsm, dtm, normalise(dsm, dtm), grid_samples(dsm), GIVEN_GROUND, density, terrain_known)

@@ -6,6 +6,7 @@ from msbdb.tables.building_tables import (
     CONFIRMING_COVER,
     DETECTOR_SHARES,
     EXTRACTOR_SHARES,
+    HEIGHTS,
     PART,
     validate_parts,
 )
@@ -93,6 +94,7 @@ __all__ = [
     "EXTRACTOR_SHARES",
     "FLAT_REGION",
     "FLAT_REGION_CANDIDATE",
+    "HEIGHTS",
     "INVENTORY_BUILDING",
     "INVENTORY_EVENT",
     "INVENTORY_TABLES",

@@ -136,6 +136,68 @@ def _covered() -> tuple[Column, ...]:
     )
 
 
+HEIGHTS = (
+    "z_ground",
+    "z_ground_min",
+    "z_ground_max",
+    "z_eaves",
+    "z_ridge",
+    "eaves",
+    "ridge",
+    "storeys",
+    "storeys_min",
+    "storeys_max",
+    "storeys_top",
+)
+"""Columns of a building, and of its versions, with ground, eaves, ridge and storeys."""
+
+
+def _heights() -> tuple[Column, ...]:
+    """Return the columns of a building's ground, eaves, ridge and storeys, null where an older msbdb has none."""
+    metres = {
+        "z_ground": "median level of the ground around it, in the survey's vertical reference; null where not known",
+        "z_ground_min": "lowest level of the ground around it, but for a twentieth",
+        "z_ground_max": "highest level of the ground around it, but for a twentieth",
+        "z_eaves": "level of the eaves of its main roof; null where z_ground is",
+        "z_ridge": "level of the ridge of its highest roof of weight; null where z_ground is",
+        "eaves": "z_eaves above z_ground",
+        "ridge": "z_ridge above z_ground",
+    }
+    counts = {
+        "storeys_min": "fewest storeys that the eaves can have, if storeys are tall",
+        "storeys_max": "most storeys that the eaves can have, if storeys are low",
+        "storeys_top": "storeys of the highest eaves of its roofs of weight, as of a tower on a podium",
+    }
+    return (
+        *(Column(name, "float64", "m", doc, nullable=True) for name, doc in metres.items()),
+        Column("storeys", "int64", "storeys", "storeys from the eaves; of runs of an older msbdb, of its tallest part"),
+        *(Column(name, "Int64", "storeys", doc, nullable=True) for name, doc in counts.items()),
+    )
+
+
+def height_rules() -> tuple[Check, ...]:
+    """Return what holds between the heights of a building, or of one of its versions."""
+    return (
+        Check("heights", "ridge >= eaves"),
+        Check("storeys", "storeys_min >= 1 AND storeys_min <= storeys AND storeys <= storeys_max"),
+    )
+
+
+def _quality() -> tuple[Column, ...]:
+    """Return the columns that say how well a building was seen, null where a run of an older msbdb has none."""
+    return (
+        Column("coverage", "float64", "1", "share of the footprint's cells with a measured height", nullable=True),
+        Column(
+            "nodata_share",
+            "float64",
+            "1",
+            "share of the footprint and the ring around it that has no height, as at water and at the survey's border",
+            nullable=True,
+        ),
+        Column("density", "float64", "1/m2", "first echoes a square metre in it; null for rasters", nullable=True),
+    )
+
+
 BUILDING = Table(
     "building",
     "A building: one connected island of roofs that the detectors support, with one or more trees of parts",
@@ -155,13 +217,20 @@ BUILDING = Table(
             "probability that it is a building, from the support of all detectors; null with fewer than three",
             nullable=True,
         ),
-        Column("storeys", "int64", "storeys", "storeys of its tallest part"),
+        *_heights(),
         Column("h_max", "float64", "m", "largest height above ground"),
         Column("h_mean", "float64", "m", "mean height above ground"),
         Column("h_p50", "float64", "m", "median height above ground"),
         Column("h_p90", "float64", "m", "90th percentile of the height above ground"),
         Column("area_m2", "float64", "m2", "area of the footprint's cells"),
         Column("volume_m3", "float64", "m3", "sum over the footprint's cells of height times cell area"),
+        Column(
+            "floor_area_m2",
+            "float64",
+            "m2",
+            "estimate of the area of all storeys, by the eaves of each roof; null in runs of an older msbdb",
+            nullable=True,
+        ),
         Column("trees", "int64", "count", "number of its trees of parts; one root each"),
         Column("parts", "int64", "count", "number of parts, the roots included"),
         Column("scales", "int64", "count", "number of scales on which it has parts"),
@@ -173,6 +242,7 @@ BUILDING = Table(
         Column("xin", "float64", "m", "easting of a point that lies on the building"),
         Column("yin", "float64", "m", "northing of a point that lies on the building"),
         *_covered(),
+        *_quality(),
     ),
     rules=(
         Unique(("building_id", "run_id")),
@@ -180,8 +250,9 @@ BUILDING = Table(
         Check("building_id", "building_id > 0"),
         one_of("state", BUILDING_STATES),
         Check("size", "storeys >= 0 AND area_m2 > 0"),
+        *height_rules(),
         Check("parts", "trees >= 1 AND parts >= trees AND scales >= 1"),
-        *shares("probability", "building_share", *DETECTOR_SHARES.values()),
+        *shares("probability", "building_share", *DETECTOR_SHARES.values(), "coverage", "nodata_share"),
     ),
     indexes=(Index(("run_id", "class_id")),),
     geometry="MULTIPOLYGON",

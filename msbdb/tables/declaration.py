@@ -18,8 +18,8 @@ class Column:
     name : str
         Its name.
     dtype : str
-        pandas dtype: ``int64``, ``float64`` or ``str``. Columns that no frame has may also be ``int32``, ``bool``,
-        ``json`` or ``bytes``.
+        pandas dtype: ``int64``, ``float64``, ``str``, or ``Int64`` for whole numbers that may be null. Columns that no
+        frame has may also be ``int32``, ``bool``, ``json`` or ``bytes``.
     unit : str
         Unit; ``-`` for none.
     doc : str

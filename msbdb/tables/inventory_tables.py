@@ -7,7 +7,7 @@ decision must be kept when an update is withdrawn and applied again.
 
 from dataclasses import replace
 
-from msbdb.tables.building_tables import BUILDING, BUILDING_STATES, EXTRACTOR_SHARES
+from msbdb.tables.building_tables import BUILDING, BUILDING_STATES, EXTRACTOR_SHARES, HEIGHTS, height_rules
 from msbdb.tables.declaration import Check, Column, Index, Table, one_of, only_stored, shares
 
 CHANGE_KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
@@ -86,7 +86,7 @@ BUILDING_VERSION = Table(
             nullable=True,
         ),
         BUILDING["state"],
-        *_measured("storeys", "h_max", "h_mean", "h_p50", "h_p90"),
+        *_measured(*HEIGHTS, "h_max", "h_mean", "h_p50", "h_p90"),
         Column("area_m2", "float64", "m2", "area of the footprint"),
         *_measured("volume_m3", "parts", "flat_share", "area3d_share", "adaptive_share", "probability"),
         Column(
@@ -107,6 +107,7 @@ BUILDING_VERSION = Table(
         one_of("state", BUILDING_STATES),
         Check("area", "area_m2 > 0"),
         Check("parts", "storeys >= 0 AND parts >= 1"),
+        *height_rules(),
         *shares(*EXTRACTOR_SHARES.values(), "probability"),
     ),
     indexes=(

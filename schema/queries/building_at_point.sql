@@ -14,6 +14,6 @@ WITH place AS (
                          (SELECT ST_SRID(geometry) FROM building LIMIT 1)) AS point
   FROM place
 )
-SELECT b.building_id, b.survey, b.state, b.probability, b.storeys, b.h_max, b.area_m2, b.volume_m3, b.trees, b.parts, b.class_label
+SELECT b.building_id, b.survey, b.state, b.probability, b.storeys, b.z_ground, b.eaves, b.ridge, b.h_max, b.area_m2, b.volume_m3, b.trees, b.parts, b.class_label
 FROM spot JOIN building_summary AS b ON ST_Intersects(b.geometry, spot.point)
 ORDER BY b.building_id;

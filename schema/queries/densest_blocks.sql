@@ -9,7 +9,7 @@ WITH block AS (
 )
 SELECT survey,
        FLOOR(xcen / side) * side AS west, FLOOR(ycen / side) * side AS south,
-       COUNT(*) AS buildings, SUM(area_m2) / (side * side) AS built_share, MAX(storeys) AS most_storeys
+       COUNT(*) AS buildings, SUM(area_m2) / (side * side) AS built_share, MAX(COALESCE(storeys_top, storeys)) AS most_storeys
 FROM building_summary CROSS JOIN block
 WHERE (CAST(:survey AS TEXT) IS NULL OR survey = :survey)
 GROUP BY survey, side, FLOOR(xcen / side), FLOOR(ycen / side)

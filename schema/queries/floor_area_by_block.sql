@@ -1,5 +1,5 @@
--- How much floor area is there in each square block? An estimate: each part counts its area once for every storey by
--- which it rises above its father. The floor area ratio is the floor area over the block's area.
+-- How much floor area is there in each square block? An estimate: each roof counts its area once for every storey
+-- below its eaves. The floor area ratio is the floor area over the block's area.
 --
 -- :block_m = 100  side of a block, metres
 -- :survey = null  name of a survey; null takes all

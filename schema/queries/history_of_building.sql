@@ -1,7 +1,7 @@
 -- What is the history of one building: its versions, the changes that began and ended each, and its height?
 --
 -- :uid = null  the building of the inventory; null takes the one of most versions
-SELECT h.uid, h.valid_from, h.valid_to, h.survey, h.began_as, h.ended_as, h.state, h.storeys, h.h_p90, h.area_m2
+SELECT h.uid, h.valid_from, h.valid_to, h.survey, h.began_as, h.ended_as, h.state, h.storeys, h.eaves, h.ridge, h.h_p90, h.area_m2
 FROM building_history AS h
 WHERE h.uid = COALESCE(
   CAST(:uid AS BIGINT), (SELECT uid FROM building_version GROUP BY uid ORDER BY COUNT(*) DESC, uid LIMIT 1)

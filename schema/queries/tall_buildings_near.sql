@@ -1,4 +1,4 @@
--- Which buildings of at least so many storeys are within a distance of a point, the nearest outline first?
+-- Which buildings of at least so many storeys, towers on podiums among them, are within a distance of a point, the nearest outline first?
 --
 -- :storeys = 5  fewest storeys
 -- :easting = null  easting of the point, metres; null takes the middle of all buildings
@@ -12,9 +12,9 @@ WITH place AS (
                          (SELECT ST_SRID(geometry) FROM building LIMIT 1)) AS point
   FROM place
 ), near AS MATERIALIZED (
-  SELECT b.building_id, b.survey, b.storeys, b.h_max, b.area_m2, ST_Distance(b.geometry, spot.point) AS distance_m
+  SELECT b.building_id, b.survey, b.storeys, COALESCE(b.storeys_top, b.storeys) AS storeys_top, b.ridge, b.h_max, b.area_m2, ST_Distance(b.geometry, spot.point) AS distance_m
   FROM spot
   JOIN building_summary AS b ON ST_Intersects(b.geometry, ST_Expand(spot.point, CAST(:radius_m AS DOUBLE PRECISION)))
-  WHERE b.storeys >= :storeys
+  WHERE COALESCE(b.storeys_top, b.storeys) >= :storeys
 )
 SELECT * FROM near WHERE distance_m <= :radius_m ORDER BY distance_m, building_id;

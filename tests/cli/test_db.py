@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from simulated.builds import EPSG, HOSTILE, small_build
 from sqlalchemy import text
-from support.latermigration import LATER, migrations_of_tomorrow
+from support.latermigration import LATER, TODAY, migrations_of_tomorrow
 
 from msbdb.cli.db import db as commands
 from msbdb.cli.main import cli
@@ -73,8 +73,8 @@ def test_upgrade_and_downgrade_tell_the_versions(tmp_path: Path, tomorrow: Calla
     assert run("check", place).exit_code == 1
     assert "msbdb db upgrade" in run("check", place).stderr
     told_up = told("upgrade", place)
-    assert (told_up["before"], told_up["lost"]) == ("0002", [])
-    assert told("downgrade", place, "--to", "0002")["after"] == "0002"
+    assert (told_up["before"], told_up["lost"]) == (TODAY, [])
+    assert told("downgrade", place, "--to", TODAY)["after"] == TODAY
     assert LATER in run("upgrade", place).stdout
 
 
@@ -82,10 +82,10 @@ def test_a_downgrade_with_losses_ends_with_1(town: str, tomorrow: Callable[[], N
     """It names what would be lost; forced, it lists what was."""
     tomorrow()
     told("upgrade", town)
-    refused = run("downgrade", town, "--to", "0002")
+    refused = run("downgrade", town, "--to", TODAY)
     assert refused.exit_code == 1
     assert "6 values of building.colour" in refused.stderr
-    assert "6 values of building.colour" in told("downgrade", town, "--to", "0002", "--force")["lost"]
+    assert "6 values of building.colour" in told("downgrade", town, "--to", TODAY, "--force")["lost"]
 
 
 def test_a_sound_database_ends_with_0(town: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 from pyproj import CRS
 from simulated.builds import EPSG, HOSTILE, small_build
 from sqlalchemy import func, select, text
-from support.latermigration import LATER, migrations_of_tomorrow
+from support.latermigration import LATER, TODAY, migrations_of_tomorrow
 from support.sizes import sample
 
 from msbdb.database import (
@@ -120,7 +120,7 @@ def test_a_downgrade_says_what_would_be_lost_and_does_nothing(target: str, tomor
     rows = counts(target)["flat_region_candidate"]
     assert rows > 0
     with pytest.raises(SchemaVersionError) as refused:
-        downgrade_schema(target, "0002")
+        downgrade_schema(target, TODAY)
     for word in (f"{rows} rows of flat_region_candidate", "3 values of building.colour", "--force"):
         assert word in str(refused.value)
     assert version_of(open_any(target)) == LATER
@@ -133,8 +133,8 @@ def test_a_forced_downgrade_loses_just_what_it_says(target: str, tomorrow: Calla
     engine = open_database(target, create=True, srid=EPSG)
     write_build(engine, small_build())
     before = dump(target)
-    _, after, lost = downgrade_schema(target, "0002", force=True)
-    assert (after, version_of(open_any(target))) == ("0002", "0002")
+    _, after, lost = downgrade_schema(target, TODAY, force=True)
+    assert (after, version_of(open_any(target))) == (TODAY, TODAY)
     [loss] = map(str, lost)
     assert loss.endswith("rows of flat_region_candidate")
     upgrade_schema(target)
@@ -150,7 +150,7 @@ def test_a_downgrade_that_loses_nothing_needs_no_force(target: str, tomorrow: Ca
     engine = open_database(target, create=True, srid=EPSG)
     write_build(engine, small_build(method="multiscale"))
     before = dump(target)
-    assert downgrade_schema(target) == (LATER, "0002", [])
+    assert downgrade_schema(target) == (LATER, TODAY, [])
     upgrade_schema(target)
     assert dump(target) == before
     assert check_database(engine) == []
@@ -161,7 +161,7 @@ def test_only_older_schemas_with_a_way_back_are_taken(target: str, to: str, tomo
     """Each refusal names those that can be had."""
     tomorrow()
     create_database(target, "EPSG:28992")
-    with pytest.raises(SchemaVersionError, match="brought down to: 0002"):
+    with pytest.raises(SchemaVersionError, match=f"brought down to: {TODAY}"):
         downgrade_schema(target, to, force=True)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from simulated.builds import EPSG, HOUSE, small_build
 from sqlalchemy import Connection, Engine, text
-from support.latermigration import LATER, migrations_of_tomorrow
+from support.latermigration import LATER, TODAY, migrations_of_tomorrow
 from support.schemaobjects import objects
 
 from msbdb.database import canonical_dump, downgrade_schema, open_database, read_buildings, upgrade_schema, write_build
@@ -75,7 +75,7 @@ def test_an_upgrade_that_fails_at_the_end_changes_nothing(
         patch.setattr(dialect_of(database_url(target)), "after_load", full)
         with pytest.raises(DatabaseError, match="no space"):
             open_database(target, create=True)
-    assert (version(old), schema(old), list(canonical_dump(old))) == ("0002", before, content)
+    assert (version(old), schema(old), list(canonical_dump(old))) == (TODAY, before, content)
     open_database(target, create=True)
     assert list(canonical_dump(old)) == content
 
@@ -86,7 +86,7 @@ def test_a_downgraded_schema_is_the_old_one(old: Engine, target: str) -> None:
     upgrade_schema(target)
     assert schema(old) != before
     downgrade_schema(target, force=True)
-    assert version(old) == "0002"
+    assert version(old) == TODAY
     assert schema(old) == before
 
 

@@ -48,13 +48,13 @@ def made(parts, roots, ndsm):
 
 
 def test_a_building_has_the_summary_of_its_trees():
-    """Storeys of the tallest part, parts and scales of the tree, heights and volume of the footprint."""
+    """Storeys of the podium and of the tower, parts and scales of the tree, heights and volume of the footprint."""
     parts, labels, ndsm = build()
     buildings = made(parts, labels, ndsm)
     validate(buildings.assign(geometry=None), BUILDING)
     podium = buildings.sort_values("parts").iloc[-1]
     assert len(buildings) == 2
-    assert podium[["storeys", "parts", "scales"]].tolist() == [10, 2, 2]
+    assert podium[["storeys", "storeys_top", "parts", "scales"]].tolist() == [2, 10, 2, 2]
     assert podium["area_m2"] == 100.0
     assert podium["volume_m3"] == pytest.approx((400 - 64) * 0.25 * 6.5 + 64 * 0.25 * 30.5)
     assert podium["h_max"] == 30.5
@@ -88,7 +88,7 @@ def test_roots_that_touch_are_one_building():
     largest = forest.parts.sort_values("area_m2").iloc[-1]
     assert buildings["building_id"].iloc[-1] == largest["part_id"]
     assert buildings["h_max"].tolist() == [9.5, 24.5]
-    assert buildings["storeys"].iloc[-1] == forest.parts["hindex"].max()
+    assert buildings["storeys_top"].iloc[-1] == forest.parts["hindex"].max()
     inside = heights[12:28, 32:50].size, heights[2:12, 2:32].size
     assert buildings["xcen"].iloc[-1] == pytest.approx(389_000 + (inside[0] * 20.5 + inside[1] * 8.5) / sum(inside))
 

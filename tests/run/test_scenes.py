@@ -120,17 +120,23 @@ def test_a_field_holds_nothing(built, profile_name):
 def test_footprints_storeys_and_heights_are_the_true_ones(built, name, profile_name, least):
     """Each true building has one footprint that overlaps it by the share given, with its storeys and heights.
 
-    With vu2009 the storeys are the flat zones', so what is smaller than the finest scale of 50 m2 does not count (V30).
+    Its storeys are those of most of its roof. What is smaller than 50 m2 does not count for the highest ones.
     """
     outcome = built(name, profile_name)
-    finest_m2 = 50 if profile_name == "vu2009" else 0
     for root in (fact for fact in outcome.scene.forest if fact.father is None):
         building = outcome.building(root.building)
-        own = [fact for fact in outcome.scene.forest if fact.building == root.building and fact.area_m2 >= finest_m2]
-        tallest = max(fact.height_m for fact in own)
+        own = [fact for fact in outcome.scene.forest if fact.building == root.building and fact.area_m2 >= 50]
+        tallest = max([root.height_m, *(fact.height_m for fact in own)])
         assert outcome.overlap(root.building) >= least
         assert building["area_m2"] == pytest.approx(root.area_m2, rel=0.08)
-        assert building["storeys"] == 1 + (tallest - 2) // 3
+        assert building["storeys"] == 1 + (root.height_m - 2) // 3
+        assert building["storeys_min"] <= building["storeys"] <= building["storeys_max"]
+        assert building["storeys_top"] == 1 + (tallest - 2) // 3
+        assert building["eaves"] == pytest.approx(root.height_m, abs=0.2)
+        ground = float(outcome.scene.ground(building["xcen"], building["ycen"]))
+        assert building["z_ground"] == pytest.approx(ground, abs=0.25)
+        assert building["z_ridge"] - building["z_ground"] == pytest.approx(building["ridge"], abs=0.01)
+        assert building["ridge"] <= building["h_max"] + 0.01
         assert building["h_p50"] == pytest.approx(root.height_m, abs=0.15)
         assert building["state"] == "confirmed"
 

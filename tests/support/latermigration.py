@@ -6,6 +6,9 @@ from pathlib import Path
 from msbdb.database.schema import migration as upgrade
 
 ROOT = Path(__file__).resolve().parents[2]
+TODAY = upgrade.head_version()
+"""The version of today's schema."""
+
 LATER = "9000"
 """The later version."""
 
@@ -62,7 +65,8 @@ def create_view(query: str) -> None:
 def migrations_of_tomorrow(folder: Path, *, broken: str = "") -> Path:
     """Write a copy of the migrations with one more; ``broken`` is a statement at the end of its upgrade."""
     shutil.copytree(ROOT / "migrations", folder, ignore=shutil.ignore_patterns("__pycache__"))
-    text = (folder / "sql" / upgrade.head_version() / "footprint.sql").read_text()
+    newest = max((folder / "sql").glob("*/footprint.sql"))
+    text = newest.read_text()
     footprint = "\n".join(line for line in text.splitlines() if not line.startswith("--")).rstrip(";")
     words = MIGRATION.format(today=upgrade.head_version(), footprint=footprint, broken=broken)
     (folder / "versions" / "9000_next.py").write_text(words)

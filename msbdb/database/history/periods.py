@@ -291,8 +291,9 @@ def _version_columns() -> list[ColumnElement[Any]]:
 
 
 _INTEGERS = {
-    "version_id", "uid", "survey_id", "closed_by", "building_id", "storeys", "parts", "change_id", "uid_before",
-    "uid_after", "version_before", "version_after", "storeys_before", "storeys_after", "number", "sample_id",
+    "version_id", "uid", "survey_id", "closed_by", "building_id", "storeys", "storeys_min", "storeys_max",
+    "storeys_top", "parts", "change_id", "uid_before", "uid_after", "version_before", "version_after",
+    "storeys_before", "storeys_after", "number", "sample_id",
 }  # fmt: skip
 
 _WORDS = {

@@ -18,6 +18,7 @@ from msbdb.database.history.standing import Basis, basis_of, require_begun
 from msbdb.database.runs.digests import OutdatedError, digest_again, insert_digested
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import plain, text_id, to_json
+from msbdb.tables import HEIGHTS
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -36,7 +37,7 @@ SURVEY_OFFSET = SQL["survey_offset"]
 logger = logging.getLogger(__name__)
 
 MEASURES = (
-    "state", "storeys", "h_max", "h_mean", "h_p50", "h_p90", "area_m2", "volume_m3", "parts", "flat_share",
+    "state", *HEIGHTS, "h_max", "h_mean", "h_p50", "h_p90", "area_m2", "volume_m3", "parts", "flat_share",
     "area3d_share", "adaptive_share", "probability",
 )  # fmt: skip
 """Attributes of a version, besides its outline."""

@@ -350,10 +350,13 @@ def _columns_of(connection: Connection, table: Table, run_id: int) -> dict[str, 
 
 
 def _typed(values: tuple[Any, ...], dtype: str) -> NDArray[Any]:
-    """Return a column as an array of its declared dtype, texts as objects; refuse a fraction among whole numbers."""
-    if dtype == "int64":
+    """Return a column as an array of its declared dtype, texts as objects; refuse a fraction among whole numbers.
+
+    Whole numbers that may be null are int64 where all are known, else float64 with NaN.
+    """
+    if dtype == "int64" or (dtype == "Int64" and None not in values):
         return np.array(values, dtype=None if values else np.int64).astype(np.int64, casting="same_kind")
-    return np.array(values, dtype=object if dtype == "str" else dtype)
+    return np.array(values, dtype={"str": object, "Int64": np.float64}.get(dtype, dtype))
 
 
 def _as_frame(table: Table, columns: Mapping[str, NDArray[Any]], survey: Survey) -> Any:  # noqa: ANN401

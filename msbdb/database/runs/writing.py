@@ -176,8 +176,15 @@ class _Rows:
         frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
         counts = {name: len(frame) for name, frame in frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
-        columns = {table: {str(name): frame[name].to_numpy() for name in frame} for table, frame in frames.items()}
+        columns = {table: {str(name): _array(frame[name]) for name in frame} for table, frame in frames.items()}
         return cls(frames, counts, RunContent(build.survey, build.run, columns, build.rasters.by_name()).digest())
+
+
+def _array(column: "pd.Series") -> NDArray[Any]:
+    """Return a column as `RunContent` has it."""
+    if column.dtype == "Int64":
+        return column.to_numpy(np.float64, na_value=np.nan) if column.hasnans else column.to_numpy(np.int64)
+    return column.to_numpy()
 
 
 def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:

@@ -53,6 +53,7 @@ integers are BIGINT, because GDAL reads INTEGER in a view as 32 bits and truncat
 
 _TYPES: dict[str, TypeEngine[Any]] = {
     "int64": sa.BigInteger(),
+    "Int64": sa.BigInteger(),
     "int32": sa.Integer(),
     "float64": sa.Double(),
     "str": sa.Text(),

@@ -360,13 +360,28 @@ def _buildings(parts: pd.DataFrame, links_of: Mapping[str, pd.DataFrame]) -> gpd
     """
     trees = parts.groupby("root_id")
     roots = parts[parts["supid"] == 0].set_index("root_id", drop=False)
+    storeys = trees["hindex"].max()
+    own = parts.set_index("part_id")
+    rises = (own["hindex"] - own["supid"].map(own["hindex"]).fillna(0)) * own["area_m2"]
     made = pd.DataFrame(
         {
             "building_id": roots["part_id"],
             "state": "confirmed",
             "probability": 0.96875,
             "multiscale_share": 1.0,
-            "storeys": trees["hindex"].max(),
+            **{f"z_ground{end}": 10.0 + more for end, more in (("", 0.0), ("_min", -0.25), ("_max", 0.5))},
+            "z_eaves": trees["h_p90"].max() + 10,
+            "z_ridge": trees["h_max"].max() + 10,
+            "eaves": trees["h_p90"].max(),
+            "ridge": trees["h_max"].max(),
+            "storeys": storeys,
+            "storeys_min": storeys,
+            "storeys_max": storeys + 1,
+            "storeys_top": storeys,
+            "floor_area_m2": rises.groupby(own["root_id"]).sum(),
+            "coverage": 0.75,
+            "nodata_share": 0.125,
+            "density": 8.0,
             "h_max": trees["h_max"].max(),
             "h_mean": roots["h_mean"],
             "h_p50": roots["h_p50"],
@@ -383,8 +398,7 @@ def _buildings(parts: pd.DataFrame, links_of: Mapping[str, pd.DataFrame]) -> gpd
     for name, links in links_of.items():
         covered = links.groupby("part_id")["part_share"].sum()
         made[EXTRACTOR_SHARES[name]] = made["building_id"].map(covered).fillna(0.0)
-    made["state"] = made["state"].astype("str")
-    return gpd.GeoDataFrame(made[BUILDING.names], geometry=list(roots["geometry"]), crs=f"EPSG:{EPSG}")
+    return gpd.GeoDataFrame(BUILDING.typed(made), geometry=list(roots["geometry"]), crs=f"EPSG:{EPSG}")
 
 
 def _frame(table: Table, rows: list[tuple[Any, ...]]) -> pd.DataFrame:

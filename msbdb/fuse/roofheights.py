@@ -1,0 +1,283 @@
+"""Heights of buildings: the ground around each, eaves and ridge of its roofs, storeys, and how well it was seen.
+
+A building's roofs are its surfaces between walls. Each has its eaves, the level of its rim, and its ridge. All levels
+are taken above sea where the terrain is known, because a roof is level where the ground beneath is not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from msbdb.detect.scene import Elevations
+from msbdb.grid import Grid
+from msbdb.kept import PER_METRE
+from msbdb.labels import Labels, neighbours, quantiles, sizes, sums
+from msbdb.params import HeightParams, SurfaceParams
+from msbdb.parts.clusters import storeys
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Roofs:
+    """The roofs of buildings: connected surfaces without a wall inside.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        0 for none, otherwise the roof's number, 1 to R.
+    building : (R,) ndarray of int32
+        The building of each roof, from 0.
+    area_m2 : (R,) ndarray of float64
+        Area of its cells.
+    eaves, ridge : (R,) ndarray of float64
+        Levels of its rim and of its top, metres.
+    """
+
+    labels: Labels
+    building: NDArray[np.int32]
+    area_m2: Floats
+    eaves: Floats
+    ridge: Floats
+
+
+def measure_heights(
+    labels: Labels,
+    count: int,
+    ndsm: Grid,
+    elevations: Elevations,
+    *,
+    params: HeightParams,
+    surface: SurfaceParams,
+) -> pd.DataFrame:
+    """Return the heights of buildings, their storeys, and how well they were seen.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        Which building covers a cell: 0 for none, otherwise row number + 1.
+    count : int
+        Number of buildings.
+    ndsm : Grid
+        Heights above ground on the labels' lattice, metres.
+    elevations : Elevations
+        The terrain above sea and the echoes of each cell, each only where it is known.
+    params : HeightParams
+        What counts as wall, rim, ridge, and ground beside a building.
+    surface : SurfaceParams
+        Mask and height of a storey.
+
+    Returns
+    -------
+    DataFrame
+        A row a building. ``z_ground``, ``z_ground_min`` and ``z_ground_max``: median, and nearly the lowest and the
+        highest, of the terrain around the building. ``z_eaves`` and ``z_ridge``: levels above sea. ``eaves`` and
+        ``ridge``: the same above ``z_ground``. ``storeys``, ``storeys_min``, ``storeys_max`` and ``storeys_top``, whole
+        numbers, and ``floor_area_m2``. ``coverage``, ``nodata_share`` and ``density``. Metres, shares, and echoes a
+        square metre; NaN where unknown.
+
+    Notes
+    -----
+    - Ground: cells near the building and outside of all buildings where the surface itself is at the terrain. Where
+      none is near, farther ones count, and then the terrain beneath the building.
+    - Eaves: the level of that roof of weight up to which half of the area of all roofs of weight lies.
+    - Ridge: the highest of the roofs of weight.
+    - Storeys: of the eaves by V18. Their range follows from low and tall storeys and from the slope of the ground.
+      ``storeys_top`` are those of the highest eaves of the roofs of weight, as of a tower on a podium. The floor area
+      counts the area of each roof of weight by the storeys of its own eaves, and the rest by those of the building.
+    - Without a terrain all levels are above ground, and those above sea are NaN.
+
+    Border and nodata: what lies beyond the lattice has no height. A cell without a height is in no roof.
+    """
+    terrain = np.zeros(labels.shape) if elevations.terrain_cm is None else elevations.terrain_cm / PER_METRE
+    level = Grid(terrain + np.asarray(ndsm.values, dtype=np.float64), ndsm.valid, ndsm.spec)
+    found = roofs_of(labels, level, params)
+    area_m2: Floats = sizes(labels, count) * ndsm.spec.cell_area_m2
+    heavy = _of_weight(found, area_m2, params)
+    eaves, top, ridge = _levels(found, heavy, count)
+    ground, nodata = _around(labels, count, ndsm, terrain, params)
+    z_ground, low, high = (np.round(one, 2) for one in ground)
+    own = storeys(eaves - z_ground, surface)
+    of_roofs = np.where(heavy, storeys(found.eaves - z_ground[found.building], surface), own[found.building])
+    known = np.nan if elevations.terrain_cm is None else 0.0
+    return pd.DataFrame(
+        {
+            "z_ground": z_ground + known,
+            "z_ground_min": low + known,
+            "z_ground_max": high + known,
+            "z_eaves": np.round(eaves, 2) + known,
+            "z_ridge": np.round(ridge, 2) + known,
+            "eaves": np.round(eaves - z_ground, 2),
+            "ridge": np.round(ridge - z_ground, 2),
+            "storeys": own,
+            "storeys_min": np.clip(np.ceil((eaves - high - params.roof_build_m) / params.tall_storey_m), 1, own),
+            "storeys_max": np.maximum(np.floor((eaves - low) / params.low_storey_m), own),
+            "storeys_top": storeys(top - z_ground, surface),
+            "floor_area_m2": sums(found.building + 1, found.area_m2 * of_roofs, count),
+            "nodata_share": nodata,
+            **_seen(labels, count, elevations, ndsm.spec.cell_area_m2),
+        }
+    )
+
+
+def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
+    """Return the roofs of buildings: cells of one building are of one roof where no wall lies between them.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        Which building covers a cell: 0 for none, otherwise row number + 1.
+    level : Grid
+        Levels of the surface, metres.
+    params : HeightParams
+        ``wall_m`` and ``wall_slope``: what is a wall. ``eaves_share`` of the rim and ``ridge_share`` of the roof lie
+        below its eaves and its ridge.
+
+    Notes
+    -----
+    A step is a wall where it is more than ``wall_m`` beyond the steps beside it in its line that go the same way, and
+    where it is steeper than ``wall_slope``: steep roofs of large cells have large steps, too, one after the other.
+
+    A roof's rim are its cells beside no building, and those beside a wall that goes down. The level at the edge of such
+    a cell is half a step of the roof lower than at its centre. A roof without a rim, as in a court or between higher
+    neighbours, takes all its cells.
+
+    Examples
+    --------
+    A tower of 20 m stands on a podium of 6 m:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec = lattice((0, 0.1, 5.9, 0.9), 1.0, CRS.from_epsg(2154))
+    >>> heights = np.array([[0.0, 6.0, 6.0, 6.0, 20.0, 20.0]])
+    >>> level = Grid(heights, np.ones((1, 6), dtype=bool), spec)
+    >>> roofs = roofs_of(np.int32(heights > 0), level, HeightParams())
+    >>> roofs.area_m2.tolist(), roofs.eaves.tolist()
+    ([3.0, 2.0], [6.0, 20.0])
+    """
+    heights = np.asarray(level.values, dtype=np.float64)
+    inside = (labels > 0) & level.valid
+    cell_m = level.spec.cell_m
+    across = _along_rows(heights, labels, inside, params, cell_m)
+    down = tuple(one.T for one in _along_rows(heights.T, labels.T, inside.T, params, cell_m))
+    count = int(np.count_nonzero(inside))
+    node = np.full(labels.shape, -1, dtype=np.int32)
+    node[inside] = np.arange(count, dtype=np.int32)
+    pairs = [
+        (node[one][joined], node[other][joined])
+        for (one, other), (joined, _) in zip(neighbours(labels.shape), (across, down), strict=True)
+    ]
+    first, second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    graph = coo_matrix((np.ones(first.size, dtype=np.int8), (first, second)), shape=(count, count))
+    number, member = connected_components(graph, directed=False)
+    found = np.zeros(labels.shape, dtype=np.int32)
+    found[inside] = member + 1
+    building = np.zeros(number, dtype=np.int32)
+    building[member] = labels[inside] - 1
+    edge = np.minimum(across[1], down[1])
+    rim = np.isfinite(edge)
+    eaves = quantiles(found[rim], edge[rim], number, params.eaves_share)
+    eaves = np.where(np.isnan(eaves), quantiles(found, heights, number, params.eaves_share), eaves)
+    ridge = quantiles(found, heights, number, params.ridge_share)
+    area_m2: Floats = sizes(found, number) * level.spec.cell_area_m2
+    return Roofs(found, building, area_m2, eaves, ridge)
+
+
+def _along_rows(
+    heights: Floats, labels: Labels, inside: Mask, params: HeightParams, cell_m: float
+) -> tuple[Mask, Floats]:
+    """Return which cells are of one roof with the next one of their row, and the level at the edges of cells at a rim.
+
+    ``inside`` are the cells of buildings that have a height. Returns (H, W - 1) and (H, W); infinity for no rim.
+    """
+    same = inside[:, :-1] & inside[:, 1:] & (labels[:, :-1] == labels[:, 1:])
+    step = np.where(same, np.diff(heights, axis=1), 0.0)
+    way, size = np.sign(step), np.abs(step)
+    around = np.pad(step, ((0, 0), (1, 1)))
+    # Of the steps beside, those that go the other way count as none.
+    beside = np.maximum(np.maximum(around[:, :-2] * way, around[:, 2:] * way), 0)
+    steady = (size <= params.wall_slope * cell_m) & (size - beside <= params.wall_m)
+    joined = same & ((size <= params.wall_m) | steady)
+    edge = np.full(heights.shape, np.inf)
+    for here, there, inner in ((np.s_[:, :-1], np.s_[:, 1:], 1), (np.s_[:, 1:], np.s_[:, :-1], -1)):
+        ends = inside[here] & ~joined
+        # What lies beside is no building, or lower by a wall.
+        ends &= (labels[there] == 0) | (inside[there] & (heights[here] - heights[there] > params.wall_m))
+        # The step from the neighbour on the other side, where it is of the same roof.
+        rise = np.zeros(heights.shape)
+        behind = np.s_[:, 1:] if inner == 1 else np.s_[:, :-1]
+        rise[behind] = np.where(joined, np.maximum(-inner * step, 0), 0)
+        edge[here] = np.where(ends, np.minimum(edge[here], heights[here] - rise[here] / 2), edge[here])
+    return joined, edge
+
+
+def _of_weight(roofs: Roofs, area_m2: Floats, params: HeightParams) -> Mask:
+    """Return which roofs count in the heights of their buildings, of (N,) areas; the largest one always does."""
+    least = np.minimum(params.roof_m2, np.maximum(params.roof_share * area_m2, params.least_roof_m2))
+    largest = np.zeros(area_m2.size)
+    np.maximum.at(largest, roofs.building, roofs.area_m2)
+    heavy: Mask = roofs.area_m2 >= np.minimum(least, largest)[roofs.building]
+    return heavy
+
+
+def _levels(roofs: Roofs, heavy: Mask, count: int) -> tuple[Floats, Floats, Floats]:
+    """Return the eaves, the highest eaves and the ridge of each building, by its roofs of weight; NaN without any."""
+    order = np.flatnonzero(heavy)[np.lexsort((roofs.eaves[heavy], roofs.building[heavy]))]
+    building, area_m2, level = roofs.building[order], roofs.area_m2[order], roofs.eaves[order]
+    total = sums(building + 1, area_m2, count)
+    reached = np.cumsum(area_m2) - (np.cumsum(total) - total)[building]
+    # Of equal halves the lower one counts, also where sums of areas are rounded.
+    half = np.flatnonzero(2 * reached >= total[building] * (1 - 1e-9))[::-1]
+    eaves, top, ridge = (np.full(count, np.nan) for _ in range(3))
+    eaves[building[half]] = level[half]
+    top[building] = level
+    highest = np.full(count, -np.inf)
+    np.maximum.at(highest, building, np.maximum(roofs.ridge[order], level))
+    ridge[building] = highest[building]
+    return eaves, top, ridge
+
+
+def _around(
+    labels: Labels, count: int, ndsm: Grid, terrain: Floats, params: HeightParams
+) -> tuple[tuple[Floats, Floats, Floats], Floats]:
+    """Return median, low and high level of the ground around each building, and the share of no data there."""
+    if not count:
+        none = np.zeros(0)
+        return (none, none, none), none
+    near_m = max(params.ring_m, 2 * ndsm.spec.cell_m)
+    reach = int(np.ceil(near_m / ndsm.spec.cell_m))
+    # What lies beyond the lattice has no height, like any other cell without data.
+    wide, level, height, valid = (np.pad(one, reach) for one in (labels, terrain, np.asarray(ndsm.values), ndsm.valid))
+    distance, (rows, cols) = distance_transform_edt(wide == 0, return_indices=True)
+    owner, distance_m = wide[rows, cols], distance * ndsm.spec.cell_m
+    near = distance_m <= near_m
+    nodata = sizes(owner[near & ~valid], count) / sizes(owner[near], count)
+    bare = (wide == 0) & valid & (np.abs(height) <= params.bare_m)
+    shares = (0.5, params.ground_tail, 1 - params.ground_tail)
+    levels = np.full((3, count), np.nan)
+    for chosen, least in (
+        (bare & near, params.ground_cells),
+        (bare & (distance_m <= params.far_ring_m), params.ground_cells),
+        (wide > 0, 1),
+    ):
+        missing = np.isnan(levels[0]) & (sizes(owner[chosen], count) >= least)
+        for found, share in zip(levels, shares, strict=True):
+            found[missing] = quantiles(owner[chosen], level[chosen], count, share)[missing]
+    return (levels[0], levels[1], levels[2]), nodata
+
+
+def _seen(labels: Labels, count: int, elevations: Elevations, cell_area_m2: float) -> dict[str, Floats]:
+    """Return the share of each building's cells that hold a measured height, and its echoes a square metre."""
+    unknown = np.full(count, np.nan)
+    if elevations.echoes is None:
+        return {"coverage": unknown, "density": unknown}
+    cells = sizes(labels, count)
+    echoes = sums(labels[labels > 0], elevations.echoes[labels > 0].astype(np.float64), count)
+    coverage = sizes(labels[elevations.echoes > 0], count) / cells
+    return {"coverage": coverage, "density": echoes / (cells * cell_area_m2) if elevations.of_points else unknown}
