@@ -1,0 +1,238 @@
+"""Ground, eaves, ridge and storeys of buildings, on simulated roofs whose levels are exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+from pyproj import CRS
+from simulated.roofs import SIDE_M, errors_of, houses, measured
+from simulated.scenes import DATUM_M, Block, Tree, World
+
+from msbdb.detect.scene import Elevations
+from msbdb.fuse.roofheights import measure_heights, roofs_of
+from msbdb.grid import Grid, lattice
+from msbdb.params import HeightParams, Params
+
+UTM = CRS.from_epsg(32633)
+
+
+def heights_of(
+    surface: NDArray[np.floating],
+    labels: NDArray[np.integer],
+    *,
+    terrain: NDArray[np.floating] | float | None = 100.0,
+    valid: NDArray[np.bool_] | None = None,
+    echoes: NDArray[np.integer] | None = None,
+    of_points: bool = True,
+    cell_m: float = 0.5,
+) -> pd.DataFrame:
+    """Measure buildings on heights above ground; the terrain is a level or one a cell, and not known if None."""
+    spec = lattice((0, 0.01, surface.shape[1] * cell_m - 0.01, surface.shape[0] * cell_m), cell_m, UTM)
+    valid = np.ones(surface.shape, dtype=np.bool_) if valid is None else valid
+    ndsm = Grid(surface.astype(np.float32), valid, replace(spec, shape=surface.shape))
+    counts = np.ones(surface.shape, dtype=np.uint16) if echoes is None else echoes.astype(np.uint16)
+    above = None if terrain is None else np.broadcast_to(np.rint(100 * np.asarray(terrain)), surface.shape)
+    known = Elevations(None if above is None else above.astype(np.int32), counts, of_points)
+    count, params = int(labels.max(initial=0)), Params()
+    return measure_heights(labels.astype(np.int32), count, ndsm, known, params=params.heights, surface=params.surface)
+
+
+def box(height: float, shape: tuple[int, int] = (60, 60)) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return heights and labels of a house of 20 x 20 cells in the middle."""
+    labels = np.zeros(shape, dtype=np.int32)
+    labels[20:40, 20:40] = 1
+    return np.where(labels > 0, height, 0.0), labels
+
+
+@pytest.mark.parametrize(("density", "eaves_m", "ridge_m"), [(1.0, 0.3, 0.35), (4.0, 0.2, 0.3), (16.0, 0.1, 0.25)])
+def test_roofs_of_all_forms_have_their_eaves_ridge_and_storeys(density: float, eaves_m: float, ridge_m: float) -> None:
+    """Root mean squares of the errors of flat, gabled, hipped, shed and pyramid roofs, along the cells and turned."""
+    errors = errors_of(density)
+    assert np.sqrt((errors["ground"] ** 2).mean()) < 0.1
+    assert np.sqrt((errors["eaves"] ** 2).mean()) < eaves_m
+    assert np.sqrt((errors["ridge"] ** 2).mean()) < ridge_m
+    assert (errors["storeys"] == 0).all()
+
+
+def test_a_house_on_a_slope_is_level_and_its_ground_is_not() -> None:
+    """The ground is that around the house; the storeys of its downhill side may be more."""
+    house = next(one for one in houses() if one.name.startswith("flat 20"))
+    house = replace(house, level_m=DATUM_M + 0.2 * SIDE_M / 2 + 8.5)
+    world = World("slope", (SIDE_M, SIDE_M), (house,), relief=lambda x, _: DATUM_M + 0.2 * np.asarray(x))
+    found = measured(house, 4.0, world=world)
+    assert found["z_ground"] == pytest.approx(DATUM_M + 0.2 * SIDE_M / 2, abs=0.25)
+    assert found["z_ground_max"] - found["z_ground_min"] == pytest.approx(0.2 * 23, abs=0.6)
+    assert found["z_eaves"] == pytest.approx(house.level_m, abs=0.1)
+    assert found["eaves"] == pytest.approx(8.5, abs=0.3)
+    assert (found["storeys_min"], found["storeys"], found["storeys_max"]) == (2, 3, 4)
+
+
+def test_a_tower_on_a_podium_gives_the_highest_storeys_and_the_ridge() -> None:
+    """Eaves and storeys are those of most of the roof; the lift house has no weight."""
+    surface, labels = box(6.5)
+    surface[22:32, 22:32] = 30.5
+    surface[24:28, 24:28] = 33.5
+    found = heights_of(surface, labels).iloc[0]
+    assert (found["eaves"], found["ridge"], found["z_ridge"]) == (6.5, 30.5, 130.5)
+    assert (found["storeys"], found["storeys_top"]) == (2, 10)
+    assert found["floor_area_m2"] == (300 * 2 + 84 * 10 + 16 * 2) / 4
+
+
+def test_a_larger_tower_is_the_main_roof() -> None:
+    """More than half of the area decides; of equal halves the lower roof does."""
+    for columns, eaves in ((11, 30.5), (10, 6.5), (9, 6.5)):
+        surface, labels = box(6.5)
+        surface[20:40, 20 : 20 + columns] = 30.5
+        assert heights_of(surface, labels)["eaves"].tolist() == [eaves]
+
+
+def test_chimneys_antennas_and_dormers_do_not_change_the_levels() -> None:
+    """They are small, and none of them is at the rim's low side."""
+    surface, labels = box(6.0)
+    surface[20:40, 20:40] += np.minimum(np.arange(20), np.arange(20)[::-1])[:, None] * 0.5
+    plain = heights_of(surface, labels).iloc[0]
+    surface[29, 24] += 1.5
+    surface[30, 33] += 9.0
+    surface[23:26, 28:31] = surface[26, 29]
+    with_more = heights_of(surface, labels).iloc[0]
+    assert with_more["eaves"] == pytest.approx(plain["eaves"], abs=0.05)
+    assert with_more["ridge"] == pytest.approx(plain["ridge"], abs=0.05)
+    assert plain["eaves"] == pytest.approx(6.0, abs=0.3)
+
+
+def test_a_tree_over_the_edge_does_not_raise_the_eaves() -> None:
+    """The crown hides an eighth of the roof."""
+    house = next(houses())
+    tree = Tree(house.west - 1, house.south - 1, radius=4.5, height=14.0)
+    found = measured(house, 8.0, world=World("tree", (SIDE_M, SIDE_M), (house,), trees=(tree,)))
+    assert found["eaves"] == pytest.approx(6.5, abs=0.15)
+    assert found["ridge"] == pytest.approx(6.5, abs=0.3)
+    assert found["z_ground"] == pytest.approx(DATUM_M, abs=0.1)
+
+
+def test_an_annex_does_not_lower_the_eaves() -> None:
+    """Nor does a canopy that the footprint includes."""
+    house = next(one for one in houses() if one.name.startswith("hip"))
+    annex = Block("annex", house.west + house.width, house.south + 2, 4, 4, DATUM_M + 2.6, 1)
+    found = measured(house, 4.0, world=World("annex", (SIDE_M, SIDE_M), (house, annex)))
+    assert found["eaves"] == pytest.approx(5.6, abs=0.2)
+
+
+def test_a_roof_between_higher_neighbours_has_its_own_level() -> None:
+    """It has no edge towards open ground, and no wall that goes down."""
+    labels = np.zeros((60, 60), dtype=np.int32)
+    labels[10:50, 10:25], labels[10:50, 35:50], labels[10:50, 25:35] = 1, 2, 3
+    surface = np.array([0.0, 9.5, 12.5, 4.0])[labels]
+    surface[10:50, 25:35] = 4.0
+    assert heights_of(surface, labels)["eaves"].tolist() == [9.5, 12.5, 4.0]
+
+
+def test_houses_of_a_row_are_measured_by_their_free_sides() -> None:
+    """The gables between them are no rim, so that one eave at the street is enough."""
+    labels = np.zeros((60, 90), dtype=np.int32)
+    for number in range(3):
+        labels[20:40, 15 + 20 * number : 35 + 20 * number] = number + 1
+    surface = np.where(labels > 0, 5.5 + np.minimum(np.arange(60) - 20, 39 - np.arange(60))[:, None] * 0.4, 0.0)
+    found = heights_of(surface, labels)
+    assert found["eaves"].to_numpy() == pytest.approx(5.5, abs=0.25)
+    assert found["storeys"].tolist() == [2, 2, 2]
+
+
+def test_a_steep_roof_of_large_cells_is_one_roof() -> None:
+    """Steps of 1.75 m, one after the other, are no walls; a step of 2.5 m beside level cells is."""
+    rise = 1.75 * np.minimum(np.arange(12), np.arange(12)[::-1])
+    surface = np.zeros((30, 40))
+    surface[9:21, 8:24] = 5.0 + rise[:, None]
+    surface[9:21, 24:32] = 2.5
+    labels = (surface > 0).astype(np.int32)
+    spec = lattice((0, 0.01, 39.99, 30), 1.0, UTM)
+    roofs = roofs_of(labels, Grid(surface, np.ones((30, 40), dtype=np.bool_), spec), HeightParams())
+    assert roofs.labels[9:21, 8:24].min() == roofs.labels[9:21, 8:24].max()
+    assert roofs.labels[10, 28] != roofs.labels[10, 12]
+
+
+@pytest.mark.parametrize("shift_m", [-120.0, 0.5, 3000.0])
+def test_a_shift_of_the_terrain_moves_the_levels_alone(shift_m: float) -> None:
+    """Heights above ground, storeys and qualities stay."""
+    surface, labels = box(7.25)
+    terrain = np.linspace(50, 53, 60)[None, :] + np.zeros((60, 1))
+    low, high = (heights_of(surface, labels, terrain=terrain + more) for more in (0.0, shift_m))
+    for name in low:
+        shift = shift_m if str(name).startswith("z_") else 0.0
+        assert high[name].to_numpy() == pytest.approx(low[name].to_numpy() + shift, abs=0.011)
+
+
+def test_heights_above_ground_have_no_level_above_sea() -> None:
+    """Eaves and ridge are known all the same."""
+    surface, labels = box(6.5)
+    found = heights_of(surface, labels, terrain=None).iloc[0]
+    assert found[["z_ground", "z_ground_min", "z_ground_max", "z_eaves", "z_ridge"]].isna().all()
+    assert found[["eaves", "ridge", "storeys"]].tolist() == [6.5, 6.5, 2]
+
+
+def test_ground_is_sought_farther_off_and_at_last_beneath() -> None:
+    """Cars and hedges around the house hide the ground; without any, the terrain beneath it counts."""
+    surface, labels = box(6.5)
+    terrain = np.where(labels > 0, 100.0, 103.0)
+    ring = np.zeros_like(labels, dtype=np.bool_)
+    ring[12:48, 12:48] = True
+    surface[ring & (labels == 0)] = 1.2
+    assert heights_of(surface, labels, terrain=terrain)["z_ground"].tolist() == [103.0]
+    surface[labels == 0] = 1.2
+    assert heights_of(surface, labels, terrain=terrain)["z_ground"].tolist() == [100.0]
+
+
+def test_coverage_no_data_and_density_tell_how_well_it_was_seen() -> None:
+    """A quarter of the cells has two echoes, the rest none; west of the house is water."""
+    surface, labels = box(6.5)
+    echoes = np.zeros(surface.shape, dtype=np.int64)
+    echoes[::2, ::2] = 2
+    valid = np.ones(surface.shape, dtype=np.bool_)
+    valid[:, :20] = False
+    found = heights_of(surface, labels, echoes=echoes, valid=valid).iloc[0]
+    assert (found["coverage"], found["density"]) == (0.25, 2.0)
+    assert 4 * 20 / 28**2 <= found["nodata_share"] <= 4 * 28 / (20 * 20 + 4 * 4 * 20)
+    assert heights_of(surface, labels).iloc[0]["nodata_share"] == 0.0
+    raster = heights_of(surface, labels, of_points=False).iloc[0]
+    assert raster["coverage"] == 1.0
+    assert np.isnan(raster["density"])
+
+
+def test_a_house_at_the_border_has_no_data_beside_it() -> None:
+    """What lies beyond the survey was not seen."""
+    surface, labels = box(6.5)
+    cut = np.s_[20:, :]
+    inside, at_border = heights_of(surface, labels).iloc[0], heights_of(surface[cut], labels[cut]).iloc[0]
+    assert inside["nodata_share"] == 0.0
+    assert at_border["nodata_share"] > 0.1
+    assert at_border["z_eaves"] == inside["z_eaves"]
+
+
+def test_cells_without_a_height_do_not_count() -> None:
+    """A hole of no data in the roof has any value."""
+    surface, labels = box(6.5)
+    valid = np.ones(surface.shape, dtype=np.bool_)
+    valid[25:30, 25:30] = False
+    surface[25:30, 25:30] = 99.0
+    found = heights_of(surface, labels, valid=valid).iloc[0]
+    assert found[["eaves", "ridge"]].tolist() == [6.5, 6.5]
+
+
+def test_no_building_gives_no_row() -> None:
+    """The columns are there."""
+    found = heights_of(np.zeros((5, 5)), np.zeros((5, 5), dtype=np.int32))
+    assert len(found) == 0
+    assert {"z_ground", "eaves", "ridge", "storeys", "storeys_top", "coverage"} <= set(found)
+
+
+@pytest.mark.parametrize(
+    ("eaves", "expected"),
+    [(2.2, (1, 1, 1)), (3.0, (1, 1, 1)), (5.6, (2, 2, 2)), (7.6, (2, 2, 3)), (9.0, (2, 3, 3)), (15.5, (4, 5, 6))],
+)
+def test_the_range_of_storeys_is_wide_where_the_eaves_leave_a_choice(eaves: float, expected: tuple[int, ...]) -> None:
+    """Storeys of 2.5 to 4 m, and a metre of plinth and roof."""
+    surface, labels = box(eaves)
+    found = heights_of(surface, labels).iloc[0]
+    assert tuple(found[["storeys_min", "storeys", "storeys_max"]].astype(int)) == expected
