@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, maximum_filter1d
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -98,7 +98,7 @@ def measure_heights(
     terrain = np.zeros(labels.shape) if elevations.terrain_cm is None else elevations.terrain_cm / PER_METRE
     level = Grid(terrain + np.asarray(ndsm.values, dtype=np.float64), ndsm.valid, ndsm.spec)
     found = roofs_of(labels, level, params)
-    area_m2: Floats = sizes(labels, count) * ndsm.spec.cell_area_m2
+    area_m2 = sizes(labels, count).astype(np.float64) * ndsm.spec.cell_area_m2
     heavy = _of_weight(found, area_m2, params)
     eaves, top, ridge = _levels(found, heavy, count)
     ground, nodata = _around(labels, count, ndsm, terrain, params)
@@ -141,8 +141,9 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
 
     Notes
     -----
-    A step is a wall where it is more than ``wall_m`` beyond the steps beside it in its line that go the same way, and
-    where it is steeper than ``wall_slope``: steep roofs of large cells have large steps, too, one after the other.
+    A step is a wall where it is more than ``wall_m``, and either more than that beyond the steps beside it in its line
+    that go the same way, or steeper than ``wall_slope``: steep roofs of large cells have large steps, too, one after
+    the other. A gap of a cell in a line of walls joins no roofs.
 
     A roof's rim are its cells beside no building, and those beside a wall that goes down. The level at the edge of such
     a cell is half a step of the roof lower than at its centre. A roof without a rim, as in a court or between higher
@@ -185,7 +186,7 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     eaves = quantiles(found[rim], edge[rim], number, params.eaves_share)
     eaves = np.where(np.isnan(eaves), quantiles(found, heights, number, params.eaves_share), eaves)
     ridge = quantiles(found, heights, number, params.ridge_share)
-    area_m2: Floats = sizes(found, number) * level.spec.cell_area_m2
+    area_m2 = sizes(found, number).astype(np.float64) * level.spec.cell_area_m2
     return Roofs(found, building, area_m2, eaves, ridge)
 
 
@@ -204,6 +205,8 @@ def _along_rows(
     beside = np.maximum(np.maximum(around[:, :-2] * way, around[:, 2:] * way), 0)
     steady = (size <= params.wall_slope * cell_m) & (size - beside <= params.wall_m)
     joined = same & ((size <= params.wall_m) | steady)
+    # A gap in a wall, as where a verge crosses the level of the annex beside it, joins no roofs.
+    joined &= ~_in_wall(same & ~joined)
     edge = np.full(heights.shape, np.inf)
     for here, there, inner in ((np.s_[:, :-1], np.s_[:, 1:], 1), (np.s_[:, 1:], np.s_[:, :-1], -1)):
         ends = inside[here] & ~joined
@@ -215,6 +218,17 @@ def _along_rows(
         rise[behind] = np.where(joined, np.maximum(-inner * step, 0), 0)
         edge[here] = np.where(ends, np.minimum(edge[here], heights[here] - rise[here] / 2), edge[here])
     return joined, edge
+
+
+def _in_wall(wall: Mask) -> Mask:
+    """Return the places of a line of walls, gaps of one or two included: walls in three of the four rows around."""
+    wide = maximum_filter1d(wall, 3, axis=1, mode="constant")
+    rows = np.zeros(wall.shape, dtype=np.int8)
+    for offset, walls in ((1, wall), (2, wide)):
+        rows[offset:] += walls[:-offset]
+        rows[:-offset] += walls[offset:]
+    lined: Mask = rows >= 3
+    return lined
 
 
 def _of_weight(roofs: Roofs, area_m2: Floats, params: HeightParams) -> Mask:

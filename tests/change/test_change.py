@@ -8,12 +8,15 @@ from pyproj import CRS
 from shapely import box
 from shapely.affinity import translate
 
-from msbdb.change.comparison import Comparison, compare
+from msbdb.change.comparison import Comparison, compare, measure_roofs
 from msbdb.change.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.change.differences import estimate_offset, without_slivers
+from msbdb.detect.scene import Elevations
+from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
-from msbdb.params import ChangeParams
+from msbdb.params import ChangeParams, Params
+from msbdb.tables import HEIGHTS
 
 UTM = CRS.from_epsg(32631)
 WEST, SOUTH = 500_000.0, 4_000_000.0
@@ -311,3 +314,19 @@ def test_a_raised_house_that_the_later_build_sees_in_part_is_modified() -> None:
     assert (raised["kind"], raised["height"], raised["outline"], raised["parts"]) == ("modified", True, False, False)
     crown = ground([*ROW, house, (28.5, 60, 38, 75, 10)])
     assert kinds(compare(town([*ROW, house]), town([*ROW, seen]), heights=crown, earlier=[ground([*ROW, house])])) == []
+
+
+def test_an_outline_of_the_inventory_has_the_heights_of_a_building() -> None:
+    """As measured on the whole survey, with all other houses; none outside of it."""
+    heights, params = ground(ROW), Params()
+    terrain = Elevations(np.full(SPEC.shape, 1234, dtype=np.int32))
+    shapes = town(ROW).geometry
+    own = measure_heights(
+        rasterise(list(shapes), SPEC), len(ROW), heights, terrain, params=params.heights, surface=params.surface
+    )
+    for row, shape in enumerate(shapes):
+        found = measure_roofs(shape, heights, terrain, params)
+        assert list(found) == list(HEIGHTS)
+        assert found == pytest.approx(own.loc[row, list(HEIGHTS)].to_dict())
+        assert (found["z_ground"], found["eaves"]) == (12.34, ROW[row][4])
+    assert measure_roofs(translate(shapes[0], 5000), heights, terrain, params) == {}

@@ -13,6 +13,7 @@ from msbdb.labels import (
     label_zones,
     measure,
     order_heights,
+    quantiles,
     region_means,
     sizes,
 )
@@ -77,3 +78,16 @@ def test_means_leave_out_what_is_not_finite():
     labels = np.array([1, 1, 1, 2, 0], dtype=np.int32)
     values = np.array([1.0, np.nan, 3.0, np.inf, 9.0])
     np.testing.assert_array_equal(region_means(values, labels, 3), [2.0, np.nan, np.nan])
+
+
+@given(SEEDS, st.sampled_from([0.0, 0.2, 0.5, 0.98, 1.0]))
+def test_quantiles_are_those_of_each_region(seed, share):
+    """NumPy's own, region by region; NaN for regions without a cell."""
+    rng = np.random.default_rng(seed)
+    labels = rng.integers(0, 5, (7, 9)).astype(np.int32)
+    values = rng.normal(size=labels.shape)
+    found = quantiles(labels, values, 6, share)
+    for number in range(1, 7):
+        own = values[labels == number]
+        expected = np.quantile(own, share) if own.size else np.nan
+        np.testing.assert_allclose(found[number - 1], expected)

@@ -16,8 +16,11 @@ from msbdb.kept import Rasters
 from msbdb.params import Params
 from msbdb.run.prepare import build_surface
 from msbdb.surface import cover_from_surface
+from msbdb.tables import HEIGHTS
 
 EVIDENCE = {"roughness_mm": "uint16", "roof_probability": "uint8"}
+
+KEPT = EVIDENCE | {"terrain_cm": "int32", "echoes": "uint16"}
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +41,8 @@ def test_a_build_keeps_the_evidence(points, tmp_path, extract):
     db = tmp_path / "town.sqlite"
     msbdb.build([points], db=db, survey="town", extract=extract)
     state = kept(db)
-    assert {name: str(state[name].dtype) for name in EVIDENCE} == EVIDENCE
-    assert {state[name].shape for name in EVIDENCE} == {state["ndsm_cm"].shape}
+    assert {name: str(state[name].dtype) for name in KEPT} == KEPT
+    assert {state[name].shape for name in KEPT} == {state["ndsm_cm"].shape}
 
 
 def test_labels_of_an_operator_leave_no_trace_in_the_rasters(points, tmp_path):
@@ -47,6 +50,8 @@ def test_labels_of_an_operator_leave_no_trace_in_the_rasters(points, tmp_path):
     db = tmp_path / "town.sqlite"
     msbdb.build([points], db=db, survey="town", extract=("multiscale", "flatregions"))
     before = kept(db)
+    with msbdb.open(db) as opened:
+        measured = opened.buildings()
     labelled = shutil.copy(db, tmp_path / "labelled.sqlite")
     with msbdb.open(labelled) as opened:
         classes = opened.classes()
@@ -57,6 +62,10 @@ def test_labels_of_an_operator_leave_no_trace_in_the_rasters(points, tmp_path):
     assert sorted(before) == sorted(after)
     for name in before:
         np.testing.assert_array_equal(before[name], after[name], strict=True)
+    with msbdb.open(labelled) as opened:
+        again = opened.buildings()
+    assert measured[list(HEIGHTS)].notna().all(axis=None)
+    assert again[list(HEIGHTS)].equals(measured[list(HEIGHTS)])
 
 
 def test_the_evidence_is_rounded_to_whole_millimetres_and_255ths():

@@ -16,6 +16,7 @@ from msbdb.database import canonical_dump, footprint_at, open_database, write_bu
 from msbdb.errors import InputError
 from msbdb.params import profile, with_values
 from msbdb.run import update as module
+from msbdb.tables import HEIGHTS
 
 ONLY = {"extract": ("multiscale",)}
 SPRING = {"survey": "spring", "date": "2024-04-20", **ONLY}
@@ -54,6 +55,11 @@ def test_an_update_is_a_build_and_an_advance(points: Path, spring: Path, tmp_pat
     assert dump(one) == dump(tmp_path / "two.sqlite")
     again = api.update([points], db=one, **SPRING)
     assert (again.build, again.inventory.status) == (None, "unchanged")
+    with msbdb.open(one) as opened:
+        found, versions = opened.buildings(), footprint_at(opened.engine, "2024-04-20")
+    assert versions[list(HEIGHTS)].notna().all(axis=None)
+    for name in HEIGHTS:
+        assert sorted(versions[name]) == sorted(found[name]), name
     assert dump(one) == dump(tmp_path / "two.sqlite")
 
 

@@ -10,7 +10,16 @@ from pyproj import CRS
 from msbdb.errors import NodataError
 from msbdb.grid import GridSpec, lattice
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import CELL_LADDER_M, Samples, cell_size, density, fill_gaps, lowest, sample_nearest
+from msbdb.surface.gridding import (
+    CELL_LADDER_M,
+    Samples,
+    cell_size,
+    count_first,
+    density,
+    fill_gaps,
+    lowest,
+    sample_nearest,
+)
 
 CRS_M = CRS.from_epsg(32633)
 SPEC = lattice((0.0, 0.0, 3.9, 3.9), 1.0, CRS_M)
@@ -227,3 +236,19 @@ def test_gaps_agree_with_a_search_of_all_samples(bits, reach, seed):
     expected, reached = naive_fill(samples, reach)
     np.testing.assert_array_equal(valid, reached)
     np.testing.assert_array_equal(filled, expected)
+
+
+@given(POINTS)
+def test_first_echoes_are_counted_by_cell(rows: list[tuple[float, ...]]) -> None:
+    """One by one; second echoes do not count."""
+    points = cloud(rows)
+    expected = np.zeros(SPEC.shape, dtype=np.int64)
+    for row, col, first in zip(*SPEC.rowcol(points.x, points.y), points.first_echo, strict=True):
+        expected[row, col] += int(first)
+    np.testing.assert_array_equal(count_first(points, SPEC), expected)
+
+
+def test_counts_stop_at_what_they_hold() -> None:
+    """They do not start again at 0."""
+    many = PointCloud(np.full(70_000, 0.5), np.full(70_000, 0.5), np.zeros(70_000), CRS_M)
+    assert count_first(many, SPEC).max() == 65_535

@@ -14,6 +14,9 @@ STEP_M, STEEP = 1.0, 1.5
 LINK, AROUND = 2.0, 3.0
 """Reach of the links of a roof, and of the neighbours that show its edge, in point spacings."""
 
+INNER = 0.8
+"""A point links roofs where this share of its neighbours is of its own level."""
+
 GAP = np.deg2rad(130.0)
 """A point whose neighbours leave a wider angle free lies at the edge of its roof."""
 
@@ -73,7 +76,11 @@ def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
     roof = _upper(roof, spacing)
     pairs = cKDTree(roof[:, :2]).query_pairs(LINK * spacing, output_type="ndarray")
     apart = np.hypot(*(roof[pairs[:, 0], :2] - roof[pairs[:, 1], :2]).T)
-    linked = pairs[np.abs(roof[pairs[:, 0], 2] - roof[pairs[:, 1], 2]) <= np.maximum(STEP_M, STEEP * apart)]
+    alike = np.abs(roof[pairs[:, 0], 2] - roof[pairs[:, 1], 2]) <= np.maximum(STEP_M, STEEP * apart)
+    # A point beside a wall links no roofs: the wall's own points would be a ladder.
+    beside, same = (np.bincount(ends.ravel(), minlength=len(roof)) for ends in (pairs, pairs[alike]))
+    inner = same >= INNER * beside
+    linked = pairs[alike & inner[pairs].all(axis=1)]
     graph = coo_matrix((np.ones(len(linked)), linked.T), shape=(len(roof), len(roof)))
     _, member = connected_components(graph, directed=False)
     shares = np.bincount(member) / len(roof)
