@@ -57,8 +57,10 @@ def test_an_update_is_a_build_and_an_advance(points: Path, spring: Path, tmp_pat
     assert (again.build, again.inventory.status) == (None, "unchanged")
     with msbdb.open(one) as opened:
         found, versions = opened.buildings(), footprint_at(opened.engine, "2024-04-20")
-    assert versions[list(HEIGHTS)].notna().all(axis=None)
-    for name in HEIGHTS:
+    shown = [name for name in HEIGHTS if name in versions]
+    assert len(shown) == len(HEIGHTS) - 2
+    assert versions[shown].notna().all(axis=None)
+    for name in shown:
         assert sorted(versions[name]) == sorted(found[name]), name
     assert dump(one) == dump(tmp_path / "two.sqlite")
 
