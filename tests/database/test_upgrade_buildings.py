@@ -25,7 +25,7 @@ from msbdb.database import (
     upgrade_schema,
     write_build,
 )
-from msbdb.database.history.rowdigest import digest_again
+from msbdb.database.runs.digests import digest_again
 from msbdb.database.schema.migration import head_version
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import DatabaseError, SchemaVersionError

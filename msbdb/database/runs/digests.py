@@ -156,7 +156,8 @@ class RunContent:
         Parameters, counts, timings and notices.
     columns : mapping of str to mapping of str to (N,) ndarray
         The columns of each of ``tables.TABLES`` by their names: int64, float64 with NaN for null, or objects for texts
-        and geometries; whole numbers that may be null are int64 where all are known. Rows are in the table's order, polygons are multipolygons.
+        and geometries; whole numbers that may be null are int64 where all are known.
+        Rows are in the table's order, polygons are multipolygons.
     rasters : mapping of str to (H, W) ndarray
         Heights, classes and labels of the regions, by the names of their rows.
     """
