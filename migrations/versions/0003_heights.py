@@ -183,7 +183,6 @@ def text_of(baseline: ModuleType, buildings: ModuleType, name: str) -> str:
 def run_digests(buildings: ModuleType, *, old: bool) -> list[tuple[int, str, str | None]]:
     """Return each run with its kept digest, and that of its rows; None where they cannot be read."""
     from msbdb.database.admin.contentchecks import UNREADABLE
-
     from msbdb.database.runs.reading import content_of
 
     connection = op.get_bind()
