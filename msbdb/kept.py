@@ -25,6 +25,9 @@ PER_METRE = 100
 _REGION_NAMES = {"flatregions": "flat", "area3d": "area3d", "adaptive": "adaptive"}
 """Names of the detectors' label rasters in the database."""
 
+_ANSWER_NAMES = {method: f"{name}_answer" for method, name in _REGION_NAMES.items()}
+"""Names of the rasters of the detectors' answers in the database."""
+
 REQUIRED_RASTERS = ("ndsm_cm", "structure", "valid")
 """Names of the rasters that every run has."""
 
@@ -54,6 +57,13 @@ class Rasters:
         Level of the terrain in the vertical reference of the source, centimetres.
     echoes : (H, W) ndarray of uint16, optional
         First echoes in the cell; of a raster 1 where it has a value.
+    reason : (H, W) ndarray of uint8, optional
+        Why a cell is a building or not: `msbdb.tables.Reason`. None where a run of an older msbdb kept none.
+    support : (H, W) ndarray of uint8, optional
+        Which detectors take a cell for building: bit n is that of ``params.DETECTORS[n]``. None as for ``reason``.
+    answers : mapping of str to (H, W) ndarray of uint8
+        By detector: the ``number`` in ``tables.REJECTION_COUNT`` of the stage and reason by which it dropped the cell;
+        0 where it dropped nothing.
     """
 
     heights_cm: NDArray[np.int32]
@@ -65,6 +75,9 @@ class Rasters:
     roof_probability: NDArray[np.uint8] | None = None
     terrain_cm: NDArray[np.int32] | None = None
     echoes: NDArray[np.uint16] | None = None
+    reason: NDArray[np.uint8] | None = None
+    support: NDArray[np.uint8] | None = None
+    answers: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
 
     def by_name(self) -> dict[str, NDArray[np.generic]]:
         """Return the rasters by the names of their rows in the database, those that are None left out."""
@@ -77,7 +90,10 @@ class Rasters:
             "roof_probability": self.roof_probability,
             "terrain_cm": self.terrain_cm,
             "echoes": self.echoes,
+            "reason": self.reason,
+            "support": self.support,
             **{_REGION_NAMES[method]: labels for method, labels in self.regions.items()},
+            **{_ANSWER_NAMES[method]: cells for method, cells in self.answers.items()},
         }
         return {name: values for name, values in named.items() if values is not None}
 
@@ -108,6 +124,9 @@ class Rasters:
             roof_probability=rows["roof_probability"].astype(np.uint8) if "roof_probability" in rows else None,
             terrain_cm=rows["terrain_cm"].astype(np.int32) if "terrain_cm" in rows else None,
             echoes=rows["echoes"].astype(np.uint16) if "echoes" in rows else None,
+            reason=rows["reason"].astype(np.uint8) if "reason" in rows else None,
+            support=rows["support"].astype(np.uint8) if "support" in rows else None,
+            answers={method: rows[name].astype(np.uint8) for method, name in _ANSWER_NAMES.items() if name in rows},
         )
 
     @classmethod

@@ -1,8 +1,16 @@
-"""The ledger of a detector: how many regions each stage takes, keeps and drops, and the dropped ones as rows."""
+"""The ledger of a detector: how many regions each stage takes, keeps and drops, the dropped ones, and their cells."""
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from msbdb.errors import TableError
+from msbdb.tables import REJECTION_COUNT
+
+Answers = NDArray[np.uint8]
+"""(H, W) what a detector says of each cell: 0 nothing, otherwise the number of the stage and reason of its ledger."""
+
+KIND = ["stage", "reason"]
 
 
 class Ledger:
@@ -12,6 +20,8 @@ class Ledger:
     ----------
     method : str
         Name of the detector.
+    shape : tuple of int, optional
+        (H, W) of the lattice, for the cells of the dropped regions; None where they are not marked.
 
     Attributes
     ----------
@@ -20,11 +30,13 @@ class Ledger:
         ``dropped``.
     """
 
-    def __init__(self, method: str) -> None:
+    def __init__(self, method: str, shape: tuple[int, int] | None = None) -> None:
         self.method = method
         self.counts: dict[str, dict[str, int]] = {}
         self._lost: list[pd.DataFrame] = []
         self._rows: dict[str, int] = {}
+        self._kinds: dict[tuple[str, str], int] = {}
+        self._cells = None if shape is None else np.zeros(shape, dtype=np.uint8)
 
     def write(self, stage: str, regions: pd.DataFrame) -> int:
         """Write lost regions, rows with a ``reason``, under the stage that dropped them; return how many."""
@@ -32,6 +44,30 @@ class Ledger:
             self._lost.append(regions.assign(method=self.method, stage=stage))
         self._rows[stage] = self._rows.get(stage, 0) + len(regions)
         return len(regions)
+
+    def mark(
+        self, stage: str, reasons: NDArray[np.object_], labels: NDArray[np.integer], cells: NDArray[np.integer]
+    ) -> None:
+        """Mark the cells of dropped regions; what a later stage marks replaces what was marked before.
+
+        Parameters
+        ----------
+        stage : str
+            The stage that dropped them.
+        reasons : (M,) ndarray of str
+            Why, a reason a region.
+        labels : (K,) ndarray of int
+            Which region each cell or point belongs to, 1 to M.
+        cells : (K,) ndarray of int
+            The flat index of its cell, in row order. Of two reasons in a cell the later in the alphabet stays, so that
+            the order of points has no effect.
+        """
+        if self._cells is None or not len(cells):
+            return
+        codes, words = pd.factorize(reasons, sort=True)
+        for code, word in enumerate(words):
+            number = self._kinds.setdefault((stage, str(word)), len(self._kinds) + 1)
+            self._cells.ravel()[cells[(codes == code)[labels - 1]]] = number
 
     def count(
         self, stage: str, entered: int, kept: int, dropped: int, *, pieces: int = 0, written: bool = True
@@ -74,3 +110,72 @@ class Ledger:
     def lost(self, empty: pd.DataFrame) -> pd.DataFrame:
         """Return all lost regions in the order of writing; the empty table gives the columns when there are none."""
         return pd.concat(self._lost or [empty.iloc[:0].assign(reason="", method="", stage="")], ignore_index=True)
+
+    def answers(self) -> Answers:
+        """Return what was marked, numbered by stages and reasons in their order as `number_reasons` numbers them.
+
+        Raises
+        ------
+        TableError
+            When the cells are not marked.
+        """
+        if self._cells is None:
+            msg = f"The ledger of {self.method} marks no cells. This is a fault of msbdb; please report it."
+            raise TableError(msg)
+        written = {(stage, reason) for frame in self._lost for stage, reason in _kinds_of(frame)}
+        number = {kind: place for place, kind in enumerate(sorted(written), start=1)}
+        table = np.zeros(len(self._kinds) + 1, dtype=np.uint8)
+        for kind, old in self._kinds.items():
+            table[old] = number[kind]
+        return table[self._cells]
+
+
+def _kinds_of(frame: pd.DataFrame) -> list[tuple[str, str]]:
+    """Return the different pairs of stage and reason of a frame."""
+    return [(str(stage), str(reason)) for stage, reason in frame[KIND].drop_duplicates().to_numpy()]
+
+
+def sum_up(rows: pd.DataFrame, counted: pd.DataFrame, least_m2: float) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Divide the ledger of a detector: rows for what could have been a building, numbers for all.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        ``tables.REJECTION`` of one detector, a row for each dropped region that is not yet counted only.
+    counted : DataFrame
+        ``tables.REJECTION_COUNT``; the regions in ``small`` are those that have no row any more. Empty for a new run.
+    least_m2 : float
+        Least area of a building; smaller regions are only counted.
+
+    Returns
+    -------
+    rows : DataFrame
+        Those of at least this area.
+    counts : DataFrame
+        ``tables.REJECTION_COUNT``, in order of stage and reason, numbered from 1.
+
+    Examples
+    --------
+    >>> dropped = REJECTION.empty()
+    >>> dropped.loc[0] = [1, "area3d", "rules", "rough", 1, 40.0, 0.0, 0.0]
+    >>> dropped.loc[1] = [2, "area3d", "rules", "rough", 1, 4.0, 0.0, 0.0]
+    >>> kept, counts = sum_up(REJECTION.typed(dropped), REJECTION_COUNT.empty(), 10.0)
+    >>> len(kept), counts[["regions", "area_m2", "small", "small_m2"]].to_numpy().tolist()
+    (1, [[2.0, 44.0, 1.0, 4.0]])
+    """
+    large = (rows["area_m2"] >= least_m2).to_numpy()
+    one = pd.DataFrame(rows)[["method", *KIND]].assign(
+        regions=1,
+        large_m2=np.where(large, rows["area_m2"], 0.0),
+        small=np.where(large, 0, 1),
+        small_m2=np.where(large, 0.0, rows["area_m2"]),
+    )
+    # The regions with a row are counted by their rows.
+    old = counted[["method", *KIND, "small", "small_m2"]].assign(regions=counted["small"], large_m2=0.0)
+    both = pd.concat([frame for frame in (one, old) if len(frame)] or [one])
+    # Sorted by area, as sums of floating-point numbers depend on their order.
+    both = both.sort_values([*KIND, "large_m2", "small_m2"], kind="stable")
+    sums = ["regions", "large_m2", "small", "small_m2"]
+    found = both.groupby(["method", *KIND], as_index=False)[sums].sum()
+    found = found.assign(area_m2=found["large_m2"] + found["small_m2"], number=np.arange(1, len(found) + 1))
+    return rows[large].reset_index(drop=True), REJECTION_COUNT.typed(found)

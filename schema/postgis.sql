@@ -1,4 +1,4 @@
--- The schema 0003 of msbdb for postgis.
+-- The schema 0004 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -298,6 +298,25 @@ CREATE TABLE rejection (
 );
 
 CREATE INDEX ix_rejection_run_id_method_stage_reason ON rejection (run_id, method, stage, reason);
+
+CREATE TABLE rejection_count (
+  run_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
+  number BIGINT NOT NULL,
+  stage TEXT NOT NULL,
+  reason TEXT NOT NULL,
+  regions BIGINT NOT NULL,
+  area_m2 DOUBLE PRECISION NOT NULL,
+  small BIGINT NOT NULL,
+  small_m2 DOUBLE PRECISION NOT NULL,
+  CONSTRAINT pk_rejection_count PRIMARY KEY (run_id, method, number),
+  CONSTRAINT ck_rejection_count_method CHECK (method IN ('multiscale', 'flatregions', 'area3d', 'adaptive')),
+  CONSTRAINT ck_rejection_count_number CHECK (number >= 1 AND number <= 255),
+  CONSTRAINT ck_rejection_count_reason CHECK (stage <> '' AND reason <> ''),
+  CONSTRAINT ck_rejection_count_regions CHECK (regions >= 1 AND small >= 0 AND small <= regions),
+  CONSTRAINT ck_rejection_count_area CHECK (small_m2 >= 0 AND area_m2 >= small_m2),
+  CONSTRAINT fk_rejection_count_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
 
 CREATE TABLE run_method (
   run_id BIGINT NOT NULL,
@@ -1080,7 +1099,7 @@ COMMENT ON COLUMN flat_region.ycen IS 'northing of the centroid of its cells [m]
 
 COMMENT ON COLUMN flat_region.geometry IS 'in the database''s CRS [m]';
 
-COMMENT ON TABLE rejection IS 'A region that a stage dropped, and the reason; every dropped region has a row';
+COMMENT ON TABLE rejection IS 'The ledger: a region that could have been a building by its area, but that a stage dropped, and the reason';
 
 COMMENT ON COLUMN rejection.rejection_id IS 'from the run, the region, the method, the stage and the reason';
 
@@ -1103,6 +1122,26 @@ COMMENT ON COLUMN rejection.xcen IS 'easting of its centroid [m]';
 COMMENT ON COLUMN rejection.ycen IS 'northing of its centroid [m]';
 
 COMMENT ON COLUMN rejection.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON TABLE rejection_count IS 'The ledger in numbers: the regions that a detector dropped at a stage for a reason, those without a row included';
+
+COMMENT ON COLUMN rejection_count.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN rejection_count.method IS 'the detector: multiscale, flatregions, area3d or adaptive';
+
+COMMENT ON COLUMN rejection_count.number IS 'number of the stage and reason among those of the detector, from 1; the value in its raster of answers';
+
+COMMENT ON COLUMN rejection_count.stage IS 'the stage that dropped them';
+
+COMMENT ON COLUMN rejection_count.reason IS 'why they were dropped';
+
+COMMENT ON COLUMN rejection_count.regions IS 'number of the dropped regions [count]';
+
+COMMENT ON COLUMN rejection_count.area_m2 IS 'their area [m2]';
+
+COMMENT ON COLUMN rejection_count.small IS 'number of those smaller than the least building area, which have no row in rejection [count]';
+
+COMMENT ON COLUMN rejection_count.small_m2 IS 'the area of these [m2]';
 
 COMMENT ON TABLE run_method IS 'A detector of a run';
 
@@ -1372,5 +1411,5 @@ COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and cla
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
 

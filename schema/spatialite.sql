@@ -1,4 +1,4 @@
--- The schema 0003 of msbdb for spatialite.
+-- The schema 0004 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -298,6 +298,25 @@ CREATE TABLE rejection (
 );
 
 CREATE INDEX ix_rejection_run_id_method_stage_reason ON rejection (run_id, method, stage, reason);
+
+CREATE TABLE rejection_count (
+  run_id BIGINT NOT NULL,
+  method TEXT NOT NULL,
+  number BIGINT NOT NULL,
+  stage TEXT NOT NULL,
+  reason TEXT NOT NULL,
+  regions BIGINT NOT NULL,
+  area_m2 DOUBLE NOT NULL,
+  small BIGINT NOT NULL,
+  small_m2 DOUBLE NOT NULL,
+  CONSTRAINT pk_rejection_count PRIMARY KEY (run_id, method, number),
+  CONSTRAINT ck_rejection_count_method CHECK (method IN ('multiscale', 'flatregions', 'area3d', 'adaptive')),
+  CONSTRAINT ck_rejection_count_number CHECK (number >= 1 AND number <= 255),
+  CONSTRAINT ck_rejection_count_reason CHECK (stage <> '' AND reason <> ''),
+  CONSTRAINT ck_rejection_count_regions CHECK (regions >= 1 AND small >= 0 AND small <= regions),
+  CONSTRAINT ck_rejection_count_area CHECK (small_m2 >= 0 AND area_m2 >= small_m2),
+  CONSTRAINT fk_rejection_count_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
 
 CREATE TABLE run_method (
   run_id BIGINT NOT NULL,
@@ -757,5 +776,5 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0003');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
 

@@ -199,8 +199,12 @@ class Inventory:
         return self._read.read_classes(self.engine, survey)
 
     def rejections(self, survey: str | None = None) -> "gpd.GeoDataFrame":
-        """Return the ledger: every region that a stage dropped, and the reason."""
+        """Return the ledger: every region as large as a building that a stage dropped, and the reason."""
         return self._read.read_rejections(self.engine, survey)
+
+    def rejection_counts(self, survey: str | None = None) -> "pd.DataFrame":
+        """Return the ledger in numbers: how many regions a detector dropped, by stage and reason, small ones too."""
+        return self._read.read_rejection_counts(self.engine, survey)
 
     def view(self, out: str | Path, survey: str | None = None, *, of: str = "buildings") -> None:
         """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""

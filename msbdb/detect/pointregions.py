@@ -17,7 +17,7 @@ from msbdb.grid import Bands, GridSpec
 from msbdb.ground.quadratic import ground_heights
 from msbdb.identity import part_ids
 from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, reorder, sizes, sums
-from msbdb.ledger import Ledger
+from msbdb.ledger import Answers, Ledger
 from msbdb.outline.pointoutlines import outline_regions
 from msbdb.outline.polygons import Geometries, rasterise
 from msbdb.params import Params
@@ -48,6 +48,8 @@ class Candidates:
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut
         itself, less those it joined), ``kept`` and ``dropped``.
+    answers : (H, W) ndarray of uint8, optional
+        Which stage dropped the points of a cell, and why (`msbdb.ledger.Ledger.answers`).
     """
 
     method: str
@@ -55,6 +57,7 @@ class Candidates:
     regions: pd.DataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
+    answers: Answers | None = None
 
 
 def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: Params) -> Regions:
@@ -83,7 +86,13 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
     )
     table = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
     return Regions(
-        found.method, rasterise(outlines, spec), table, found.rejections, found.counts, of_points=found.labels
+        found.method,
+        rasterise(outlines, spec),
+        table,
+        found.rejections,
+        found.counts,
+        of_points=found.labels,
+        answers=found.answers,
     )
 
 
@@ -156,6 +165,13 @@ class PlacedPoints:
         """Return some of the points."""
         return replace(self, x=self.x[index], y=self.y[index], area_m2=self.area_m2[index], place=self.place[index])
 
+    def cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return the flat indices of the cells of the points on the lattice, and which points these are."""
+        row, col = (number - PLACES // 2 for number in np.divmod(self.place, PLACES))
+        rows, cols = self.spec.shape
+        there = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        return row[there] * cols + col[there], there
+
     def areas(self, labels: Labels, count: int) -> Floats:
         """Return the area of each region, m2."""
         return sums(labels, self.area_m2, count)
@@ -192,10 +208,10 @@ def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int6
 
 
 class PointLedger(Ledger):
-    """The ledger of a detector on points: labelled regions of points become ``tables.REJECTION``."""
+    """The ledger of a detector on points: labelled regions become ``tables.REJECTION``, and their cells are marked."""
 
     def __init__(self, method: str, points: PlacedPoints) -> None:
-        super().__init__(method)
+        super().__init__(method, points.spec.shape)
         self.points = points
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, number: int, *, scale: int = 0) -> int:
@@ -228,6 +244,8 @@ class PointLedger(Ledger):
                 "ycen": ycen,
             }
         )
+        cells, there = points.cells()
+        self.mark(stage, reasons, labels[there], cells)
         return self.write(stage, rows)
 
     def rejections(self) -> pd.DataFrame:
@@ -304,7 +322,7 @@ def in_order_of_ids(
     found = np.zeros(number, dtype=np.int32)
     found[index] = reorder(labels, order, len(order))
     rows = regions.iloc[order].reset_index(drop=True)
-    return Candidates(ledger.method, found, rows, ledger.rejections(), ledger.counts)
+    return Candidates(ledger.method, found, rows, ledger.rejections(), ledger.counts, ledger.answers())
 
 
 def strings_of_points(x: Floats, y: Floats, member: NDArray[np.integer]) -> Geometries:

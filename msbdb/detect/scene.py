@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError
 from msbdb.grid import Bands, Grid
 from msbdb.kept import PER_METRE
+from msbdb.ledger import Answers
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import PointCloud
 from msbdb.spectral.coverclasses import Cover
@@ -162,6 +163,10 @@ class Regions:
         Labels of the points, of a detector that takes the points themselves.
     forest : Forest, optional
         The tree of parts over the scales, of the multi-scale detector.
+    answers : (H, W) ndarray of uint8, optional
+        Which stage dropped a cell, and why (`msbdb.ledger.Ledger.answers`); None where that is not known.
+    counted : DataFrame, optional
+        ``tables.REJECTION_COUNT`` of regions read back from a database, in which small dropped regions have no row.
     """
 
     method: str
@@ -171,3 +176,5 @@ class Regions:
     counts: dict[str, dict[str, int]]
     of_points: NDArray[np.int32] | None = None
     forest: Forest | None = None
+    answers: Answers | None = None
+    counted: pd.DataFrame | None = None

@@ -13,6 +13,7 @@ from msbdb.labels import Labels, chosen_cells, label_zones, measure, sizes
 from msbdb.ledger import Ledger
 from msbdb.params import SurfaceParams
 from msbdb.parts.adjacency import grow
+from msbdb.tables import Reason
 
 MAX_SLICE = 2**16 - 1
 """Slices are counted in 16 bits; higher ones are cut off."""
@@ -71,9 +72,47 @@ class Step:
 
 
 class ClusterLedger(Ledger):
-    """Counts by stage, checked to balance, and the clusters that were lost; ``level`` is -1 where no scale applies."""
+    """Counts by stage, checked to balance, and the clusters that were lost; ``level`` is -1 where no scale applies.
 
-    def record(self, stage: str, before: Clusters, step: Step, *, lost: bool = True) -> Clusters:
+    Parameters
+    ----------
+    method : str
+        Name of the detector.
+
+    Attributes
+    ----------
+    reasons : (H, W) ndarray of uint8
+        `msbdb.tables.Reason` of the cells above the mask that a stage dropped; 0 elsewhere. None before `begin`.
+    """
+
+    def __init__(self, method: str) -> None:
+        super().__init__(method)
+        self.reasons: NDArray[np.uint8] | None = None
+        self._above = np.zeros(0, dtype=np.intp)
+
+    def begin(self, above: NDArray[np.bool_]) -> None:
+        """Follow these cells, (H, W), from stage to stage."""
+        self.reasons = np.zeros(above.shape, dtype=np.uint8)
+        self._above = np.flatnonzero(above)
+
+    def lose(self, cells: NDArray[np.bool_], reason: Reason) -> None:
+        """Mark cells, (H, W), as lost for a reason, and follow them no longer."""
+        if self.reasons is not None:
+            gone = cells.ravel()[self._above]
+            self.reasons.ravel()[self._above[gone]] = reason
+            self._above = self._above[~gone]
+
+    def _lose_uncovered(self, clusters: Clusters, reason: Reason) -> None:
+        """Mark the cells that no living cluster of any scale covers."""
+        covered = np.zeros(self._above.size, dtype=np.bool_)
+        living = clusters.flags(np.flatnonzero(clusters.alive))
+        for labels in clusters.labels:
+            covered |= living[labels.ravel()[self._above]]
+        if self.reasons is not None:
+            self.reasons.ravel()[self._above[~covered]] = reason
+            self._above = self._above[covered]
+
+    def record(self, stage: str, before: Clusters, step: Step, reason: Reason | None = None) -> Clusters:
         """Record a stage and return the clusters that it leaves.
 
         Parameters
@@ -84,12 +123,14 @@ class ClusterLedger(Ledger):
             The clusters before the stage.
         step : Step
             The result of the stage.
-        lost : bool
-            Whether the dropped regions are lost and go to the ledger. Duplicates are only counted, as the coarser
-            cluster covers them.
+        reason : Reason, optional
+            Why the dropped regions are lost; they go to the ledger, and cells that no other cluster covers are marked.
+            Duplicates have none: they are only counted, as the coarser cluster covers them.
         """
-        if lost:
+        lost = reason is not None
+        if reason is not None:
             self.write(stage, step.dropped)
+            self._lose_uncovered(step.clusters, reason)
         entered, kept = int(before.alive.sum()), int(step.clusters.alive.sum())
         self.count(stage, entered, kept, len(step.dropped), pieces=step.pieces, written=lost)
         return step.clusters

@@ -35,6 +35,8 @@ class Forest:
         The columns of ``tables.REJECTION``, without geometry.
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself), ``kept`` and ``dropped``.
+    reasons : (H, W) ndarray of uint8, optional
+        `msbdb.tables.Reason` of the cells above the mask that a stage dropped; 0 elsewhere.
     """
 
     labels: tuple[Labels, ...]
@@ -42,6 +44,7 @@ class Forest:
     scales: pd.DataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
+    reasons: NDArray[np.uint8] | None = None
 
     @property
     def root_labels(self) -> Labels:
@@ -106,7 +109,7 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     parts = PART.typed(parts)
     validate_parts(parts.assign(geometry=None))
     rejections = _rejections(lost, ids[len(rows) :], context)
-    return Forest(clusters.labels, parts, context.scales, rejections, ledger.counts)
+    return Forest(clusters.labels, parts, context.scales, rejections, ledger.counts, ledger.reasons)
 
 
 def compact(clusters: Clusters) -> Clusters:

@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
-from msbdb.labels import label_zones, measure
+from msbdb.labels import chosen_cells, label_zones, measure
 from msbdb.landcover import ClassMap
 from msbdb.morphology.scalespace import build_scale_space, find_scales
 from msbdb.params import Params, ScaleParams, with_values
@@ -20,7 +20,7 @@ from msbdb.parts.forest import Context, Forest, grow_forest
 from msbdb.parts.links import drop_duplicates
 from msbdb.parts.reshaping import cut_vegetation
 from msbdb.parts.spectrum import drop_unlike, split_by_classes
-from msbdb.tables import SCALE
+from msbdb.tables import SCALE, Reason
 
 logger = logging.getLogger(__name__)
 
@@ -78,6 +78,7 @@ def extract_parts(
     ledger = ClusterLedger("multiscale")
     params = choose_scales(ndsm, classes, params)
     sliced = slice_heights(ndsm, params.surface)
+    ledger.begin(sliced > 0)
     if classes is not None and params.spectral.decides == "structure":
         reason = VEGETATION if built is None else UNSUPPORTED
         sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger, reason=reason)
@@ -87,13 +88,13 @@ def extract_parts(
     thresholds = scales["threshold_px"].tolist()[::-1]
     clusters = form_clusters(sliced, thresholds, params.scale, ledger)
     step = drop_duplicates(clusters, params.scale.duplicate_share)
-    clusters = ledger.record("duplicates", clusters, step, lost=False)
+    clusters = ledger.record("duplicates", clusters, step)
     if classes is not None:
         clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
     step = drop_fake_fathers(
         clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0], supported=built is not None
     )
-    clusters = ledger.record("fake fathers", clusters, step)
+    clusters = ledger.record("fake fathers", clusters, step, Reason.GAP)
     forest = grow_forest(
         clusters, Context(ndsm, classes, scales, survey, params.surface, params.scale.connectivity), ledger
     )
@@ -176,7 +177,10 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
     tiny = clusters.rows["area"].to_numpy() < thresholds[0]
     small = np.flatnonzero(tiny & scale.merge_slivers)
     return ledger.record(
-        "clusters", clusters, Step(clusters.without(small), clusters.rows.iloc[small].assign(reason=TOO_SMALL))
+        "clusters",
+        clusters,
+        Step(clusters.without(small), clusters.rows.iloc[small].assign(reason=TOO_SMALL)),
+        Reason.SMALL_PART,
     )
 
 
@@ -192,6 +196,7 @@ def _mask_vegetation(
     lost = measure(blobs, count)
     ledger.write("vegetation mask", _without_scale(lost, reason))
     ledger.count("vegetation mask", count, 0, count)
+    ledger.lose(vegetation, Reason.VEGETATION_BY_STRUCTURE)
     return np.where(vegetation, 0, sliced).astype(sliced.dtype)
 
 
@@ -202,6 +207,7 @@ def _record_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, l
     lost = table[table["area"] < smallest_px]
     ledger.write("opening", _without_scale(lost, TOO_SMALL))
     ledger.count("opening", count, count - len(lost), len(lost))
+    ledger.lose(chosen_cells(islands, (table["area"] < smallest_px).to_numpy()), Reason.SMALL)
 
 
 def _without_scale(measured: pd.DataFrame, reason: str) -> pd.DataFrame:
@@ -217,9 +223,9 @@ def _apply_classes(
     step = cut_vegetation(
         clusters, classes.labelled("vegetation"), smallest_px=smallest_px, connectivity=scale.connectivity
     )
-    clusters = ledger.record("vegetation", clusters, step)
+    clusters = ledger.record("vegetation", clusters, step, Reason.VEGETATION_BY_COLOUR)
     step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
-    clusters = ledger.record("duplicates after vegetation", clusters, step, lost=False)
+    clusters = ledger.record("duplicates after vegetation", clusters, step)
     step = split_by_classes(
         clusters,
         classes,
@@ -228,7 +234,8 @@ def _apply_classes(
         smallest_px=smallest_px,
         connectivity=scale.connectivity,
     )
-    clusters = ledger.record("split", clusters, step)
+    clusters = ledger.record("split", clusters, step, Reason.SMALL_PART)
     step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
-    clusters = ledger.record("duplicates after split", clusters, step, lost=False)
-    return ledger.record("spectrum", clusters, drop_unlike(clusters, classes, spectral.min_building_share))
+    clusters = ledger.record("duplicates after split", clusters, step)
+    step = drop_unlike(clusters, classes, spectral.min_building_share)
+    return ledger.record("spectrum", clusters, step, Reason.UNLIKE_PART)

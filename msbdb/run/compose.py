@@ -146,20 +146,27 @@ def detect(scene: Scene, methods: Sequence[str], params: Params, stages: Stages)
 
 def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:
     """Fuse, decompose and describe: the steps that a build and a re-labelling share."""
-    forest = fuse_and_decompose(scene, regions, params, stages)
+    built = fuse(scene, regions, params, stages)
+    with stages.stage("parts"):
+        forest = decompose(scene, regions, built, params)
     with stages.stage("outlines"):
-        return describe(scene, regions, forest, params)
+        return describe(scene, regions, forest, params, built=built)
 
 
 def fuse_and_decompose(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Forest:
     """Decide which cells are building, and return the tree of parts inside them."""
-    built = None
-    with stages.stage("fusion"):
-        if is_fused(regions, params.fuse):
-            mask_m, evidence = params.surface.mask_m, scene.evidence
-            built = fuse_cells(scene.heights, regions, params.fuse, mask_m=mask_m, evidence=evidence)
+    built = fuse(scene, regions, params, stages)
     with stages.stage("parts"):
         return decompose(scene, regions, built, params)
+
+
+def fuse(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> NDArray[np.bool_] | None:
+    """Return the cells that the detectors take together; None where they do not decide together."""
+    with stages.stage("fusion"):
+        if not is_fused(regions, params.fuse):
+            return None
+        mask_m, evidence = params.surface.mask_m, scene.evidence
+        return fuse_cells(scene.heights, regions, params.fuse, mask_m=mask_m, evidence=evidence)
 
 
 def decompose(scene: Scene, regions: Mapping[str, Regions], built: NDArray[np.bool_] | None, params: Params) -> Forest:

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.buildings import buildings_from_parts, covered_shares, label_buildings, link_labels, with_support
+from msbdb.fuse.cellreasons import explain_cells, support_of
 from msbdb.fuse.cells import is_fused
 from msbdb.grid import Grid, GridSpec
 from msbdb.kept import Rasters
 from msbdb.labels import Labels
+from msbdb.ledger import sum_up
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
 from msbdb.params import POINT_DETECTORS, Params, VectorParams
@@ -30,6 +32,7 @@ from msbdb.tables import (
     PART_CANDIDATE,
     PART_FLAT_REGION,
     REJECTION,
+    REJECTION_COUNT,
     TABLES,
     Table,
     validate,
@@ -56,7 +59,14 @@ class Description:
     counts: dict[str, dict[str, dict[str, int]]]
 
 
-def describe(scene: Scene, regions: Mapping[str, Regions], forest: Forest, params: Params) -> Description:
+def describe(
+    scene: Scene,
+    regions: Mapping[str, Regions],
+    forest: Forest,
+    params: Params,
+    *,
+    built: NDArray[np.bool_] | None = None,
+) -> Description:
     """Return the tables, rasters and counts of a run.
 
     Parameters
@@ -68,14 +78,17 @@ def describe(scene: Scene, regions: Mapping[str, Regions], forest: Forest, param
     forest : Forest
         The parts; empty where the multi-scale detector was not run.
     params : Params
-        Section ``vector``.
+        Sections ``fuse``, ``surface`` and ``vector``.
+    built : (H, W) ndarray of bool, optional
+        The cells that the detectors took together; None where they did not decide together.
     """
     parts = outline_parts(forest, scene.heights, params.vector)
     # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
     counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
     some = {name: stages for name, stages in counts.items() if stages}
     frames = make_frames(scene, regions, forest, parts, params)
-    return Description(frames, _rasters(scene, regions), some)
+    reason = explain_cells(scene, regions, built, forest, params)
+    return Description(frames, _rasters(scene, regions, reason), some)
 
 
 def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDataFrame:
@@ -141,7 +154,7 @@ def make_frames(
     shares = {name: covered_shares(labels, len(buildings), found.labels) for name, found in regions.items()}
     outlines = _outlines(labels, len(buildings), spec, params.vector)
     buildings = gpd.GeoDataFrame(with_support(buildings, shares, params=fusion), geometry=outlines, crs=spec.crs)
-    rejections = _joined(forest.rejections, [flat.ledger, *(found.ledger for found in candidates)])
+    rejections, counts = _ledger(forest, [flat, *candidates], params)
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     none = no_regions("area3d", CANDIDATE_REGION, spec)
     frames = {
@@ -150,6 +163,7 @@ def make_frames(
         "spectral_class": scene.cover.table,
         "spectral_class_band": scene.cover.bands,
         "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=spec.crs),
+        "rejection_count": counts,
         "building": buildings[[*BUILDING.names, "geometry"]],
         "flat_region": flat.table,
         "part_flat_region": flat_links,
@@ -160,6 +174,19 @@ def make_frames(
     for table in TABLES:
         validate(frames[table.name], table)
     return frames
+
+
+def _ledger(forest: Forest, others: list[Regions], params: Params) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the ledgers of all detectors: rows for what could have been a building, and the numbers of all.
+
+    That of the multi-scale detector is the tree of parts', which may have grown inside the cells of all detectors.
+    """
+    none = REJECTION_COUNT.empty()
+    ledgers = [(forest.rejections, none)]
+    ledgers += [(found.ledger, none if found.counted is None else found.counted) for found in others]
+    divided = [sum_up(rows, counted, params.fuse.piece_m2) for rows, counted in ledgers]
+    rows, counts = (list(frames) for frames in zip(*divided, strict=True))
+    return _joined(rows[0], rows[1:]), _joined(counts[0], counts[1:])
 
 
 def no_regions(method: str, table: Table, spec: GridSpec) -> Regions:
@@ -202,7 +229,7 @@ def describe_choices(scene: Scene, params: Params) -> dict[str, object]:
     }
 
 
-def _rasters(scene: Scene, regions: Mapping[str, Regions]) -> Rasters:
+def _rasters(scene: Scene, regions: Mapping[str, Regions], reason: NDArray[np.uint8]) -> Rasters:
     """Return the rasters that the database keeps."""
     cover, evidence = scene.cover, scene.evidence
     return replace(
@@ -213,4 +240,7 @@ def _rasters(scene: Scene, regions: Mapping[str, Regions]) -> Rasters:
         roof_probability=None if evidence is None else evidence.roof_probability,
         terrain_cm=scene.elevations.terrain_cm,
         echoes=scene.elevations.echoes,
+        reason=reason,
+        support=support_of(regions, reason.shape),
+        answers={name: found.answers for name, found in regions.items() if found.answers is not None},
     )

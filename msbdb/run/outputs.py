@@ -35,7 +35,7 @@ def _counts(summary: RunSummary) -> dict[str, Any]:
         "parts": summary.rows["part"],
         "flat_regions": summary.rows["flat_region"],
         "candidate_regions": summary.candidates,
-        "rejected": summary.rows["rejection"],
+        "rejected": summary.rejected,
         "footprint_m2": round(summary.footprint_m2, 1),
         "volume_m3": round(summary.volume_m3, 1),
         "highest_m": None if summary.highest_m is None else round(summary.highest_m, 2),

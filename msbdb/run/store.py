@@ -92,7 +92,7 @@ def report_of(kept: KeptRun, stages: Stages, *, changed: bool, passing: Sequence
         parts=len(kept.frames["part"]),
         flat_regions=len(kept.frames["flat_region"]),
         candidate_regions=kept.candidate_counts,
-        rejected=len(kept.frames["rejection"]),
+        rejected=int(kept.frames["rejection_count"]["regions"].sum()),
         notices=(*kept.run.notices, *passing),
         timings=stages.rounded(),
         changed=changed,
@@ -119,13 +119,18 @@ def recall_regions(kept: KeptRun) -> dict[str, Regions]:
     if "flatregions" in labels:
         table = kept.frames["flat_region"].sort_values("region_id", ignore_index=True)
         found["flatregions"] = Regions(
-            "flatregions", labels["flatregions"], gpd.GeoDataFrame(table), *_written_by(kept, "flatregions")
+            "flatregions",
+            labels["flatregions"],
+            gpd.GeoDataFrame(table),
+            *_written_by(kept, "flatregions"),
+            **_answered_by(kept, "flatregions"),
         )
     table = kept.frames["candidate_region"].sort_values("candidate_id", ignore_index=True)
     for method in kept.run.methods:
         if method in POINT_DETECTORS:
             own = gpd.GeoDataFrame(table[table["method"] == method].reset_index(drop=True))
-            found[method] = Regions(method, labels[method], own, *_written_by(kept, method))
+            own_ledger = _written_by(kept, method)
+            found[method] = Regions(method, labels[method], own, *own_ledger, **_answered_by(kept, method))
     return found
 
 
@@ -133,6 +138,13 @@ def _written_by(kept: KeptRun, method: str) -> tuple[pd.DataFrame, dict[str, dic
     """Return the ledger rows and the counts by stage of a detector."""
     ledger = kept.frames["rejection"]
     return ledger.loc[ledger["method"] == method, REJECTION.names], kept.run.counts.regions.get(method, {})
+
+
+def _answered_by(kept: KeptRun, method: str) -> dict[str, Any]:
+    """Return which of its cells a detector dropped, and the numbers of its dropped regions."""
+    counted = kept.frames["rejection_count"]
+    own = counted[counted["method"] == method].reset_index(drop=True)
+    return {"answers": kept.rasters.answers.get(method), "counted": own}
 
 
 def _evidence(rasters: Rasters) -> Evidence | None:

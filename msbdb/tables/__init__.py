@@ -22,6 +22,7 @@ from msbdb.tables.inventory_tables import (
     ROW_DIGEST,
     SURVEY_OFFSET,
 )
+from msbdb.tables.reasons import REASONS, Reason
 from msbdb.tables.records import Counts, Run, Source, Survey
 from msbdb.tables.region_tables import (
     CANDIDATE_REGION,
@@ -33,6 +34,7 @@ from msbdb.tables.region_tables import (
 from msbdb.tables.run_tables import (
     CLASS_LABELS,
     REJECTION,
+    REJECTION_COUNT,
     RUN,
     RUN_METHOD,
     RUN_STATE,
@@ -49,6 +51,7 @@ TABLES = (
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
     REJECTION,
+    REJECTION_COUNT,
     BUILDING,
     FLAT_REGION,
     PART_FLAT_REGION,
@@ -70,6 +73,7 @@ RUN_TABLES = (
     PART,
     BUILDING,
     REJECTION,
+    REJECTION_COUNT,
     FLAT_REGION,
     PART_FLAT_REGION,
     CANDIDATE_REGION,
@@ -102,7 +106,9 @@ __all__ = [
     "PART",
     "PART_CANDIDATE",
     "PART_FLAT_REGION",
+    "REASONS",
     "REJECTION",
+    "REJECTION_COUNT",
     "ROOF_SAMPLE",
     "ROW_DIGEST",
     "RUN",
@@ -121,6 +127,7 @@ __all__ = [
     "Counts",
     "Index",
     "KeyReference",
+    "Reason",
     "Run",
     "Source",
     "Survey",

@@ -170,7 +170,7 @@ SPECTRAL_CLASS_BAND = Table(
 
 REJECTION = Table(
     "rejection",
-    "A region that a stage dropped, and the reason; every dropped region has a row",
+    "The ledger: a region that could have been a building by its area, but that a stage dropped, and the reason",
     (
         Column(
             "rejection_id",
@@ -197,4 +197,38 @@ REJECTION = Table(
     ),
     indexes=(Index(("run_id", "method", "stage", "reason")),),
     geometry="POINT",
+)
+
+REJECTION_COUNT = Table(
+    "rejection_count",
+    "The ledger in numbers: the regions that a detector dropped at a stage for a reason, those without a row included",
+    (
+        RUN_KEY,
+        Column("method", "str", "-", "the detector: multiscale, flatregions, area3d or adaptive", primary=True),
+        Column(
+            "number",
+            "int64",
+            "-",
+            "number of the stage and reason among those of the detector, from 1; the value in its raster of answers",
+            primary=True,
+        ),
+        Column("stage", "str", "-", "the stage that dropped them"),
+        Column("reason", "str", "-", "why they were dropped"),
+        Column("regions", "int64", "count", "number of the dropped regions"),
+        Column("area_m2", "float64", "m2", "their area"),
+        Column(
+            "small",
+            "int64",
+            "count",
+            "number of those smaller than the least building area, which have no row in rejection",
+        ),
+        Column("small_m2", "float64", "m2", "the area of these"),
+    ),
+    rules=(
+        one_of("method", DETECTORS),
+        Check("number", "number >= 1 AND number <= 255"),
+        Check("reason", "stage <> '' AND reason <> ''"),
+        Check("regions", "regions >= 1 AND small >= 0 AND small <= regions"),
+        Check("area", "small_m2 >= 0 AND area_m2 >= small_m2"),
+    ),
 )

@@ -29,6 +29,8 @@ PART = SQL["part"]
 
 REJECTION = SQL["rejection"]
 
+REJECTION_COUNT = SQL["rejection_count"]
+
 RUN = SQL["run"]
 
 RUN_STATE = SQL["run_state"]
@@ -38,7 +40,7 @@ SURVEY = SQL["survey"]
 SURVEY_OFFSET = SQL["survey_offset"]
 
 COUNTED_ONLY = "duplicates"
-"""Prefix of the stages whose dropped regions are kept as coarser ones; the ledger has no rows for them."""
+"""Prefix of the stages whose dropped regions are kept as coarser ones; the ledger does not count them."""
 
 BATCH = 10_000
 """Rows in memory at a time."""
@@ -51,7 +53,11 @@ UNREADABLE = (MsbdbError, ValueError, TypeError, KeyError, OverflowError, zlib.e
 
 
 def check_ledger(connection: Connection) -> Iterator[Finding]:
-    """Yield stages whose counts do not add up, or whose dropped regions differ from the rows of the ledger."""
+    """Yield stages whose counts do not add up, or whose dropped regions are not those of the ledger.
+
+    The ledger counts each dropped region, and has a row for each that is not small.
+    """
+    yield from _rows_and_counts(connection)
     rejections = _rejections(connection)
     for run_id, counts in connection.execute(select(RUN.c.run_id, RUN.c.counts).order_by(RUN.c.run_id)):
         methods = counts.get("regions") if isinstance(counts, Mapping) else None
@@ -67,10 +73,11 @@ def check_ledger(connection: Connection) -> Iterator[Finding]:
             expected = numbers["dropped"]
             allowed = {expected, 0} if stage.startswith(COUNTED_ONLY) else {expected}
             if found not in allowed:
-                yield Finding("ledger", "rejection", key, f"{found} rows of {name}", f"{expected}, as the run counts")
+                what = f"{found} regions of {name}"
+                yield Finding("ledger", "rejection_count", key, what, f"{expected}, as the run counts")
         for method, stage in sorted(set(rows) - set(stages)):
-            what = f"{rows[method, stage]} rows of stage '{stage}' of {method}"
-            yield Finding("ledger", "rejection", key, what, "none: no such stage")
+            what = f"{rows[method, stage]} regions of stage '{stage}' of {method}"
+            yield Finding("ledger", "rejection_count", key, what, "none: no such stage")
         kept = stages.get(LAST_STAGE, {}).get("kept")
         parts = connection.scalar(select(func.count()).where(PART.c.run_id == run_id))
         if kept is not None and parts != kept:
@@ -78,12 +85,33 @@ def check_ledger(connection: Connection) -> Iterator[Finding]:
 
 
 def _rejections(connection: Connection) -> dict[int, dict[tuple[str, str], int]]:
-    """Return the number of ledger rows by run, and by method and stage."""
+    """Return the number of dropped regions in the ledger by run, and by method and stage."""
     found: dict[int, dict[tuple[str, str], int]] = {}
-    columns = (REJECTION.c.run_id, REJECTION.c.method, REJECTION.c.stage)
-    for run_id, method, stage, rows in connection.execute(select(*columns, func.count()).group_by(*columns)):
-        found.setdefault(run_id, {})[method, stage] = rows
+    columns = (REJECTION_COUNT.c.run_id, REJECTION_COUNT.c.method, REJECTION_COUNT.c.stage)
+    counted = select(*columns, func.sum(REJECTION_COUNT.c.regions)).group_by(*columns)
+    for run_id, method, stage, regions in connection.execute(counted):
+        found.setdefault(run_id, {})[method, stage] = int(regions)
     return found
+
+
+def _rows_and_counts(connection: Connection) -> Iterator[Finding]:
+    """Yield kinds of dropped regions of which the ledger has more or fewer rows than it counts, without the small."""
+    row, count = REJECTION.c, REJECTION_COUNT.c
+    there = select(row.run_id, row.method, row.stage, row.reason, func.count())
+    rows = {tuple(key): number for *key, number in connection.execute(there.group_by(*there.selected_columns[:4]))}
+    counted = select(count.run_id, count.method, count.stage, count.reason, count.regions - count.small)
+    expected = {tuple(key): number for *key, number in connection.execute(counted)}
+    for key in sorted(set(rows) | set(expected)):
+        run_id, method, stage, reason = key
+        if rows.get(key, 0) != expected.get(key, 0):
+            what = f"{rows.get(key, 0)} rows of stage '{stage}' of {method} for '{reason}'"
+            yield Finding(
+                "ledger",
+                "rejection",
+                by_id("run", "run_id", run_id),
+                what,
+                f"{expected.get(key, 0)}, as rejection_count has",
+            )
 
 
 def _unbalanced(key: str, name: str, numbers: Mapping[str, int]) -> Iterator[Finding]:

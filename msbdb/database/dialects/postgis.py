@@ -76,6 +76,7 @@ _CONTENT = (
     "spectral_class",
     "spectral_class_band",
     "rejection",
+    "rejection_count",
     "building",
     "flat_region",
     "part_flat_region",

@@ -24,6 +24,7 @@ from msbdb.tables import (
     FLAT_REGION,
     PART,
     REJECTION,
+    REJECTION_COUNT,
     SCALE,
     SPECTRAL_CLASS,
     TABLES,
@@ -162,7 +163,9 @@ class RunSummary:
     run : Run
         Parameters, counts, timings and notices.
     rows : dict of str to int
-        Rows by table, for parts, buildings, regions and rejections.
+        Rows by table, for parts, buildings and regions.
+    rejected : int
+        Number of dropped regions.
     candidates : dict of str to int
         Candidate regions by detector, for those on points that were run.
     footprint_m2, volume_m3 : float
@@ -176,6 +179,7 @@ class RunSummary:
     survey: Survey
     run: Run
     rows: dict[str, int]
+    rejected: int
     candidates: dict[str, int]
     footprint_m2: float
     volume_m3: float
@@ -194,7 +198,7 @@ def summarise_run(engine: Engine, survey: str | None = None) -> RunSummary:
         run = _run_record(connection, row)
         counted = {
             name: select(func.count()).where(SQL[name].c.run_id == row.run_id)
-            for name in ("part", "building", "flat_region", "rejection")
+            for name in ("part", "building", "flat_region")
         }
         methods = (
             select(candidate.method, func.count()).where(candidate.run_id == row.run_id).group_by(candidate.method)
@@ -202,11 +206,14 @@ def summarise_run(engine: Engine, survey: str | None = None) -> RunSummary:
         found = {str(method): int(number) for method, number in connection.execute(methods)}
         sums = select(func.sum(building.area_m2), func.sum(building.volume_m3), func.max(building.h_max))
         area, volume, highest = connection.execute(sums.where(building.run_id == row.run_id)).one()
+        lost = SQL["rejection_count"].c
+        dropped = connection.scalar(select(func.sum(lost.regions)).where(lost.run_id == row.run_id))
         scales = select(scale.threshold_m2).where(scale.run_id == row.run_id).order_by(scale.scale)
         return RunSummary(
             survey=_survey_record(connection, row.survey_id),
             run=run,
             rows={name: int(connection.scalar(query) or 0) for name, query in counted.items()},
+            rejected=int(dropped or 0),
             candidates={name: found.get(name, 0) for name in POINT_DETECTORS if name in run.methods},
             footprint_m2=float(area or 0.0),
             volume_m3=float(volume or 0.0),
@@ -226,8 +233,13 @@ def read_buildings(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFra
 
 
 def read_rejections(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":
-    """Return a run's ledger, columns as ``tables.REJECTION`` and the geometry."""
+    """Return the rows of a run's ledger, columns as ``tables.REJECTION`` and the geometry."""
     return _read(engine, REJECTION, survey)
+
+
+def read_rejection_counts(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
+    """Return the numbers of a run's ledger, columns as ``tables.REJECTION_COUNT``."""
+    return _read_plain(engine, REJECTION_COUNT, survey)
 
 
 def read_flat_regions(engine: Engine, survey: str | None = None) -> "gpd.GeoDataFrame":

@@ -15,6 +15,7 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import GridMismatchError, NodataError
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, reorder, sizes
+from msbdb.ledger import Answers
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
 from msbdb.params import FlatRegionParams, Params
@@ -44,6 +45,8 @@ class FlatRegions:
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
         ``dropped``.
+    answers : (H, W) ndarray of uint8
+        Which stage dropped a cell, and why (`msbdb.ledger.Ledger.answers`).
     zones : (H, W) ndarray of int32
         i of the largest flat component that holds a cell, 0 for none: the set G of Eq. 14, as in the paper's Fig. 2.
     denoised : Grid
@@ -54,6 +57,7 @@ class FlatRegions:
     regions: pd.DataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
+    answers: Answers
     zones: NDArray[np.int32]
     denoised: Grid
 
@@ -83,7 +87,7 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
     outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
     regions = found.regions.iloc[order].reset_index(drop=True)
     table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]
-    return Regions("flatregions", labels, table, found.rejections, found.counts)
+    return Regions("flatregions", labels, table, found.rejections, found.counts, answers=found.answers)
 
 
 def lowest_surface(scene: Scene, params: Params) -> Grid:
@@ -164,7 +168,9 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     labels = recognise(found, candidates, heights, params, ledger)
     regions = describe(labels, found, heights, survey)
     logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
-    return FlatRegions(labels, regions, ledger.rejections(), ledger.counts, found.zones, denoised.grid)
+    return FlatRegions(
+        labels, regions, ledger.rejections(), ledger.counts, ledger.answers(), found.zones, denoised.grid
+    )
 
 
 def _record_outliers(denoised: Denoised, ledger: FlatRegionLedger) -> None:

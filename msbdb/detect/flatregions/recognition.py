@@ -27,10 +27,10 @@ STAGES = ("denoising", "ratio", "opening", "compactness")
 
 
 class FlatRegionLedger(Ledger):
-    """The ledger of the flat regions: lost regions of cells become ``tables.REJECTION``."""
+    """The ledger of the flat regions: lost regions of cells become ``tables.REJECTION``, and their cells are marked."""
 
     def __init__(self, spec: GridSpec, survey: str) -> None:
-        super().__init__(METHOD)
+        super().__init__(METHOD, spec.shape)
         self.spec, self.survey = spec, survey
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
@@ -48,6 +48,8 @@ class FlatRegionLedger(Ledger):
                 "ycen": ycen,
             }
         )
+        cells = np.flatnonzero(labels)
+        self.mark(stage, np.full(count, reason, dtype=object), labels.ravel()[cells], cells)
         return self.write(stage, rows)
 
     def rejections(self) -> pd.DataFrame:
