@@ -1,5 +1,7 @@
 """The ledger of a detector: how many regions each stage takes, keeps and drops, the dropped ones, and their cells."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -20,8 +22,6 @@ class Ledger:
     ----------
     method : str
         Name of the detector.
-    shape : tuple of int, optional
-        (H, W) of the lattice, for the cells of the dropped regions; None where they are not marked.
 
     Attributes
     ----------
@@ -30,13 +30,12 @@ class Ledger:
         ``dropped``.
     """
 
-    def __init__(self, method: str, shape: tuple[int, int] | None = None) -> None:
+    def __init__(self, method: str) -> None:
         self.method = method
         self.counts: dict[str, dict[str, int]] = {}
         self._lost: list[pd.DataFrame] = []
         self._rows: dict[str, int] = {}
-        self._kinds: dict[tuple[str, str], int] = {}
-        self._cells = None if shape is None else np.zeros(shape, dtype=np.uint8)
+        self._marks: list[tuple[tuple[str, str], NDArray[np.int64]]] = []
 
     def write(self, stage: str, regions: pd.DataFrame) -> int:
         """Write lost regions, rows with a ``reason``, under the stage that dropped them; return how many."""
@@ -62,12 +61,10 @@ class Ledger:
             The flat index of its cell, in row order. Of two reasons in a cell the later in the alphabet stays, so that
             the order of points has no effect.
         """
-        if self._cells is None or not len(cells):
-            return
         codes, words = pd.factorize(reasons, sort=True)
         for code, word in enumerate(words):
-            number = self._kinds.setdefault((stage, str(word)), len(self._kinds) + 1)
-            self._cells.ravel()[cells[(codes == code)[labels - 1]]] = number
+            chosen = cells[(codes == code)[labels - 1]]
+            self._marks.append(((stage, str(word)), chosen.astype(np.int64)))
 
     def count(
         self, stage: str, entered: int, kept: int, dropped: int, *, pieces: int = 0, written: bool = True
@@ -111,23 +108,27 @@ class Ledger:
         """Return all lost regions in the order of writing; the empty table gives the columns when there are none."""
         return pd.concat(self._lost or [empty.iloc[:0].assign(reason="", method="", stage="")], ignore_index=True)
 
-    def answers(self) -> Answers:
-        """Return what was marked, numbered by stages and reasons in their order as `number_reasons` numbers them.
-
-        Raises
-        ------
-        TableError
-            When the cells are not marked.
-        """
-        if self._cells is None:
-            msg = f"The ledger of {self.method} marks no cells. This is a fault of msbdb; please report it."
-            raise TableError(msg)
-        written = {(stage, reason) for frame in self._lost for stage, reason in _kinds_of(frame)}
+    def marked(self) -> "Marks":
+        """Return the marked cells, numbered by their stages and reasons in alphabetical order, as `sum_up` does."""
+        written = {kind for frame in self._lost for kind in _kinds_of(frame)}
         number = {kind: place for place, kind in enumerate(sorted(written), start=1)}
-        table = np.zeros(len(self._kinds) + 1, dtype=np.uint8)
-        for kind, old in self._kinds.items():
-            table[old] = number[kind]
-        return table[self._cells]
+        cells = [cells for _, cells in self._marks]
+        numbers = [np.full(cells.size, number[kind], dtype=np.uint8) for kind, cells in self._marks]
+        none = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
+        return Marks(np.concatenate([none[0], *cells]), np.concatenate([none[1], *numbers]))
+
+
+class Marks(NamedTuple):
+    """Cells that a detector dropped: flat indices, and the numbers of stage and reason; later ones replace earlier."""
+
+    cells: NDArray[np.int64]
+    numbers: NDArray[np.uint8]
+
+    def on(self, shape: tuple[int, int]) -> Answers:
+        """Return the numbers on a lattice of this shape, 0 elsewhere."""
+        answers = np.zeros(shape, dtype=np.uint8)
+        answers.ravel()[self.cells] = self.numbers
+        return answers
 
 
 def _kinds_of(frame: pd.DataFrame) -> list[tuple[str, str]]:

@@ -1,11 +1,11 @@
-"""What users call: build, update, relabel, classify, evaluate, view, export, changes, imports, open.
+"""What users call: build, update, relabel, classify, evaluate, view, export, changes, imports, open, why.
 
 The modules here declare the public functions. Libraries that take time to load are imported when they are used.
 """
 
 from msbdb.api.build import build, classes, classify, relabel
 from msbdb.api.inventory import advance, changes, import_inventory, import_roof_samples, set_state, summary, update
-from msbdb.api.outputs import Inventory, evaluate, evaluate_points, export, info, open, view
+from msbdb.api.outputs import Inventory, evaluate, evaluate_points, export, info, open, view, why
 from msbdb.run.reports import AdvanceReport, BuildReport, Changes, ClassifyReport, ImportReport, UpdateReport
 
 __all__ = [
@@ -33,4 +33,5 @@ __all__ = [
     "summary",
     "update",
     "view",
+    "why",
 ]

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     import geopandas as gpd
     import pandas as pd
 
+    from msbdb.database import Place
     from msbdb.evaluate import Evaluation, PointEvaluation
 
 
@@ -16,6 +17,51 @@ def info(db: str | Path) -> dict[str, Any]:
     from msbdb.run.outputs import info_of
 
     return info_of(db)
+
+
+def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: str | None = None) -> "Place":
+    """Return what a run says of a place: the building there, or the reason why there is none.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    x, y : float
+        Easting and northing of the place, metres; in a geographic ``crs`` longitude and latitude, degrees.
+    survey : str, optional
+        Its name; not needed where the database holds only one.
+    crs : str, optional
+        CRS of the place, such as 'EPSG:4326'. By default the CRS of the survey.
+
+    Returns
+    -------
+    Place
+        The reason, the building, heights, land cover, and what each detector decided; ``sentences`` says it in words.
+
+    Raises
+    ------
+    CRSError
+        When PROJ does not know the CRS.
+    InputError
+        When there is no such survey, no name was given and there are several, or the place is outside of its extent.
+
+    Examples
+    --------
+    >>> import msbdb
+    >>> place = msbdb.why("town.sqlite", 809_000.0, 6_307_600.0)  # doctest: +SKIP
+    >>> place.reason.name, place.sentences  # doctest: +SKIP
+    """
+    from msbdb.database import explain_places, opened, read_survey
+
+    with opened(db) as engine:
+        if crs is not None:
+            from pyproj import CRS, Transformer
+
+            from msbdb.io.crs import parse_crs
+
+            own = CRS.from_wkt(read_survey(engine, survey).crs_wkt)
+            x, y = Transformer.from_crs(parse_crs(crs), own, always_xy=True).transform(x, y)
+        return explain_places(engine, [(x, y)], survey)[0]
 
 
 def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings") -> None:

@@ -55,6 +55,22 @@ def crs_name(text: str) -> str:
     return f"EPSG:{text}" if text.isdecimal() else text
 
 
+def place(text: str) -> tuple[float, float]:
+    """Return the two coordinates of a place written X,Y.
+
+    Examples
+    --------
+    >>> place("85210.5, 446512")
+    (85210.5, 446512.0)
+    """
+    try:
+        x, y = (float(word) for word in text.split(","))
+    except ValueError:
+        msg = f"{text!r} is no place like 85210.5,446512."
+        raise click.BadParameter(msg) from None
+    return x, y
+
+
 def scales_m2(text: str) -> tuple[float, ...]:
     """Return area thresholds, square metres, in rising order; none for 'auto' (V8).
 

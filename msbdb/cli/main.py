@@ -5,7 +5,7 @@ import click
 from msbdb.cli.build import build, classify
 from msbdb.cli.db import db
 from msbdb.cli.inventory import changes, import_, state, update
-from msbdb.cli.outputs import classes, evaluate, export, info, view
+from msbdb.cli.outputs import classes, evaluate, export, info, view, why
 from msbdb.cli.params import params
 from msbdb.version import __version__
 
@@ -19,7 +19,22 @@ def cli() -> None:
     """
 
 
-for _command in (build, info, classes, view, export, evaluate, classify, update, changes, import_, state, db, params):
+for _command in (
+    build,
+    info,
+    why,
+    classes,
+    view,
+    export,
+    evaluate,
+    classify,
+    update,
+    changes,
+    import_,
+    state,
+    db,
+    params,
+):
     cli.add_command(_command)
 
 

@@ -1,4 +1,4 @@
-"""``msbdb info``, ``view``, ``export``, ``classes`` and ``evaluate``: what a database holds, and how well it agrees."""
+"""``msbdb info``, ``why``, ``view``, ``export``, ``classes`` and ``evaluate``: what a database holds, and how well."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import click
 from click.core import ParameterSource
 
 from msbdb.cli.build import emit_report
-from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, class_label, command, crs_name, declared_range, shared
+from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, class_label, command, crs_name, declared_range, place, shared
 from msbdb.cli.output import emit, emit_json, emit_table, progress_bars
 from msbdb.params import REGION_DETECTORS, EvaluateParams
 
@@ -35,6 +35,43 @@ def info(*, db: str, as_json: bool) -> None:
         for run in result.get("runs", []):
             run["ground_filter"] = run.pop("chosen").get("ground_filter")
         emit(result)
+
+
+@command(
+    "why",
+    examples=(
+        "msbdb why town.sqlite --at 85210.5,446512",
+        "msbdb why town.sqlite --at 4.3571,52.0116 --crs EPSG:4326 --json",
+    ),
+)
+@shared("db")
+@click.option(
+    "--at",
+    type=place,
+    required=True,
+    metavar="X,Y",
+    help="The place: easting and northing; longitude and latitude in a geographic CRS.",
+)
+@click.option("--crs", type=crs_name, metavar="EPSG", help="CRS of the place. [default: that of the survey]")
+@shared("survey", "json")
+def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None, as_json: bool) -> None:
+    """Say what stands at a place, or why no building stands there.
+
+    The answer has the building or the decisive reason, the height above ground, the land cover, and what each detector
+    decided there. A place outside of the survey ends with an error.
+    """
+    from dataclasses import asdict
+
+    from msbdb import api
+
+    found = api.why(db, *at, survey=survey, crs=crs)
+    if as_json:
+        name = None if found.reason is None else found.reason.name.lower()
+        emit_json(asdict(found) | {"reason": name, "sentences": found.sentences})
+    else:
+        click.echo(f"{found.survey} at {found.easting:.1f}, {found.northing:.1f}")
+        for sentence in found.sentences:
+            click.echo(sentence)
 
 
 @command(

@@ -24,6 +24,7 @@ from msbdb.database.history.periods import (
 from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, write_advance
 from msbdb.database.runs.digests import BuildBasis, OutdatedError, read_digest, read_labelled_classes
+from msbdb.database.runs.places import DetectorAnswer, Place, explain_places
 from msbdb.database.runs.reading import (
     RunSummary,
     crs_of,
@@ -55,11 +56,13 @@ __all__ = [
     "ROLES",
     "Advance",
     "BuildBasis",
+    "DetectorAnswer",
     "Engine",
     "ExampleQuery",
     "Finding",
     "Loss",
     "OutdatedError",
+    "Place",
     "RunSummary",
     "Standing",
     "WriteReport",
@@ -72,6 +75,7 @@ __all__ = [
     "database_crs_of",
     "downgrade_schema",
     "example_queries",
+    "explain_places",
     "first_day",
     "footprint_at",
     "grant_role",

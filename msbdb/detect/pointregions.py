@@ -17,7 +17,7 @@ from msbdb.grid import Bands, GridSpec
 from msbdb.ground.quadratic import ground_heights
 from msbdb.identity import part_ids
 from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, reorder, sizes, sums
-from msbdb.ledger import Answers, Ledger
+from msbdb.ledger import Ledger, Marks
 from msbdb.outline.pointoutlines import outline_regions
 from msbdb.outline.polygons import Geometries, rasterise
 from msbdb.params import Params
@@ -48,8 +48,8 @@ class Candidates:
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut
         itself, less those it joined), ``kept`` and ``dropped``.
-    answers : (H, W) ndarray of uint8, optional
-        Which stage dropped the points of a cell, and why (`msbdb.ledger.Ledger.answers`).
+    marks : Marks
+        Which stage dropped the points of a cell, and why.
     """
 
     method: str
@@ -57,7 +57,7 @@ class Candidates:
     regions: pd.DataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
-    answers: Answers | None = None
+    marks: Marks
 
 
 def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: Params) -> Regions:
@@ -92,7 +92,7 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
         found.rejections,
         found.counts,
         of_points=found.labels,
-        answers=found.answers,
+        answers=found.marks.on(spec.shape),
     )
 
 
@@ -211,7 +211,7 @@ class PointLedger(Ledger):
     """The ledger of a detector on points: labelled regions become ``tables.REJECTION``, and their cells are marked."""
 
     def __init__(self, method: str, points: PlacedPoints) -> None:
-        super().__init__(method, points.spec.shape)
+        super().__init__(method)
         self.points = points
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, number: int, *, scale: int = 0) -> int:
@@ -322,7 +322,7 @@ def in_order_of_ids(
     found = np.zeros(number, dtype=np.int32)
     found[index] = reorder(labels, order, len(order))
     rows = regions.iloc[order].reset_index(drop=True)
-    return Candidates(ledger.method, found, rows, ledger.rejections(), ledger.counts, ledger.answers())
+    return Candidates(ledger.method, found, rows, ledger.rejections(), ledger.counts, ledger.marked())
 
 
 def strings_of_points(x: Floats, y: Floats, member: NDArray[np.integer]) -> Geometries:

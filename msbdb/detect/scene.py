@@ -164,7 +164,7 @@ class Regions:
     forest : Forest, optional
         The tree of parts over the scales, of the multi-scale detector.
     answers : (H, W) ndarray of uint8, optional
-        Which stage dropped a cell, and why (`msbdb.ledger.Ledger.answers`); None where that is not known.
+        Which stage dropped a cell, and why (`msbdb.ledger.Ledger.marked`); None where that is not known.
     counted : DataFrame, optional
         ``tables.REJECTION_COUNT`` of regions read back from a database, in which small dropped regions have no row.
     """

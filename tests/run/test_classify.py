@@ -16,6 +16,7 @@ from msbdb.detect.area3d import caowu
 from msbdb.detect.pointregions import Candidates, point_ndvi
 from msbdb.grid import Bands, GridSpec
 from msbdb.io.las import read_points
+from msbdb.ledger import Ledger
 from msbdb.points.cloud import PointCloud
 from msbdb.run.classify import points_in
 from msbdb.tables import REJECTION
@@ -63,7 +64,7 @@ def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch,
     def extract(cloud, heights, *, spec, survey, params, ndvi):
         seen.update(cloud=cloud, heights=heights, spec=spec, survey=survey, ndvi=ndvi)
         labels = (np.arange(len(cloud)) % 3).astype(np.int32)
-        return Candidates(method, labels, pd.DataFrame(index=range(2)), REJECTION.empty(), {})
+        return Candidates(method, labels, pd.DataFrame(index=range(2)), REJECTION.empty(), {}, Ledger(method).marked())
 
     monkeypatch.setattr(MODULES[method], f"extract_{method}", extract)
     report = msbdb.api.classify(source, tmp_path / "out.laz", extract=(method,))

@@ -46,7 +46,7 @@ class FlatRegions:
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
         ``dropped``.
     answers : (H, W) ndarray of uint8
-        Which stage dropped a cell, and why (`msbdb.ledger.Ledger.answers`).
+        Which stage dropped a cell, and why (`msbdb.ledger.Ledger.marked`).
     zones : (H, W) ndarray of int32
         i of the largest flat component that holds a cell, 0 for none: the set G of Eq. 14, as in the paper's Fig. 2.
     denoised : Grid
@@ -169,7 +169,13 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     regions = describe(labels, found, heights, survey)
     logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
     return FlatRegions(
-        labels, regions, ledger.rejections(), ledger.counts, ledger.answers(), found.zones, denoised.grid
+        labels,
+        regions,
+        ledger.rejections(),
+        ledger.counts,
+        ledger.marked().on(g.spec.shape),
+        found.zones,
+        denoised.grid,
     )
 
 

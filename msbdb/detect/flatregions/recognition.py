@@ -30,7 +30,7 @@ class FlatRegionLedger(Ledger):
     """The ledger of the flat regions: lost regions of cells become ``tables.REJECTION``, and their cells are marked."""
 
     def __init__(self, spec: GridSpec, survey: str) -> None:
-        super().__init__(METHOD, spec.shape)
+        super().__init__(METHOD)
         self.spec, self.survey = spec, survey
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:

@@ -27,6 +27,7 @@ import shapely
 from pyproj import CRS
 
 from msbdb.kept import PER_METRE, KeptRun, Rasters
+from msbdb.ledger import sum_up
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
@@ -38,6 +39,7 @@ from msbdb.tables import (
     PART_CANDIDATE,
     PART_FLAT_REGION,
     REJECTION,
+    REJECTION_COUNT,
     SCALE,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
@@ -123,6 +125,7 @@ def _small_build(survey: str, method: str, shift: int) -> KeptRun:
         "part_candidate": part_candidates,
         "flat_region_candidate": _links(regions, candidates, FLAT_REGION_CANDIDATE),
     }
+    frames["rejection_count"] = ledger_counts(frames["rejection"])
     values: Mapping[str, Any] = {
         "methods": tuple(methods),
         "profile": "default",
@@ -200,6 +203,12 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> KeptRun
     return KeptRun(survey, replace(base.run, counts=counts_of(frames)), frames, rasters)
 
 
+def ledger_counts(rejections: pd.DataFrame, least_m2: float = 0.0) -> pd.DataFrame:
+    """Return the numbers of a ledger, each of whose regions has a row."""
+    own = [sum_up(rows, REJECTION_COUNT.empty(), least_m2)[1] for _, rows in rejections.groupby("method")]
+    return pd.concat([REJECTION_COUNT.empty(), *own], ignore_index=True)
+
+
 LOST = (
     ("denoising", "sharp peak"),
     ("denoising", "steep valley"),
@@ -231,7 +240,7 @@ def ledger_build(count: int, survey: str = "delft", *, shift: int = 0, north_m: 
     )
     ledger = rows.astype({c.name: c.dtype for c in REJECTION.columns})
     geo = gpd.GeoDataFrame(ledger, geometry=shapely.points(x, y), crs=f"EPSG:{EPSG}")
-    frames = {**base.frames, "rejection": geo}
+    frames = {**base.frames, "rejection": geo, "rejection_count": ledger_counts(geo)}
     return KeptRun(base.survey, replace(base.run, counts=counts_of(frames)), frames, base.rasters)
 
 
