@@ -154,8 +154,13 @@ CORRUPTIONS = [
     ),
     Corruption(
         "a ledger row less",
-        *("ledger", "rejection", f"run_id={RUN}", "1 rows of stage 'spectral' of multiscale"),
+        *("ledger", "rejection", f"run_id={RUN}", "1 rows of stage 'spectral' of multiscale for 'vegetation'"),
         sql=(f"DELETE FROM rejection WHERE region_id = {CROWN}",),
+    ),
+    Corruption(
+        "a dropped region counted once more",
+        *("ledger", "rejection_count", f"run_id={RUN}", "3 regions of stage 'spectral' of multiscale"),
+        sql=("UPDATE rejection_count SET regions = 3, small = 1 WHERE stage = 'spectral'",),
     ),
     Corruption(
         "a part more than was kept",

@@ -61,11 +61,18 @@ KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
     (
         "rejections_by_stage",
         {},
-        ["method", "stage", "reason", "regions", "area_m2", "largest_m2"],
+        ["method", "stage", "reason", "regions", "area_m2", "small", "small_m2"],
         [
-            ("multiscale", "spectral", "vegetation", 2, 96.0, 60.0),
-            ("multiscale", "duplicates", "same storeys", 1, 1150.0, 1150.0),
+            ("multiscale", "spectral", "vegetation", 2, 96.0, 0, 0.0),
+            ("multiscale", "duplicates", "same storeys", 1, 1150.0, 0, 0.0),
         ],
+    ),
+    ("rejections_near", {}, ["stage", "area_m2", "distance_m"], [("duplicates", 1150.0, 0.0)]),
+    (
+        "rejections_near",
+        {"easting": WEST + 154, "northing": SOUTH + 20, "radius_m": 10},
+        ["reason", "area_m2", "distance_m"],
+        [("vegetation", 36.0, 4.0), ("vegetation", 60.0, 6.0)],
     ),
     ("storeys_histogram", {}, ["storeys", "buildings"], [(1, 1), (2, 1), (4, 1), (7, 1)]),
     (

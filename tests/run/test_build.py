@@ -23,7 +23,7 @@ from msbdb.database import canonical_dump, open_database, read_build
 from msbdb.errors import DatabaseError, InputError
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
-from msbdb.params import profile, with_values
+from msbdb.params import Params, profile, with_values
 from msbdb.run.reports import STAGES
 from msbdb.tables import validate_parts
 
@@ -210,7 +210,7 @@ def test_surveys_live_side_by_side(town, tower, tmp_path):
 def test_the_forest_and_the_ledger_balance(town):
     """Parts form a forest (V33), every stage's counts balance, and the ledger holds what the stages dropped."""
     with msbdb.open(town[0]) as opened:
-        parts, rejections = opened.parts(), opened.rejections()
+        parts, rows, counted = opened.parts(), opened.rejections(), opened.rejection_counts()
         engine = open_database(town[0])
         counts = read_build(engine).run.counts.regions
         engine.dispose()
@@ -218,8 +218,12 @@ def test_the_forest_and_the_ledger_balance(town):
     stages = {(method, name): stage for method, own in counts.items() for name, stage in own.items()}
     assert all(stage["in"] == stage["kept"] + stage["dropped"] for stage in stages.values())
     dropped = {key: stage["dropped"] for key, stage in stages.items() if key[1] not in COUNTED_ONLY}
-    rows = rejections.groupby(["method", "stage"]).size().to_dict()
-    assert rows == {name: number for name, number in dropped.items() if number}
+    lost = counted.groupby(["method", "stage"])["regions"].sum().to_dict()
+    assert lost == {name: number for name, number in dropped.items() if number}
+    kind = ["method", "stage", "reason"]
+    large = counted.assign(large=counted["regions"] - counted["small"]).set_index(kind)["large"]
+    assert rows.groupby(kind).size().to_dict() == large[large > 0].to_dict()
+    assert rows["area_m2"].min() >= Params().fuse.piece_m2
     assert counts["multiscale"]["fake fathers"]["kept"] == len(parts)
 
 
@@ -257,7 +261,7 @@ def test_relabelling_moves_buildings_to_the_ledger_and_back(town, tmp_path):
     assert report.buildings == 0
     assert report.changed
     with msbdb.open(db) as opened:
-        told, lost = opened.classes().set_index("speindex"), opened.rejections()
+        told, lost = opened.classes().set_index("speindex"), opened.rejection_counts()
     assert set(told.loc[roofs, "label"]) == {"vegetation"}
     assert set(told["labelled_by"]) == {"operator", "automatic"}
     assert (told.loc[roofs, "labelled_by"] == "operator").all()
@@ -278,7 +282,7 @@ def test_the_operator_takes_a_deck_away(tmp_path):
     assert (found.loc[found["area_m2"] < 1000, "speindex"] != deck).all()
     msbdb.relabel(db, {int(deck): "other"})
     with msbdb.open(db) as opened:
-        left, classes, lost = opened.buildings(), opened.classes().set_index("speindex"), opened.rejections()
+        left, classes, lost = opened.buildings(), opened.classes().set_index("speindex"), opened.rejection_counts()
     assert sorted(left["area_m2"]) == pytest.approx([224, 225], rel=0.02)
     assert tuple(classes.loc[deck, ["label", "labelled_by"]]) == ("other", "operator")
     assert lost.loc[lost["stage"] == "spectrum", "area_m2"].sum() == pytest.approx(1200, rel=0.02)

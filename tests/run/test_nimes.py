@@ -51,11 +51,11 @@ def numbers(db):
     engine = open_database(db)
     build = read_build(engine)
     engine.dispose()
-    parts, buildings, lost = (build.frames[name] for name in ("part", "building", "rejection"))
+    parts, buildings, lost = (build.frames[name] for name in ("part", "building", "rejection_count"))
     scales = build.frames["scale"].set_index("scale")["threshold_m2"]
     edges = parts[parts["supid"] != 0].groupby(["supscale", "scale"]).size()
     names = lost["method"].map({"multiscale": "", "flatregions": "flat "}).fillna(lost["method"] + " ") + lost["stage"]
-    ledger = lost.groupby(names)["area_m2"].agg(["size", "sum"])
+    ledger = lost.groupby(names)[["regions", "area_m2"]].sum()
     return {
         "cell_m": build.survey.cell_m,
         "density": round(build.survey.density, 3),
@@ -65,7 +65,9 @@ def numbers(db):
         "highest_m": round(float(buildings["h_max"].max()), 2),
         "parts_by_threshold_m2": {f"{scales[k]:g}": int(n) for k, n in parts.groupby("scale").size().items()},
         "edges_by_thresholds_m2": {f"{scales[a]:g} > {scales[b]:g}": int(n) for (a, b), n in edges.items()},
-        "rejected_by_stage": {str(k): [int(row["size"]), round(float(row["sum"]), 1)] for k, row in ledger.iterrows()},
+        "rejected_by_stage": {
+            str(k): [int(row["regions"]), round(float(row["area_m2"]), 1)] for k, row in ledger.iterrows()
+        },
     }
 
 

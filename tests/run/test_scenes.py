@@ -33,7 +33,7 @@ class Outcome:
     report: msbdb.BuildReport
     buildings: gpd.GeoDataFrame
     parts: gpd.GeoDataFrame
-    rejections: gpd.GeoDataFrame  # of the multi-scale extraction
+    rejections: pd.DataFrame  # counted, of the multi-scale extraction
 
     @property
     def footprints(self) -> NDArray[np.int32]:
@@ -80,7 +80,7 @@ def built(tmp_path_factory):
         db = folder / f"{stem}.sqlite"
         report = msbdb.build([points], db=db, survey=name, profile=profile_name, params=params)
         with msbdb.open(db) as opened:
-            lost = opened.rejections()
+            lost = opened.rejection_counts()
             own = lost[lost["method"] == "multiscale"]
             return Outcome(scene, report, opened.buildings(), opened.parts(), own)
 

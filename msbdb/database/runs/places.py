@@ -122,7 +122,14 @@ class Place:
             return f"Building {b['building_id']} stands here ({b['state']}{odds}; {size}).{rest}"
         if self.reason is None:
             return "No building stands here. This run was made by an older msbdb and kept no reasons; build it again."
-        return f"No building stands here: {self._why()}."
+        return f"No building stands here: {self._why()}.{self._votes()}"
+
+    def _votes(self) -> str:
+        """Say how many detectors take a raised place for a building."""
+        known = [one.supports for one in self.detectors if one.supports is not None]
+        if not known or self.reason in (Reason.NO_DATA, Reason.LOW):
+            return ""
+        return f" Of {len(known)} detectors {sum(known) or 'none'} would take it for a building."
 
     def _why(self) -> str:
         return "" if self.reason is None else REASONS[self.reason]
