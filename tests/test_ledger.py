@@ -1,5 +1,7 @@
 """The ledger: what goes in is kept or dropped, and what is dropped has a row or is counted, with its cells."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 
 from msbdb.errors import TableError
 from msbdb.ledger import Ledger, sum_up
-from msbdb.tables import REJECTION, REJECTION_COUNT, validate
+from msbdb.tables import REASONS, REJECTION, REJECTION_COUNT, Reason, validate
 
 STAGES = st.sampled_from(["opening", "rules", "vegetation"])
 REASONS = st.sampled_from(["rough", "small", "green"])
@@ -79,3 +81,11 @@ def test_books_that_do_not_balance_are_refused():
         ledger.count("rules", 3, 1, 1)
     with pytest.raises(TableError, match="dropped 2 regions, but wrote 0"):
         ledger.count("rules", 3, 1, 2)
+
+
+def test_every_reason_is_declared_once_and_on_its_page():
+    """The codes of the raster are those that docs/database.md lists, with their meanings."""
+    assert list(REASONS) == list(Reason)
+    page = (Path(__file__).parents[1] / "docs" / "database.md").read_text(encoding="utf-8")
+    for reason, meaning in REASONS.items():
+        assert f"| {int(reason)} | `{reason.name}` | {meaning} |" in page

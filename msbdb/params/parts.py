@@ -68,7 +68,8 @@ class FuseParams:
         ours="0.25 to 1 differ little; 0 lets each cell decide by itself", low=0, high=100)
     edge_height_m: float = param(1.0, "m", "τ: step of height over which the cost of an edge falls by a factor e.",
         ours="a third of a storey; 0.5 m differs little", low=0.01, high=100)
-    piece_m2: float = param(10.0, "m2", "Smaller holes of buildings are filled, and smaller pieces dropped.",
+    piece_m2: float = param(10.0, "m2",
+        "Least area of a building: smaller holes are filled, pieces dropped, and dropped regions only counted.",
         ours="the finest scale", low=0, high=1e4)
     smooth_m: float = param(0.06, "m", "Roughness up to which a cell is smooth; grows with cells above 1 m.",
         ours="1.5 times a scanner's range noise; 0.05 to 0.08 m do alike", low=0.001, high=5)
