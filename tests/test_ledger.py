@@ -13,8 +13,8 @@ from msbdb.ledger import Ledger, sum_up
 from msbdb.tables import REASONS, REJECTION, REJECTION_COUNT, Reason, validate
 
 STAGES = st.sampled_from(["opening", "rules", "vegetation"])
-REASONS = st.sampled_from(["rough", "small", "green"])
-DROPPED = st.lists(st.tuples(STAGES, REASONS, st.floats(0.01, 500, allow_nan=False)), max_size=40)
+WORDS = st.sampled_from(["rough", "small", "green"])
+DROPPED = st.lists(st.tuples(STAGES, WORDS, st.floats(0.01, 500, allow_nan=False)), max_size=40)
 
 
 def ledger_of(dropped):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -207,7 +208,7 @@ class _Known:
 
     def at(self, easting: float, northing: float) -> Place:
         """Return what is known of a place."""
-        row, col = (int(number) for number in self.spec.rowcol(np.float64(easting), np.float64(northing)))
+        row, col = (int(number[0]) for number in self.spec.rowcol(np.array([easting]), np.array([northing])))
         cell, rasters = (row, col), self.rasters
         reason = None if rasters.reason is None else Reason(int(rasters.reason[cell]))
         valid = bool(rasters.valid[cell])
@@ -235,7 +236,9 @@ class _Known:
         if distance[nearest] > 0 and not is_building:
             return None
         found = buildings.iloc[nearest].drop("geometry").to_dict()
-        return {name: None if value != value else value for name, value in found.items()}  # noqa: PLR0124  (NaN)
+        return {
+            str(name): None if isinstance(value, float) and isnan(value) else value for name, value in found.items()
+        }
 
     def _colour(self, cell: tuple[int, int]) -> str:
         """Return number and label of the class by colour of a cell; empty without one."""
@@ -285,7 +288,7 @@ class _Known:
         piece_m2 = np.count_nonzero(labels == labels[cell]) * self.spec.cell_area_m2
         # Regions that touch are one piece, so that the piece is at least about as large as the region.
         own = own[own["area_m2"] <= LARGER * piece_m2]
-        east, north = (float(one) for one in self.spec.xy(np.int64(cell[0]), np.int64(cell[1])))
+        east, north = (float(one[0]) for one in self.spec.xy(np.array([cell[0]]), np.array([cell[1]])))
         distance = np.hypot(own["xcen"] - east, own["ycen"] - north) / np.sqrt(own["area_m2"])
         if not len(own) or distance.min() > FAR:
             return str(kind["stage"]), str(kind["reason"]), None, None
