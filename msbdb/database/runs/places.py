@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import isnan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -235,10 +234,10 @@ class _Known:
         nearest = int(np.argmin(distance))
         if distance[nearest] > 0 and not is_building:
             return None
+        import pandas as pd
+
         found = buildings.iloc[nearest].drop("geometry").to_dict()
-        return {
-            str(name): None if isinstance(value, float) and isnan(value) else value for name, value in found.items()
-        }
+        return {str(name): None if pd.isna(value) else value for name, value in found.items()}
 
     def _colour(self, cell: tuple[int, int]) -> str:
         """Return number and label of the class by colour of a cell; empty without one."""
