@@ -36,7 +36,7 @@ def upgrade() -> None:
     hooks, srid = opts["hooks"], opts["srid"]
     script = op.get_context().script
     baseline, buildings = (script.get_revision(version).module for version in ("0001", "0002"))
-    right = [run_id for run_id, kept, found in run_digests(buildings, old=True) if kept == found]
+    right = [run_id for run_id, kept, found in run_digests(old=True) if kept == found]
     settle_keys()
     buildings.drop_views(hooks)
     filled = {table: columns_of(table) for table in buildings.MADE_ANEW}
@@ -62,7 +62,7 @@ def upgrade() -> None:
         op.execute(f"DROP TABLE old_{table}")
     create_views(baseline, buildings, hooks)
     run = sa.table("run", sa.column("run_id"), sa.column("content_sha256"))
-    for run_id, _, found in run_digests(buildings, old=False):
+    for run_id, _, found in run_digests(old=False):
         if run_id in right:
             op.execute(run.update().where(run.c.run_id == run_id).values(content_sha256=found))
 
@@ -180,17 +180,14 @@ def text_of(baseline: ModuleType, buildings: ModuleType, name: str) -> str:
     return "\n".join(line for line in lines if not line.startswith("--")).strip().rstrip(";")
 
 
-def run_digests(buildings: ModuleType, *, old: bool) -> list[tuple[int, str, str | None]]:
+def run_digests(*, old: bool) -> list[tuple[int, str, str | None]]:
     """Return each run with its kept digest, and that of its rows; None where they cannot be read."""
     from msbdb.database.admin.contentchecks import UNREADABLE
     from msbdb.database.runs.reading import content_of
 
     connection = op.get_bind()
     query = "SELECT r.run_id, r.content_sha256, s.name FROM run AS r JOIN survey AS s ON s.survey_id = r.survey_id"
-    tables = [
-        building_table() if table.name == "building" and not old else table
-        for table in buildings.content_tables(old=False)
-    ]
+    tables = content_tables(old=old)
     found = []
     for run_id, kept, survey in connection.execute(sa.text(query)).all():
         try:
@@ -199,6 +196,13 @@ def run_digests(buildings: ModuleType, *, old: bool) -> list[tuple[int, str, str
             digest = None
         found.append((run_id, kept, digest))
     return found
+
+
+def content_tables(*, old: bool) -> list[object]:
+    """Return the declarations of a run's content before this migration, or after it."""
+    buildings = op.get_context().script.get_revision(down_revision).module
+    before = buildings.content_tables(old=False)
+    return before if old else [building_table() if table.name == "building" else table for table in before]
 
 
 def building_table() -> object:

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from alembic import op
 
 revision = "0004"
-down_revision = "0002"
+down_revision = "0003"
 
 TABLE = "rejection_count"
 KEY = ("method", "number")
@@ -24,10 +24,8 @@ KINDS = {"method": "str", "stage": "str", "reason": "str", "area_m2": "float64",
 
 def upgrade() -> None:
     """Create the table, count the rows of the ledger, and compute the digests again."""
-    script = op.get_context().script
-    baseline, before = (script.get_revision(name).module for name in ("0001", down_revision))
-    tables = before.content_tables(old=False)
-    right = [run_id for run_id, kept, found in run_digests(tables) if kept == found]
+    baseline = op.get_context().script.get_revision("0001").module
+    right = [run_id for run_id, kept, found in run_digests(old=True) if kept == found]
     op.create_table(
         TABLE,
         *baseline.integers("run_id"),
@@ -48,7 +46,7 @@ def upgrade() -> None:
     )
     count_rows()
     run = sa.table("run", sa.column("run_id"), sa.column("content_sha256"))
-    for run_id, _, found in run_digests(content_tables(tables)):
+    for run_id, _, found in run_digests(old=False):
         if run_id in right:
             op.execute(run.update().where(run.c.run_id == run_id).values(content_sha256=found))
 
@@ -69,22 +67,24 @@ def count_rows() -> None:
         op.bulk_insert(sa.table(TABLE, *(sa.column(name) for name in ("run_id", *COLUMNS))), rows)
 
 
-def content_tables(tables: list[object]) -> list[object]:
-    """Return the declarations of a run's content with the new table, after the ledger's rows."""
+def content_tables(*, old: bool) -> list[object]:
+    """Return the declarations of a run's content before this migration, or with the new table after it."""
     from msbdb.tables import Column, Table
 
+    tables: list[object] = op.get_context().script.get_revision(down_revision).module.content_tables(old=False)
+    if old:
+        return tables
     columns = tuple(Column(name, KINDS.get(name, "int64"), "-", "", primary=name in KEY) for name in COLUMNS)
     place = next(place for place, table in enumerate(tables, start=1) if table.name == "rejection")
     return [*tables[:place], Table(TABLE, "", columns), *tables[place:]]
 
 
-def run_digests(tables: list[object]) -> list[tuple[int, str, str | None]]:
+def run_digests(*, old: bool) -> list[tuple[int, str, str | None]]:
     """Return each run with its kept digest, and that of its rows; None where they cannot be read."""
-    from msbdb.database.admin.runchecks import UNREADABLE
-
+    from msbdb.database.admin.contentchecks import UNREADABLE
     from msbdb.database.runs.reading import content_of
 
-    connection = op.get_bind()
+    connection, tables = op.get_bind(), content_tables(old=old)
     query = "SELECT r.run_id, r.content_sha256, s.name FROM run AS r JOIN survey AS s ON s.survey_id = r.survey_id"
     found = []
     for run_id, kept, survey in connection.execute(sa.text(query)).all():
