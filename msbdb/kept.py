@@ -64,6 +64,8 @@ class Rasters:
     answers : mapping of str to (H, W) ndarray of uint8
         By detector: the ``number`` in ``tables.REJECTION_COUNT`` of the stage and reason by which it dropped the cell;
         0 where it dropped nothing.
+    parcels : (H, W) ndarray of int32, optional
+        The parcel of each cell, 0 for none; None where the user gave no parcels.
     """
 
     heights_cm: NDArray[np.int32]
@@ -78,6 +80,7 @@ class Rasters:
     reason: NDArray[np.uint8] | None = None
     support: NDArray[np.uint8] | None = None
     answers: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
+    parcels: NDArray[np.int32] | None = None
 
     def by_name(self) -> dict[str, NDArray[np.generic]]:
         """Return the rasters by the names of their rows in the database, those that are None left out."""
@@ -92,6 +95,7 @@ class Rasters:
             "echoes": self.echoes,
             "reason": self.reason,
             "support": self.support,
+            "parcels": self.parcels,
             **{_REGION_NAMES[method]: labels for method, labels in self.regions.items()},
             **{_ANSWER_NAMES[method]: cells for method, cells in self.answers.items()},
         }
@@ -127,6 +131,7 @@ class Rasters:
             reason=rows["reason"].astype(np.uint8) if "reason" in rows else None,
             support=rows["support"].astype(np.uint8) if "support" in rows else None,
             answers={method: rows[name].astype(np.uint8) for method, name in _ANSWER_NAMES.items() if name in rows},
+            parcels=rows["parcels"].astype(np.int32) if "parcels" in rows else None,
         )
 
     @classmethod

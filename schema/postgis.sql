@@ -1,4 +1,4 @@
--- The schema 0004 of msbdb for postgis.
+-- The schema 0005 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -408,6 +408,7 @@ CREATE TABLE building (
   coverage DOUBLE PRECISION,
   nodata_share DOUBLE PRECISION,
   density DOUBLE PRECISION,
+  divided_by TEXT NOT NULL,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (building_id, run_id),
   CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
@@ -957,7 +958,7 @@ COMMENT ON COLUMN source.number IS '1 to n, in the order of role, name and check
 
 COMMENT ON COLUMN source.name IS 'name of the file';
 
-COMMENT ON COLUMN source.role IS 'what the file provides: points, ortho, dsm, dtm, ndsm';
+COMMENT ON COLUMN source.role IS 'what the file provides: points, ortho, dsm, dtm, ndsm, parcels';
 
 COMMENT ON COLUMN source.sha256 IS 'checksum of the file';
 
@@ -1275,6 +1276,8 @@ COMMENT ON COLUMN building.nodata_share IS 'share of the footprint and the ring 
 
 COMMENT ON COLUMN building.density IS 'first echoes a square metre in it; null for rasters [1/m2]';
 
+COMMENT ON COLUMN building.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall; several with commas; empty for none';
+
 COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
 
 COMMENT ON TABLE flat_region_candidate IS 'A flat region and a candidate region that share cells: each is evidence for the other';
@@ -1411,5 +1414,5 @@ COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and cla
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
 

@@ -1,4 +1,4 @@
--- The schema 0004 of msbdb for spatialite.
+-- The schema 0005 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -408,6 +408,7 @@ CREATE TABLE building (
   coverage DOUBLE,
   nodata_share DOUBLE,
   density DOUBLE,
+  divided_by TEXT NOT NULL,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (building_id, run_id),
   CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
@@ -776,5 +777,5 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
 

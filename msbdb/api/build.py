@@ -19,6 +19,7 @@ def build(
     dsm: Path | None = None,
     dtm: Path | None = None,
     ndsm: Path | None = None,
+    parcels: Path | None = None,
     db: str | Path,
     survey: str | None = None,
     date: str | None = None,
@@ -41,6 +42,8 @@ def build(
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional
         Rasters of heights.
+    parcels : path, optional
+        Polygons of any vector format and CRS that divide touching houses: parcels, cadastre or footprints.
     db : str or path
         A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
     survey : str, optional
@@ -81,7 +84,7 @@ def build(
     from msbdb.run.store import report_of, store_survey
 
     values = params or named_profile(profile)
-    inputs = Inputs(tuple(map(Path, points)), tuple(map(Path, ortho)), dsm, dtm, ndsm, crs, ortho_crs, z_unit)
+    inputs = Inputs(tuple(map(Path, points)), tuple(map(Path, ortho)), dsm, dtm, ndsm, crs, ortho_crs, z_unit, parcels)
     notices, stages = Notices(), Stages(progress)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)

@@ -37,6 +37,12 @@ _HEIGHTS = (
     click.option("--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster; needs --dtm."),
     click.option("--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster."),
     click.option("--ndsm", type=INPUT_FILE, metavar="FILE", help="Heights above ground as a raster."),
+    click.option(
+        "--parcels",
+        type=INPUT_FILE,
+        metavar="FILE",
+        help="Polygons that divide touching houses: parcels, cadastre or footprints, of any vector format and CRS.",
+    ),
     click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."),
 )
 """Options of what a survey is made from."""
@@ -116,6 +122,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --points town.laz --db town.sqlite",
         "msbdb build --points tiles/*.laz --crs EPSG:28992 --ortho rgb.tif --db town.sqlite --figure town.png",
         "msbdb build --dsm dsm.tif --dtm dtm.tif --db town.sqlite --survey spring --date 2021-04-20",
+        "msbdb build --points town.laz --parcels cadastre.gpkg --db town.sqlite",
         "msbdb build --points town.laz --db postgresql://me@localhost/town --scales 30,100,1000",
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
     ),

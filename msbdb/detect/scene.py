@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError
 from msbdb.grid import Bands, Grid
 from msbdb.kept import PER_METRE
+from msbdb.labels import Labels
 from msbdb.ledger import Answers
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import PointCloud
@@ -90,6 +91,8 @@ class Scene:
         Each cell's own evidence of roof; None where a run of an older msbdb kept none.
     elevations : Elevations
         The terrain above sea and the echoes of each cell, where they are known.
+    parcels : (H, W) ndarray of int32, optional
+        The parcel of each cell, by which touching houses are divided: 0 for none. None where the user gave no parcels.
     surface : Surface, optional
         DSM, DTM and nDSM; None where a scene is read back from the database.
     cloud : PointCloud, optional
@@ -103,6 +106,7 @@ class Scene:
     cover: Cover
     evidence: Evidence | None
     elevations: Elevations = field(default_factory=Elevations)
+    parcels: Labels | None = None
     surface: Surface | None = None
     cloud: PointCloud | None = None
     bands: Bands | None = None

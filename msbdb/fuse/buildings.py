@@ -116,6 +116,7 @@ def buildings_from_parts(
         parts=within.size().to_numpy(),
         scales=within["scale"].nunique().to_numpy(),
         probability=np.nan,
+        divided_by="",
         **dict.fromkeys(DETECTOR_SHARES.values(), np.nan),
         **{name: heights[name] for name in ("h_max", "h_mean", "h_p50", "h_p90")},
     )

@@ -4,6 +4,7 @@ A label image is an array of int32: 0 for no region, 1 to ``count`` for the regi
 but `label_zones` and `boxes` also take labelled points, as arrays of one dimension.
 """
 
+from msbdb.labels.colouring import colour_touching, touching_pairs
 from msbdb.labels.mincut import Pairs, minimum_cut, neighbours
 from msbdb.labels.numbering import (
     EIGHT,
@@ -41,6 +42,7 @@ __all__ = [
     "central_cells",
     "centroids",
     "chosen_cells",
+    "colour_touching",
     "height_statistics",
     "label_zones",
     "measure",
@@ -56,4 +58,5 @@ __all__ = [
     "sizes",
     "small_zones",
     "sums",
+    "touching_pairs",
 ]

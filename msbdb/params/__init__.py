@@ -14,6 +14,7 @@ from msbdb.params.parts import (
     GranulometryParams,
     HeightParams,
     ScaleParams,
+    TouchingParams,
     VectorParams,
 )
 from msbdb.params.prepare import CoverParams, GroundParams, SpectralParams, SurfaceParams
@@ -48,6 +49,7 @@ __all__ = [
     "ScaleParams",
     "SpectralParams",
     "SurfaceParams",
+    "TouchingParams",
     "VectorParams",
     "as_dict",
     "checked_value",

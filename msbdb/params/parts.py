@@ -125,6 +125,32 @@ class HeightParams:
 
 
 @dataclass(frozen=True, slots=True)
+class TouchingParams:
+    """The division of touching houses; no paper gives a value."""
+
+    divide: bool = param(True, "-", "Divide touching houses where their roofs show a reason.",
+        ours="a row of houses is several buildings; parcels that are given divide in any case")
+    step_m: float = param(1.0, "m", "Jump of height from which on a cell shows a step.",
+        ours="above what tiles, gutters and sparse points make; 0.7 to 1.6 do alike", low=0.1, high=50)
+    valley_m: float = param(0.3, "m", "Depth below both roofs from which on a cell shows a valley.",
+        ours="a slope of 12 degrees on both sides", low=0.05, high=50)
+    wall_m: float = param(0.25, "m", "Height above both roofs from which on a cell shows a wall.",
+        ours="lower ones are ridge tiles and noise", low=0.05, high=50)
+    core_m: float = param(1.3, "m", "Gaps in a line of evidence of up to twice this width are closed.",
+        ours="less than half of the narrowest house", low=0.1, high=20)
+    share: float = param(0.7, "1", "Share of a border that must have evidence.",
+        ours="nearly the whole; chimneys and dormers interrupt it", low=0.05, high=1)
+    level_m: float = param(1.5, "m", "Difference of the mean heights of two houses with a step between them.",
+        ours="half a storey; the teeth of a saw-tooth roof have none", low=0, high=50)
+    rise_m: float = param(0.3, "m", "Height by which both roofs rise above the upper end of the valley between them.",
+        ours="wings that meet at a ridge do not", low=0, high=50)
+    house_m2: float = param(30.0, "m2", "Smaller pieces are no house.", ours="the smallest houses of old towns",
+        low=0, high=1e5)
+    width_m: float = param(3.0, "m", "Narrower pieces are no house.", ours="the narrowest houses of old towns",
+        low=0, high=100)
+
+
+@dataclass(frozen=True, slots=True)
 class VectorParams:
     """From raster parts to polygons."""
 

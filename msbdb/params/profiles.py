@@ -7,7 +7,15 @@ from typing import Any
 from msbdb.errors import ParameterError
 from msbdb.params.declare import with_values
 from msbdb.params.detect import AdaptiveParams, Area3dParams, FlatRegionParams
-from msbdb.params.parts import ChangeParams, FuseParams, GranulometryParams, HeightParams, ScaleParams, VectorParams
+from msbdb.params.parts import (
+    ChangeParams,
+    FuseParams,
+    GranulometryParams,
+    HeightParams,
+    ScaleParams,
+    TouchingParams,
+    VectorParams,
+)
 from msbdb.params.prepare import CoverParams, GroundParams, SpectralParams, SurfaceParams
 
 POINT_DETECTORS = ("area3d", "adaptive")
@@ -34,6 +42,7 @@ class Params:
     area3d: Area3dParams = field(default_factory=Area3dParams)
     adaptive: AdaptiveParams = field(default_factory=AdaptiveParams)
     fuse: FuseParams = field(default_factory=FuseParams)
+    touching: TouchingParams = field(default_factory=TouchingParams)
     heights: HeightParams = field(default_factory=HeightParams)
     vector: VectorParams = field(default_factory=VectorParams)
     change: ChangeParams = field(default_factory=ChangeParams)

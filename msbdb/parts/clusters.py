@@ -182,7 +182,7 @@ def _slice(heights: NDArray[np.floating], mask_m: float, height_m: float) -> NDA
     return slices
 
 
-def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int) -> Clusters:
+def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int, houses: Labels | None = None) -> Clusters:
     """Give every flat zone above 0 of every scale its row and attributes.
 
     Parameters
@@ -191,6 +191,8 @@ def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int) -> Clus
         The scale-space, finest first; 0 is background and no cluster (V25).
     connectivity : int
         4 or 8, as for the scale-space (V10).
+    houses : (H, W) ndarray of int32, optional
+        The house of each cell, from 1 to less than 2**31. A flat zone ends where another house begins.
 
     Notes
     -----
@@ -198,7 +200,9 @@ def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int) -> Clus
     """
     images, tables, offset = [], [], 0
     for level, values in enumerate(levels):
-        labels, count = label_zones(values, connectivity=connectivity)
+        # A value and a house in one number: slices have 16 bits.
+        zones = values if houses is None else np.where(values > 0, values + (houses.astype(np.int64) << 16), 0)
+        labels, count = label_zones(zones, connectivity=connectivity)
         table = measure(labels, count)
         table.insert(0, "level", level)
         table.insert(1, "hzone", values.ravel()[table["first"]].astype(np.int64))

@@ -65,6 +65,7 @@ class Context:
     survey: str
     surface: SurfaceParams
     connectivity: int
+    houses: Labels | None = None
 
 
 def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> Forest:
@@ -97,7 +98,7 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
             "supid": np.where(has_father, ids[father], 0),
             "supscale": np.where(has_father, scale[father], 0) if len(rows) else scale,
             "root_id": ids[roots],
-            "building_id": ids[_largest_roots(clusters, father, ids, context.connectivity)[roots]],
+            "building_id": ids[_largest_roots(clusters, father, ids, context)[roots]],
             "scale": scale,
             "hzone": rows["hzone"].to_numpy(),
             **_places(clusters, context.ndsm.spec),
@@ -132,11 +133,11 @@ def _cover(images: tuple[Labels, ...], chosen: NDArray[np.bool_]) -> Labels:
 
 
 def _largest_roots(
-    clusters: Clusters, father: NDArray[np.int64], ids: NDArray[np.int64], connectivity: int
+    clusters: Clusters, father: NDArray[np.int64], ids: NDArray[np.int64], context: Context
 ) -> NDArray[np.int64]:
     """Return, by the row of a root, the row of the largest root of its building; of equals, that of the smallest id.
 
-    A building is a connected island of roots, with the connectivity of the scale-space.
+    A building is a connected island of roots, with the connectivity of the scale-space, within one house.
     """
     is_root = father == NONE
     rows = np.flatnonzero(is_root)
@@ -144,7 +145,8 @@ def _largest_roots(
     if not len(rows):
         return largest
     cover = _cover(clusters.labels, is_root)
-    islands, _ = label_zones(cover > 0, connectivity=connectivity)
+    covered = cover > 0 if context.houses is None else np.where(cover > 0, context.houses, 0)
+    islands, _ = label_zones(covered, connectivity=context.connectivity)
     island = np.zeros(len(ids), dtype=np.int64)
     island[cover[cover > 0] - 1] = islands[cover > 0]
     area = clusters.rows["area"].to_numpy()[rows]

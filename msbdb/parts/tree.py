@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
-from msbdb.labels import chosen_cells, label_zones, measure
+from msbdb.labels import Labels, chosen_cells, colour_touching, label_zones, measure
 from msbdb.landcover import ClassMap
 from msbdb.morphology.scalespace import build_scale_space, find_scales
 from msbdb.params import Params, ScaleParams, with_values
@@ -35,7 +35,7 @@ def extract_parts(
     *,
     survey: str,
     params: Params,
-    built: NDArray[np.bool_] | None = None,
+    houses: Labels | None = None,
 ) -> Forest:
     """Grow the forest of building parts from heights above ground and land-cover classes.
 
@@ -49,9 +49,10 @@ def extract_parts(
         Name of the survey; part of the ids.
     params : Params
         Sections ``surface``, ``scale``, ``granulometry`` and ``spectral``.
-    built : (H, W) ndarray of bool, optional
-        Cells that several detectors take for building. Those of them below the mask, where an echo beside the wall
-        hit the ground, belong to the highest slice beside them; all others have no such exception (V17).
+    houses : (H, W) ndarray of int32, optional
+        The house of each cell that several detectors take for building, 0 for none. Those of them below the mask, where
+        an echo beside the wall hit the ground, belong to the highest slice beside them; all others have no such
+        exception (V17). Parts grow in each house as if it stood alone, and no part reaches into another house.
 
     Returns
     -------
@@ -80,23 +81,23 @@ def extract_parts(
     sliced = slice_heights(ndsm, params.surface)
     ledger.begin(sliced > 0)
     if classes is not None and params.spectral.decides == "structure":
-        reason = VEGETATION if built is None else UNSUPPORTED
+        reason = VEGETATION if houses is None else UNSUPPORTED
         sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger, reason=reason)
-    if built is not None:
-        sliced = np.where(built & (sliced == 0), maximum_filter(sliced, 3, mode="nearest"), sliced)
+    if houses is not None:
+        sliced = np.where((houses > 0) & (sliced == 0), maximum_filter(sliced, 3, mode="nearest"), sliced)
     scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
     thresholds = scales["threshold_px"].tolist()[::-1]
-    clusters = form_clusters(sliced, thresholds, params.scale, ledger)
+    clusters = form_clusters(sliced, thresholds, params.scale, ledger, houses)
     step = drop_duplicates(clusters, params.scale.duplicate_share)
     clusters = ledger.record("duplicates", clusters, step)
     if classes is not None:
         clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
     step = drop_fake_fathers(
-        clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0], supported=built is not None
+        clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0], supported=houses is not None
     )
     clusters = ledger.record("fake fathers", clusters, step, Reason.GAP)
     forest = grow_forest(
-        clusters, Context(ndsm, classes, scales, survey, params.surface, params.scale.connectivity), ledger
+        clusters, Context(ndsm, classes, scales, survey, params.surface, params.scale.connectivity, houses), ledger
     )
     logger.info("Parts: %d, rejected regions: %d", len(forest.parts), len(forest.rejections))
     return forest
@@ -142,7 +143,13 @@ def number_scales(scales_m2: tuple[float, ...], cell_area_m2: float) -> pd.DataF
     return SCALE.typed(frame)
 
 
-def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams, ledger: ClusterLedger) -> Clusters:
+def form_clusters(
+    sliced: NDArray[Any],
+    thresholds: list[int],
+    scale: ScaleParams,
+    ledger: ClusterLedger,
+    houses: Labels | None = None,
+) -> Clusters:
     """Build the scale-space of sliced heights, and label its clusters.
 
     Parameters
@@ -155,6 +162,8 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
         Connectivity, and what is done about slivers and courtyards.
     ledger : ClusterLedger
         Gets the islands that the finest opening removes, and fragments.
+    houses : (H, W) ndarray of int32, optional
+        The house of each cell; 0 for none. No cluster reaches from one house into another, or out of all houses.
 
     Notes
     -----
@@ -162,18 +171,18 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
     roof; with ``keep_courtyards`` every scale is cut to the cells that are above ground on the finest. Clusters stay
     nested, as all scales are cut alike. Fragments smaller than s of the finest scale, which this can leave, are
     dropped where slivers are merged as well.
+
+    Houses: the scale-space is that of each house as if it stood alone. It is built of several houses at once that do
+    not touch, by a colouring of the houses.
     """
     connectivity = scale.connectivity
-    _record_islands(sliced, thresholds[0], connectivity, ledger)
-    finest = build_scale_space(sliced, thresholds[:1], connectivity=connectivity).levels[0]
-    if scale.merge_slivers:
-        finest = merge_slivers(finest, thresholds[0], connectivity=connectivity)
-    levels = [finest]
-    if len(thresholds) > 1:
-        levels.extend(build_scale_space(finest, thresholds[1:], connectivity=connectivity).levels)
-    if scale.keep_courtyards:
-        levels = [finest, *(np.where(finest > 0, level, 0) for level in levels[1:])]
-    clusters = label_clusters(levels, connectivity=connectivity)
+    islands = sliced > 0 if houses is None else np.where(sliced > 0, houses, 0)
+    _record_islands(islands, thresholds[0], connectivity, ledger)
+    if houses is None:
+        levels = _build_levels(sliced, thresholds, scale)
+    else:
+        levels = _build_levels_apart(sliced, thresholds, scale, colour_touching(houses))
+    clusters = label_clusters(levels, connectivity=connectivity, houses=houses)
     tiny = clusters.rows["area"].to_numpy() < thresholds[0]
     small = np.flatnonzero(tiny & scale.merge_slivers)
     return ledger.record(
@@ -182,6 +191,33 @@ def form_clusters(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParam
         Step(clusters.without(small), clusters.rows.iloc[small].assign(reason=TOO_SMALL)),
         Reason.SMALL_PART,
     )
+
+
+def _build_levels(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams) -> list[NDArray[Any]]:
+    """Return the scale-space of sliced heights, slivers merged and courtyards kept as `form_clusters` says."""
+    connectivity = scale.connectivity
+    finest = build_scale_space(sliced, thresholds[:1], connectivity=connectivity).levels[0]
+    if scale.merge_slivers:
+        finest = merge_slivers(finest, thresholds[0], connectivity=connectivity)
+    levels = [finest]
+    if len(thresholds) > 1:
+        levels.extend(build_scale_space(finest, thresholds[1:], connectivity=connectivity).levels)
+    if scale.keep_courtyards:
+        levels = [finest, *(np.where(finest > 0, level, 0) for level in levels[1:])]
+    return levels
+
+
+def _build_levels_apart(
+    sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams, colours: NDArray[np.uint8]
+) -> list[NDArray[Any]]:
+    """Return the scale-spaces of the houses of each colour in one, each cut to the cells of its houses."""
+    levels = [np.zeros_like(sliced) for _ in thresholds]
+    for colour in range(1, int(colours.max(initial=0)) + 1):
+        own = colours == colour
+        found = _build_levels(np.where(own, sliced, 0).astype(sliced.dtype), thresholds, scale)
+        for level, alone in zip(levels, found, strict=True):
+            np.copyto(level, alone, where=own)
+    return levels
 
 
 def _mask_vegetation(
@@ -200,10 +236,10 @@ def _mask_vegetation(
     return np.where(vegetation, 0, sliced).astype(sliced.dtype)
 
 
-def _record_islands(sliced: NDArray[Any], smallest_px: int, connectivity: int, ledger: ClusterLedger) -> None:
-    """Record the connected areas above the mask that are too small for the finest scale."""
-    islands, count = label_zones(sliced > 0, connectivity=connectivity)
-    table = measure(islands, count)
+def _record_islands(islands: NDArray[Any], smallest_px: int, connectivity: int, ledger: ClusterLedger) -> None:
+    """Record the connected areas above the mask, of one house each, that are too small for the finest scale."""
+    labels, count = label_zones(islands, connectivity=connectivity)
+    table = measure(labels, count)
     lost = table[table["area"] < smallest_px]
     ledger.write("opening", _without_scale(lost, TOO_SMALL))
     ledger.count("opening", count, count - len(lost), len(lost))

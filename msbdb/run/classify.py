@@ -46,7 +46,7 @@ def classify_points(
         taken = np.zeros(len(cloud), dtype=np.bool_)
         if is_fused(regions, params.fuse):
             # The buildings of a build: what the detectors decide together, and not what any of them takes.
-            built = fuse_and_decompose(scene, regions, params, stages).root_labels > 0
+            built = fuse_and_decompose(scene, regions, params, stages)[0].root_labels > 0
             taken = points_in(built, scene.heights.spec, cloud, heights, params.surface.mask_m)
         else:
             for one in regions.values():

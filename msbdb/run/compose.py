@@ -4,13 +4,13 @@ Prepare, detect, fuse, decompose into parts, describe; `msbdb.run.store` writes 
 kept run, detects parts under the new labels, and shares all later steps.
 """
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msbdb.detect.detectors import DETECTORS
 from msbdb.detect.flatregions.initialisation import denoise
@@ -18,6 +18,7 @@ from msbdb.detect.flatregions.mongus2013 import lowest_surface
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import MsbdbWarning, ParameterError
 from msbdb.fuse.cells import fuse_cells, is_fused
+from msbdb.fuse.touching import Division, divide
 from msbdb.grid import Grid
 from msbdb.kept import KeptRun
 from msbdb.params import Params, as_dict, with_values
@@ -147,17 +148,24 @@ def detect(scene: Scene, methods: Sequence[str], params: Params, stages: Stages)
 def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:
     """Fuse, decompose and describe: the steps that a build and a re-labelling share."""
     built = fuse(scene, regions, params, stages)
+    division = divide_houses(scene, built, params, stages)
     with stages.stage("parts"):
-        forest = decompose(scene, regions, built, params)
+        forest = decompose(scene, regions, built, division, params)
     with stages.stage("outlines"):
-        return describe(scene, regions, forest, params, built=built)
+        return describe(scene, regions, forest, params, built=built, division=division)
 
 
-def fuse_and_decompose(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Forest:
-    """Decide which cells are building, and return the tree of parts inside them."""
+def fuse_and_decompose(
+    scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages
+) -> tuple[Forest, Division | None]:
+    """Decide which cells are building and divide them into houses; return the tree of parts inside the houses.
+
+    Where the detectors do not decide together, nothing is divided.
+    """
     built = fuse(scene, regions, params, stages)
+    division = divide_houses(scene, built, params, stages)
     with stages.stage("parts"):
-        return decompose(scene, regions, built, params)
+        return decompose(scene, regions, built, division, params), division
 
 
 def fuse(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> NDArray[np.bool_] | None:
@@ -169,7 +177,25 @@ def fuse(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: S
         return fuse_cells(scene.heights, regions, params.fuse, mask_m=mask_m, evidence=evidence)
 
 
-def decompose(scene: Scene, regions: Mapping[str, Regions], built: NDArray[np.bool_] | None, params: Params) -> Forest:
+def divide_houses(scene: Scene, built: NDArray[np.bool_] | None, params: Params, stages: Stages) -> Division | None:
+    """Divide the cells that the detectors take together into houses; None where they do not decide together."""
+    if built is None:
+        return None
+    with stages.stage("houses"):
+        heights, density = scene.heights, scene.survey.density
+        cover = scene.cover.with_buildings(built, heights, params.surface.mask_m)
+        spacing_m = 1 / math.sqrt(density) if density > 0 else heights.spec.cell_m
+        labelled = built & cover.classes.labelled("building")
+        return divide(heights, labelled, params.touching, spacing_m=spacing_m, parcels=scene.parcels)
+
+
+def decompose(
+    scene: Scene,
+    regions: Mapping[str, Regions],
+    built: NDArray[np.bool_] | None,
+    division: Division | None,
+    params: Params,
+) -> Forest:
     """Return the tree of parts.
 
     Parameters
@@ -178,22 +204,24 @@ def decompose(scene: Scene, regions: Mapping[str, Regions], built: NDArray[np.bo
         Heights and land cover.
     regions : mapping of str to Regions
         Of each detector that was run.
-    built : (H, W) ndarray of bool, optional
+    built : (H, W) ndarray of bool or None
         The cells that the detectors support together. None leaves the tree to the multi-scale detector alone; it is
         empty where that was not run.
+    division : Division or None
+        The houses in these cells; None where there are no such cells.
     params : Params
         As `msbdb.parts.tree.extract_parts` takes them.
     """
     found = regions.get("multiscale")
     heights, cover = scene.heights, scene.cover
+    houses = None if division is None else division.houses
     if built is not None:
         cover = cover.with_buildings(built, heights, params.surface.mask_m)
-        built = built & cover.classes.labelled("building")
     elif found is not None and found.forest is not None:
         return found.forest
     else:
         heights = Grid(heights.values, np.zeros_like(heights.valid), heights.spec)
-    return extract_parts(heights, cover.classes, survey=scene.survey.name, params=params, built=built)
+    return extract_parts(heights, cover.classes, survey=scene.survey.name, params=params, houses=houses)
 
 
 def choose_detectors(names: Sequence[str], inputs: Inputs) -> tuple[str, ...]:

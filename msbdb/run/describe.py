@@ -14,6 +14,7 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.buildings import buildings_from_parts, covered_shares, label_buildings, link_labels, with_support
 from msbdb.fuse.cellreasons import explain_cells, support_of
 from msbdb.fuse.cells import is_fused
+from msbdb.fuse.touching import Division
 from msbdb.grid import Grid, GridSpec
 from msbdb.kept import Rasters
 from msbdb.labels import Labels
@@ -66,6 +67,7 @@ def describe(
     params: Params,
     *,
     built: NDArray[np.bool_] | None = None,
+    division: Division | None = None,
 ) -> Description:
     """Return the tables, rasters and counts of a run.
 
@@ -81,12 +83,14 @@ def describe(
         Sections ``fuse``, ``surface`` and ``vector``.
     built : (H, W) ndarray of bool, optional
         The cells that the detectors took together; None where they did not decide together.
+    division : Division, optional
+        The houses in which the parts grew, and why; None where the detectors did not decide together.
     """
     parts = outline_parts(forest, scene.heights, params.vector)
     # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
     counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
     some = {name: stages for name, stages in counts.items() if stages}
-    frames = make_frames(scene, regions, forest, parts, params)
+    frames = make_frames(scene, regions, forest, parts, params, division=division)
     reason = explain_cells(scene, regions, built, forest, params)
     return Description(frames, _rasters(scene, regions, reason), some)
 
@@ -119,7 +123,13 @@ def _outlines(labels: Labels, count: int, spec: GridSpec, params: VectorParams) 
 
 
 def make_frames(
-    scene: Scene, regions: Mapping[str, Regions], forest: Forest, parts: gpd.GeoDataFrame, params: Params
+    scene: Scene,
+    regions: Mapping[str, Regions],
+    forest: Forest,
+    parts: gpd.GeoDataFrame,
+    params: Params,
+    *,
+    division: Division | None = None,
 ) -> dict[str, pd.DataFrame]:
     """Return all tables of the run, checked against their declarations.
 
@@ -135,6 +145,8 @@ def make_frames(
         The same parts with their outlines.
     params : Params
         Sections ``fuse``, ``heights``, ``surface`` and ``vector``.
+    division : Division, optional
+        The houses in which the parts grew, and why. Without it no building is divided.
     """
     spec = scene.heights.spec
     link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
@@ -153,7 +165,10 @@ def make_frames(
     fusion = params.fuse if is_fused(regions, params.fuse) else None
     shares = {name: covered_shares(labels, len(buildings), found.labels) for name, found in regions.items()}
     outlines = _outlines(labels, len(buildings), spec, params.vector)
-    buildings = gpd.GeoDataFrame(with_support(buildings, shares, params=fusion), geometry=outlines, crs=spec.crs)
+    buildings = with_support(buildings, shares, params=fusion)
+    if division is not None:
+        buildings = buildings.assign(divided_by=division.reasons_of(labels, len(buildings)))
+    buildings = gpd.GeoDataFrame(buildings, geometry=outlines, crs=spec.crs)
     rejections, counts = _ledger(forest, [flat, *candidates], params)
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     none = no_regions("area3d", CANDIDATE_REGION, spec)
@@ -243,4 +258,5 @@ def _rasters(scene: Scene, regions: Mapping[str, Regions], reason: NDArray[np.ui
         reason=reason,
         support=support_of(regions, reason.shape),
         answers={name: found.answers for name, found in regions.items() if found.answers is not None},
+        parcels=scene.parcels,
     )

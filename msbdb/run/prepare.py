@@ -18,6 +18,9 @@ from msbdb.io.files import describe_source
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.io.raster import align_grid, read_grid
+from msbdb.io.vector import read_polygons
+from msbdb.labels import Labels
+from msbdb.outline.polygons import rasterise
 from msbdb.params import Params
 from msbdb.parts.tree import choose_scales
 from msbdb.points.cloud import PointCloud
@@ -48,6 +51,7 @@ class Inputs:
     crs: str | None = None
     ortho_crs: str | None = None
     z_unit: str = "auto"
+    parcels: Path | None = None
 
     def __post_init__(self) -> None:
         """Check that there is one kind of heights."""
@@ -64,6 +68,8 @@ class Inputs:
         yield from ((path, "points") for path in self.points)
         yield from ((path, role) for path, role in ((self.dsm, "dsm"), (self.dtm, "dtm"), (self.ndsm, "ndsm")) if path)
         yield from ((path, "ortho") for path in self.ortho)
+        if self.parcels is not None:
+            yield self.parcels, "parcels"
 
     def stated(self) -> dict[str, str]:
         """Return what the user stated about the files, where it is not the default."""
@@ -137,7 +143,25 @@ def prepare(
             cover = keep_labels(cover, label.classes)
     record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
     evidence, elevations = Evidence.of(structure), Elevations.of(surface, cloud)
-    return Scene(record, surface.ndsm, cover, evidence, elevations, surface, cloud, bands), params
+    parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec)
+    return Scene(record, surface.ndsm, cover, evidence, elevations, parcels, surface, cloud, bands), params
+
+
+def read_parcels(path: Path, spec: GridSpec) -> Labels:
+    """Return the parcel of each cell: row number + 1 in the file, 0 for none.
+
+    Raises
+    ------
+    FileError, CRSError, NodataError
+        As `msbdb.io.vector.read_polygons`.
+    InputError
+        When no parcel covers a cell of the survey.
+    """
+    parcels = rasterise(read_polygons(path, to=spec.crs).geometry, spec)
+    if not parcels.any():
+        msg = f"No parcel of {path} covers a cell of the survey. Check the file, and its CRS."
+        raise InputError(msg)
+    return parcels
 
 
 def note_missing_sources(scene: Scene) -> None:

@@ -102,7 +102,7 @@ def report_of(kept: KeptRun, stages: Stages, *, changed: bool, passing: Sequence
 def recall_scene(kept: KeptRun) -> Scene:
     """Return the scene of a kept run, with the operator's labels so far; without surface, points and bands."""
     cover, elevations = _cover(kept, lattice_of(kept.survey)), recall_elevations(kept.survey, kept.rasters)
-    return Scene(kept.survey, kept.heights, cover, _evidence(kept.rasters), elevations)
+    return Scene(kept.survey, kept.heights, cover, _evidence(kept.rasters), elevations, kept.rasters.parcels)
 
 
 def recall_elevations(survey: Survey, rasters: Rasters) -> Elevations:

@@ -243,6 +243,13 @@ BUILDING = Table(
         Column("yin", "float64", "m", "northing of a point that lies on the building"),
         *_covered(),
         *_quality(),
+        Column(
+            "divided_by",
+            "str",
+            "-",
+            "why touching houses beside it are other buildings: parcel, step, valley, wall; several with commas; empty "
+            "for none",
+        ),
     ),
     rules=(
         Unique(("building_id", "run_id")),

@@ -230,10 +230,12 @@ def test_edges_below_the_mask_are_raised_inside_the_built_cells():
     built = image > 0
     built[5:20, 20] = True
     params = params_of(20.0)
-    parts = extract_parts(heights_of(image), None, survey="test", params=params, built=built).parts
+    parts = extract_parts(heights_of(image), None, survey="test", params=params, houses=built.astype(np.int32)).parts
     assert parts["area_px"].tolist() == [15 * 16]
     assert parts["hzone"].tolist() == [2]
-    bare = extract_parts(heights_of(image), None, survey="test", params=params, built=image > 0).parts
+    bare = extract_parts(
+        heights_of(image), None, survey="test", params=params, houses=(image > 0).astype(np.int32)
+    ).parts
     assert bare["area_px"].tolist() == [15 * 15]
 
 

@@ -1,0 +1,166 @@
+"""Pieces of roofs joined again, the weakest border first, until each border that is left has a reason."""
+
+import heapq
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.fuse.roofpieces import KINDS, Pieces, Touches, spread
+from msbdb.params import TouchingParams
+
+PARCEL = "parcel"
+REASONS = (PARCEL, *KINDS)
+"""Why touching houses are divided."""
+
+OTHER_PARCEL = 0.4
+"""A sliver goes to a piece of its own parcel, unless evidence along this share of the border more is against it."""
+
+BENT = 0.4
+"""A valley runs along one line where it is this much wider than long; the two valleys beside a wing are 0.5."""
+
+DEVIATIONS = 0.5
+"""Standard deviations above the mean of a border's heights at which its upper end lies."""
+
+LATE = 3.0
+"""Pieces of one parcel are joined after all slivers have found their roof."""
+
+PAIRS, SHOWN, FIRST_KIND, DIFFER, LOWEST, SQUARED, MOMENTS = 0, 1, 2, 5, 6, 7, 8
+"""The columns of ``Touches.counts``."""
+
+Floats = NDArray[np.float64]
+
+
+class Joining:
+    """The pieces as a graph, whose nodes are joined two at a time.
+
+    Parameters
+    ----------
+    pieces : Pieces
+        The nodes.
+    touches : Touches
+        The edges.
+    params : TouchingParams
+        What a house and a reason are.
+    cell_m : float
+        Side of a cell, metres.
+    """
+
+    def __init__(self, pieces: Pieces, touches: Touches, params: TouchingParams, cell_m: float) -> None:
+        self.params, self.cell_m = params, cell_m
+        self.cells, self.heights, self.tops = (
+            values.tolist() for values in (pieces.cells, pieces.heights, pieces.tops)
+        )
+        self.moments = list(pieces.moments)
+        self.owners = pieces.owners.tolist()
+        self.small = [self._is_small(node) for node in range(len(self.cells))]
+        self.beside: list[dict[int, Floats]] = [{} for _ in self.cells]
+        for one, other, counts in zip(touches.one.tolist(), touches.other.tolist(), touches.counts, strict=True):
+            self.beside[one][other] = self.beside[other][one] = counts
+        self.version = [0] * len(self.cells)
+        self.into = np.arange(len(self.cells))
+        self.waiting: list[tuple[float, int, int, int, int]] = []
+
+    def run(self) -> NDArray[np.int64]:
+        """Join until nothing is left to join; return the row number of the piece into which each piece went."""
+        for one, beside in enumerate(self.beside):
+            for other in beside:
+                if one < other:
+                    self._wait(one, other)
+        while self.waiting:
+            _, one, other, *versions = heapq.heappop(self.waiting)
+            if [self.version[one], self.version[other]] == versions:
+                self._join(one, other)
+        while (self.into != self.into[self.into]).any():
+            self.into = self.into[self.into]
+        return self.into
+
+    def borders(self) -> dict[tuple[int, int], int]:
+        """Return the index in `REASONS` of the border of each two nodes that are left, the smaller one first."""
+        found = {}
+        for one, beside in enumerate(self.beside):
+            for other in beside:
+                reason = self._reason(one, other) if one < other else None
+                if reason is not None:
+                    found[one, other] = REASONS.index(reason)
+        return found
+
+    def _wait(self, one: int, other: int) -> None:
+        """Let two nodes wait until their turn to be joined, unless there is a reason for their border."""
+        counts = self.beside[one][other]
+        # Evidence is as wide as its profiles; the difference of neighbouring cells shows the place itself.
+        sharp = min(counts[DIFFER] / counts[PAIRS] / self.params.step_m, 1)
+        cost = (counts[SHOWN] / counts[PAIRS] + sharp) / 2
+        owners = {self.owners[one], self.owners[other]} - {0}
+        sliver = self.small[one] or self.small[other]
+        reason = self._reason(one, other)
+        if reason is not None and not sliver:
+            if len(owners) != 1 or 0 in (self.owners[one], self.owners[other]):
+                return
+            cost = LATE
+        if reason is not None:
+            cost += 1
+        if len(owners) == 2:
+            cost += OTHER_PARCEL
+        # Of equal borders the longer one goes first.
+        cost -= 1e-6 * counts[PAIRS]
+        one, other = min(one, other), max(one, other)
+        heapq.heappush(self.waiting, (cost, one, other, self.version[one], self.version[other]))
+
+    def _join(self, one: int, other: int) -> None:
+        """Join two nodes: the larger one goes on, of equal ones the first."""
+        if self.cells[other] > self.cells[one]:
+            one, other = other, one
+        self.into[other] = one
+        self.version[one] += 1
+        self.version[other] = -1
+        if not self.small[other]:
+            self.tops[one] = max(self.tops[one], self.tops[other])
+        self.cells[one] += self.cells[other]
+        self.heights[one] += self.heights[other]
+        self.moments[one] = self.moments[one] + self.moments[other]
+        if not self.small[other]:
+            self.owners[one] = self.owners[one] or self.owners[other]
+        self.small[one] = self._is_small(one)
+        for node, counts in self.beside[other].items():
+            del self.beside[node][other]
+            if node != one:
+                self.beside[one][node] = self.beside[node][one] = self.beside[one].get(node, 0) + counts
+        self.beside[other] = {}
+        for node in self.beside[one]:
+            self._wait(one, node)
+
+    def _reason(self, one: int, other: int) -> str | None:
+        """Return why two nodes are two houses; None for no reason."""
+        owners = self.owners[one], self.owners[other]
+        if all(owners) and owners[0] != owners[1]:
+            return PARCEL
+        counts = self.beside[one][other]
+        if counts[SHOWN] < self.params.share * counts[PAIRS]:
+            return None
+        levels = self.heights[one] / self.cells[one], self.heights[other] / self.cells[other]
+        mean_m, square_m2 = counts[LOWEST] / counts[PAIRS], counts[SQUARED] / counts[PAIRS]
+        # The upper end of the border: a valley that climbs to a ridge has a high one.
+        upper_m = mean_m + DEVIATIONS * np.sqrt(max(square_m2 - mean_m**2, 0))
+        rise = min(self.tops[one], self.tops[other]) - upper_m
+        kinds = counts[FIRST_KIND : FIRST_KIND + len(KINDS)]
+        holds = {
+            "step": abs(levels[0] - levels[1]) >= self.params.level_m,
+            "valley": rise >= self.params.rise_m and self._is_straight(counts),
+            "wall": True,
+        }
+        for kind in np.argsort(-kinds, kind="stable").tolist():
+            if 2 * kinds[kind] >= self.params.share * counts[PAIRS] and holds[KINDS[kind]]:
+                return KINDS[kind]
+        return None
+
+    def _is_straight(self, counts: Floats) -> bool:
+        """Return whether a border runs along one line: the two valleys beside a wing do not."""
+        width, length = spread(counts[PAIRS], counts[MOMENTS:])
+        return width <= BENT * length
+
+    def _is_small(self, node: int) -> bool:
+        """Return whether a node is too small, or too narrow, for a house."""
+        cells = self.cells[node]
+        if cells * self.cell_m**2 < self.params.house_m2:
+            return True
+        return spread(cells, self.moments[node])[0] * self.cell_m < self.params.width_m

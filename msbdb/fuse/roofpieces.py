@@ -1,0 +1,224 @@
+"""Pieces of roofs: the cells of buildings cut along all lines where a house may end, and where the pieces touch."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter
+
+from msbdb.fuse.roofborders import RoofBorders
+from msbdb.labels import Labels, label_zones, neighbours, sums
+
+Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+KINDS = ("step", "valley", "wall")
+"""The kinds of evidence, in the order of the columns of `Touch`."""
+
+SMOOTH_M = 0.4
+"""Standard deviation of the smoothing before tops are sought: below it are tiles, dormers' edges and noise."""
+
+TOP_M = 0.4
+"""A top rises this far above the saddle to a higher one: chimneys and noise are lower after the smoothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Pieces of roofs, with sums that add up when pieces are joined.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        0 for none, otherwise row number + 1.
+    cells : (N,) ndarray of float64
+        Number of cells.
+    heights : (N,) ndarray of float64
+        Sum of their heights, metres.
+    tops : (N,) ndarray of float64
+        Largest height within the piece that a tenth of its cells reach, metres.
+    moments : (N, 5) ndarray of float64
+        Sums of row, column, row², column² and row times column.
+    owners : (N,) ndarray of int64
+        The parcel of each piece; 0 for none.
+    """
+
+    labels: Labels
+    cells: Floats
+    heights: Floats
+    tops: Floats
+    moments: Floats
+    owners: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touches:
+    """Where two pieces touch, a row each.
+
+    Parameters
+    ----------
+    one, other : (B,) ndarray of int64
+        Row numbers of the pieces; ``one`` is smaller.
+    counts : (B, 13) ndarray of float64
+        Pairs of neighbouring cells; those with evidence; those with each of `KINDS`; sum of their differences of
+        height, metres; sums of their lowest heights, and of the squares; sums of row, column, row², column² and row
+        times column.
+    """
+
+    one: NDArray[np.int64]
+    other: NDArray[np.int64]
+    counts: Floats
+
+
+def cut_pieces(
+    heights: NDArray[np.float32], built: Mask, strength: NDArray[np.float32], *, cell_m: float, core_m: float
+) -> Labels:
+    """Cut the cells of buildings along the lines where one house may end and the next begin.
+
+    Parameters
+    ----------
+    heights : (H, W) ndarray of float32, metres
+        Heights, freed of single outliers.
+    built : (H, W) ndarray of bool
+        Cells of buildings.
+    strength : (H, W) ndarray of float32
+        Evidence of a border in each cell; 1 and more is a barrier.
+    cell_m : float
+        Side of a cell, metres.
+    core_m : float
+        Radius of a disc. Where it does not pass, a barrier with a gap is closed.
+
+    Returns
+    -------
+    (H, W) ndarray of int32
+        Pieces, numbered in row order; 0 outside of buildings.
+
+    Notes
+    -----
+    Two watersheds [1]_ are laid over each other. One floods the evidence from the cells that are at least ``core_m``
+    from each barrier and each edge, so it follows steps and walls. The other floods the roofs turned upside down from
+    their tops, so it follows valleys exactly, also where a dormer or a parapet interrupts them. Far too many pieces are
+    the result: slopes and dormers, too. `msbdb.fuse.touching` joins those that nothing separates.
+
+    References
+    ----------
+    .. [1] Beucher, S., Meyer, F., 1993. The morphological approach to segmentation: the watershed transformation.
+       Mathematical Morphology in Image Processing, 433-481.
+    """
+    free = built & (strength < 1)
+    cores, count = label_zones(distance_transform_edt(free) * cell_m >= core_m)
+    islands, island_count = label_zones(built)
+    has_core = np.zeros(island_count + 1, dtype=np.bool_)
+    has_core[islands[cores > 0]] = True
+    # An island without any core is one piece here.
+    seeds = np.where(has_core[islands], cores, islands + count)
+    between = _flooded(gaussian_filter(np.where(built, strength, 0), 0.5), seeds, built)
+    smooth = np.where(built, gaussian_filter(heights, SMOOTH_M / cell_m), 0).astype(np.float32)
+    below = _flooded(-smooth, _tops(smooth), built)
+    both = np.where(built, between.astype(np.int64) * (int(below.max()) + 2) + below + 1, 0)
+    return label_zones(both, connectivity=4)[0]
+
+
+def _flooded(relief: NDArray[np.float32], seeds: Labels, built: Mask) -> Labels:
+    """Return the watershed of a relief within the buildings; each connected part of them holds a seed."""
+    from skimage.segmentation import watershed
+
+    found: Labels = watershed(relief, np.where(built, seeds, 0), mask=built)  # type: ignore[no-untyped-call]
+    return found
+
+
+def _tops(smooth: NDArray[np.float32]) -> Labels:
+    """Return the tops that rise `TOP_M` above the saddles between them, numbered."""
+    from skimage.morphology import h_maxima
+
+    return label_zones(h_maxima(smooth, TOP_M) > 0)[0]  # type: ignore[no-untyped-call]
+
+
+def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels | None) -> Pieces:
+    """Sum up the cells of pieces, each of which lies in one parcel or in none."""
+    count = int(labels.max(initial=0))
+    cells = np.flatnonzero(labels)
+    member = labels.ravel()[cells]
+    places = (place.astype(np.float64) for place in np.divmod(cells, labels.shape[1]))
+    height = heights.ravel()[cells].astype(np.float64)
+    parts = (np.ones(cells.size), height, *_moments(*places))
+    area, total, *moments = (sums(member, part, count) for part in parts)
+    tops = np.zeros(count)
+    order = np.lexsort((height, member))
+    last = np.searchsorted(member[order], np.arange(1, count + 1), side="right") - 1
+    tops[:] = height[order][last - np.floor(0.1 * (area - 1)).astype(np.int64)]
+    owners = np.zeros(count, dtype=np.int64)
+    if parcels is not None:
+        owners[member - 1] = parcels.ravel()[cells]
+    return Pieces(labels, area, total, tops, np.stack(moments, axis=1), owners)
+
+
+def _moments(row: Floats, col: Floats) -> tuple[Floats, ...]:
+    """Return what is summed up for the second moments of cells."""
+    return row, col, row * row, col * col, row * col
+
+
+def spread(count: float, moments: Floats) -> tuple[float, float]:
+    """Return the smaller and the larger side of the rectangle with the second moments of cells, cells.
+
+    Examples
+    --------
+    Two rows of four cells:
+
+    >>> row, col = np.divmod(np.arange(8.0), 4)
+    >>> sums_of = np.array([part.sum() for part in (row, col, row * row, col * col, row * col)])
+    >>> tuple(round(side, 6) for side in spread(8, sums_of))
+    (2.0, 4.0)
+    """
+    row, col, row2, col2, both = (moments / count).tolist()
+    # A cell itself has the variance 1/12.
+    one, other, mixed = row2 - row * row + 1 / 12, col2 - col * col + 1 / 12, both - row * col
+    middle, half = (one + other) / 2, math.hypot((one - other) / 2, mixed)
+    return math.sqrt(12 * max(middle - half, 0)), math.sqrt(12 * (middle + half))
+
+
+def measure_touches(
+    labels: Labels, heights: NDArray[np.float32], borders: RoofBorders, least_m: tuple[float, float, float]
+) -> Touches:
+    """Count the pairs of neighbouring cells of two pieces, and the evidence along them.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        The pieces.
+    heights : (H, W) ndarray of float32, metres
+        Their heights.
+    borders : RoofBorders
+        Evidence of each cell. A pair has what the cells around either of its two have.
+    least_m : tuple of float
+        From which step, valley and wall on there is evidence, metres.
+    """
+    count = int(labels.max(initial=0))
+    found = [
+        maximum_filter(strength, 3, mode="nearest") >= least
+        for strength, least in zip((borders.step_m, borders.valley_m, borders.wall_m), least_m, strict=True)
+    ]
+    shown = np.stack([found[0] | found[1] | found[2], *found])
+    lowest = minimum_filter(np.where(labels > 0, heights, np.float32(np.inf)), 3, mode="nearest")
+    indices = np.indices(labels.shape, dtype=np.int32)
+    keys, columns = [], []
+    for here, there in _all_neighbours(labels.shape):
+        one, other = labels[here], labels[there]
+        pair = (one != other) & (one > 0) & (other > 0)
+        smaller, larger = np.minimum(one[pair], other[pair]), np.maximum(one[pair], other[pair])
+        keys.append((smaller.astype(np.int64) - 1) * count + larger - 1)
+        evidence = (shown[:, *here] | shown[:, *there])[:, pair]
+        low = np.minimum(lowest[here], lowest[there])[pair].astype(np.float64)
+        rows_cols = (places[here][pair].astype(np.float64) for places in indices)
+        differ = np.abs(heights[here] - heights[there])[pair].astype(np.float64)
+        columns.append(np.stack([np.ones(low.size), *evidence, differ, low, low * low, *_moments(*rows_cols)], axis=1))
+    touch, member = np.unique(np.concatenate(keys), return_inverse=True)
+    table = np.concatenate(columns)
+    counts = np.stack([sums(member + 1, column, touch.size) for column in table.T], axis=1)
+    return Touches(touch // max(count, 1), touch % max(count, 1), counts)
+
+
+def _all_neighbours(shape: tuple[int, ...]) -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Return the pairs of cells that touch along a side, and those that touch at a corner."""
+    upper, lower, left, right = slice(0, shape[0] - 1), slice(1, None), slice(0, shape[1] - 1), slice(1, None)
+    return [*neighbours(shape), ((upper, left), (lower, right)), ((upper, right), (lower, left))]

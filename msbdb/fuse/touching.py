@@ -1,0 +1,145 @@
+"""Touching houses: the cells of buildings divided where there is a reason, and the reason kept (decision 0031)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, median_filter
+
+from msbdb.fuse.joining import REASONS, Joining
+from msbdb.fuse.roofborders import RoofBorders, find_roof_borders
+from msbdb.fuse.roofpieces import cut_pieces, measure_pieces, measure_touches
+from msbdb.grid import Grid
+from msbdb.labels import Labels, label_zones, touching_pairs
+from msbdb.params import TouchingParams
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Division:
+    """Cells of buildings divided into houses.
+
+    Parameters
+    ----------
+    houses : (H, W) ndarray of int32
+        0 outside of buildings; otherwise the house, numbered in row order of the first cells. Each is connected.
+    borders : dict
+        By the numbers of two houses that touch, the smaller first: the index in `REASONS` of what divides them.
+    """
+
+    houses: Labels
+    borders: dict[tuple[int, int], int]
+
+    def reasons_of(self, labels: Labels, count: int) -> NDArray[np.object_]:
+        """Return why each building is divided from those beside it: reasons with commas, empty for none.
+
+        Parameters
+        ----------
+        labels : (H, W) ndarray of int32
+            Buildings, each within one house: 0 for none, otherwise 1 to ``count``.
+        count : int
+            Number of buildings.
+        """
+        house = np.zeros(count + 1, dtype=np.int64)
+        house[labels[labels > 0]] = self.houses[labels > 0]
+        found: list[set[int]] = [set() for _ in range(count)]
+        for one, other in zip(*(side.tolist() for side in touching_pairs(labels)), strict=True):
+            reason = self.borders.get((min(house[one], house[other]), max(house[one], house[other])))
+            if reason is not None:
+                found[one - 1].add(reason)
+                found[other - 1].add(reason)
+        return np.array([",".join(REASONS[reason] for reason in sorted(own)) for own in found], dtype=object)
+
+
+def divide(
+    heights: Grid,
+    built: NDArray[np.bool_],
+    params: TouchingParams,
+    *,
+    spacing_m: float,
+    parcels: Labels | None = None,
+) -> Division:
+    """Divide the cells of buildings into houses.
+
+    Parameters
+    ----------
+    heights : Grid
+        Heights above ground, metres.
+    built : (H, W) ndarray of bool
+        Cells of buildings; valid in the heights.
+    params : TouchingParams
+        What counts as evidence, and the least house.
+    spacing_m : float
+        Mean distance of the points, metres; of a raster, its cell.
+    parcels : (H, W) ndarray of int32, optional
+        The parcel of each cell; 0 for none.
+
+    Returns
+    -------
+    Division
+        Without any reason a connected island of cells is one house.
+
+    Notes
+    -----
+    The cells are cut into far too many pieces (`cut_pieces`), and pieces are joined again, the weakest border first,
+    until there is a reason for each border that is left:
+
+    - *parcel*: the pieces lie in two parcels;
+    - *step*, *valley* or *wall*: at least ``share`` of the border has evidence, and most of it of this kind. Beside a
+      step the two roofs differ by ``level_m`` in their mean heights; so the teeth of a saw-tooth roof stay together. On
+      both sides of a valley the roofs rise ``rise_m`` above the upper end of the border, which runs along one line:
+      wings that meet at a ridge stay together.
+
+    A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house and is joined with the neighbour behind
+    its weakest border. Its width is that of a rectangle with its second moments: √12 times the smaller standard
+    deviation of its cells.
+
+    Parcels: a sliver may cross the line of a parcel where the evidence is on another line. So a house keeps its wall
+    where parcels are shifted by less than ``width_m``. Strips outside of all parcels that are narrower than that belong
+    to the nearest parcel, cell by cell. What is wider is divided by the evidence.
+
+    Border: roofs end at the lattice. Complexity: n log n in the cells, and in the pieces.
+    """
+    islands, count = label_zones(built)
+    if not count or not (params.divide or parcels is not None):
+        return Division(islands, {})
+    cell_m = heights.spec.cell_m
+    smooth = median_filter(np.asarray(heights.values, dtype=np.float32), 3, mode="nearest")
+    least_m = (params.step_m, params.valley_m, params.wall_m)
+    if params.divide:
+        borders = find_roof_borders(smooth, built, cell_m=cell_m, spacing_m=spacing_m)
+        strength = np.maximum(borders.step_m / least_m[0], borders.valley_m / least_m[1])
+        strength = np.maximum(strength, borders.wall_m / least_m[2])
+        labels = cut_pieces(smooth, built, strength, cell_m=cell_m, core_m=params.core_m)
+    else:
+        none = np.zeros_like(smooth)
+        borders, labels = RoofBorders(none, none, none), islands
+    if parcels is not None:
+        parcels = _with_strips(parcels, islands, params.width_m / cell_m)
+        both = labels.astype(np.int64) * (int(parcels.max()) + 1) + parcels
+        labels, _ = label_zones(np.where(built, both, 0), connectivity=4)
+    pieces = measure_pieces(labels, smooth, parcels)
+    touches = measure_touches(labels, smooth, borders, least_m)
+    joining = Joining(pieces, touches, params, cell_m)
+    into = joining.run()
+    houses, _ = label_zones(np.concatenate([[0], into + 1])[labels])
+    house = np.zeros(len(into), dtype=np.int64)
+    house[into[labels[labels > 0] - 1]] = houses[labels > 0]
+    found = {}
+    for (one, other), reason in joining.borders().items():
+        pair = int(house[one]), int(house[other])
+        found[min(pair), max(pair)] = reason
+    return Division(houses, found)
+
+
+def _with_strips(parcels: Labels, islands: Labels, width: float) -> Labels:
+    """Give narrow strips of buildings outside of all parcels to the nearest parcel on their island.
+
+    Strips are what an opening by a disc of this width, in cells, removes.
+    """
+    outside = (islands > 0) & (parcels == 0)
+    core = distance_transform_edt(outside) >= width / 2
+    wide = outside & (distance_transform_edt(~core) <= width / 2) if core.any() else core
+    near = distance_transform_edt((islands == 0) | (parcels == 0), return_distances=False, return_indices=True)
+    strips = outside & ~wide & (islands[tuple(near)] == islands)
+    found: Labels = np.where(strips, parcels[tuple(near)], parcels)
+    return found

@@ -1,0 +1,299 @@
+"""Touching houses are divided where there is a reason, and nowhere else."""
+
+import numpy as np
+import pytest
+from affine import Affine
+from pyproj import CRS
+from scipy.ndimage import rotate
+
+from msbdb.fuse.joining import REASONS
+from msbdb.fuse.touching import Division, divide
+from msbdb.grid import Grid, GridSpec
+from msbdb.labels import sizes
+from msbdb.params import TouchingParams
+
+CELL_M = 0.5
+SPACING_M = 0.4
+NOISE_M = 0.05
+DEFAULT = TouchingParams()
+
+
+def scene(width_m: float = 60, depth_m: float = 40) -> np.ndarray:
+    """Return a flat ground, metres."""
+    return np.zeros((round(depth_m / CELL_M), round(width_m / CELL_M)), dtype=np.float32)
+
+
+def put(heights: np.ndarray, x: float, y: float, roof: np.ndarray) -> None:
+    """Set a roof with its upper left corner at x and y, metres."""
+    row, col = round(y / CELL_M), round(x / CELL_M)
+    heights[row : row + roof.shape[0], col : col + roof.shape[1]] = roof
+
+
+def flat(width_m: float, depth_m: float, height_m: float) -> np.ndarray:
+    """Return a level roof."""
+    return np.full((round(depth_m / CELL_M), round(width_m / CELL_M)), height_m, dtype=np.float32)
+
+
+def gable(width_m: float, depth_m: float, eaves_m: float, slope: float = 0.8, *, along_x: bool = False) -> np.ndarray:
+    """Return a roof whose ridge runs in y; ``along_x`` in x."""
+    base = flat(width_m, depth_m, 0)
+    rows, cols = base.shape
+    across = np.arange(rows)[:, None] if along_x else np.arange(cols)[None]
+    half = (rows if along_x else cols) / 2
+    return (base + eaves_m + slope * CELL_M * (half - np.abs(across + 0.5 - half))).astype(np.float32)
+
+
+def hipped(width_m: float, depth_m: float, eaves_m: float, slope: float = 0.8) -> np.ndarray:
+    """Return a roof that rises from all four walls."""
+    base = flat(width_m, depth_m, 0)
+    rows, cols = np.indices(base.shape)
+    inside = np.minimum.reduce([rows, cols, base.shape[0] - 1 - rows, base.shape[1] - 1 - cols])
+    return (eaves_m + slope * CELL_M * (inside + 0.5)).astype(np.float32)
+
+
+def division(
+    heights: np.ndarray, params: TouchingParams = DEFAULT, parcels: np.ndarray | None = None, noise_m: float = NOISE_M
+) -> Division:
+    """Divide what is higher than 2 m, with a scanner's noise."""
+    built = heights > 2
+    noisy = heights + np.random.default_rng(1).normal(0, noise_m, heights.shape).astype(np.float32)
+    spec = GridSpec(heights.shape, Affine(CELL_M, 0, 0, 0, -CELL_M, 0), CRS.from_epsg(2154))
+    grid = Grid(noisy, np.ones(heights.shape, dtype=bool), spec)
+    return divide(grid, built, params, spacing_m=SPACING_M, parcels=parcels)
+
+
+def reasons(found: Division) -> set[str]:
+    """Return all reasons of a division."""
+    return {REASONS[reason] for reason in found.borders.values()}
+
+
+def areas_m2(found: Division) -> list[float]:
+    """Return the area of each house."""
+    return (sizes(found.houses, int(found.houses.max())) * CELL_M**2).tolist()
+
+
+def test_a_row_of_gabled_houses_is_divided_in_its_valleys():
+    """Six houses of 6 m, ridges across the row; each has its area."""
+    heights = scene()
+    for number in range(6):
+        put(heights, 10 + 6 * number, 10, gable(6, 11, 6))
+    found = division(heights)
+    assert areas_m2(found) == pytest.approx([66] * 6, abs=7)
+    assert reasons(found) == {"valley"}
+    assert len(found.borders) == 5
+
+
+def test_flat_houses_of_different_heights_are_divided_at_their_steps():
+    """Three of 8 m, two of them with equal neighbours beyond the step."""
+    heights = scene()
+    for number, height in enumerate((6, 9, 6)):
+        put(heights, 10 + 8 * number, 10, flat(8, 12, height))
+    found = division(heights)
+    assert areas_m2(found) == pytest.approx([96] * 3, abs=9)
+    assert reasons(found) == {"step"}
+
+
+def test_a_wall_between_level_roofs_divides_them():
+    """Fire walls of 0.6 m on a flat roof."""
+    heights = scene()
+    put(heights, 10, 10, flat(24, 10, 7))
+    heights[20:40, 35:37] += 0.6
+    heights[20:40, 51:53] += 0.6
+    found = division(heights)
+    assert areas_m2(found) == pytest.approx([80] * 3, abs=9)
+    assert reasons(found) == {"wall"}
+
+
+@pytest.mark.parametrize("storey_m", [2.5, 3.0, 3.5, 4.0])
+def test_a_long_level_roof_stays_one_house(storey_m: float):
+    """Whatever the height of its storeys, also with chimneys and boxes on it."""
+    heights = scene()
+    put(heights, 5, 10, flat(48, 12, 3 * storey_m))
+    for x in range(10, 50, 8):
+        put(heights, x, 14, flat(1.5, 1.5, 3 * storey_m + 1.2))
+    put(heights, 20, 15, flat(4, 4, 3 * storey_m + 3))
+    found = division(heights)
+    assert found.houses.max() == 1
+    assert not found.borders
+
+
+def saw_tooth() -> np.ndarray:
+    """Return a factory roof of six teeth, each with a face of 2.4 m."""
+    heights = scene()
+    for number in range(6):
+        tooth = flat(6, 24, 6)
+        tooth += np.linspace(0, 2.4, tooth.shape[1], dtype=np.float32)
+        put(heights, 10 + 6 * number, 10, tooth)
+    return heights
+
+
+def l_shape(roof: str) -> np.ndarray:
+    """Return a house with two wings at a right angle."""
+    heights = scene()
+    if roof == "flat":
+        put(heights, 10, 10, flat(20, 8, 7))
+        put(heights, 10, 10, flat(8, 22, 7))
+        return heights
+    one, other = scene(), scene()
+    put(one, 10, 10, hipped(24, 9, 6))
+    put(other, 10, 10, hipped(9, 24, 6))
+    return np.maximum(one, other)
+
+
+def t_shape() -> np.ndarray:
+    """Return a house with a lower wing whose ridge meets the slope of the main roof."""
+    one, other = scene(), scene()
+    put(one, 10, 10, gable(26, 10, 6, along_x=True))
+    put(other, 19, 10, gable(7, 18, 6))
+    return np.maximum(one, other)
+
+
+def dormers() -> np.ndarray:
+    """Return a gable roof with dormers on both slopes."""
+    heights = scene()
+    put(heights, 10, 10, gable(20, 11, 6, along_x=True))
+    for x in (13, 18, 23):
+        for y in (11.5, 17):
+            put(heights, x, y, flat(2, 2.5, 9))
+    return heights
+
+
+def tower_on_podium() -> np.ndarray:
+    """Return a tower that stands in the middle of a low hall."""
+    heights = scene()
+    put(heights, 5, 5, flat(40, 28, 5))
+    put(heights, 18, 13, flat(12, 10, 25))
+    return heights
+
+
+def one(roof: np.ndarray) -> np.ndarray:
+    """Return a single roof on the ground."""
+    heights = scene()
+    put(heights, 10, 10, roof)
+    return heights
+
+
+@pytest.mark.parametrize(
+    "heights",
+    [
+        pytest.param(one(gable(9, 14, 6)), id="gable"),
+        pytest.param(one(gable(9, 14, 6, 1.5)), id="steep gable"),
+        pytest.param(one(hipped(14, 10, 6)), id="hipped"),
+        pytest.param(one(hipped(12, 12, 6)), id="pyramid"),
+        pytest.param(l_shape("flat"), id="flat L"),
+        pytest.param(l_shape("hipped"), id="hipped L"),
+        pytest.param(t_shape(), id="T"),
+        pytest.param(saw_tooth(), id="saw tooth"),
+        pytest.param(dormers(), id="dormers"),
+        pytest.param(rotate(saw_tooth(), 30, order=0), id="turned saw tooth"),
+        pytest.param(rotate(l_shape("hipped"), 30, order=0), id="turned L"),
+        pytest.param(rotate(one(gable(9, 14, 6)), 20, order=0), id="turned gable"),
+    ],
+)
+def test_one_house_stays_one(heights: np.ndarray):
+    """Whatever its roof."""
+    found = division(heights.astype(np.float32))
+    assert found.houses.max() == 1
+    assert not found.borders
+
+
+def parcels_of(shape: tuple[int, ...], shift_m: float, width_m: float) -> np.ndarray:
+    """Return parcels side by side from x = 10 on, over all of y, shifted to the right and down."""
+    found = np.zeros(shape, dtype=np.int32)
+    rows = slice(round((10 + shift_m) / CELL_M), round((22 + shift_m) / CELL_M))
+    for number in range(4):
+        left, right = (round((10 + shift_m + width_m * (number + end)) / CELL_M) for end in (0, 1))
+        found[rows, left:right] = 1 + number
+    return found
+
+
+@pytest.mark.parametrize("shift_m", [-1.0, -0.5, 0.0, 0.5, 1.0])
+def test_parcels_divide_a_level_roof_without_slivers(shift_m: float):
+    """Four parcels of 8 m; strips along the walls that lie outside of all parcels go to the house beside them."""
+    heights = scene()
+    put(heights, 10, 10, flat(32, 12, 7))
+    found = division(heights, parcels=parcels_of(heights.shape, shift_m, 8))
+    assert areas_m2(found) == pytest.approx([96] * 4, abs=13)
+    assert reasons(found) == {"parcel"}
+    assert set(found.borders) == {(1, 2), (2, 3), (3, 4)}
+
+
+@pytest.mark.parametrize("shift_m", [-1.0, 0.5, 1.0])
+def test_parcels_that_are_shifted_leave_houses_at_their_walls(shift_m: float):
+    """Where there is a step beside the line of the parcel, the step is the border."""
+    heights = scene()
+    for number, height in enumerate((6, 9, 6, 9)):
+        put(heights, 10 + 8 * number, 10, flat(8, 12, height))
+    found = division(heights, parcels=parcels_of(heights.shape, shift_m, 8))
+    assert areas_m2(found) == pytest.approx([96] * 4, abs=7)
+    assert reasons(found) == {"parcel"}
+
+
+def test_parcels_join_what_the_evidence_would_divide():
+    """One parcel of a house with a high and a low wing is one building; the user decides."""
+    heights = scene()
+    put(heights, 10, 10, flat(16, 12, 6))
+    put(heights, 26, 10, flat(16, 12, 12))
+    assert division(heights).houses.max() == 2
+    parcels = np.ones(heights.shape, dtype=np.int32)
+    assert division(heights, parcels=parcels).houses.max() == 1
+
+
+def test_houses_outside_of_all_parcels_are_divided_by_evidence():
+    """Half of a row has parcels; the others have their steps."""
+    heights = scene()
+    for number, height in enumerate((6, 9, 6, 9)):
+        put(heights, 10 + 8 * number, 10, flat(8, 12, height))
+    parcels = parcels_of(heights.shape, 0, 8)
+    parcels[parcels > 2] = 0
+    found = division(heights, parcels=parcels)
+    assert areas_m2(found) == pytest.approx([96] * 4, abs=9)
+    assert reasons(found) == {"parcel", "step"}
+
+
+def test_parcels_alone_divide_where_nothing_else_may():
+    """The parameter turns the evidence off; parcels that are given still divide."""
+    heights = scene()
+    for number, height in enumerate((6, 9, 6, 9)):
+        put(heights, 10 + 8 * number, 10, flat(8, 12, height))
+    off = TouchingParams(divide=False)
+    assert division(heights, off).houses.max() == 1
+    parcels = (parcels_of(heights.shape, 0, 8) + 1) // 2
+    assert areas_m2(division(heights, off, parcels)) == pytest.approx([192, 192], abs=9)
+
+
+def test_each_house_is_large_and_wide_enough():
+    """No piece is left below the least house, whatever stands on the roofs."""
+    random = np.random.default_rng(3)
+    heights = scene(80, 60)
+    put(heights, 10, 10, flat(60, 40, 6))
+    for _ in range(60):
+        x, y, width, depth = (*random.uniform((12, 12), (60, 40)), *random.uniform(1, 9, 2))
+        put(heights, x, y, flat(width, depth, random.uniform(5, 15)))
+    found = division(heights)
+    assert found.houses.max() > 1
+    assert min(areas_m2(found)) >= DEFAULT.house_m2
+    assert (found.houses > 0).sum() == (heights > 2).sum()
+
+
+def test_a_building_names_the_reasons_of_its_own_borders():
+    """Of three houses the middle one has two; a house that was dropped gives no reason."""
+    houses = np.array([[1, 1, 2, 2, 3, 3]], dtype=np.int32)
+    found = Division(houses, {(1, 2): REASONS.index("valley"), (2, 3): REASONS.index("step")})
+    assert found.reasons_of(houses, 3).tolist() == ["valley", "step,valley", "step"]
+    without = np.array([[1, 1, 2, 2, 0, 0]], dtype=np.int32)
+    assert found.reasons_of(without, 2).tolist() == ["valley", "valley"]
+
+
+def test_the_division_does_not_depend_on_the_place():
+    """The same roofs elsewhere on the lattice, beside other houses, are divided alike."""
+    heights = scene()
+    for number in range(4):
+        put(heights, 10 + 6 * number, 10, gable(6, 11, 6))
+    larger = np.zeros((heights.shape[0] + 33, heights.shape[1] + 21), dtype=np.float32)
+    larger[33:, 21:] = heights
+    larger[2:20, 2:30] = 8
+    here, there = division(heights, noise_m=0), division(larger, noise_m=0)
+    shown = there.houses[33:, 21:]
+    assert ((shown > 0) == (here.houses > 0)).all()
+    assert len({*zip(shown[shown > 0].tolist(), here.houses[shown > 0].tolist(), strict=True)}) == 4
