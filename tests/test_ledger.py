@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from msbdb.errors import TableError
 from msbdb.ledger import Ledger, sum_up
-from msbdb.tables import REJECTION, REJECTION_COUNT, Reason, validate
+from msbdb.tables import REASONS, REJECTION, REJECTION_COUNT, Reason, validate
 
 STAGES = st.sampled_from(["opening", "rules", "vegetation"])
 WORDS = st.sampled_from(["rough", "small", "green"])

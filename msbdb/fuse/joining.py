@@ -160,7 +160,9 @@ class Joining:
 
     def _is_small(self, node: int) -> bool:
         """Return whether a node is too small, or too narrow, for a house."""
-        cells = self.cells[node]
-        if cells * self.cell_m**2 < self.params.house_m2:
+        cells, params = self.cells[node], self.params
+        of_parcel = self.owners[node] > 0
+        area_m2, width_m = (params.parcel_m2, params.parcel_width_m) if of_parcel else (params.house_m2, params.width_m)
+        if cells * self.cell_m**2 < area_m2:
             return True
-        return spread(cells, self.moments[node])[0] * self.cell_m < self.params.width_m
+        return spread(cells, self.moments[node])[0] * self.cell_m < width_m

@@ -200,7 +200,8 @@ def measure_touches(
     ]
     shown = np.stack([found[0] | found[1] | found[2], *found])
     lowest = minimum_filter(np.where(labels > 0, heights, np.float32(np.inf)), 3, mode="nearest")
-    indices = np.indices(labels.shape, dtype=np.int32)
+    rows, cols = labels.shape
+    indices = np.broadcast_to(np.arange(rows)[:, None], labels.shape), np.broadcast_to(np.arange(cols), labels.shape)
     keys, columns = [], []
     for here, there in _all_neighbours(labels.shape):
         one, other = labels[here], labels[there]

@@ -89,13 +89,14 @@ def divide(
       both sides of a valley the roofs rise ``rise_m`` above the upper end of the border, which runs along one line:
       wings that meet at a ridge stay together.
 
-    A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house and is joined with the neighbour behind
+    A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house (in a parcel, than ``parcel_m2`` and
+    ``parcel_width_m``) and is joined with the neighbour behind
     its weakest border. Its width is that of a rectangle with its second moments: √12 times the smaller standard
     deviation of its cells.
 
     Parcels: a sliver may cross the line of a parcel where the evidence is on another line. So a house keeps its wall
-    where parcels are shifted by less than ``width_m``. Strips outside of all parcels that are narrower than that belong
-    to the nearest parcel, cell by cell. What is wider is divided by the evidence.
+    where parcels are shifted by less than ``parcel_width_m``. Strips outside of all parcels, narrower than ``width_m``,
+    belong to the nearest parcel, cell by cell. What is wider is divided by the evidence.
 
     Border: roofs end at the lattice. Complexity: n log n in the cells, and in the pieces.
     """

@@ -148,6 +148,10 @@ class TouchingParams:
         low=0, high=1e5)
     width_m: float = param(3.0, "m", "Narrower pieces are no house.", ours="the narrowest houses of old towns",
         low=0, high=100)
+    parcel_m2: float = param(10.0, "m2", "Smaller pieces of a parcel are slivers.", ours="as fuse.piece_m2: a shed",
+        low=0, high=1e5)
+    parcel_width_m: float = param(2.0, "m", "Narrower pieces of a parcel are slivers.",
+        ours="parcels lie up to a metre beside the walls", low=0, high=100)
 
 
 @dataclass(frozen=True, slots=True)

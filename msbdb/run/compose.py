@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msbdb.detect.detectors import DETECTORS
 from msbdb.detect.flatregions.initialisation import denoise
