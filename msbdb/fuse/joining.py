@@ -5,7 +5,7 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.fuse.roofpieces import KINDS, Pieces, Touches, spread
+from msbdb.fuse.roofpieces import KINDS, RoofPieces, Touches, spread
 from msbdb.params import TouchingParams
 
 PARCEL = "parcel"
@@ -35,7 +35,7 @@ class Joining:
 
     Parameters
     ----------
-    pieces : Pieces
+    pieces : RoofPieces
         The nodes.
     touches : Touches
         The edges.
@@ -45,7 +45,7 @@ class Joining:
         Side of a cell, metres.
     """
 
-    def __init__(self, pieces: Pieces, touches: Touches, params: TouchingParams, cell_m: float) -> None:
+    def __init__(self, pieces: RoofPieces, touches: Touches, params: TouchingParams, cell_m: float) -> None:
         self.params, self.cell_m = params, cell_m
         self.cells, self.heights, self.tops = (
             values.tolist() for values in (pieces.cells, pieces.heights, pieces.tops)

@@ -24,7 +24,7 @@ TOP_M = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
+class RoofPieces:
     """Pieces of roofs, with sums that add up when pieces are joined.
 
     Parameters
@@ -134,7 +134,7 @@ def _tops(smooth: NDArray[np.float32]) -> Labels:
     return label_zones(h_maxima(smooth, TOP_M) > 0)[0]  # type: ignore[no-untyped-call]
 
 
-def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels | None) -> Pieces:
+def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels | None) -> RoofPieces:
     """Sum up the cells of pieces, each of which lies in one parcel or in none."""
     count = int(labels.max(initial=0))
     cells = np.flatnonzero(labels)
@@ -150,7 +150,7 @@ def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels
     owners = np.zeros(count, dtype=np.int64)
     if parcels is not None:
         owners[member - 1] = parcels.ravel()[cells]
-    return Pieces(labels, area, total, tops, np.stack(moments, axis=1), owners)
+    return RoofPieces(labels, area, total, tops, np.stack(moments, axis=1), owners)
 
 
 def _moments(row: Floats, col: Floats) -> tuple[Floats, ...]:

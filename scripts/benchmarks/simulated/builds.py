@@ -398,6 +398,7 @@ def _buildings(parts: pd.DataFrame, links_of: Mapping[str, pd.DataFrame]) -> gpd
             "area_m2": roots["area_m2"],
             "volume_m3": roots["area_m2"] * roots["h_mean"],
             "trees": 1,
+            "divided_by": "",
             "parts": trees.size(),
             "scales": trees["scale"].nunique(),
             **{name: roots[name] for name in ("speindex", "building_share", "xcen", "ycen", "xin", "yin")},
