@@ -1,0 +1,200 @@
+"""Arcs: the rings of a coverage, cut where three edges or more meet, so that neighbours are drawn by the same lines."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.errors import InputError
+from msbdb.outline.polygons import Geometries
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arcs:
+    """Arcs in the order of their rings; the vertices of an arc do not include its end, the next arc's first.
+
+    Attributes
+    ----------
+    coords : (V, 2) ndarray
+        Vertices of all arcs.
+    sizes, end, ring, geometry, key, forward : (A,) ndarray
+        Of each arc: number of vertices; index of the vertex at which it ends; its ring and geometry; a key that
+        the same arc has in all polygons; and whether it runs in its canonical direction here.
+    offsets : tuple of ndarray
+        Rings a polygon and polygons a geometry, cumulated.
+    rings : int
+        Number of rings.
+    """
+
+    coords: Floats
+    sizes: Ints
+    end: Ints
+    ring: Ints
+    geometry: Ints
+    key: Ints
+    forward: NDArray[np.bool_]
+    offsets: tuple[Ints, Ints]
+    rings: int
+
+    def as_given(self) -> "Drawn":
+        """Return all arcs with all of their vertices."""
+        return Drawn(self.coords, np.cumsum(self.sizes) - self.sizes, self.sizes, self.coords[self.end])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """How each arc is drawn: its vertices are ``sizes`` rows of ``pool`` from ``start`` on, and its end is in ``ends``."""
+
+    pool: Floats
+    start: Ints
+    sizes: Ints
+    ends: Floats
+
+    def coords(self, which: Ints) -> Floats:
+        """Return the vertices of the arcs, one after the other."""
+        sizes = self.sizes[which]
+        offset = np.repeat(self.start[which] - (np.cumsum(sizes) - sizes), sizes)
+        return self.pool[offset + np.arange(len(offset))]
+
+    def ring_sizes(self, arcs: Arcs) -> Ints:
+        """Return the number of vertices of each ring."""
+        return np.bincount(arcs.ring, weights=self.sizes, minlength=arcs.rings).astype(np.int64)
+
+    def lines(self, which: Ints) -> Geometries:
+        """Return the arcs as lines, with their ends."""
+        sizes = self.sizes[which]
+        coords = np.insert(self.coords(which), np.cumsum(sizes), self.ends[which], axis=0)
+        lines = shapely.linestrings(coords, indices=np.repeat(np.arange(len(which)), sizes + 1))
+        return np.asarray(lines, dtype=np.object_)
+
+
+def cut(geometries: Geometries) -> Arcs:
+    """Cut the rings into arcs at the vertices where three edges or more meet."""
+    _, closed, (ring_offsets, polygon_offsets, offsets) = shapely.to_ragged_array(_as_multi(geometries))
+    sizes = np.diff(ring_offsets).astype(np.int64) - 1
+    ring = np.repeat(np.arange(len(sizes)), sizes)
+    first = np.cumsum(sizes) - sizes
+    coords = closed[np.arange(len(ring)) + ring]  # without the vertex that closes each ring
+    vertex = np.unique(coords[:, 0] + 1j * coords[:, 1], return_inverse=True)[1].astype(np.int64)
+    cut = _degree(vertex, _following(first, sizes, ring)) > 2
+    westernmost = np.lexsort((vertex, ring))[first]
+    anchor = np.zeros(len(sizes), dtype=np.bool_)
+    np.logical_or.at(anchor, ring[cut], True)
+    cut[westernmost[~anchor]] = True
+    # Turn each ring so that it starts at a cut.
+    cuts = np.flatnonzero(cut)
+    start = cuts[np.searchsorted(ring[cuts], np.arange(len(sizes)))]
+    turned = first[ring] + (np.arange(len(ring)) - first[ring] + (start - first)[ring]) % sizes[ring]
+    coords, vertex, cut = coords[turned], vertex[turned], cut[turned]
+    begin = np.flatnonzero(cut)
+    following = _following(first, sizes, ring)
+    last = np.append(begin[1:], len(ring)) - 1
+    key, forward = _identity(vertex, begin, last, following)
+    rings_before = polygon_offsets[offsets]
+    geometry = np.searchsorted(rings_before, ring[begin], side="right") - 1
+    return Arcs(
+        coords,
+        last - begin + 1,
+        following[last],
+        ring[begin],
+        geometry,
+        key,
+        forward,
+        (polygon_offsets.astype(np.int64), offsets.astype(np.int64)),
+        len(sizes),
+    )
+
+
+def _following(first: Ints, sizes: Ints, ring: Ints) -> Ints:
+    """Return the index of each vertex's successor in its ring."""
+    index = np.arange(len(ring)) + 1
+    wraps = index == (first + sizes)[ring]
+    return np.where(wraps, first[ring], index)
+
+
+def _degree(vertex: Ints, following: Ints) -> Ints:
+    """Return at each vertex the number of distinct edges that meet there, whichever polygons they belong to."""
+    ends = np.sort(np.column_stack((vertex, vertex[following])), axis=1)
+    count = int(vertex.max()) + 1
+    edges = np.unique(ends[:, 0] * count + ends[:, 1])
+    degree = np.bincount(edges // count, minlength=count) + np.bincount(edges % count, minlength=count)
+    return degree[vertex].astype(np.int64)
+
+
+def _identity(vertex: Ints, begin: Ints, last: Ints, following: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+    """Return the arcs' keys and whether they run in canonical direction.
+
+    The lesser of the first and the last directed edge, the last one taken backwards, gives both.
+    """
+    count = int(vertex.max()) + 1
+    head = vertex[begin] * count + vertex[following[begin]]
+    tail = vertex[following[last]] * count + vertex[last]
+    return np.minimum(head, tail), head <= tail
+
+
+def assembled(arcs: Arcs, drawn: Drawn) -> Geometries | None:
+    """Build the multipolygons of the drawn arcs; None when a ring has collapsed."""
+    ring_sizes = drawn.ring_sizes(arcs)
+    if (ring_sizes < 3).any():
+        return None
+    ring_offsets = np.concatenate(([0], np.cumsum(ring_sizes + 1)))
+    closed = np.empty((ring_offsets[-1], 2))
+    ring = np.repeat(np.arange(len(ring_sizes)), ring_sizes)
+    closed[np.arange(len(ring)) + ring] = drawn.coords(np.arange(len(arcs.sizes)))
+    closed[ring_offsets[1:] - 1] = closed[ring_offsets[:-1]]
+    built = shapely.from_ragged_array(shapely.GeometryType.MULTIPOLYGON, closed, (ring_offsets, *arcs.offsets))
+    return np.asarray(built, dtype=np.object_)
+
+
+def at_fault(arcs: Arcs, drawn: Drawn, redrawable: NDArray[np.bool_], suspects: Ints) -> NDArray[np.bool_]:
+    """Return the arcs of broken polygons that cross themselves or one another; all of the suspects if none does.
+
+    Of two that cross, the one with fewer vertices is at fault, as long as it can be redrawn.
+    """
+    _, first = np.unique(arcs.key[suspects], return_index=True)
+    which = suspects[first]
+    lines = drawn.lines(which)
+    fault = ~shapely.is_simple(lines)
+    one, other = shapely.STRtree(lines).query(lines)
+    one, other = one[one < other], other[one < other]
+    crossing = ~shapely.relate_pattern(lines[one], lines[other], "FF*F*****")
+    one, other = one[crossing], other[crossing]
+    fewer = drawn.sizes[which[one]] <= drawn.sizes[which[other]]
+    take_one = ~redrawable[which[other]] | (fewer & redrawable[which[one]])
+    fault[np.where(take_one, one, other)] = True
+    fault &= redrawable[which]
+    result = np.zeros(len(redrawable), dtype=np.bool_)
+    result[which[fault] if fault.any() else suspects] = True
+    return result
+
+
+def broken(geometries: Geometries) -> NDArray[np.bool_]:
+    """Return which geometries are invalid or overlap others."""
+    invalid = ~shapely.is_valid(geometries)
+    if invalid.any():
+        return np.asarray(invalid)
+    return np.asarray(~shapely.is_empty(shapely.coverage_invalid_edges(geometries)))
+
+
+def _as_multi(geometries: Geometries) -> Geometries:
+    """Return polygons as multipolygons, in two dimensions.
+
+    Raises
+    ------
+    InputError
+        When something else than a polygon or multipolygon is there.
+    """
+    kinds = shapely.get_type_id(geometries)
+    wrong = ~np.isin(kinds, (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON))
+    if wrong.any():
+        found = sorted({shapely.GeometryType(kind).name.lower() for kind in kinds[wrong]})
+        msg = f"Only polygons have outlines to simplify; got {', '.join(found)}."
+        raise InputError(msg)
+    single = kinds == shapely.GeometryType.POLYGON
+    result = shapely.force_2d(geometries)
+    result[single] = [shapely.MultiPolygon([polygon]) for polygon in result[single]]
+    return np.asarray(result, dtype=np.object_)

@@ -1,0 +1,157 @@
+"""What an outline is worth: agreement with a reference, and how it is drawn."""
+
+import math
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from cases.labelled import Reference
+from msbdb.evaluate.byobject import score_boundary
+from msbdb.outline.polygons import Geometries, polygonise, rasterise
+
+Floats = NDArray[np.float64]
+
+NEAR = math.radians(5)
+"""An edge follows a direction up to this angle."""
+
+CAP_M = 3.0
+"""Samples farther from the reference belong to parts that are missing or added, not to the outline."""
+
+STEP_M = 0.5
+CRUMB_M2 = 1.0
+SAME_SHARE = 0.5
+"""A building is compared with the reference's objects that share so much of the smaller of both."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How the outlines of one case are drawn, and how far they are from the reference."""
+
+    quality: float
+    """Area: TP / (TP + FP + FN), per cent."""
+    rms_m: float
+    """Of samples on both outlines, up to 3 m."""
+    polis_m: float
+    """Mean of the corners' distances to the other outline, both ways, of matched buildings; the median."""
+    hausdorff_m: float
+    """Of matched buildings, the median."""
+    per_m: float
+    """Vertices a metre."""
+    along: float
+    """Share of the length along the direction of each building and its right angle, per cent."""
+    along_three: float
+    """The same with the three best directions of each building."""
+    overlap_m2: float
+    gap_m2: float
+    """Area of cells of the buildings that no outline covers, between two outlines."""
+    crumbs: int
+    """Rings below 1 m²."""
+    pieces: int
+    """Buildings of several pieces."""
+
+
+def measure_shape(outlines: Geometries, traced: Geometries, reference: Reference, truth: Geometries) -> Shape:
+    """Measure the outlines of a case.
+
+    Parameters
+    ----------
+    outlines : (N,) ndarray of MultiPolygon
+        The buildings.
+    traced : (N,) ndarray of MultiPolygon
+        The same along their cells.
+    reference : Reference
+        The cells that are building, and those that are scored.
+    truth : (M,) ndarray of Polygon
+        The outlines of the reference (`objects_of`).
+    """
+    found = rasterise(outlines, reference.spec) > 0
+    both = np.count_nonzero(found & reference.built & reference.scored)
+    either = np.count_nonzero((found | reference.built) & reference.scored)
+    mine, theirs = matched(outlines, truth)
+    score = score_boundary(mine, theirs, reference.scored, reference.spec, step_m=STEP_M, cap_m=CAP_M)
+    rings = shapely.get_rings(shapely.get_parts(outlines))
+    length = float(shapely.length(outlines).sum())
+    one, three = along_directions(outlines)
+    union = shapely.union_all(outlines)
+    holes = [part for part in shapely.get_parts(shapely.difference(shapely.union_all(traced), union)) if part.area > 0]
+    gaps = [part.area for part in holes if shapely.contains_properly(filled(union), part)]
+    return Shape(
+        quality=100 * both / max(either, 1),
+        rms_m=score.rms_m.micro,
+        polis_m=float(np.median(polis(mine, theirs))) if len(mine) else math.nan,
+        hausdorff_m=float(np.median(shapely.hausdorff_distance(mine, theirs))) if len(mine) else math.nan,
+        per_m=(shapely.get_num_coordinates(rings).sum() - len(rings)) / length,
+        along=100 * one,
+        along_three=100 * three,
+        overlap_m2=max(float(shapely.area(outlines).sum() - union.area), 0.0),
+        gap_m2=float(sum(gaps)),
+        crumbs=int(np.count_nonzero(shapely.area(shapely.polygons(rings)) < CRUMB_M2)),
+        pieces=int(np.count_nonzero(shapely.get_num_geometries(outlines) > 1)),
+    )
+
+
+def filled(geometry: shapely.Geometry) -> shapely.Geometry:
+    """Return a geometry without its holes."""
+    return shapely.union_all([shapely.Polygon(part.exterior) for part in shapely.get_parts(geometry)])
+
+
+def objects_of(reference: Reference, footprints: gpd.GeoDataFrame | None) -> Geometries:
+    """Return the outlines of the reference: the polygons of the cadastre, or its connected cells."""
+    if footprints is not None:
+        return np.asarray(shapely.get_parts(footprints.to_crs(reference.spec.crs).geometry.to_numpy()))
+    cells = polygonise(reference.built.astype(np.int32), reference.spec, 1)
+    return np.asarray(shapely.get_parts(cells))
+
+
+def matched(outlines: Geometries, truth: Geometries) -> tuple[Geometries, Geometries]:
+    """Return the buildings that have objects of the reference, and for each the union of those."""
+    one, other = shapely.STRtree(truth).query(outlines, predicate="intersects")
+    common = shapely.area(shapely.intersection(outlines[one], truth[other]))
+    linked = common >= SAME_SHARE * np.minimum(shapely.area(outlines[one]), shapely.area(truth[other]))
+    one, other = one[linked], other[linked]
+    kept = np.unique(one)
+    unions = [shapely.union_all(truth[other[one == building]]) for building in kept]
+    return outlines[kept], np.array(unions, dtype=np.object_)
+
+
+def polis(outlines: Geometries, truth: Geometries) -> Floats:
+    """Return the PoLiS distance of each pair: the mean distance of corners to the other outline, of both ways."""
+    distances = []
+    for one, other in zip(outlines, truth, strict=True):
+        there = shapely.distance(shapely.points(corners(one)), shapely.boundary(other)).mean()
+        back = shapely.distance(shapely.points(corners(other)), shapely.boundary(one)).mean()
+        distances.append((there + back) / 2)
+    return np.array(distances)
+
+
+def corners(geometry: shapely.Geometry) -> Floats:
+    """Return the vertices of a geometry, each once a ring."""
+    return np.concatenate([shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(shapely.get_parts(geometry))])
+
+
+def along_directions(outlines: Geometries) -> tuple[float, float]:
+    """Return the share of the length along the best direction of each outline, and along its three best ones.
+
+    A direction stands for its right angle too. It is that of one of the edges: the one that most of the length
+    follows, up to 5°. The next one is that which most of the rest follows.
+    """
+    total, one, three = 0.0, 0.0, 0.0
+    for outline in outlines:
+        rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.get_parts(outline))]
+        edges = np.concatenate([np.diff(ring, axis=0) for ring in rings])
+        length, angle = np.hypot(*edges.T), np.mod(np.arctan2(edges[:, 1], edges[:, 0]), math.pi / 2)
+        total += length.sum()
+        for place in range(3):
+            if not len(length):
+                break
+            off = np.abs(np.mod(angle[:, None] - angle[None, :] + math.pi / 4, math.pi / 2) - math.pi / 4)
+            near = off <= NEAR
+            best = int(np.argmax(near @ length))
+            held = float(length[near[best]].sum())
+            one += held if place == 0 else 0.0
+            three += held
+            length, angle = length[~near[best]], angle[~near[best]]
+    return one / total, three / total
