@@ -409,11 +409,13 @@ CREATE TABLE building (
   nodata_share DOUBLE PRECISION,
   density DOUBLE PRECISION,
   divided_by TEXT NOT NULL,
+  outline_source TEXT NOT NULL,
   CONSTRAINT pk_building PRIMARY KEY (building_id),
   CONSTRAINT uq_building UNIQUE (building_id, run_id),
   CONSTRAINT fk_building_spectral_class FOREIGN KEY(run_id, class_id) REFERENCES spectral_class (run_id, speindex),
   CONSTRAINT ck_building_building_id CHECK (building_id > 0),
   CONSTRAINT ck_building_state CHECK (state IN ('confirmed', 'unsure', 'refuted')),
+  CONSTRAINT ck_building_outline_source CHECK (outline_source IN ('fitted', 'traced')),
   CONSTRAINT ck_building_size CHECK (storeys >= 0 AND area_m2 > 0),
   CONSTRAINT ck_building_heights CHECK (ridge >= eaves),
   CONSTRAINT ck_building_storeys CHECK (storeys_min >= 1 AND storeys_min <= storeys AND storeys <= storeys_max),
@@ -488,6 +490,7 @@ CREATE TABLE part (
   h_p90 DOUBLE PRECISION NOT NULL,
   h_std DOUBLE PRECISION NOT NULL,
   building_share DOUBLE PRECISION NOT NULL,
+  outline_source TEXT NOT NULL,
   CONSTRAINT pk_part PRIMARY KEY (part_id),
   CONSTRAINT uq_part UNIQUE (part_id, scale, root_id, run_id),
   CONSTRAINT fk_part_part FOREIGN KEY(father_id, supscale, root_id, run_id) REFERENCES part (part_id, scale, root_id, run_id) DEFERRABLE INITIALLY DEFERRED,
@@ -498,6 +501,7 @@ CREATE TABLE part (
   CONSTRAINT ck_part_father CHECK ((supid = 0 AND supscale = 0 AND root_id = part_id) OR (supid > 0 AND supscale > 0 AND supscale < scale)),
   CONSTRAINT ck_part_area CHECK (area_px > 0 AND area_m2 > 0),
   CONSTRAINT ck_part_storeys CHECK (hindex >= 0 AND hzone >= 0),
+  CONSTRAINT ck_part_outline_source CHECK (outline_source IN ('fitted', 'traced')),
   CONSTRAINT ck_part_building_share CHECK (building_share >= 0 AND building_share <= 1),
   CONSTRAINT fk_part_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
@@ -1278,6 +1282,8 @@ COMMENT ON COLUMN building.density IS 'first echoes a square metre in it; null f
 
 COMMENT ON COLUMN building.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall; several with commas; empty for none';
 
+COMMENT ON COLUMN building.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
+
 COMMENT ON COLUMN building.geometry IS 'in the database''s CRS [m]';
 
 COMMENT ON TABLE flat_region_candidate IS 'A flat region and a candidate region that share cells: each is evidence for the other';
@@ -1359,6 +1365,8 @@ COMMENT ON COLUMN part.h_p90 IS '90th percentile of the height above ground insi
 COMMENT ON COLUMN part.h_std IS 'standard deviation of the heights inside [m]';
 
 COMMENT ON COLUMN part.building_share IS 'share of its cells whose class is a building class [1]';
+
+COMMENT ON COLUMN part.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
 
 COMMENT ON COLUMN part.geometry IS 'in the database''s CRS [m]';
 

@@ -92,7 +92,8 @@ def buildings_from_parts(
     - Ground, eaves, ridge and storeys are those of `msbdb.fuse.roofheights.measure_heights`. ``h_max`` and the other
       ``h_`` are of all valid cells in the footprint. The volume is exact for a surface above flat ground: the sum of
       height times cell area, in which heights below 0 count as 0.
-    - The shares that other detectors cover, and the probability, are null here; `with_support` adds them.
+    - The shares that other detectors cover, and the probability, are null here; `with_support` adds them. The
+      ``outline_source`` is that of bare cells, 'traced'.
     """
     params, elevations = params or Params(), elevations or Elevations()
     parts = pd.DataFrame(parts)
@@ -117,6 +118,7 @@ def buildings_from_parts(
         scales=within["scale"].nunique().to_numpy(),
         probability=np.nan,
         divided_by="",
+        outline_source="traced",
         **dict.fromkeys(DETECTOR_SHARES.values(), np.nan),
         **{name: heights[name] for name in ("h_max", "h_mean", "h_p50", "h_p90")},
     )

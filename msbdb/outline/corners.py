@@ -31,6 +31,9 @@ MEETING = np.sin(np.radians(10.0))
 SHORT_ARC = 7
 """An arc of one wall with so many vertices at most goes straight from node to node."""
 
+AROUND = 3
+"""So many walls beside that of the last edge are looked at first."""
+
 NODE_WEIGHT = 30.0
 """A wall of more edges pulls a node no more."""
 
@@ -274,16 +277,30 @@ def _cornered(pool: Floats, count: int, one: Floats, other: Floats, place: tuple
 
 @kernel
 def _distance(line: Floats, east: Floats, south: Floats) -> float:
-    """Return the largest distance of a midpoint of the traced edges from a line."""
-    worst = 0.0
+    """Return the largest distance of a midpoint of the traced edges from a line.
+
+    Edges and walls follow each other: a wall near that of the last edge is near enough, up to a cell.
+    """
+    worst, walls, at = 0.0, line.shape[0] - 1, 0
     for k in range(east.size - 1):
         x, y = (east[k] + east[k + 1]) / 2, (south[k] + south[k + 1]) / 2
-        nearest = np.inf
-        for s in range(line.shape[0] - 1):
-            ax, ay = line[s, 0], line[s, 1]
-            dx, dy = line[s + 1, 0] - ax, line[s + 1, 1] - ay
-            squared = dx * dx + dy * dy
-            t = 0.0 if squared == 0 else min(max(((x - ax) * dx + (y - ay) * dy) / squared, 0.0), 1.0)
-            nearest = min(nearest, (ax + t * dx - x) ** 2 + (ay + t * dy - y) ** 2)
-        worst = max(worst, nearest)
+        squared, at = _nearest(line, max(at - AROUND, 0), min(at + AROUND + 1, walls), x, y)
+        if squared > 1.0:
+            squared, at = _nearest(line, 0, walls, x, y)
+        worst = max(worst, squared)
     return float(np.sqrt(worst))
+
+
+@kernel
+def _nearest(line: Floats, low: int, high: int, x: float, y: float) -> tuple[float, int]:
+    """Return the squared distance of the nearest wall of a line to a place, and its index, among some."""
+    best, found = np.inf, low
+    for s in range(low, high):
+        ax, ay = line[s, 0], line[s, 1]
+        dx, dy = line[s + 1, 0] - ax, line[s + 1, 1] - ay
+        squared = dx * dx + dy * dy
+        t = 0.0 if squared == 0 else min(max(((x - ax) * dx + (y - ay) * dy) / squared, 0.0), 1.0)
+        off = (ax + t * dx - x) ** 2 + (ay + t * dy - y) ** 2
+        if off < best:
+            best, found = off, s
+    return best, found

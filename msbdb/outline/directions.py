@@ -21,10 +21,10 @@ APART = np.radians(8.0)
 MOST_FRAMES = 3
 
 LEAST_SHARE = 0.2
-"""A further frame has at least this share of the length of the walls."""
+"""A frame has at least this share of the length of the walls; round buildings have none."""
 
 LEAST_CELLS = 20.0
-"""And at least this length, cells."""
+"""A further frame has at least this length, cells."""
 
 SHORT_CELLS = 6.0
 """Shorter walls have no direction worth the name."""
@@ -80,7 +80,7 @@ def main_frames(angle: Floats, length: Floats, region: Ints, count: int) -> tupl
         weight = np.where(near, length**3, 0.0)
         shift = sums(region + 1, weight * off, count) / np.maximum(sums(region + 1, weight, count), 1e-12)
         held = sums(region + 1, np.where(near, length, 0.0), count)
-        least = 0.0 if place == 0 else np.maximum(LEAST_SHARE * total, LEAST_CELLS)
+        least = np.maximum(LEAST_SHARE * total, 0.0 if place == 0 else LEAST_CELLS)
         good = (held > 0) & (held >= least)
         frames[good, place] = np.mod(peak + shift, RIGHT)[good]
         support[:, place] = np.where(good, held, 0.0)

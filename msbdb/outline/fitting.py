@@ -9,23 +9,29 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from msbdb.grid import GridSpec
+from msbdb.labels import Labels
 from msbdb.outline.arcs import Arcs, Drawn, assembled, at_fault, broken, cut
 from msbdb.outline.corners import drawn_arcs, joined_walls, placed_nodes
 from msbdb.outline.directions import apart, main_frames
-from msbdb.outline.polygons import Geometries
+from msbdb.outline.polygons import Geometries, polygonise
 from msbdb.outline.runs import Runs, WallCosts, divide
-from msbdb.outline.simplification import LEVELS, redrawn
+from msbdb.outline.simplification import LEVELS, redrawn, simplify_coverage
+from msbdb.outline.tidying import tidied
+from msbdb.params import VectorParams
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Frames = tuple[Floats, Ints, Ints]
 
-SHARES = (1.0, 0.5, 0.25)
-"""Shares of the costs of a division: an arc at fault is divided anew, at first."""
+SHARES = (1.0, 0.6, 0.35)
+"""Shares of the costs and the reach: an arc at fault is divided anew, more finely, before it is traced."""
 
 TRACED = len(SHARES)
 """From this level on an arc is traced, and simplified ever less; below it is drawn along its walls."""
+
+LAST = TRACED + LEVELS
+"""The level of arcs with all of their vertices."""
 
 FINE = 1024
 """Corners lie on so many places a cell, so that rounding decides nothing."""
@@ -40,16 +46,107 @@ GATE = 0.5
 """Corners are rounded by the cells: beside them an edge may lie so much farther than the reach, cells."""
 
 
+def outline_labels(labels: Labels, count: int, spec: GridSpec, params: VectorParams) -> tuple[Geometries, Mask]:
+    """Return the outlines of labelled regions, and which of them are fitted throughout.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        1 to ``count``; 0 where there is no region.
+    count : int
+        Number of labels.
+    spec : GridSpec
+        The lattice of the labels.
+    params : VectorParams
+        ``walls`` (fitted or traced), ``court_m2`` and ``simplify_px``.
+
+    Returns
+    -------
+    outlines : (count,) ndarray of MultiPolygon
+        A coverage: neighbours share their edges.
+    fitted : (count,) ndarray of bool
+        False where an arc of the outline is traced, or all are.
+
+    Notes
+    -----
+    The labels are tidied first (`msbdb.outline.tidying`), in both ways alike: no holes or loose pieces below
+    ``court_m2``.
+    """
+    if not count:
+        return np.empty(0, dtype=object), np.zeros(0, dtype=np.bool_)
+    traced = polygonise(tidied(labels, params.court_m2 / spec.cell_area_m2), spec, count)
+    if params.walls == "traced":
+        return simplify_coverage(traced, params.simplify_px * spec.cell_m), np.zeros(count, dtype=np.bool_)
+    return fit_coverage(traced, spec, tolerance_px=params.simplify_px, least_m2=params.court_m2)
+
+
 def fit_coverage(
-    geometries: Geometries, spec: GridSpec, *, tolerance_px: float = 1.0, least_m2: float = 0.0, costs: WallCosts
+    geometries: Geometries,
+    spec: GridSpec,
+    *,
+    tolerance_px: float = 1.0,
+    least_m2: float = 0.0,
+    costs: WallCosts | None = None,
 ) -> tuple[Geometries, Mask]:
-    """Return outlines that run along straight walls, and which of them are fitted throughout."""
+    """Return outlines of straight walls on shared arcs, and which of them are fitted throughout.
+
+    Parameters
+    ----------
+    geometries : (N,) ndarray of MultiPolygon
+        As `msbdb.outline.polygons.polygonise` returns them for labels on the lattice.
+    spec : GridSpec
+        The lattice.
+    tolerance_px : float
+        Tolerance with which arcs are simplified that stay traced, cells.
+    least_m2 : float
+        A ring of this area or more does not shrink below it.
+    costs : WallCosts, optional
+        Of the division into walls.
+
+    Returns
+    -------
+    outlines : (N,) ndarray of MultiPolygon
+        Valid, without overlaps, with every ring of the input still there.
+    fitted : (N,) ndarray of bool
+        False where an arc of the outline stays traced.
+
+    Notes
+    -----
+    The rings are cut into arcs where three regions meet, as for `simplify_coverage`. Then:
+
+    1. Each arc is divided into free straight runs. Their lengths and directions give the main directions of each
+       region and touching group (`msbdb.outline.directions`).
+    2. Each arc is divided anew, along the main directions of the regions on both sides where that is cheaper than a
+       free wall. A wall is the mean place of its run (`msbdb.outline.runs`).
+    3. Walls that go on beyond a node become one, and nodes move to where their walls meet
+       (`msbdb.outline.corners`). An arc is drawn from node to node by the corners of its walls.
+    4. An arc is at fault when an edge of its cells is off by more than the reach and `GATE`, when it crosses itself or
+       another one, or when its ring shrinks below the least area. It is divided anew at lower costs and a shorter
+       reach, and at last stays traced: simplified by Douglas-Peucker, with its nodes where they are.
+
+    What lies elsewhere has no effect on a touching group, nor has its place on the lattice: corners lie on a lattice of
+    1/1024 cell.
+
+    Examples
+    --------
+    A house at an angle gets its four walls back:
+
+    >>> from affine import Affine
+    >>> from pyproj import CRS
+    >>> from msbdb.outline.polygons import rasterise
+    >>> spec = GridSpec((40, 40), Affine(1, 0, 0, 0, -1, 40), CRS.from_epsg(25832))
+    >>> house = shapely.Polygon([(5, 5), (29, 11), (26, 23), (2, 17)])
+    >>> (outline,), _ = fit_coverage(polygonise(rasterise([house], spec), spec, 1), spec)
+    >>> print(outline.geoms[0].normalize().simplify(0).exterior.length.__round__(1), len(outline.geoms[0].exterior.coords))
+    74.2 5
+    """
+    costs = costs or WallCosts()
     if shapely.is_empty(geometries).all():
         return geometries.copy(), np.ones(len(geometries), dtype=np.bool_)
     arcs = cut(geometries)
     chains = _chains(arcs, spec)
     runs = divide(chains.places, _no_frames(chains.count), costs)
-    frames = _frames(chains, runs, len(geometries))
+    frames = _frames(chains, runs, len(geometries), spec)
     chains = _from_corners(chains, runs)
     chains = _from_corners(chains, divide(chains.places, frames, costs))
     level = np.zeros(chains.count, dtype=np.int64)
@@ -79,9 +176,6 @@ def fit_coverage(
     return result, fitted
 
 
-LAST = TRACED + LEVELS
-
-
 def _faults(arcs: Arcs, drawn: Drawn, result: Geometries | None, redrawable: Mask, smallest: Floats) -> Mask:
     """Return the occurrences of arcs that must be drawn anew."""
     if result is None:
@@ -108,7 +202,14 @@ def _with_runs(runs: Runs, chains: "_Chains", frames: Frames, chosen: Ints, cost
     kept = ~np.isin(runs.arc, chosen)
     arc = np.concatenate((runs.arc[kept], chosen[new.arc]))
     order = np.argsort(arc, kind="stable")
-    return Runs(*(np.concatenate((getattr(runs, f.name)[kept], getattr(new, f.name)))[order] if f.name != "arc" else arc[order] for f in fields(Runs)))
+    return Runs(
+        *(
+            np.concatenate((getattr(runs, f.name)[kept], getattr(new, f.name)))[order]
+            if f.name != "arc"
+            else arc[order]
+            for f in fields(Runs)
+        )
+    )
 
 
 def _settled(chains: "_Chains", goals: Floats, level: Ints) -> Floats:
@@ -181,11 +282,15 @@ def _nodes(tail: Ints, head: Ints) -> tuple[Ints, Ints, Floats]:
     return node[0], node[1], places.astype(np.float64)
 
 
-def _frames(chains: _Chains, runs: Runs, count: int) -> tuple[Floats, Ints, Ints]:
+def _frames(chains: _Chains, runs: Runs, count: int, spec: GridSpec) -> tuple[Floats, Ints, Ints]:
     """Return the main directions of each arc: those of the regions on its sides."""
     x, y, starts = chains.places
     low, high = starts[runs.arc] + runs.begin, starts[runs.arc] + runs.end
     length = np.hypot(x[high] - x[low], y[high] - y[low])
+    # The border of the lattice is no wall.
+    rows, cols = spec.shape
+    middle_x, middle_y = (x[low] + x[high]) / 2, (y[low] + y[high]) / 2
+    length[(middle_x == 0) | (middle_x == cols) | (middle_y == 0) | (middle_y == rows)] = 0.0
     group = _groups(chains.regions, count)
     sides = chains.regions[runs.arc]
     own = np.concatenate((sides[:, 0], sides[:, 1][sides[:, 1] >= 0]))

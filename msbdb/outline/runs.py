@@ -41,16 +41,15 @@ class WallCosts:
     """
 
     wall: float = 3.0
-    second: float = 0.0
-    free: float = 3.0
+    second: float = 3.0
+    free: float = 12.0
     turn: float = 2.0
-    jog: float = 2.0
-    reach: float = 1.0
+    jog: float = 1.0
+    reach: float = 1.5
 
     def scaled(self, share: float) -> "WallCosts":
-        """Return the costs times a share, with the same reach."""
-        values = (share * value for value in (self.wall, self.second, self.free, self.turn, self.jog))
-        return WallCosts(*values, self.reach)
+        """Return a share of all costs, and of the reach."""
+        return WallCosts(*(share * float(value) for value in self.packed()))
 
     def packed(self) -> Floats:
         """Return the values in order."""
@@ -173,6 +172,8 @@ def _cheapest(
     Direction 2 f is that of frame f, 2 f + 1 its right angle, and the last one is free.
     """
     wall, _, free, turn, jog, reach = costs
+    if mains.size == 0:
+        free = 0.0
     size, free_state = middle_x.size, 2 * mains.size
     sum_x, sum_y = np.zeros(size + 1), np.zeros(size + 1)
     sum_xx, sum_xy, sum_yy = np.zeros(size + 1), np.zeros(size + 1), np.zeros(size + 1)

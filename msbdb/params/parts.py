@@ -158,6 +158,13 @@ class TouchingParams:
 class VectorParams:
     """From raster parts to polygons."""
 
+    walls: str = param("fitted", "-",
+        "Outlines of buildings and parts: fitted to straight walls, or traced along the cells and simplified.",
+        ours="buildings have straight walls; where they do not, the fit keeps the traced arc",
+        choices=("fitted", "traced"))
+    court_m2: float = param(10.0, "m2", "Smaller holes of outlines are closed, and smaller loose pieces dropped.",
+        ours="as fuse.piece_m2: smaller courts are light wells, which echoes do not separate from dark roofs",
+        low=0, high=1e4)
     simplify_px: float = param(1.0, "cells",
         "Tolerance of the outlines' simplification, in cells; shared edges stay shared.", ours="V47 gives no tolerance",
         low=0, high=100)

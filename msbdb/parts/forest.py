@@ -105,6 +105,8 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
             "stddis": spread_of_children(clusters, father, context.ndsm.spec.cell_m)["stddis"].to_numpy(),
             **_heights(clusters, father, context),
             **_spectra(clusters, context),
+            # Until it is outlined, a part is its cells.
+            "outline_source": "traced",
         }
     )
     parts = PART.typed(parts)

@@ -17,10 +17,9 @@ from msbdb.fuse.cells import is_fused
 from msbdb.fuse.touching import Division
 from msbdb.grid import Grid, GridSpec
 from msbdb.kept import Rasters
-from msbdb.labels import Labels
 from msbdb.ledger import sum_up
-from msbdb.outline.polygons import polygonise
-from msbdb.outline.simplification import simplify_coverage
+from msbdb.outline.fitting import outline_labels
+from msbdb.outline.polygons import Geometries
 from msbdb.params import POINT_DETECTORS, Params, VectorParams
 from msbdb.parts.forest import Forest
 from msbdb.spectral.coverclasses import Cover
@@ -96,30 +95,30 @@ def describe(
 
 
 def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDataFrame:
-    """Give every part its polygon (V47): traced along its cells, then freed of the zig-zag, a scale at a time.
+    """Give every part its polygon (V47), and say whether it is fitted or traced, a scale at a time.
 
     The parts of one scale are a coverage, so that neighbours keep their shared edges (V48).
     """
     spec = ndsm.spec
-    outlines = np.empty(len(forest.parts), dtype=object)
+    outlines, fitted = np.empty(len(forest.parts), dtype=object), np.zeros(len(forest.parts), dtype=np.bool_)
     offset = 0
     for labels in forest.labels:
         count = int(labels.max(initial=0)) - offset
         if count <= 0:
             continue
         local = np.where(labels > 0, labels - offset, 0).astype(np.int32)
-        outlines[offset : offset + count] = _outlines(local, count, spec, params)
+        found = slice(offset, offset + count)
+        outlines[found], fitted[found] = outline_labels(local, count, spec, params)
         offset += count
-    parts = gpd.GeoDataFrame(forest.parts, geometry=list(outlines), crs=spec.crs)
+    parts = _outlined(forest.parts, outlines, fitted, spec)
     validate_parts(parts)
     return parts
 
 
-def _outlines(labels: Labels, count: int, spec: GridSpec, params: VectorParams) -> NDArray[np.object_]:
-    """Return the outline of each of the labelled regions, which do not overlap."""
-    if not count:
-        return np.empty(0, dtype=object)
-    return simplify_coverage(polygonise(labels, spec, count), params.simplify_px * spec.cell_m)
+def _outlined(rows: pd.DataFrame, outlines: Geometries, fitted: NDArray[np.bool_], spec: GridSpec) -> gpd.GeoDataFrame:
+    """Return rows with their outlines, and where these are from."""
+    source = np.where(fitted, "fitted", "traced").astype(object)
+    return gpd.GeoDataFrame(rows.assign(outline_source=source), geometry=list(outlines), crs=spec.crs)
 
 
 def make_frames(
@@ -164,11 +163,11 @@ def make_frames(
     buildings = buildings_from_parts(parts, labels, scene.heights, scene.elevations, params)
     fusion = params.fuse if is_fused(regions, params.fuse) else None
     shares = {name: covered_shares(labels, len(buildings), found.labels) for name, found in regions.items()}
-    outlines = _outlines(labels, len(buildings), spec, params.vector)
+    outlines, fitted = outline_labels(labels, len(buildings), spec, params.vector)
     buildings = with_support(buildings, shares, params=fusion)
     if division is not None:
         buildings = buildings.assign(divided_by=division.reasons_of(labels, len(buildings)))
-    buildings = gpd.GeoDataFrame(buildings, geometry=outlines, crs=spec.crs)
+    buildings = _outlined(buildings, outlines, fitted, spec)
     rejections, counts = _ledger(forest, [flat, *candidates], params)
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     none = no_regions("area3d", CANDIDATE_REGION, spec)

@@ -36,6 +36,15 @@ Ours: on the real tiles shares lie near 1 or at 0, so that 0.1 and 0.3 confirm n
 
 BUILDING_STATES = ("confirmed", "unsure", "refuted")
 
+OUTLINE_SOURCES = ("fitted", "traced")
+
+OUTLINE_SOURCE = Column(
+    "outline_source",
+    "str",
+    "-",
+    "the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off",
+)
+
 _CLASS_ID = Column(
     "class_id", "int64", "-", "SPE, but null for none", nullable=True, zero_of="speindex", in_frame=False
 )
@@ -84,6 +93,7 @@ PART = Table(
         Column("h_p90", "float64", "m", "90th percentile of the height above ground inside"),
         Column("h_std", "float64", "m", "standard deviation of the heights inside"),
         Column("building_share", "float64", "1", "share of its cells whose class is a building class"),
+        OUTLINE_SOURCE,
     ),
     rules=(
         Unique(("part_id", "scale", "root_id", "run_id")),
@@ -103,6 +113,7 @@ PART = Table(
         ),
         Check("area", "area_px > 0 AND area_m2 > 0"),
         Check("storeys", "hindex >= 0 AND hzone >= 0"),
+        one_of("outline_source", OUTLINE_SOURCES),
         *shares("building_share"),
     ),
     indexes=(
@@ -250,12 +261,14 @@ BUILDING = Table(
             "why touching houses beside it are other buildings: parcel, step, valley, wall; several with commas; empty "
             "for none",
         ),
+        OUTLINE_SOURCE,
     ),
     rules=(
         Unique(("building_id", "run_id")),
         KeyReference(("run_id", "class_id"), "spectral_class", ("run_id", "speindex")),
         Check("building_id", "building_id > 0"),
         one_of("state", BUILDING_STATES),
+        one_of("outline_source", OUTLINE_SOURCES),
         Check("size", "storeys >= 0 AND area_m2 > 0"),
         *height_rules(),
         Check("parts", "trees >= 1 AND parts >= trees AND scales >= 1"),

@@ -129,7 +129,9 @@ def polis(outlines: Geometries, truth: Geometries) -> Floats:
 
 def corners(geometry: shapely.Geometry) -> Floats:
     """Return the vertices of a geometry, each once a ring."""
-    return np.concatenate([shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(shapely.get_parts(geometry))])
+    return np.concatenate(
+        [shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(shapely.get_parts(geometry))]
+    )
 
 
 def along_directions(outlines: Geometries) -> tuple[float, float]:
