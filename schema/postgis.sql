@@ -1,4 +1,4 @@
--- The schema 0005 of msbdb for postgis.
+-- The schema 0006 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -605,7 +605,7 @@ ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 CREATE VIEW footprint AS
 SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.storeys_min, b.storeys_max,
        b.storeys_top, b.z_ground, b.eaves, b.ridge, b.z_eaves, b.z_ridge, b.speindex, b.area_m2,
-       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.trees, b.parts, b.xin, b.yin, b.geometry
+       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.trees, b.parts, b.divided_by, b.outline_source, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id;
@@ -618,7 +618,7 @@ WITH RECURSIVE tree (part_id, depth, path) AS (
   FROM tree JOIN part AS child ON child.father_id = tree.part_id
 )
 SELECT p.part_id, s.name AS survey, p.building_id, p.root_id, p.supid, p.supscale, p.scale, tree.depth, tree.path,
-       p.hindex, p.speindex, p.area_m2, p.stddis, p.h_max, p.h_p90, p.geometry
+       p.hindex, p.speindex, p.area_m2, p.stddis, p.h_max, p.h_p90, p.outline_source, p.geometry
 FROM tree
 JOIN part AS p ON p.part_id = tree.part_id
 JOIN run AS r ON r.run_id = p.run_id
@@ -635,7 +635,8 @@ SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.state, b.probab
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
         WHERE p.building_id = b.building_id)) AS floor_area_m2,
-       b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.xcen, b.ycen, b.xin, b.yin, b.geometry
+       b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.divided_by, b.outline_source,
+       b.xcen, b.ycen, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id
@@ -1398,7 +1399,7 @@ COMMENT ON COLUMN part_flat_region.part_share IS 'share of the part''s area that
 
 COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area that the part covers [1]';
 
-COMMENT ON VIEW footprint IS 'The footprints: a row for each building, with its state, its probability and its heights. Levels z_ are in the survey''s vertical reference; eaves and ridge are above z_ground.';
+COMMENT ON VIEW footprint IS 'The footprints: a row for each building, with its state, its probability, its heights and its outline of roof edges. Levels z_ are in the survey''s vertical reference; eaves and ridge are above z_ground.';
 
 COMMENT ON VIEW part_tree IS 'The parts as trees: the depth below the root, and the path of ids from the root down.';
 
@@ -1422,5 +1423,5 @@ COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and cla
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0006');
 

@@ -186,6 +186,7 @@ def big_build(count: int, *, epsg: int = EPSG, height_m: float = 6.0) -> KeptRun
                     **dict.fromkeys(("h_max", "h_mean", "h_p50", "h_p90"), height_m),
                     "h_std": 0.0,
                     "building_share": 1.0,
+                    "outline_source": "traced",
                     "geometry": shapely.box(west, south, west + side, south + side),
                 }
             )
@@ -303,6 +304,7 @@ def _parts(shift: int) -> gpd.GeoDataFrame:
                 stddis,
                 *heights,
                 0.875,
+                "traced",
             )
         )
         shapes.append(shape)
@@ -391,6 +393,7 @@ def _buildings(parts: pd.DataFrame, links_of: Mapping[str, pd.DataFrame]) -> gpd
             "coverage": 0.75,
             "nodata_share": 0.125,
             "density": 8.0,
+            "outline_source": "traced",
             "h_max": trees["h_max"].max(),
             "h_mean": roots["h_mean"],
             "h_p50": roots["h_p50"],
