@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from msbdb.run.reports import BuildReport
 
 Z_UNITS = ("auto", "m", "ft", "us-ft")
+WALLS = ("fitted", "traced")
 
 _HEIGHTS = (
     click.option(
@@ -80,6 +81,11 @@ _VALUES = (
         help="One value over all others; repeatable.",
     ),
     click.option(
+        "--outline",
+        type=click.Choice(WALLS),
+        help="Outlines of straight walls on shared arcs, or traced along the cells and simplified. [default: fitted]",
+    ),
+    click.option(
         "--extract",
         type=detectors,
         default=",".join(DETECTORS),
@@ -125,6 +131,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --points town.laz --parcels cadastre.gpkg --db town.sqlite",
         "msbdb build --points town.laz --db postgresql://me@localhost/town --scales 30,100,1000",
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
+        "msbdb build --points town.laz --db town.sqlite --outline traced",
     ),
 )
 @inputs
@@ -141,6 +148,7 @@ def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa:
     """
     check_inputs(given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
+    params = with_walls(params, given.pop("outline"))
     from msbdb import api
 
     with progress_bars() as progress:
@@ -170,6 +178,13 @@ def parameters(
     if scales is not None:
         values = declared.with_values(values, {"scale": {"scales_m2": scales}})
     return values
+
+
+def with_walls(params: Params, walls: str | None) -> Params:
+    """Return the parameters with the outlines that ``--outline`` asks for; without it as they are."""
+    from msbdb import params as declared
+
+    return params if walls is None else declared.with_values(params, {"vector": {"walls": walls}})
 
 
 def emit_report(report: "BuildReport") -> None:

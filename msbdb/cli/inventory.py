@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msbdb.cli.build import check_inputs, emit_report, inputs, parameters, values
+from msbdb.cli.build import check_inputs, emit_report, inputs, parameters, values, with_walls
 from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, notice, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
 
@@ -49,6 +49,7 @@ def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa
     """
     check_inputs(given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
+    params = with_walls(params, given.pop("outline"))
     from msbdb import api
 
     with progress_bars() as progress:

@@ -47,7 +47,7 @@ class Arcs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """How each arc is drawn: its vertices are ``sizes`` rows of ``pool`` from ``start`` on, and its end is in ``ends``."""
+    """How each arc is drawn: its vertices are ``sizes`` rows of ``pool`` from ``start`` on; its end is in ``ends``."""
 
     pool: Floats
     start: Ints

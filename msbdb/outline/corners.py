@@ -17,7 +17,7 @@ NODE_REACH = 2.0
 """A node goes so far at most, cells."""
 
 CORNER_REACH = 2.5
-"""A corner lies so far from the place where its walls were divided at most, cells; else the walls are joined by a step."""
+"""A corner lies so far from the place where its walls were divided at most, cells; else a step joins the walls."""
 
 TILT = 0.35
 """An end of an arc beside its wall by so much, cells, tilts the wall; by more, a step is drawn."""
@@ -170,7 +170,7 @@ def placed_nodes(runs: Runs, nodes: tuple[Ints, Ints, Floats]) -> Floats:
     determinant = xx * yy - xy * xy
     shift = np.column_stack(((yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant))
     shift[np.hypot(shift[:, 0], shift[:, 1]) > NODE_REACH] = 0.0
-    return places + shift
+    return np.asarray(places + shift)
 
 
 def drawn_arcs(
@@ -190,7 +190,8 @@ def drawn_arcs(
     east, south, starts = chains
     bounds = np.searchsorted(runs.arc, np.arange(len(tail) + 1))
     lines = np.column_stack((runs.angle, runs.east, runs.south))
-    return _drawn(lines, (runs.begin, bounds), (east, south, starts), (tail, head, places))
+    vertices, offsets, off = _drawn(lines, (runs.begin, bounds), (east, south, starts), (tail, head, places))
+    return vertices, offsets, off
 
 
 @kernel

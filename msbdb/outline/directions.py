@@ -2,11 +2,18 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
+from msbdb.grid import GridSpec
 from msbdb.labels import sums
+from msbdb.outline.chains import Chains
+from msbdb.outline.runs import Runs
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Frames = tuple[Floats, Ints, Ints]
+"""Main directions of arcs: angles, their ranks in their region, and where each arc's begin."""
 
 RIGHT = np.pi / 2
 BINS = 180
@@ -28,6 +35,13 @@ LEAST_CELLS = 20.0
 
 SHORT_CELLS = 6.0
 """Shorter walls have no direction worth the name."""
+
+
+SAME = np.radians(2.0)
+"""A region whose direction differs from its group's by less takes the group's."""
+
+WEAK_CELLS = 30.0
+"""Regions with less length along their own direction take the group's."""
 
 
 def main_frames(angle: Floats, length: Floats, region: Ints, count: int) -> tuple[Floats, Floats]:
@@ -91,10 +105,54 @@ def main_frames(angle: Floats, length: Floats, region: Ints, count: int) -> tupl
 
 def apart(angle: Floats, other: Floats) -> Floats:
     """Return the first direction less the second one, modulo a right angle, from minus to plus half of one."""
-    return np.mod(angle - other + RIGHT / 2, RIGHT) - RIGHT / 2
+    return np.asarray(np.mod(angle - other + RIGHT / 2, RIGHT) - RIGHT / 2)
 
 
 def _smoothing() -> Floats:
     """Return the triangle of `SPREAD` around each bin, as a matrix."""
     centre = np.arange(BINS) * RIGHT / BINS
-    return np.maximum(1 - np.abs(apart(centre[:, None], centre[None, :])) / SPREAD, 0.0)
+    return np.asarray(np.maximum(1 - np.abs(apart(centre[:, None], centre[None, :])) / SPREAD, 0.0))
+
+
+def arc_frames(chains: Chains, runs: Runs, count: int, spec: GridSpec) -> tuple[Floats, Ints, Ints]:
+    """Return the main directions of each arc: those of the regions on its sides."""
+    x, y, starts = chains.places
+    low, high = starts[runs.arc] + runs.begin, starts[runs.arc] + runs.end
+    length = np.hypot(x[high] - x[low], y[high] - y[low])
+    # The border of the lattice is no wall.
+    rows, cols = spec.shape
+    middle_x, middle_y = (x[low] + x[high]) / 2, (y[low] + y[high]) / 2
+    length[(middle_x == 0) | (middle_x == cols) | (middle_y == 0) | (middle_y == rows)] = 0.0
+    group = _groups(chains.regions, count)
+    sides = chains.regions[runs.arc]
+    own = np.concatenate((sides[:, 0], sides[:, 1][sides[:, 1] >= 0]))
+    run = np.concatenate((np.arange(len(length)), np.flatnonzero(sides[:, 1] >= 0)))
+    frames, support = main_frames(runs.angle[run], length[run], own, count)
+    common, _ = main_frames(runs.angle, length, group[sides[:, 0]], int(group.max()) + 1)
+    common = common[group]
+    weak = ~(support[:, 0] >= WEAK_CELLS)
+    frames[weak] = common[weak]
+    for place in range(common.shape[1]):
+        near = np.abs(apart(frames, common[:, place, None])) < SAME
+        frames = np.where(near, common[:, place, None], frames)
+    both = np.column_stack((frames[chains.regions[:, 0]], frames[chains.regions[:, 1]]))
+    both[:, frames.shape[1] :][chains.regions[:, 1] < 0] = np.nan
+    # Once each: a frame near an earlier one of the other side is that one.
+    kept = ~np.isnan(both)
+    for later in range(1, both.shape[1]):
+        for earlier in range(later):
+            kept[:, later] &= ~(kept[:, earlier] & (np.abs(apart(both[:, later], both[:, earlier])) < SAME))
+    rank = np.broadcast_to(np.tile(np.arange(frames.shape[1]), 2), both.shape)
+    return both[kept], rank[kept], np.concatenate(([0], np.cumsum(kept.sum(axis=1))))
+
+
+def no_frames(count: int) -> tuple[Floats, Ints, Ints]:
+    """Return no main directions for each of the arcs."""
+    return np.empty(0), np.empty(0, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
+
+
+def _groups(regions: Ints, count: int) -> Ints:
+    """Return the touching group of each region."""
+    shared = regions[regions[:, 1] >= 0]
+    graph = coo_matrix((np.ones(len(shared)), (shared[:, 0], shared[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -1,20 +1,18 @@
 """Fitted outlines: straight walls along the main directions of a building, on arcs that neighbours share."""
 
-from dataclasses import dataclass, fields, replace
-
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
+from msbdb.errors import InputError
 from msbdb.grid import GridSpec
 from msbdb.labels import Labels
 from msbdb.outline.arcs import Arcs, Drawn, assembled, at_fault, broken, cut
+from msbdb.outline.chains import Chains, from_corners, traced_chains
 from msbdb.outline.corners import drawn_arcs, joined_walls, placed_nodes
-from msbdb.outline.directions import apart, main_frames
+from msbdb.outline.directions import arc_frames, no_frames
 from msbdb.outline.polygons import Geometries, polygonise
-from msbdb.outline.runs import Runs, WallCosts, divide
+from msbdb.outline.runs import WallCosts, divide, redivided
 from msbdb.outline.simplification import LEVELS, redrawn, simplify_coverage
 from msbdb.outline.tidying import tidied
 from msbdb.params import VectorParams
@@ -22,7 +20,6 @@ from msbdb.params import VectorParams
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Frames = tuple[Floats, Ints, Ints]
 
 SHARES = (1.0, 0.6, 0.35)
 """Shares of the costs and the reach: an arc at fault is divided anew, more finely, before it is traced."""
@@ -35,12 +32,6 @@ LAST = TRACED + LEVELS
 
 FINE = 1024
 """Corners lie on so many places a cell, so that rounding decides nothing."""
-
-SAME = np.radians(2.0)
-"""A region whose direction differs from its group's by less takes the group's."""
-
-WEAK_CELLS = 30.0
-"""Regions with less length along their own direction take the group's."""
 
 GATE = 0.5
 """Corners are rounded by the cells: beside them an edge may lie so much farther than the reach, cells."""
@@ -137,20 +128,24 @@ def fit_coverage(
     >>> spec = GridSpec((40, 40), Affine(1, 0, 0, 0, -1, 40), CRS.from_epsg(25832))
     >>> house = shapely.Polygon([(5, 5), (29, 11), (26, 23), (2, 17)])
     >>> (outline,), _ = fit_coverage(polygonise(rasterise([house], spec), spec, 1), spec)
-    >>> print(outline.geoms[0].normalize().simplify(0).exterior.length.__round__(1), len(outline.geoms[0].exterior.coords))
-    74.2 5
+    >>> int(shapely.get_num_coordinates(outline)), round(outline.length, 1), round(house.length, 1)
+    (5, 74.2, 74.2)
     """
     costs = costs or WallCosts()
     if shapely.is_empty(geometries).all():
         return geometries.copy(), np.ones(len(geometries), dtype=np.bool_)
     arcs = cut(geometries)
-    chains = _chains(arcs, spec)
-    runs = divide(chains.places, _no_frames(chains.count), costs)
-    frames = _frames(chains, runs, len(geometries), spec)
-    chains = _from_corners(chains, runs)
-    chains = _from_corners(chains, divide(chains.places, frames, costs))
-    level = np.zeros(chains.count, dtype=np.int64)
+    chains = traced_chains(arcs, spec)
+    runs = divide(chains.places, no_frames(chains.count), costs)
+    frames = arc_frames(chains, runs, len(geometries), spec)
+    chains = from_corners(chains, runs)
+    chains = from_corners(chains, divide(chains.places, frames, costs))
     runs = divide(chains.places, frames, costs)
+    level = np.zeros(chains.count, dtype=np.int64)
+    # Where there are no main directions, walls are the chords of a curve.
+    curved = np.flatnonzero(np.diff(frames[2]) == 0)
+    level[curved] = 1
+    runs = redivided(runs, chains.places, frames, curved, costs.scaled(SHARES[1]))
     smallest = np.minimum(least_m2, _ring_areas(arcs, arcs.as_given()))
     while True:
         walls = joined_walls(runs, chains.places, chains.nodes)
@@ -162,15 +157,17 @@ def fit_coverage(
             result = assembled(arcs, drawn)
             occurrence = _faults(arcs, drawn, result, (level < LAST)[chains.own], smallest)
             fault[chains.own[occurrence]] = True
-            fault &= level < LAST
-            if not fault.any():
+            if result is not None and not fault.any():
                 break
+            if not fault.any():
+                msg = "Outlines can be fitted only when they are traced along cells. Polygonise the labels anew."
+                raise InputError(msg)
         level[fault] += 1
         again = fault & (level < TRACED)
         for step, share in enumerate(SHARES):
             chosen = np.flatnonzero(again & (level == step))
             if len(chosen):
-                runs = _with_runs(runs, chains, frames, chosen, costs.scaled(share))
+                runs = redivided(runs, chains.places, frames, chosen, costs.scaled(share))
     fitted = np.ones(len(geometries), dtype=np.bool_)
     fitted[arcs.geometry[level[chains.own] >= TRACED]] = False
     return result, fitted
@@ -179,169 +176,21 @@ def fit_coverage(
 def _faults(arcs: Arcs, drawn: Drawn, result: Geometries | None, redrawable: Mask, smallest: Floats) -> Mask:
     """Return the occurrences of arcs that must be drawn anew."""
     if result is None:
-        return (drawn.ring_sizes(arcs) < 3)[arcs.ring]
+        return np.asarray((drawn.ring_sizes(arcs) < 3)[arcs.ring] & redrawable)
     fault = (_ring_areas(arcs, drawn) < smallest - 1e-6)[arcs.ring] & redrawable
     faulty = broken(result)
     if faulty.any():
-        fault |= at_fault(arcs, drawn, redrawable, np.flatnonzero(faulty[arcs.geometry]))
-    return fault
+        fault |= at_fault(arcs, drawn, redrawable, np.flatnonzero(faulty[arcs.geometry])) & redrawable
+    return np.asarray(fault)
 
 
-def _with_runs(runs: Runs, chains: "_Chains", frames: Frames, chosen: Ints, costs: WallCosts) -> Runs:
-    """Return runs in which some arcs are divided anew, at other costs."""
-    x, y, starts = chains.places
-    size = np.diff(starts)[chosen]
-    index = np.repeat(starts[chosen] - (np.cumsum(size) - size), size)
-    index += np.arange(len(index))
-    angles, ranks, bounds = frames
-    number = np.diff(bounds)[chosen]
-    place = np.repeat(bounds[chosen] - (np.cumsum(number) - number), number)
-    place += np.arange(len(place))
-    few = (x[index], y[index], np.concatenate(([0], np.cumsum(size))))
-    new = divide(few, (angles[place], ranks[place], np.concatenate(([0], np.cumsum(number)))), costs)
-    kept = ~np.isin(runs.arc, chosen)
-    arc = np.concatenate((runs.arc[kept], chosen[new.arc]))
-    order = np.argsort(arc, kind="stable")
-    return Runs(
-        *(
-            np.concatenate((getattr(runs, f.name)[kept], getattr(new, f.name)))[order]
-            if f.name != "arc"
-            else arc[order]
-            for f in fields(Runs)
-        )
-    )
-
-
-def _settled(chains: "_Chains", goals: Floats, level: Ints) -> Floats:
+def _settled(chains: Chains, goals: Floats, level: Ints) -> Floats:
     """Return the places of the nodes: those of traced arcs stay."""
     tail, head, traced = chains.nodes
     places = _fine(goals)
     for side in (tail[level >= TRACED], head[level >= TRACED]):
         places[side[side >= 0]] = traced[side[side >= 0]]
     return places
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Chains:
-    """The distinct arcs in canonical direction, with a vertex at each cell.
-
-    Attributes
-    ----------
-    own : (O,) ndarray of int64
-        The arc of each occurrence in a ring.
-    places : columns, rows, offsets
-        The vertices of the arcs, cells, ends included.
-    nodes : (A,) tail, (A,) head, (N, 2) places
-        The nodes at the ends, -1 for rings without one.
-    regions : (A, 2) ndarray of int64
-        The geometries on both sides, -1 for none.
-    """
-
-    own: Ints
-    places: tuple[Floats, Floats, Ints]
-    nodes: tuple[Ints, Ints, Floats]
-    regions: Ints
-
-    @property
-    def count(self) -> int:
-        """Number of arcs."""
-        return len(self.regions)
-
-
-def _chains(arcs: Arcs, spec: GridSpec) -> _Chains:
-    """Return the distinct arcs, a vertex a cell."""
-    _, first, own = np.unique(arcs.key, return_index=True, return_inverse=True)
-    given = arcs.as_given()
-    lines = given.lines(first)
-    backwards = ~arcs.forward[first]
-    lines[backwards] = shapely.reverse(lines[backwards])
-    coords, arc = shapely.get_coordinates(lines, return_index=True)
-    corners = np.rint((coords - (spec.transform.c, spec.transform.f)) / (spec.cell_m, -spec.cell_m)).astype(np.int64)
-    step = np.zeros_like(corners)
-    inner = arc[1:] == arc[:-1]
-    step[:-1][inner] = np.diff(corners, axis=0)[inner]
-    length = np.maximum(np.abs(step).sum(axis=1), 1)
-    index = np.repeat(np.arange(len(corners)), length)
-    along = np.arange(len(index)) - np.repeat(np.cumsum(length) - length, length)
-    dense = corners[index] + np.sign(step)[index] * along[:, None]
-    starts = np.concatenate(([0], np.cumsum(np.bincount(arc[index], minlength=len(first)))))
-    regions = np.full((len(first), 2), -1)
-    regions[:, 0] = arcs.geometry[first]
-    second = np.setdiff1d(np.arange(len(own)), first)
-    regions[own[second], 1] = arcs.geometry[second]
-    nodes = _nodes(dense[starts[:-1]], dense[starts[1:] - 1])
-    return _Chains(own.astype(np.int64), (*dense.T.astype(np.float64), starts), nodes, regions)
-
-
-def _nodes(tail: Ints, head: Ints) -> tuple[Ints, Ints, Floats]:
-    """Return the nodes at the ends of the arcs; the place where a ring begins that meets no other arc is none."""
-    places, node = np.unique(np.concatenate((tail, head)), axis=0, return_inverse=True)
-    node = node.reshape(2, -1)
-    alone = (node[0] == node[1]) & (np.bincount(node.ravel())[node[0]] == 2)
-    node[:, alone] = -1
-    return node[0], node[1], places.astype(np.float64)
-
-
-def _frames(chains: _Chains, runs: Runs, count: int, spec: GridSpec) -> tuple[Floats, Ints, Ints]:
-    """Return the main directions of each arc: those of the regions on its sides."""
-    x, y, starts = chains.places
-    low, high = starts[runs.arc] + runs.begin, starts[runs.arc] + runs.end
-    length = np.hypot(x[high] - x[low], y[high] - y[low])
-    # The border of the lattice is no wall.
-    rows, cols = spec.shape
-    middle_x, middle_y = (x[low] + x[high]) / 2, (y[low] + y[high]) / 2
-    length[(middle_x == 0) | (middle_x == cols) | (middle_y == 0) | (middle_y == rows)] = 0.0
-    group = _groups(chains.regions, count)
-    sides = chains.regions[runs.arc]
-    own = np.concatenate((sides[:, 0], sides[:, 1][sides[:, 1] >= 0]))
-    run = np.concatenate((np.arange(len(length)), np.flatnonzero(sides[:, 1] >= 0)))
-    frames, support = main_frames(runs.angle[run], length[run], own, count)
-    common, _ = main_frames(runs.angle, length, group[sides[:, 0]], int(group.max()) + 1)
-    common = common[group]
-    weak = ~(support[:, 0] >= WEAK_CELLS)
-    frames[weak] = common[weak]
-    for place in range(common.shape[1]):
-        near = np.abs(apart(frames, common[:, place, None])) < SAME
-        frames = np.where(near, common[:, place, None], frames)
-    both = np.column_stack((frames[chains.regions[:, 0]], frames[chains.regions[:, 1]]))
-    both[:, frames.shape[1] :][chains.regions[:, 1] < 0] = np.nan
-    # Once each: a frame near an earlier one of the other side is that one.
-    kept = ~np.isnan(both)
-    for later in range(1, both.shape[1]):
-        for earlier in range(later):
-            kept[:, later] &= ~(kept[:, earlier] & (np.abs(apart(both[:, later], both[:, earlier])) < SAME))
-    rank = np.broadcast_to(np.tile(np.arange(frames.shape[1]), 2), both.shape)
-    return both[kept], rank[kept], np.concatenate(([0], np.cumsum(kept.sum(axis=1))))
-
-
-def _no_frames(count: int) -> tuple[Floats, Ints, Ints]:
-    """Return no main directions for each of the arcs."""
-    return np.empty(0), np.empty(0, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
-
-
-def _groups(regions: Ints, count: int) -> Ints:
-    """Return the touching group of each region."""
-    shared = regions[regions[:, 1] >= 0]
-    graph = coo_matrix((np.ones(len(shared)), (shared[:, 0], shared[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
-
-
-def _from_corners(chains: _Chains, runs: Runs) -> _Chains:
-    """Return chains whose rings begin between two walls: where the shorter of both is longest."""
-    x, y, starts = (values.copy() for values in chains.places)
-    ring = chains.nodes[0][runs.arc] < 0
-    inner = np.flatnonzero(ring[1:] & (runs.arc[1:] == runs.arc[:-1])) + 1
-    size = runs.end - runs.begin
-    shorter = np.minimum(size[inner], size[inner - 1])
-    best = inner[np.lexsort((-inner, shorter, runs.arc[inner]))]
-    best = best[np.flatnonzero(np.diff(runs.arc[best], append=-1))]
-    for run in best:
-        arc, begin = runs.arc[run], runs.begin[run]
-        low, high = starts[arc], starts[arc + 1]
-        for values in (x, y):
-            values[low : high - 1] = np.roll(values[low : high - 1], -begin)
-            values[high - 1] = values[low]
-    return replace(chains, places=(x, y, starts))
 
 
 def _world(places: Floats, spec: GridSpec) -> Floats:
@@ -354,7 +203,7 @@ def _fine(places: Floats) -> Floats:
     return np.asarray(np.rint(places * FINE) / FINE)
 
 
-def _drawn(arcs: Arcs, chains: _Chains, fits: tuple[Floats, Ints], level: Ints, tolerance_m: float) -> Drawn:
+def _drawn(arcs: Arcs, chains: Chains, fits: tuple[Floats, Ints], level: Ints, tolerance_m: float) -> Drawn:
     """Draw all arcs for their levels."""
     world, offsets = fits
     occurrence_level = level[chains.own] - TRACED

@@ -42,9 +42,9 @@ class WallCosts:
 
     wall: float = 3.0
     second: float = 3.0
-    free: float = 12.0
+    free: float = 15.0
     turn: float = 2.0
-    jog: float = 1.0
+    jog: float = 3.0
     reach: float = 1.5
 
     def scaled(self, share: float) -> "WallCosts":
@@ -105,8 +105,40 @@ def divide(chains: tuple[Floats, Floats, Ints], frames: tuple[Floats, Ints, Ints
     its place changes nothing. The time is the length of an arc times that of its longest possible run.
     """
     x, y, starts = chains
-    found = _divided(x, y, starts, frames, costs.packed())
-    return Runs(*found)
+    return Runs(*_divided(x, y, starts, frames, costs.packed()))
+
+
+def redivided(
+    runs: Runs,
+    chains: tuple[Floats, Floats, Ints],
+    frames: tuple[Floats, Ints, Ints],
+    chosen: Ints,
+    costs: WallCosts,
+) -> Runs:
+    """Return runs in which the chosen arcs are divided anew, at other costs."""
+    x, y, starts = chains
+    angles, ranks, bounds = frames
+    index, begins = _gathered(starts, chosen)
+    place, few = _gathered(bounds, chosen)
+    new = divide((x[index], y[index], begins), (angles[place], ranks[place], few), costs)
+    kept = ~np.isin(runs.arc, chosen)
+    order = np.argsort(np.concatenate((runs.arc[kept], chosen[new.arc])), kind="stable")
+    return Runs(
+        np.concatenate((runs.arc[kept], chosen[new.arc]))[order],
+        np.concatenate((runs.begin[kept], new.begin))[order],
+        np.concatenate((runs.end[kept], new.end))[order],
+        np.concatenate((runs.frame[kept], new.frame))[order],
+        np.concatenate((runs.angle[kept], new.angle))[order],
+        np.concatenate((runs.east[kept], new.east))[order],
+        np.concatenate((runs.south[kept], new.south))[order],
+    )
+
+
+def _gathered(offsets: Ints, chosen: Ints) -> tuple[Ints, Ints]:
+    """Return the indices of the members of some groups, and the groups' offsets among these."""
+    size = np.diff(offsets)[chosen]
+    begins = np.concatenate(([0], np.cumsum(size)))
+    return np.repeat(offsets[chosen] - begins[:-1], size) + np.arange(begins[-1]), begins
 
 
 @kernel
@@ -114,127 +146,72 @@ def _divided(
     x: Floats, y: Floats, starts: Ints, frames: tuple[Floats, Ints, Ints], costs: Floats
 ) -> tuple[Ints, Ints, Ints, Ints, Floats, Floats, Floats]:
     """Divide each arc; the results are those of `Runs`."""
-    angles, ranks, frame_starts = frames
-    most = x.size
-    arc, begin = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    end, frame = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    angle, east, south = np.empty(most), np.empty(most), np.empty(most)
+    angles, ranks, bounds = frames
+    found, lines = np.empty((x.size, 4), dtype=np.int64), np.empty((x.size, 3))
     count = 0
     for a in range(starts.size - 1):
         first, last = starts[a], starts[a + 1]
-        size = last - first - 1
         px, py = x[first:last] - x[first], y[first:last] - y[first]
-        middle_x, middle_y = (px[1:] + px[:-1]) / 2, (py[1:] + py[:-1]) / 2
-        mains = angles[frame_starts[a] : frame_starts[a + 1]]
-        walls = np.where(ranks[frame_starts[a] : frame_starts[a + 1]] == 0, costs[0], costs[0] + costs[1])
-        breaks, states, runs = _cheapest(middle_x, middle_y, mains, walls, costs)
+        middle = np.empty((2, last - first - 1))
+        middle[0], middle[1] = (px[1:] + px[:-1]) / 2, (py[1:] + py[:-1]) / 2
+        mains = angles[bounds[a] : bounds[a + 1]]
+        extra = np.where(ranks[bounds[a] : bounds[a + 1]] == 0, 0.0, costs[1])
+        breaks, states, runs = _cheapest(middle, mains, extra, costs)
         for r in range(runs):
             low, high = breaks[r], breaks[r + 1]
-            mean_x, mean_y = middle_x[low:high].mean(), middle_y[low:high].mean()
-            if states[r] == 2 * mains.size:
-                turned = _free_angle(middle_x, middle_y, low, high, px, py)
-                frame[count] = FREE
+            found[count] = a, low, high, FREE if states[r] == 2 * mains.size else states[r] // 2
+            if states[r] < 2 * mains.size:
+                angle = mains[states[r] // 2] + (states[r] % 2) * np.pi / 2
+            elif high - low > 1:
+                angle = _free_angle(middle[0, low:high], middle[1, low:high])
             else:
-                turned = mains[states[r] // 2] + (states[r] % 2) * np.pi / 2
-                frame[count] = states[r] // 2
+                angle = np.arctan2(py[high] - py[low], px[high] - px[low])
             # The line runs as the arc does.
-            if np.cos(turned) * (px[high] - px[low]) + np.sin(turned) * (py[high] - py[low]) < 0:
-                turned += np.pi
-            arc[count], begin[count], end[count], angle[count] = a, low, high, turned
-            east[count], south[count] = mean_x + x[first], mean_y + y[first]
+            if np.cos(angle) * (px[high] - px[low]) + np.sin(angle) * (py[high] - py[low]) < 0:
+                angle += np.pi
+            lines[count, 0] = angle
+            lines[count, 1] = middle[0, low:high].mean() + x[first]
+            lines[count, 2] = middle[1, low:high].mean() + y[first]
             count += 1
-    return (
-        arc[:count].copy(),
-        begin[:count].copy(),
-        end[:count].copy(),
-        frame[:count].copy(),
-        angle[:count].copy(),
-        east[:count].copy(),
-        south[:count].copy(),
-    )
+    ints, floats = found[:count].T.copy(), lines[:count].T.copy()
+    return ints[0], ints[1], ints[2], ints[3], floats[0], floats[1], floats[2]
 
 
 @kernel
-def _free_angle(middle_x: Floats, middle_y: Floats, low: int, high: int, px: Floats, py: Floats) -> float:
-    """Return the direction of the total least-squares line of midpoints; of an edge, its own."""
-    if high - low == 1:
-        return float(np.arctan2(py[high] - py[low], px[high] - px[low]))
-    dx, dy = middle_x[low:high] - middle_x[low:high].mean(), middle_y[low:high] - middle_y[low:high].mean()
+def _free_angle(x: Floats, y: Floats) -> float:
+    """Return the direction of the total least-squares line of points."""
+    dx, dy = x - x.mean(), y - y.mean()
     return float(0.5 * np.arctan2(2 * (dx * dy).sum(), (dx * dx).sum() - (dy * dy).sum()))
 
 
 @kernel
-def _cheapest(
-    middle_x: Floats, middle_y: Floats, mains: Floats, walls: Floats, costs: Floats
-) -> tuple[Ints, Ints, int]:
+def _cheapest(middle: Floats, mains: Floats, extra: Floats, costs: Floats) -> tuple[Ints, Ints, int]:
     """Return the vertices at which the runs of the cheapest division begin and end, their directions and number.
 
-    Direction 2 f is that of frame f, 2 f + 1 its right angle, and the last one is free.
+    ``middle`` has the midpoints of the edges, and ``extra`` what a run of each frame costs more. Direction 2 f is that
+    of frame f, 2 f + 1 its right angle, and the last one is free.
     """
-    wall, _, free, turn, jog, reach = costs
-    if mains.size == 0:
-        free = 0.0
-    size, free_state = middle_x.size, 2 * mains.size
-    sum_x, sum_y = np.zeros(size + 1), np.zeros(size + 1)
-    sum_xx, sum_xy, sum_yy = np.zeros(size + 1), np.zeros(size + 1), np.zeros(size + 1)
-    sum_x[1:], sum_y[1:] = np.cumsum(middle_x), np.cumsum(middle_y)
-    sum_xx[1:], sum_xy[1:] = np.cumsum(middle_x * middle_x), np.cumsum(middle_x * middle_y)
-    sum_yy[1:] = np.cumsum(middle_y * middle_y)
-    normal_x, normal_y = np.empty(free_state), np.empty(free_state)
+    size, free_state = middle.shape[1], 2 * mains.size
+    # Sums of x, y, xx, xy and yy before each edge.
+    sums = np.zeros((5, size + 1))
+    sums[0, 1:], sums[1, 1:] = np.cumsum(middle[0]), np.cumsum(middle[1])
+    sums[2, 1:], sums[3, 1:] = np.cumsum(middle[0] ** 2), np.cumsum(middle[0] * middle[1])
+    sums[4, 1:] = np.cumsum(middle[1] ** 2)
+    # Of each direction: its normal, what a run costs, and the reach.
+    ways = np.empty((3, free_state + 1))
     for s in range(free_state):
-        turned = mains[s // 2] + (s % 2) * np.pi / 2
-        normal_x[s], normal_y[s] = -np.sin(turned), np.cos(turned)
-    # best[j, s]: cost up to vertex j with a last run of direction s; open[i, s]: cost before a run of s from i on.
-    best = np.full((size + 1, free_state + 1), np.inf)
-    opened = np.full((size + 1, free_state + 1), np.inf)
+        angle = mains[s // 2] + (s % 2) * np.pi / 2
+        ways[0, s], ways[1, s], ways[2, s] = -np.sin(angle), np.cos(angle), costs[0] + extra[s // 2]
+    # Without main directions all runs are free, and nothing is to be preferred.
+    ways[2, free_state] = costs[0] + (costs[2] if free_state else 0.0)
+    # best[j, s]: cost up to vertex j with a last run of direction s; opened[i, s]: cost before a run of s from i on.
+    best, opened = np.full((size + 1, free_state + 1), np.inf), np.full((size + 1, free_state + 1), np.inf)
     origin = np.zeros((size + 1, free_state + 1), dtype=np.int64)
     before = np.zeros((size + 1, free_state + 1), dtype=np.int64)
     opened[0, :] = 0.0
-    low, high = np.empty(free_state), np.empty(free_state)
     for j in range(1, size + 1):
-        low[:], high[:] = np.inf, -np.inf
-        free_alive = True
-        for i in range(j - 1, -1, -1):
-            alive = free_alive
-            n = j - i
-            mean_x, mean_y = (sum_x[j] - sum_x[i]) / n, (sum_y[j] - sum_y[i]) / n
-            xx = max(sum_xx[j] - sum_xx[i] - n * mean_x * mean_x, 0.0)
-            yy = max(sum_yy[j] - sum_yy[i] - n * mean_y * mean_y, 0.0)
-            xy = sum_xy[j] - sum_xy[i] - n * mean_x * mean_y
-            for s in range(free_state):
-                if high[s] - low[s] > 2 * reach:
-                    continue
-                place = normal_x[s] * middle_x[i] + normal_y[s] * middle_y[i]
-                low[s], high[s] = min(low[s], place), max(high[s], place)
-                if high[s] - low[s] > 2 * reach:
-                    continue
-                alive = True
-                mean = normal_x[s] * mean_x + normal_y[s] * mean_y
-                if high[s] - mean > reach or mean - low[s] > reach:
-                    continue
-                squares = normal_x[s] ** 2 * xx + 2 * normal_x[s] * normal_y[s] * xy + normal_y[s] ** 2 * yy
-                cost = opened[i, s] + squares + walls[s // 2]
-                if cost < best[j, s] - STEEP:
-                    best[j, s], origin[j, s] = cost, i
-            if free_alive:
-                squares = max((xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy * xy), 0.0)
-                free_alive = n < 4 or squares < n * (FREE_RMS * reach) ** 2
-                cost = opened[i, free_state] + squares + wall + free
-                if cost < best[j, free_state] - STEEP and _within(
-                    middle_x[i:j], middle_y[i:j], 0.5 * np.arctan2(2 * xy, xx - yy), reach
-                ):
-                    best[j, free_state], origin[j, free_state] = cost, i
-            if not alive:
-                break
-        for s in range(free_state + 1):
-            for t in range(free_state + 1):
-                cost = best[j, t]
-                if s == t and s != free_state:
-                    cost += jog
-                elif s // 2 != t // 2 and s != free_state and t != free_state:
-                    cost += turn
-                if cost < opened[j, s] - STEEP:
-                    opened[j, s], before[j, s] = cost, t
+        _end_runs(j, (middle, sums, ways), costs[5], (best, opened, origin))
+        _turn(j, (best, opened, before), costs)
     breaks, states = np.empty(size + 1, dtype=np.int64), np.empty(size, dtype=np.int64)
     runs, j, s = 0, size, 0
     for t in range(1, free_state + 1):
@@ -251,11 +228,63 @@ def _cheapest(
 
 
 @kernel
+def _end_runs(j: int, given: tuple[Floats, Floats, Floats], reach: float, costs: tuple[Floats, Floats, Ints]) -> None:
+    """Find the cheapest run of each direction that ends at a vertex."""
+    middle, sums, ways = given
+    best, opened, origin = costs
+    free_state = ways.shape[1] - 1
+    low, high = np.full(free_state, np.inf), np.full(free_state, -np.inf)
+    free_alive = True
+    for i in range(j - 1, -1, -1):
+        alive = free_alive
+        n = j - i
+        mean_x, mean_y = (sums[0, j] - sums[0, i]) / n, (sums[1, j] - sums[1, i]) / n
+        xx = max(sums[2, j] - sums[2, i] - n * mean_x * mean_x, 0.0)
+        yy = max(sums[4, j] - sums[4, i] - n * mean_y * mean_y, 0.0)
+        xy = sums[3, j] - sums[3, i] - n * mean_x * mean_y
+        for s in range(free_state):
+            # Once the edges spread over more than twice the reach, a longer run does so too.
+            if high[s] - low[s] > 2 * reach:
+                continue
+            place = ways[0, s] * middle[0, i] + ways[1, s] * middle[1, i]
+            low[s], high[s] = min(low[s], place), max(high[s], place)
+            alive = True
+            mean = ways[0, s] * mean_x + ways[1, s] * mean_y
+            if high[s] - mean > reach or mean - low[s] > reach:
+                continue
+            squares = ways[0, s] ** 2 * xx + 2 * ways[0, s] * ways[1, s] * xy + ways[1, s] ** 2 * yy
+            cost = opened[i, s] + squares + ways[2, s]
+            if cost < best[j, s] - STEEP:
+                best[j, s], origin[j, s] = cost, i
+        if free_alive:
+            squares = max((xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy * xy), 0.0)
+            free_alive = n < 4 or squares < n * (FREE_RMS * reach) ** 2
+            cost = opened[i, free_state] + squares + ways[2, free_state]
+            angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+            if cost < best[j, free_state] - STEEP and _within(middle[0, i:j], middle[1, i:j], angle, reach):
+                best[j, free_state], origin[j, free_state] = cost, i
+        if not alive:
+            break
+
+
+@kernel
+def _turn(j: int, found: tuple[Floats, Floats, Ints], costs: Floats) -> None:
+    """Find the cheapest way to begin a run of each direction at a vertex."""
+    best, opened, before = found
+    free_state = best.shape[1] - 1
+    for s in range(free_state + 1):
+        for t in range(free_state + 1):
+            cost = best[j, t]
+            if s < free_state and s == t:
+                cost += costs[4]
+            elif s < free_state and t < free_state and s // 2 != t // 2:
+                cost += costs[3]
+            if cost < opened[j, s] - STEEP:
+                opened[j, s], before[j, s] = cost, t
+
+
+@kernel
 def _within(x: Floats, y: Floats, angle: float, reach: float) -> bool:
     """Return whether all points lie within the reach of their line of a direction, at their mean."""
-    normal_x, normal_y = -np.sin(angle), np.cos(angle)
-    mean = normal_x * x.mean() + normal_y * y.mean()
-    for k in range(x.size):
-        if abs(normal_x * x[k] + normal_y * y[k] - mean) > reach:
-            return False
-    return True
+    off = np.cos(angle) * (y - y.mean()) - np.sin(angle) * (x - x.mean())
+    return bool(np.abs(off).max() <= reach)

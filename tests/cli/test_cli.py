@@ -26,7 +26,7 @@ from msbdb import params as declared
 from msbdb.cli import command, output
 from msbdb.cli.main import cli
 from msbdb.cli.output import emit, text
-from msbdb.errors import DatabaseError, MsbdbWarning
+from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
 
 COMMANDS: dict[str, click.Command] = {
     **{name: made for name, made in cli.commands.items() if not isinstance(made, click.Group)},
@@ -311,6 +311,17 @@ def test_the_fake_is_called_as_the_api_is(name):
     assert [word for word in fake if word != "self"] == list(inspect.signature(getattr(real, name)).parameters)
 
 
+def test_the_outlines_on_offer_are_those_of_the_parameter():
+    """The words of --outline are the choices of vector.walls."""
+    from msbdb.cli.build import WALLS
+    from msbdb.params import Params, with_values
+
+    for word in WALLS:
+        assert with_values(Params(), {"vector": {"walls": word}}).vector.walls == word
+    with pytest.raises(ParameterError, match=", ".join(WALLS)):
+        with_values(Params(), {"vector": {"walls": "round"}})
+
+
 def test_units_are_those_of_the_reader():
     """The units that the command offers are the ones that reading knows."""
     from msbdb.cli.build import Z_UNITS
@@ -335,6 +346,15 @@ def test_the_nearest_word_on_a_parameter_wins(api):
     assert params.ground.ground_filter == "wavelet", "the profile's own value stays"
     assert params.scale.scales_m2 == (50.0, 200.0)
     assert api.calls[0][1]["profile"] == "vu2009"
+
+
+def test_outline_is_a_value_of_the_parameters(api):
+    """--outline wins over a file and --set, and without it these count."""
+    Path("a.laz").touch()
+    traced = ("build", "--points", "a.laz", "--db", "x", "--set", "vector.walls=traced")
+    run(*traced)
+    run(*traced, "--outline", "fitted")
+    assert [call[1]["params"].vector.walls for call in api.calls] == ["traced", "fitted"]
 
 
 def test_scales_auto_asks_for_granulometry(api):

@@ -70,7 +70,7 @@ def measure_shape(outlines: Geometries, traced: Geometries, reference: Reference
     found = rasterise(outlines, reference.spec) > 0
     both = np.count_nonzero(found & reference.built & reference.scored)
     either = np.count_nonzero((found | reference.built) & reference.scored)
-    mine, theirs = matched(outlines, truth)
+    mine, theirs = matched(shapely.make_valid(outlines), truth)
     score = score_boundary(mine, theirs, reference.scored, reference.spec, step_m=STEP_M, cap_m=CAP_M)
     rings = shapely.get_rings(shapely.get_parts(outlines))
     length = float(shapely.length(outlines).sum())
