@@ -117,7 +117,8 @@ def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
 
     The ending of OUT decides the format. A GeoPackage (.gpkg) has the layers footprint, part, flat_region and
     candidate_region. A Shapefile (.shp) has the parts, under the paper's names of at most ten characters. GeoJSON
-    (.geojson) has the parts in longitude and latitude.
+    (.geojson) has the parts in longitude and latitude. Outlines are edges of roofs, not walls at the ground; a
+    GeoPackage and GeoJSON say so in their description.
     """
     from msbdb import api
 

@@ -34,6 +34,12 @@ FIELDS = {
 }
 """The paper's name of each column of ``PART`` that it has (V26); none is longer than the 10 characters of a DBF."""
 
+ROOF_EDGES = (
+    "Outlines are edges of roofs as seen from above, not walls at the ground: eaves are inside. 'fitted' outlines have "
+    "straight walls, 'traced' ones follow cells (outline_source)."
+)
+"""The description that files carry, where their format has one."""
+
 Layers = Mapping[str, Layer]
 
 Writer = Callable[[Layers, Path], None]
@@ -66,11 +72,12 @@ def write_geojson(layers: Layers, path: Path) -> None:
     columns = {name: texts(values) if name in IDS else values for name, values in part.columns.items()}
     columns["id"] = columns["part_id"]  # the driver takes the field of the id out of the properties
     written = {path.stem: replace(part, columns=columns)}
-    write_layers(path, written, "GeoJSON", RFC7946="YES", ID_FIELD="id", ID_TYPE="String")
+    options = {"RFC7946": "YES", "ID_FIELD": "id", "ID_TYPE": "String", "DESCRIPTION": ROOF_EDGES}
+    write_layers(path, written, "GeoJSON", **options)
 
 
 def write_geopackage(layers: Layers, path: Path) -> None:
-    """Write all layers under their names, all columns and the CRS kept.
+    """Write all layers under their names, all columns and the CRS kept; their description says what outlines are.
 
     Parameters
     ----------
@@ -79,7 +86,7 @@ def write_geopackage(layers: Layers, path: Path) -> None:
     path : Path
         The file to write or replace.
     """
-    write_layers(path, layers, "GPKG")
+    write_layers(path, layers, "GPKG", DESCRIPTION=ROOF_EDGES)
 
 
 def write_shapefile(layers: Layers, path: Path) -> None:
@@ -96,7 +103,8 @@ def write_shapefile(layers: Layers, path: Path) -> None:
     Notes
     -----
     ID and SUPID take up to 18 digits and are written as N(18), exactly. A program that reads them as floating point
-    numbers sees them rounded: join on the file's own values, or use the GeoPackage.
+    numbers sees them rounded: join on the file's own values, or use the GeoPackage. The format has no place for a
+    description: the outlines are edges of roofs.
     """
     part = layers["part"]
     columns = {field: part.columns[name] for name, field in FIELDS.items()}

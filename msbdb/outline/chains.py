@@ -1,4 +1,4 @@
-"""Chains: the distinct arcs of traced outlines, a vertex a cell, with the nodes at their ends and the regions beside them."""
+"""Chains: the distinct arcs of traced outlines, a vertex a cell, with their nodes and the regions beside them."""
 
 from dataclasses import dataclass, replace
 

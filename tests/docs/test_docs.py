@@ -112,10 +112,10 @@ def test_links_lead_somewhere(page):
 
 
 def test_every_decision_is_listed():
-    """The list of decisions holds every page beside it, numbered without gaps."""
+    """The list of decisions holds every page beside it, and no number twice."""
     pages = sorted(path.name for path in ROOT.glob("docs/decisions/0*.md"))
     assert re.findall(r"\]\((0[^)]*)\)", read("docs/decisions/README.md")) == pages
-    assert [int(name[:4]) for name in pages] == list(range(1, len(pages) + 1))
+    assert len({name[:4] for name in pages}) == len(pages)
 
 
 def test_command_lines_of_the_docs_exist():

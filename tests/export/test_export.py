@@ -2,7 +2,9 @@
 
 import json
 import shutil
+import sqlite3
 import subprocess
+from contextlib import closing
 
 import geopandas as gpd
 import numpy as np
@@ -15,6 +17,7 @@ from pyproj import CRS
 from msbdb import tables
 from msbdb.errors import CRSError, FileError, InputError
 from msbdb.export import export as export_layers
+from msbdb.export.formats import ROOF_EDGES
 from msbdb.io.layers import Layer, write_layers
 
 BIG = 2**59 - 1  # more than a float holds exactly
@@ -70,6 +73,19 @@ def test_geopackage_holds_all_layers_unchanged(scene, tmp_path):
         back = gpd.read_file(tmp_path / "town.gpkg", layer=name)
         pd.testing.assert_frame_equal(pd.DataFrame(back), pd.DataFrame(frame), check_dtype=False)
         assert back.crs == frame.crs
+
+
+@pytest.mark.parametrize("suffix", [".gpkg", ".geojson"])
+def test_files_say_that_outlines_are_edges_of_roofs(scene, tmp_path, suffix):
+    """The description of the layers, where the format has one."""
+    path = tmp_path / f"town{suffix}"
+    export(scene, path)
+    if suffix == ".gpkg":
+        with closing(sqlite3.connect(path)) as file:
+            words = file.execute("SELECT DISTINCT description FROM gpkg_contents").fetchall()
+    else:
+        words = [(json.loads(path.read_text())["description"],)]
+    assert words == [(ROOF_EDGES,)]
 
 
 def test_shapefile_has_the_papers_names_and_exact_ids(scene, tmp_path):

@@ -9,7 +9,6 @@ import shapely
 from numpy.typing import NDArray
 
 from cases.labelled import Reference
-from msbdb.evaluate.byobject import score_boundary
 from msbdb.outline.polygons import Geometries, polygonise, rasterise
 
 Floats = NDArray[np.float64]
@@ -33,7 +32,7 @@ class Shape:
     quality: float
     """Area: TP / (TP + FP + FN), per cent."""
     rms_m: float
-    """Of samples on both outlines, up to 3 m."""
+    """Of samples on both outlines of matched buildings, up to 3 m."""
     polis_m: float
     """Mean of the corners' distances to the other outline, both ways, of matched buildings; the median."""
     hausdorff_m: float
@@ -46,7 +45,7 @@ class Shape:
     """The same with the three best directions of each building."""
     overlap_m2: float
     gap_m2: float
-    """Area of cells of the buildings that no outline covers, between two outlines."""
+    """Area between outlines that was building, and that none of them covers."""
     crumbs: int
     """Rings below 1 m²."""
     pieces: int
@@ -71,16 +70,16 @@ def measure_shape(outlines: Geometries, traced: Geometries, reference: Reference
     both = np.count_nonzero(found & reference.built & reference.scored)
     either = np.count_nonzero((found | reference.built) & reference.scored)
     mine, theirs = matched(shapely.make_valid(outlines), truth)
-    score = score_boundary(mine, theirs, reference.scored, reference.spec, step_m=STEP_M, cap_m=CAP_M)
     rings = shapely.get_rings(shapely.get_parts(outlines))
     length = float(shapely.length(outlines).sum())
     one, three = along_directions(outlines)
     union = shapely.union_all(outlines)
-    holes = [part for part in shapely.get_parts(shapely.difference(shapely.union_all(traced), union)) if part.area > 0]
-    gaps = [part.area for part in holes if shapely.contains_properly(filled(union), part)]
+    cells = shapely.union_all(traced)
+    # A hole that was mostly building is a gap between outlines.
+    gaps = [hole.area for hole in holes_of(union) if shapely.intersection(hole, cells).area > hole.area / 2]
     return Shape(
         quality=100 * both / max(either, 1),
-        rms_m=score.rms_m.micro,
+        rms_m=rms(mine, theirs, reference),
         polis_m=float(np.median(polis(mine, theirs))) if len(mine) else math.nan,
         hausdorff_m=float(np.median(shapely.hausdorff_distance(mine, theirs))) if len(mine) else math.nan,
         per_m=(shapely.get_num_coordinates(rings).sum() - len(rings)) / length,
@@ -93,9 +92,9 @@ def measure_shape(outlines: Geometries, traced: Geometries, reference: Reference
     )
 
 
-def filled(geometry: shapely.Geometry) -> shapely.Geometry:
-    """Return a geometry without its holes."""
-    return shapely.union_all([shapely.Polygon(part.exterior) for part in shapely.get_parts(geometry)])
+def holes_of(geometry: shapely.Geometry) -> list[shapely.Polygon]:
+    """Return the holes of a geometry."""
+    return [shapely.Polygon(hole) for part in shapely.get_parts(geometry) for hole in part.interiors]
 
 
 def objects_of(reference: Reference, footprints: gpd.GeoDataFrame | None) -> Geometries:
@@ -117,12 +116,36 @@ def matched(outlines: Geometries, truth: Geometries) -> tuple[Geometries, Geomet
     return outlines[kept], np.array(unions, dtype=np.object_)
 
 
+def rms(outlines: Geometries, truth: Geometries, reference: Reference) -> float:
+    """Return the RMS distance of samples on both outlines of each pair to the other one, up to `CAP_M`."""
+    distances = []
+    for one, other in zip(outlines, truth, strict=True):
+        for line, across in ((one, other), (other, one)):
+            along = shapely.get_coordinates(shapely.segmentize(shapely.boundary(line), STEP_M))
+            scored = reference.spec.sample(reference.scored, along[:, 0], along[:, 1], outside=False)
+            distances.append(distance_to(along[scored], across))
+    near = np.concatenate(distances)
+    near = near[near <= CAP_M]
+    return float(np.sqrt(np.mean(near**2))) if len(near) else math.nan
+
+
+def distance_to(places: Floats, shape: shapely.Geometry) -> Floats:
+    """Return the distance of each place to the boundary of a shape."""
+    ends, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(shape)), return_index=True)
+    inner = ring[1:] == ring[:-1]
+    edges = shapely.linestrings(np.stack((ends[:-1][inner], ends[1:][inner]), axis=1))
+    if not len(places):
+        return np.empty(0)
+    found = shapely.STRtree(edges).query_nearest(shapely.points(places), all_matches=False, return_distance=True)
+    return np.asarray(found[1], dtype=np.float64)
+
+
 def polis(outlines: Geometries, truth: Geometries) -> Floats:
     """Return the PoLiS distance of each pair: the mean distance of corners to the other outline, of both ways."""
     distances = []
     for one, other in zip(outlines, truth, strict=True):
-        there = shapely.distance(shapely.points(corners(one)), shapely.boundary(other)).mean()
-        back = shapely.distance(shapely.points(corners(other)), shapely.boundary(one)).mean()
+        there = distance_to(corners(one), other).mean()
+        back = distance_to(corners(other), one).mean()
         distances.append((there + back) / 2)
     return np.array(distances)
 
