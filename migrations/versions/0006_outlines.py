@@ -143,8 +143,8 @@ def create_parts(baseline: ModuleType) -> None:
         check(table, "part_id", "part_id > 0"),
         check(table, "father", father),
         check(table, "area", "area_px > 0 AND area_m2 > 0"),
-        check(table, "outline_source", "outline_source IN ('fitted', 'traced')"),
         check(table, "storeys", "hindex >= 0 AND hzone >= 0"),
+        check(table, "outline_source", "outline_source IN ('fitted', 'traced')"),
         *baseline.shares(table, "building_share"),
         baseline.of_run(table),
     )
