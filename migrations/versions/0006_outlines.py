@@ -199,8 +199,7 @@ def content_tables(before: list[object]) -> list[object]:
 
 def run_digests(tables: list[object]) -> list[tuple[int, str, str | None]]:
     """Return each run with its kept digest, and that of its rows; None where they cannot be read."""
-    from msbdb.database.admin.runchecks import UNREADABLE
-
+    from msbdb.database.admin.contentchecks import UNREADABLE
     from msbdb.database.runs.reading import content_of
 
     connection = op.get_bind()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from msbdb.grid import GridSpec
 from msbdb.outline.arcs import Arcs
-from msbdb.outline.runs import Runs
+from msbdb.outline.runs import WallRuns
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -75,7 +75,7 @@ def _nodes(tail: Ints, head: Ints) -> tuple[Ints, Ints, Floats]:
     return node[0], node[1], places.astype(np.float64)
 
 
-def from_corners(chains: Chains, runs: Runs) -> Chains:
+def from_corners(chains: Chains, runs: WallRuns) -> Chains:
     """Return chains whose rings begin between two walls: where the shorter of both is longest."""
     x, y, starts = chains.places
     x, y = x.copy(), y.copy()

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.outline.runs import FREE, Runs
+from msbdb.outline.runs import FREE, WallRuns
 from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
@@ -38,12 +38,12 @@ NODE_WEIGHT = 30.0
 """A wall of more edges pulls a node no more."""
 
 
-def joined_walls(runs: Runs, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats]) -> Runs:
+def joined_walls(runs: WallRuns, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats]) -> WallRuns:
     """Return runs in which walls that go on beyond a node lie on one line.
 
     Parameters
     ----------
-    runs : Runs
+    runs : WallRuns
     chains : columns, rows, offsets
         The traced arcs (`msbdb.outline.runs.divide`).
     nodes : (A,) tail, (A,) head, (N, 2) places
@@ -63,7 +63,7 @@ def joined_walls(runs: Runs, chains: tuple[Floats, Floats, Ints], nodes: tuple[I
     return _on_one_line(runs, chains, root)
 
 
-def _ends(runs: Runs, arcs: int) -> tuple[Ints, Ints]:
+def _ends(runs: WallRuns, arcs: int) -> tuple[Ints, Ints]:
     """Return the first and the last run of each arc."""
     bounds = np.searchsorted(runs.arc, np.arange(arcs + 1))
     return bounds[:-1], bounds[1:] - 1
@@ -114,7 +114,7 @@ def _united(one: Ints, other: Ints, count: int) -> Ints:
     return root
 
 
-def _on_one_line(runs: Runs, chains: tuple[Floats, Floats, Ints], root: Ints) -> Runs:
+def _on_one_line(runs: WallRuns, chains: tuple[Floats, Floats, Ints], root: Ints) -> WallRuns:
     """Move the runs of a set onto its mean line; one that is far from it keeps its own."""
     count = len(runs.arc)
     east, south, starts = chains
@@ -137,7 +137,7 @@ def _on_one_line(runs: Runs, chains: tuple[Floats, Floats, Ints], root: Ints) ->
     line_x, line_y = (runs.east + mean_x)[root], (runs.south + mean_y)[root]
     off = -np.sin(angle) * (runs.east - line_x) + np.cos(angle) * (runs.south - line_y)
     alone = single[root] | (np.abs(off) > ONE_WALL)
-    return Runs(
+    return WallRuns(
         runs.arc,
         runs.begin,
         runs.end,
@@ -148,7 +148,7 @@ def _on_one_line(runs: Runs, chains: tuple[Floats, Floats, Ints], root: Ints) ->
     )
 
 
-def placed_nodes(runs: Runs, nodes: tuple[Ints, Ints, Floats]) -> Floats:
+def placed_nodes(runs: WallRuns, nodes: tuple[Ints, Ints, Floats]) -> Floats:
     """Return where the walls meet that end at each node: the point nearest to their lines, cells, (N, 2).
 
     A wall weighs as its edges, up to `NODE_WEIGHT`. A node that would go farther than `NODE_REACH` stays.
@@ -174,7 +174,7 @@ def placed_nodes(runs: Runs, nodes: tuple[Ints, Ints, Floats]) -> Floats:
 
 
 def drawn_arcs(
-    runs: Runs, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats]
+    runs: WallRuns, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats]
 ) -> tuple[Floats, Ints, Floats]:
     """Draw each arc along its walls, from node to node.
 

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from msbdb.grid import GridSpec
 from msbdb.labels import sums
 from msbdb.outline.chains import Chains
-from msbdb.outline.runs import Runs
+from msbdb.outline.runs import WallRuns
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -114,7 +114,7 @@ def _smoothing() -> Floats:
     return np.asarray(np.maximum(1 - np.abs(apart(centre[:, None], centre[None, :])) / SPREAD, 0.0))
 
 
-def arc_frames(chains: Chains, runs: Runs, count: int, spec: GridSpec) -> tuple[Floats, Ints, Ints]:
+def arc_frames(chains: Chains, runs: WallRuns, count: int, spec: GridSpec) -> tuple[Floats, Ints, Ints]:
     """Return the main directions of each arc: those of the regions on its sides."""
     x, y, starts = chains.places
     low, high = starts[runs.arc] + runs.begin, starts[runs.arc] + runs.end

@@ -57,7 +57,7 @@ class WallCosts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Runs:
+class WallRuns:
     """The runs of all arcs, in their order.
 
     Parameters
@@ -81,7 +81,7 @@ class Runs:
     south: Floats
 
 
-def divide(chains: tuple[Floats, Floats, Ints], frames: tuple[Floats, Ints, Ints], costs: WallCosts) -> Runs:
+def divide(chains: tuple[Floats, Floats, Ints], frames: tuple[Floats, Ints, Ints], costs: WallCosts) -> WallRuns:
     """Divide traced arcs into straight runs.
 
     Parameters
@@ -95,7 +95,7 @@ def divide(chains: tuple[Floats, Floats, Ints], frames: tuple[Floats, Ints, Ints
 
     Returns
     -------
-    Runs
+    WallRuns
 
     Notes
     -----
@@ -105,16 +105,16 @@ def divide(chains: tuple[Floats, Floats, Ints], frames: tuple[Floats, Ints, Ints
     its place changes nothing. The time is the length of an arc times that of its longest possible run.
     """
     x, y, starts = chains
-    return Runs(*_divided(x, y, starts, frames, costs.packed()))
+    return WallRuns(*_divided(x, y, starts, frames, costs.packed()))
 
 
 def redivided(
-    runs: Runs,
+    runs: WallRuns,
     chains: tuple[Floats, Floats, Ints],
     frames: tuple[Floats, Ints, Ints],
     chosen: Ints,
     costs: WallCosts,
-) -> Runs:
+) -> WallRuns:
     """Return runs in which the chosen arcs are divided anew, at other costs."""
     x, y, starts = chains
     angles, ranks, bounds = frames
@@ -123,7 +123,7 @@ def redivided(
     new = divide((x[index], y[index], begins), (angles[place], ranks[place], few), costs)
     kept = ~np.isin(runs.arc, chosen)
     order = np.argsort(np.concatenate((runs.arc[kept], chosen[new.arc])), kind="stable")
-    return Runs(
+    return WallRuns(
         np.concatenate((runs.arc[kept], chosen[new.arc]))[order],
         np.concatenate((runs.begin[kept], new.begin))[order],
         np.concatenate((runs.end[kept], new.end))[order],
@@ -145,7 +145,7 @@ def _gathered(offsets: Ints, chosen: Ints) -> tuple[Ints, Ints]:
 def _divided(
     x: Floats, y: Floats, starts: Ints, frames: tuple[Floats, Ints, Ints], costs: Floats
 ) -> tuple[Ints, Ints, Ints, Ints, Floats, Floats, Floats]:
-    """Divide each arc; the results are those of `Runs`."""
+    """Divide each arc; the results are those of `WallRuns`."""
     angles, ranks, bounds = frames
     found, lines = np.empty((x.size, 4), dtype=np.int64), np.empty((x.size, 3))
     count = 0
