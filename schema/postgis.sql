@@ -1,4 +1,4 @@
--- The schema 0006 of msbdb for postgis.
+-- The schema 0004 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -1423,5 +1423,5 @@ COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and cla
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0006');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
 

@@ -1,4 +1,4 @@
--- The schema 0006 of msbdb for spatialite.
+-- The schema 0004 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -782,5 +782,5 @@ GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0006');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
 

@@ -11,7 +11,8 @@ SELECT b.building_id, s.name AS survey, s.date AS survey_date, b.state, b.probab
                                THEN p.hindex - COALESCE(f.hindex, 0) ELSE 0 END)
         FROM part AS p LEFT JOIN part AS f ON f.part_id = p.father_id
         WHERE p.building_id = b.building_id)) AS floor_area_m2,
-       b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.xcen, b.ycen, b.xin, b.yin, b.geometry
+       b.trees, b.parts, b.scales, b.speindex, c.label AS class_label, b.divided_by, b.outline_source,
+       b.xcen, b.ycen, b.xin, b.yin, b.geometry
 FROM building AS b
 JOIN run AS r ON r.run_id = b.run_id
 JOIN survey AS s ON s.survey_id = r.survey_id

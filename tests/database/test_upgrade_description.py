@@ -1,4 +1,4 @@
-"""A database from before outlines were fitted says of each that it was traced."""
+"""A database from before houses were divided and outlines fitted says of each that it was not."""
 
 import shutil
 from collections.abc import Callable
@@ -16,19 +16,21 @@ from msbdb.database import (
     open_database,
     read_buildings,
     read_parts,
+    read_run,
     upgrade_schema,
     write_build,
 )
 from msbdb.database.schema.migration import head_version
 from msbdb.errors import SchemaVersionError
+from msbdb.params import Params, with_values
 
 ROOT = Path(__file__).resolve().parents[2]
-OUTLINES = "0006"
+DESCRIPTION = "0003"
 
 
 def migrations_before(folder: Path) -> Path:
-    """Write a copy of the migrations up to that of the outlines, without it."""
-    later = [path.name for path in (ROOT / "migrations" / "versions").glob("*.py") if path.name >= OUTLINES]
+    """Write a copy of the migrations up to that of the description, without it."""
+    later = [path.name for path in (ROOT / "migrations" / "versions").glob("*.py") if path.name >= DESCRIPTION]
     shutil.copytree(ROOT / "migrations", folder, ignore=shutil.ignore_patterns("__pycache__", *later))
     return folder
 
@@ -41,7 +43,7 @@ def old(target: str, tmp_path: Path) -> Engine:
     return as_baseline(today, target, EPSG, migrations_before(tmp_path / "migrations"))
 
 
-def test_all_outlines_were_traced(old: Engine, target: str) -> None:
+def test_all_outlines_were_traced_and_nothing_was_divided(old: Engine, target: str) -> None:
     """Buildings, parts and the parameters of their run say so; all other values stay."""
     with old.connect() as connection:
         names = {table: f"{table}_id, area_m2" for table in ("building", "part")}
@@ -55,6 +57,8 @@ def test_all_outlines_were_traced(old: Engine, target: str) -> None:
     }
     assert set(read_buildings(old)["outline_source"]) == set(read_parts(old)["outline_source"]) == {"traced"}
     assert '"walls": "traced"' in str(vector).replace("'", '"')
+    assert read_buildings(old)["divided_by"].tolist() == [""] * 4
+    assert not with_values(Params(), read_run(old).parameters).touching.divide  # type: ignore[arg-type]  # plain nested values
 
 
 def test_the_upgraded_schema_is_that_of_a_new_database(

@@ -1,6 +1,0 @@
--- The footprints: a row for each building, with its state, its probability, and its outline of roof edges.
-SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.speindex, b.area_m2,
-       b.h_max, b.h_mean, b.h_p50, b.h_p90, b.trees, b.parts, b.outline_source, b.xin, b.yin, b.geometry
-FROM building AS b
-JOIN run AS r ON r.run_id = b.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id;
