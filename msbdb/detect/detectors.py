@@ -28,7 +28,14 @@ def detect_multiscale(scene: Scene, params: Params) -> Regions:
     Regions
         The table has the roots among ``tables.PART``, without outlines; ``forest`` has all parts.
     """
-    forest = extract_parts(scene.heights, scene.cover.classes, survey=scene.survey.name, params=params)
+    forest = extract_parts(
+        scene.heights,
+        scene.cover.classes,
+        survey=scene.survey.name,
+        params=params,
+        colours=scene.cover.colours,
+        crowns=scene.crowns(params),
+    )
     is_root = (forest.parts["supid"] == 0).to_numpy()
     number = np.zeros(is_root.size + 1, dtype=np.int32)
     number[1:][is_root] = np.arange(1, np.count_nonzero(is_root) + 1)

@@ -12,6 +12,7 @@ from msbdb.grid import Bands, Grid
 from msbdb.kept import PER_METRE
 from msbdb.labels import Labels
 from msbdb.ledger import Answers
+from msbdb.params import Params
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import PointCloud
 from msbdb.spectral.coverclasses import Cover
@@ -139,6 +140,12 @@ class Scene:
             msg = f"The survey '{self.survey.name}' has no points; give its LAS or LAZ files."
             raise InputError(msg)
         return self.cloud
+
+    def crowns(self, params: Params) -> NDArray[np.bool_] | None:
+        """Return the crowns over roofs by colour and roughness, where the structure decides and there is evidence."""
+        if self.evidence is None or self.cover.colours_decide:
+            return None
+        return self.cover.crowns(self.evidence.roughness_mm / np.float32(1000), params.cover.leaf_m)
 
     def without_sources(self) -> "Scene":
         """Return the scene without surface, points and bands, which no step after the detectors needs."""

@@ -18,7 +18,7 @@ from msbdb.grid import Grid
 from msbdb.kept import PER_METRE
 from msbdb.labels import Labels, neighbours, quantiles, sizes, sums
 from msbdb.params import HeightParams, SurfaceParams
-from msbdb.parts.clusters import storeys
+from msbdb.parts.slices import storeys
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.labels import label_zones, sizes
 from msbdb.labels.numbering import require_image
 from msbdb.morphology.area import area_open_close, require_threshold, widen
+from msbdb.morphology.smallzones import merge_small_zones
 from msbdb.params import GranulometryParams
 from msbdb.threads import kernel
 
@@ -50,7 +52,14 @@ class ScaleSpace:
         self.levels.flags.writeable = False
 
 
-def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, connectivity: int = 8) -> ScaleSpace:
+def build_scale_space(
+    level: NDArray[Any],
+    thresholds_px: Sequence[int],
+    *,
+    connectivity: int = 8,
+    merge_small: bool = False,
+    keep_ground: bool = False,
+) -> ScaleSpace:
     """Filter an image by AOC with rising thresholds, each scale fed by the one before.
 
     Parameters
@@ -61,6 +70,12 @@ def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, conn
         s_1 < s_2 < ..., cells, each from 1.
     connectivity : int
         4 or 8: the same for openings and closings, and to be used for the flat zones too.
+    merge_small : bool
+        Merge on every scale the zones of fewer than s cells with a neighbour (`merge_small_zones`), so that each zone
+        above 0 has s cells or more (V7).
+    keep_ground : bool
+        Cells that are 0 on the finest scale stay 0 on all others: courtyards stay open. Islands of fewer than s cells,
+        which a closing can join to what is around their yard, are 0 as well.
 
     Returns
     -------
@@ -76,7 +91,8 @@ def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, conn
 
     Notes
     -----
-    SP_i = φ_i(γ_i(SP_{i-1})) with SP_0 = M (Eq. 6): objects of at least s_i cells remain on scale i (V7).
+    SP_i = φ_i(γ_i(SP_{i-1})) with SP_0 = M (Eq. 6): peaks and pits of at least s_i cells remain on scale i. Zones on
+    the way from a pit to a peak may be smaller; without ``merge_small`` they stay.
 
     With one connectivity for all, flat zones only merge as s rises: each flat zone of a scale lies in one flat zone
     of the next. So a father is unique, and any one cell of the child shows it (V10, V11).
@@ -100,10 +116,24 @@ def build_scale_space(level: NDArray[Any], thresholds_px: Sequence[int], *, conn
         msg = f"The area thresholds must be one or more ascending numbers of cells; got {thresholds}."
         raise ParameterError(msg)
     levels = np.empty((len(thresholds), *level.shape), dtype=level.dtype)
-    current = level
+    current, island = level, np.zeros(0, dtype=np.int64)
     for index, threshold in enumerate(thresholds):
-        current = levels[index] = area_open_close(current, threshold, connectivity=connectivity)
+        current = area_open_close(current, threshold, connectivity=connectivity)
+        if keep_ground and index:
+            current[island < threshold] = 0
+        if merge_small:
+            current = merge_small_zones(current, threshold, connectivity=connectivity)
+        if keep_ground and not index:
+            island = _island_sizes(current, connectivity)
+        levels[index] = current
     return ScaleSpace(levels, tuple(int(threshold) for threshold in thresholds))
+
+
+def _island_sizes(level: NDArray[Any], connectivity: int) -> NDArray[np.int64]:
+    """Return for each cell above 0 the number of cells of its island; 0 elsewhere."""
+    islands, count = label_zones(level > 0, connectivity=connectivity)
+    of_island: NDArray[np.int64] = np.concatenate([[0], sizes(islands, count)])[islands]
+    return of_island
 
 
 def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:

@@ -25,8 +25,9 @@ class ScaleParams:
         "Cut every cluster of every scale to the cells that are above ground on the finest scale.",
         ours="closing at coarse scales covers courtyards that the finest scale shows as ground")
     merge_slivers: bool = param(True, "-",
-        "Give flat zones smaller than the finest scale to their larger neighbours before clusters are formed.",
-        ours="an opening leaves the narrow zones between ground and roof; V7 wants objects of at least s")
+        "On every scale, merge zones below its s with the neighbour of the nearest value; no part is smaller.",
+        paper="V7: objects of at least s",
+        ours="an opening leaves the narrow zones between ground and roof; the way of merging")
     fake_father_ratio: float = param(0.4, "1", "A father whose StdDis over sqrt(area/pi) exceeds this is fake.",
         ours="V46 gives no threshold; by A7: a row of 3 to 5 squares gives 0.44 to 0.59, a disc 0.24", low=0, high=10)
     fake_father_m: float = param(0.0, "m",

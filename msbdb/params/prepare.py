@@ -34,6 +34,12 @@ class SurfaceParams:
         choices=("p90", "zone"))
     step_m: float = param(1.0, "m", "Height of a slice where slicing is 'step'.", ours="V19 gives no step",
         low=0.05, high=50)
+    level_m: float = param(0.5, "m",
+        "Up to this step, neighbouring cells of one level are not cut by a slice; 0 slices each cell by itself.",
+        ours="V18 gives no rounding; ten times a scanner's noise, less than a step between two roofs", low=0, high=10)
+    level_slope: float = param(0.1, "m/m", "A level may span several slices where it rises by no more than this.",
+        ours="flat roofs, and the slope of the ground under a level hall; pitched roofs rise by 0.3 and more",
+        low=0, high=1)
 
 
 @dataclass(frozen=True, slots=True)

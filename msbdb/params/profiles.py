@@ -89,7 +89,6 @@ VU: dict[str, dict[str, Any]] = {
     "scale": {
         "scales_m2": (50.0, 100.0, 200.0, 500.0, 1000.0),
         "keep_courtyards": False,
-        "merge_slivers": False,
         "fake_father_coverage": 0.0,
     },
     "spectral": {"decides": "spectral", "split_share": 0.4},

@@ -149,11 +149,11 @@ def tally(
 
     Parameters
     ----------
-    labels : (H, W) ndarray of int32
+    labels : (H, W) or (C,) ndarray of int32
         Objects; 0 for none.
     position : (N + 1,) ndarray of int64
         Row of ``counts`` for each label; -1 for those that do not count.
-    index : (H, W) ndarray of int
+    index : (H, W) or (C,) ndarray of int
         Class of each cell, from 0.
     counts : (M, K + 1) ndarray of int64
         Changed in place.

@@ -8,15 +8,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.grid import Grid
-from msbdb.labels import Labels, chosen_cells, label_zones, measure, sizes
+from msbdb.labels import Labels, label_zones, measure
 from msbdb.ledger import Ledger
-from msbdb.params import SurfaceParams
-from msbdb.parts.adjacency import grow
 from msbdb.tables import Reason
-
-MAX_SLICE = 2**16 - 1
-"""Slices are counted in 16 bits; higher ones are cut off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +28,7 @@ class Clusters:
         - ``first``: flat index of the first cell in row order; ``area``: cells;
         - ``row_sum``, ``col_sum``: sums of its cells' rows and columns, from which the centroid follows;
         - ``origin``, ``piece``: ``first`` when it was made, and how many cuts lie between it and its flat zone;
+        - ``made``: the scale on which it was made, which its id names;
         - ``alive``: False once a stage has dropped it. Its cells keep their label.
     """
 
@@ -136,52 +131,6 @@ class ClusterLedger(Ledger):
         return step.clusters
 
 
-def slice_heights(ndsm: Grid, surface: SurfaceParams) -> NDArray[np.uint16]:
-    """Slice an nDSM into storeys, or into steps of ``surface.step_m`` when ``surface.slicing`` is 'step'.
-
-    Parameters
-    ----------
-    ndsm : Grid
-        Heights above ground, metres.
-    surface : SurfaceParams
-        The mask, the way of slicing, and the height of a storey or step.
-
-    Returns
-    -------
-    (H, W) ndarray of uint16
-        H = 1 + floor((h - mask) / height) where h is valid and at least the mask (V17, V18, A8); otherwise 0.
-
-    Notes
-    -----
-    The paper slices by "an elevation slicing with the height of a story" without a rule for rounding; floor(h / 3)
-    would take houses of 2 to 3 m for ground. Nodata: cells that are not valid are background.
-    """
-    height = surface.storey_m if surface.slicing == "storey" else surface.step_m
-    heights = np.asarray(ndsm.values, dtype=np.float32)
-    above = ndsm.valid & (heights >= surface.mask_m)
-    slices = np.zeros(ndsm.spec.shape, dtype=np.uint16)
-    slices[above] = _slice(heights[above], surface.mask_m, height)
-    return slices
-
-
-def storeys(heights: NDArray[np.floating], surface: SurfaceParams) -> NDArray[np.int64]:
-    """Return the storeys H = 1 + floor((h - mask) / storey) of building heights in metres, at least 1 (V18).
-
-    Examples
-    --------
-    >>> storeys(np.array([2.0, 4.9, 5.0, 9.0]), SurfaceParams())
-    array([1, 1, 2, 3])
-    """
-    return _slice(heights, surface.mask_m, surface.storey_m)
-
-
-def _slice(heights: NDArray[np.floating], mask_m: float, height_m: float) -> NDArray[np.int64]:
-    """Count the slices from the mask up; float64, so that a height on a border falls into the upper slice."""
-    count = 1 + np.floor((heights.astype(np.float64) - mask_m) / height_m)
-    slices: NDArray[np.int64] = np.clip(count, 1, MAX_SLICE).astype(np.int64)
-    return slices
-
-
 def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int, houses: Labels | None = None) -> Clusters:
     """Give every flat zone above 0 of every scale its row and attributes.
 
@@ -211,35 +160,4 @@ def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int, houses:
         tables.append(table)
         offset += count
     rows = pd.concat(tables, ignore_index=True)
-    return Clusters(tuple(images), rows.assign(origin=rows["first"], piece=0, alive=True))
-
-
-def merge_slivers(level: NDArray[Any], smallest_px: int, *, connectivity: int) -> NDArray[Any]:
-    """Give the flat zones that are too small the value of the nearest zone that is large enough.
-
-    Parameters
-    ----------
-    level : (H, W) ndarray of int
-        The finest level of the scale-space; 0 is background and neither grows nor shrinks.
-    smallest_px : int
-        Zones with fewer cells are slivers.
-    connectivity : int
-        4 or 8.
-
-    Returns
-    -------
-    (H, W) ndarray
-        Of the same dtype. A sliver without a larger neighbour on its island stays.
-
-    Notes
-    -----
-    Ours. Opening and closing remove small extrema, but not the narrow zones between them, such as mixed cells along a
-    high wall. As parts these would be buildings of a few cells. Zones only merge, so V11 still holds.
-    """
-    labels, count = label_zones(level, connectivity=connectivity)
-    small = sizes(labels, count) < smallest_px
-    if not small.any():
-        return level
-    seeds = np.where(chosen_cells(labels, small), 0, level).astype(np.int32)
-    grown = grow(seeds, (level > 0).astype(np.uint8), connectivity)
-    return np.where(grown > 0, grown, level).astype(level.dtype)
+    return Clusters(tuple(images), rows.assign(origin=rows["first"], piece=0, made=rows["level"], alive=True))

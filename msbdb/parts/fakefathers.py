@@ -1,7 +1,7 @@
 """Fake fathers: roots that only join neighbouring buildings, with children dispersed in them (V46)."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from msbdb.labels import EIGHT, boxes, label_zones, measure, offsets, sizes
 from msbdb.params import ScaleParams
+from msbdb.parts.adjacency import grow
 from msbdb.parts.clusters import Clusters, Step
 from msbdb.parts.links import NONE, link
 from msbdb.parts.reshaping import as_rows, joined
@@ -47,7 +48,8 @@ def drop_fake_fathers(
         The children do not change. The cells that only the father held fall into connected areas. Areas of at least
         ``smallest_px`` that are mostly wider than two cells become roots on the father's scale, with ids of their own:
         houses of the row that were dropped as duplicates of it. The others are gaps and go to the ledger. Where the
-        cells are supported, areas of that size are roots whatever their width: no gap, but edges of roofs.
+        cells are supported there are no gaps, but edges of roofs: areas of that size are roots whatever their width,
+        and the cells of smaller ones go to the nearest child or root.
 
     Notes
     -----
@@ -63,7 +65,9 @@ def drop_fake_fathers(
         father = np.where(np.isin(father, found), NONE, father)
     logger.debug("%d fake fathers", len(fake))
     rows = np.sort(np.array(fake, dtype=np.int64))
-    remainders = _keep_remainders(clusters, rows, link(before), _large if supported else _wide, smallest_px)
+    remainders = _keep_remainders(
+        clusters, rows, link(before), smallest_px=smallest_px, connectivity=scale.connectivity, supported=supported
+    )
     dropped = pd.concat([before.rows.iloc[rows].assign(reason=FAKE), remainders.dropped])
     return replace(remainders, dropped=dropped)
 
@@ -138,8 +142,10 @@ def _keep_remainders(
     clusters: Clusters,
     fake: NDArray[np.int64],
     father: NDArray[np.int64],
-    is_kept: Callable[[NDArray[np.int32], int, int], NDArray[np.bool_]],
+    *,
     smallest_px: int,
+    connectivity: int,
+    supported: bool,
 ) -> Step:
     """Make roots of what fake fathers hold beside their children, where it is large, or large and wide."""
     steps = []
@@ -148,12 +154,14 @@ def _keep_remainders(
         here = fake[clusters.rows["level"].to_numpy()[fake] == level]
         labels = clusters.labels[level]
         zones = np.zeros(labels.shape, dtype=np.int32)
+        seeds = np.zeros(labels.shape, dtype=np.int32)
         kept: list[NDArray[np.bool_]] = []
         count = 0
-        for window, remainder in _remainders(clusters, level, here, father):
+        for window, remainder, held in _remainders(clusters, level, here, father):
             pieces, found = label_zones(remainder)
             zones[window] += np.where(pieces > 0, pieces + count, 0).astype(np.int32)
-            kept.append(is_kept(pieces, found, smallest_px))
+            seeds[window] += held
+            kept.append((_large if supported else _wide)(pieces, found, smallest_px))
             count += found
         keep = np.concatenate([np.zeros(0, dtype=np.bool_), *kept])
         table = measure(zones, count)
@@ -163,24 +171,56 @@ def _keep_remainders(
         image = np.where(target[zones] > 0, target[zones], labels)
         images = (*clusters.labels[:level], image, *clusters.labels[level + 1 :])
         clusters = Clusters(images, pd.concat([clusters.rows, rows[keep]], ignore_index=True))
-        steps.append(Step(clusters, rows[~keep].assign(reason=GAP), count))
+        given = np.zeros(count, dtype=np.bool_)
+        if supported:
+            seeds = np.where(target[zones] > 0, target[zones], seeds)
+            domain = np.where(clusters.flags(here)[labels], labels, np.int32(0))
+            grown = np.where((zones > 0) & (seeds == 0), grow(seeds, domain, connectivity), np.int32(0))
+            clusters = _with_cells(clusters, grown)
+            given = ~keep & (sizes(zones[grown > 0], count) == sizes(zones, count))
+        steps.append(Step(clusters, rows[~keep & ~given].assign(reason=GAP), count - int(given.sum())))
     return joined(clusters, steps)
+
+
+def _with_cells(clusters: Clusters, gained: NDArray[np.int32]) -> Clusters:
+    """Return the clusters with further cells, of which no other living cluster of their scale has any."""
+    cells = np.flatnonzero(gained)
+    row = gained.ravel()[cells] - 1
+    images = list(clusters.labels)
+    level = clusters.rows["level"].to_numpy()[row]
+    for scale in np.unique(level).tolist():
+        image = images[scale].copy()
+        image.ravel()[cells[level == scale]] = row[level == scale] + 1
+        images[scale] = image
+    count = len(clusters.rows)
+    at_row, at_col = np.divmod(cells, gained.shape[1])
+    first = clusters.rows["first"].to_numpy().copy()
+    np.minimum.at(first, row, cells)
+    more = {"area": np.ones(cells.size), "row_sum": at_row, "col_sum": at_col}
+    # The sums are whole numbers below 2**53, hence exact in the float64 of bincount.
+    grown = {
+        name: clusters.rows[name].to_numpy() + np.bincount(row, values, count).astype(np.int64)
+        for name, values in more.items()
+    }
+    return Clusters(tuple(images), clusters.rows.assign(first=first, **grown))
 
 
 def _remainders(
     clusters: Clusters, level: int, fake: NDArray[np.int64], father: NDArray[np.int64]
-) -> Iterator[tuple[tuple[slice, slice], NDArray[np.bool_]]]:
-    """Yield for each fake father of a scale its window, and in it the cells that none of its children has."""
+) -> Iterator[tuple[tuple[slice, slice], NDArray[np.bool_], NDArray[np.int32]]]:
+    """Yield for each fake father of a scale its window, the cells there of no child, and the children's labels."""
     windows = boxes(clusters.labels[level])
     levels = clusters.rows["level"].to_numpy()
     for row in fake.tolist():
         window = windows[row + 1]
         remainder = clusters.labels[level][window] == row + 1
+        held = np.zeros(remainder.shape, dtype=np.int32)
         children = np.flatnonzero(father == row)
         for finer in np.unique(levels[children]).tolist():
             own = children[levels[children] == finer]
-            remainder &= ~np.isin(clusters.labels[finer][window], own + 1)
-        yield window, remainder
+            inside = np.isin(clusters.labels[finer][window], own + 1)
+            held[inside] = clusters.labels[finer][window][inside]
+        yield window, remainder & (held == 0), held
 
 
 def _wide(pieces: NDArray[np.int32], count: int, smallest_px: int) -> NDArray[np.bool_]:

@@ -11,10 +11,11 @@ from msbdb.identity import part_ids
 from msbdb.labels import Labels, central_cells, centroids, height_statistics, label_zones, order_heights, reorder
 from msbdb.landcover import ClassMap
 from msbdb.params import SurfaceParams
-from msbdb.parts.clusters import ClusterLedger, Clusters, storeys
+from msbdb.parts.clusters import ClusterLedger, Clusters
 from msbdb.parts.fakefathers import spread_of_children
 from msbdb.parts.links import NONE, find_roots, link
-from msbdb.parts.spectrum import measure_spectrum
+from msbdb.parts.slices import storeys
+from msbdb.parts.spectrum import measure_spectrum, spectral_modes
 from msbdb.tables import PART, REJECTION, validate_parts
 
 
@@ -61,6 +62,7 @@ class Context:
 
     ndsm: Grid
     classes: ClassMap | None
+    colours: ClassMap | None
     scales: pd.DataFrame
     survey: str
     surface: SurfaceParams
@@ -76,7 +78,7 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     clusters : Clusters
         The clusters after the last stage.
     context : Context
-        Heights, classes (without them SPE is 0 and the building share null), scales, survey and storeys.
+        Heights, classes (without them the building share is null), colours (SPE 0), scales, survey and storeys.
     ledger : ClusterLedger
         The ledger of the stages.
 
@@ -90,7 +92,7 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     ids = _identify(pd.concat([rows, lost], ignore_index=True), context)
     father = link(clusters)
     has_father = father != NONE
-    scale = _scale_of(rows, context)
+    scale = _scale_of(rows["level"], context)
     roots = find_roots(father)
     parts = pd.DataFrame(
         {
@@ -158,16 +160,16 @@ def _largest_roots(
     return largest
 
 
-def _scale_of(rows: pd.DataFrame, context: Context) -> NDArray[np.int64]:
-    """Return SCALE, 1 = coarsest, of rows; 0 where their level is -1."""
-    level = rows["level"].to_numpy().astype(np.int64)
+def _scale_of(levels: pd.Series, context: Context) -> NDArray[np.int64]:
+    """Return SCALE, 1 = coarsest, of levels; 0 where they are -1."""
+    level = levels.to_numpy().astype(np.int64)
     return np.where(level < 0, 0, len(context.scales) - level)
 
 
 def _identify(rows: pd.DataFrame, context: Context) -> NDArray[np.int64]:
     """Return the ids of clusters and lost regions."""
     spec = context.ndsm.spec
-    threshold = np.concatenate([[0], context.scales["threshold_px"].to_numpy()])[_scale_of(rows, context)]
+    threshold = np.concatenate([[0], context.scales["threshold_px"].to_numpy()])[_scale_of(rows["made"], context)]
     row, col = np.divmod(rows["origin"].to_numpy().astype(np.int64), spec.shape[1])
     row, col = row + spec.origin[0], col + spec.origin[1]
     return part_ids(context.survey, spec.cell_m, threshold_px=threshold, row=row, col=col, piece=rows["piece"])
@@ -214,10 +216,13 @@ def _spectra(clusters: Clusters, context: Context) -> dict[str, NDArray[np.gener
     """Return SPE and the building share of every cluster; 0 and null without classes."""
     speindex = np.zeros(len(clusters.rows), dtype=np.int64)
     share = np.full(len(clusters.rows), np.nan)
-    if context.classes is not None:
-        for level in range(len(clusters.labels)):
+    for level in range(len(clusters.labels)):
+        if context.classes is not None:
             spectrum = measure_spectrum(clusters, level, context.classes)
-            speindex[spectrum.rows], share[spectrum.rows] = spectrum.mode, spectrum.share
+            share[spectrum.rows] = spectrum.share
+        if context.colours is not None:
+            rows, modes = spectral_modes(clusters, level, context.colours)
+            speindex[rows] = modes
     return {"speindex": speindex, "building_share": share}
 
 
@@ -231,7 +236,7 @@ def _rejections(lost: pd.DataFrame, ids: NDArray[np.int64], context: Context) ->
             "method": lost["method"],
             "stage": lost["stage"],
             "reason": lost["reason"],
-            "scale": _scale_of(lost, context),
+            "scale": _scale_of(lost["level"], context),
             "area_m2": lost["area"] * spec.cell_area_m2,
             "xcen": xcen,
             "ycen": ycen,

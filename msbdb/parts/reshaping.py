@@ -1,11 +1,13 @@
 """Reshaping: clusters are cut into pieces, and lose the vegetation that reaches into them (V37 to V39)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import sparse
 
-from msbdb.labels import Labels, label_zones, measure
+from msbdb.labels import Labels, label_zones, measure, renumber
 from msbdb.parts.adjacency import edges, reaching_in
 from msbdb.parts.clusters import Clusters, Step
 
@@ -14,7 +16,14 @@ MEASURED = ["first", "area", "row_sum", "col_sum"]
 VEGETATION = "vegetation"
 
 
-def cut_vegetation(clusters: Clusters, vegetation: NDArray[np.bool_], *, smallest_px: int, connectivity: int) -> Step:
+def cut_vegetation(
+    clusters: Clusters,
+    vegetation: NDArray[np.bool_],
+    *,
+    smallest_px: int,
+    connectivity: int,
+    kept: Sequence[int] | NDArray[np.integer] = (),
+) -> Step:
     """Take the vegetation that reaches in from outside away from every cluster.
 
     Parameters
@@ -27,6 +36,8 @@ def cut_vegetation(clusters: Clusters, vegetation: NDArray[np.bool_], *, smalles
         s of the finest scale, cells: smaller pieces are dropped (V38).
     connectivity : int
         4 or 8, as for the scale-space.
+    kept : sequence of int
+        Row numbers of clusters, such as roots, that keep all of their cells. Nothing beside them may hold them.
 
     Returns
     -------
@@ -43,13 +54,13 @@ def cut_vegetation(clusters: Clusters, vegetation: NDArray[np.bool_], *, smalles
     Scales go from coarse to fine. The cells cut from a father are cut from all clusters in it as well, so that children
     stay inside of their fathers.
     """
-    if not vegetation.any():
+    cells, starts = _blobs(vegetation, connectivity, over=_covered(clusters))
+    if not cells.size:
         return joined(clusters, [])
-    cells, starts = _blobs(vegetation, connectivity)
     gone = np.zeros(vegetation.shape, dtype=np.bool_)
     steps = []
     for level in reversed(range(len(clusters.labels))):
-        living = clusters.at(level)
+        living = np.setdiff1d(clusters.at(level), kept)
         objects = np.where(clusters.flags(living)[clusters.labels[level]], clusters.labels[level], np.int32(0))
         gone |= reaching_in(objects, edges(objects), cells, starts, len(clusters.rows))
         touched = _labels_in(objects, gone, len(clusters.rows))
@@ -63,9 +74,24 @@ def cut_vegetation(clusters: Clusters, vegetation: NDArray[np.bool_], *, smalles
     return joined(clusters, steps)
 
 
-def _blobs(vegetation: NDArray[np.bool_], connectivity: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """List the cells of the blobs, blob by blob, and where each blob's cells start."""
+def _covered(clusters: Clusters) -> NDArray[np.bool_]:
+    """Return the cells of living clusters of any scale."""
+    covered = np.zeros(clusters.labels[0].shape, dtype=np.bool_)
+    for level, labels in enumerate(clusters.labels):
+        covered |= clusters.flags(clusters.at(level))[labels]
+    return covered
+
+
+def _blobs(
+    vegetation: NDArray[np.bool_], connectivity: int, *, over: NDArray[np.bool_]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """List the cells of the blobs that lie over some cells, blob by blob, and where each blob's cells start."""
+    if not (vegetation & over).any():
+        return np.zeros(0, dtype=np.int32), np.zeros(1, dtype=np.int32)
     labels, count = label_zones(vegetation, connectivity=connectivity)
+    meets = np.zeros(count + 1, dtype=np.bool_)
+    meets[labels[over]] = True
+    labels, count = renumber(labels, meets[1:])
     cells = np.flatnonzero(labels).astype(np.int32)
     member = labels.ravel()[cells] - 1
     # Turning a sparse matrix from rows to columns is a counting sort.

@@ -1,5 +1,6 @@
 """Spectral classes of clusters: splitting by two dominant ones, removal without any, and SPE (V40 to V45)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,11 +34,6 @@ class Spectrum:
     counts: NDArray[np.int64]
     share: NDArray[np.float64]
 
-    @property
-    def mode(self) -> NDArray[np.int64]:
-        """(M,) SPE: the most frequent building class (V42), of equal ones the lowest; 0 for none."""
-        return np.where(self.counts.any(axis=1), self.counts.argmax(axis=1), 0)
-
     def dominant(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
         """Return the most frequent and the second building class, and the second's share of all building cells."""
         order = np.argsort(-self.counts, axis=1, kind="stable")[:, :2]
@@ -48,20 +44,44 @@ class Spectrum:
 
 def measure_spectrum(clusters: Clusters, level: int, classes: ClassMap) -> Spectrum:
     """Count the building classes' cells in the living clusters of one scale. Linear in the cells."""
-    rows = clusters.at(level)
-    position = np.full(len(clusters.rows) + 1, -1, dtype=np.int64)
-    position[rows + 1] = np.arange(len(rows))
-    width = max(classes.labels, default=1) + 1
-    counts = np.zeros((len(rows), width), dtype=np.int64)
-    tally(clusters.labels[level], position, classes.index, counts)
-    building = np.zeros(width, dtype=np.bool_)
+    rows, counts = _count_classes(clusters, level, classes)
+    building = np.zeros(counts.shape[1], dtype=np.bool_)
     building[[index for index, label in classes.labels.items() if label == "building"]] = True
     counts = np.where(building, counts, 0)
     area = clusters.rows["area"].to_numpy()[rows]
     return Spectrum(rows, counts, counts.sum(axis=1) / np.maximum(area, 1))
 
 
-def drop_unlike(clusters: Clusters, classes: ClassMap, min_share: float) -> Step:
+def spectral_modes(clusters: Clusters, level: int, colours: ClassMap) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return the living clusters of a scale and their SPE: the most frequent building class inside (V42).
+
+    Where there is none, as on a roof garden, it is the most frequent class of all; of equal ones the lowest; 0 where no
+    cell has a class.
+    """
+    rows, counts = _count_classes(clusters, level, colours)
+    counts[:, 0] = 0
+    building = [index for index, label in colours.labels.items() if label == "building"]
+    own = np.zeros_like(counts)
+    own[:, building] = counts[:, building]
+    counts = np.where(own.any(axis=1, keepdims=True), own, counts)
+    return rows, np.where(counts.any(axis=1), counts.argmax(axis=1), 0)
+
+
+def _count_classes(clusters: Clusters, level: int, classes: ClassMap) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return the living clusters of a scale, and in columns by class how many cells of each they have."""
+    rows = clusters.at(level)
+    position = np.full(len(clusters.rows) + 1, -1, dtype=np.int64)
+    position[rows + 1] = np.arange(len(rows))
+    counts = np.zeros((len(rows), max(classes.labels, default=1) + 1), dtype=np.int64)
+    # Most cells belong to no cluster; only the others are looked at.
+    cells = np.flatnonzero(clusters.labels[level])
+    tally(clusters.labels[level].ravel()[cells], position, classes.index.ravel()[cells], counts)
+    return rows, counts
+
+
+def drop_unlike(
+    clusters: Clusters, classes: ClassMap, min_share: float, *, kept: Sequence[int] | NDArray[np.integer] = ()
+) -> Step:
     """Drop the clusters that hold too little of the building classes (V41, V43).
 
     Parameters
@@ -72,13 +92,18 @@ def drop_unlike(clusters: Clusters, classes: ClassMap, min_share: float) -> Step
         Classes on the same lattice.
     min_share : float
         Share of building cells below which a cluster is dropped; one without any is dropped at 0, too.
+    kept : sequence of int
+        Row numbers of clusters that stay whatever their share.
 
     Notes
     -----
     Each cluster is judged by itself. Children of a dropped father are linked to its father, or become roots (V45).
     """
-    found = [measure_spectrum(clusters, level, classes) for level in range(len(clusters.labels))]
-    low = np.concatenate([s.rows[(s.share < min_share) | (s.share == 0)] for s in found])
+    judged = np.setdiff1d(np.flatnonzero(clusters.alive), kept)
+    levels = np.unique(clusters.rows["level"].to_numpy()[judged]).tolist()
+    found = [measure_spectrum(clusters, level, classes) for level in levels]
+    low = np.concatenate([judged[:0], *(s.rows[(s.share < min_share) | (s.share == 0)] for s in found)])
+    low = np.intersect1d(low, judged)
     return Step(clusters.without(low), clusters.rows.iloc[low].assign(reason=TOO_FEW))
 
 

@@ -14,11 +14,13 @@ from msbdb.labels import Labels, chosen_cells, colour_touching, label_zones, mea
 from msbdb.landcover import ClassMap
 from msbdb.morphology.scalespace import build_scale_space, find_scales
 from msbdb.params import Params, ScaleParams, with_values
-from msbdb.parts.clusters import ClusterLedger, Clusters, Step, label_clusters, merge_slivers, slice_heights
+from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters
 from msbdb.parts.fakefathers import drop_fake_fathers
 from msbdb.parts.forest import Context, Forest, grow_forest
-from msbdb.parts.links import drop_duplicates
-from msbdb.parts.reshaping import cut_vegetation
+from msbdb.parts.links import NONE, drop_duplicates, link
+from msbdb.parts.reshaping import cut_vegetation, joined
+from msbdb.parts.settling import settle
+from msbdb.parts.slices import slice_heights
 from msbdb.parts.spectrum import drop_unlike, split_by_classes
 from msbdb.tables import SCALE, Reason
 
@@ -27,6 +29,7 @@ logger = logging.getLogger(__name__)
 TOO_SMALL = "smaller than the finest scale"
 VEGETATION = "vegetation by its structure"
 UNSUPPORTED = "vegetation, or supported by too few detectors"
+NO_ROWS = np.zeros(0, dtype=np.intp)
 
 
 def extract_parts(
@@ -36,6 +39,8 @@ def extract_parts(
     survey: str,
     params: Params,
     houses: Labels | None = None,
+    colours: ClassMap | None = None,
+    crowns: NDArray[np.bool_] | None = None,
 ) -> Forest:
     """Grow the forest of building parts from heights above ground and land-cover classes.
 
@@ -52,7 +57,13 @@ def extract_parts(
     houses : (H, W) ndarray of int32, optional
         The house of each cell that several detectors take for building, 0 for none. Those of them below the mask, where
         an echo beside the wall hit the ground, belong to the highest slice beside them; all others have no such
-        exception (V17). Parts grow in each house as if it stood alone, and no part reaches into another house.
+        exception (V17). Parts grow in each house as if it stood alone, and no part reaches into another house. Roots
+        keep these cells, whatever the crowns.
+    colours : ClassMap, optional
+        Classes by colour, which alone give SPE (V42); without them ``classes`` give it.
+    crowns : (H, W) ndarray of bool, optional
+        Cells that are vegetation by colour and by roughness, though ``classes`` have a roof there: crowns that hang
+        over it. They count as vegetation when clusters are reshaped and removed (V37, V41).
 
     Returns
     -------
@@ -78,11 +89,12 @@ def extract_parts(
         raise GridMismatchError(msg)
     ledger = ClusterLedger("multiscale")
     params = choose_scales(ndsm, classes, params)
-    sliced = slice_heights(ndsm, params.surface)
-    ledger.begin(sliced > 0)
+    heights = ndsm
+    ledger.begin(ndsm.valid & (np.asarray(ndsm.values) >= params.surface.mask_m))
     if classes is not None and params.spectral.decides == "structure":
         reason = VEGETATION if houses is None else UNSUPPORTED
-        sliced = _mask_vegetation(sliced, classes.labelled("vegetation"), params.scale, ledger, reason=reason)
+        heights = _without_vegetation(ndsm, classes.labelled("vegetation"), params, ledger, reason=reason)
+    sliced = slice_heights(heights, params.surface, connectivity=params.scale.connectivity)
     if houses is not None:
         sliced = np.where((houses > 0) & (sliced == 0), maximum_filter(sliced, 3, mode="nearest"), sliced)
     scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
@@ -91,14 +103,22 @@ def extract_parts(
     step = drop_duplicates(clusters, params.scale.duplicate_share)
     clusters = ledger.record("duplicates", clusters, step)
     if classes is not None:
-        clusters = _apply_classes(clusters, classes, thresholds[0], params, ledger)
+        kept = np.flatnonzero(clusters.alive & (link(clusters) == NONE)) if houses is not None else NO_ROWS
+        crowned = _with_crowns(classes, crowns)
+        clusters = _apply_classes(clusters, classes, crowned, params, ledger, smallest_px=thresholds[0], kept=kept)
+    if params.scale.merge_slivers:
+        clusters = ledger.record("duplicates by scale", clusters, settle(clusters, thresholds))
     step = drop_fake_fathers(
         clusters, params.scale, cell_m=ndsm.spec.cell_m, smallest_px=thresholds[0], supported=houses is not None
     )
     clusters = ledger.record("fake fathers", clusters, step, Reason.GAP)
-    forest = grow_forest(
-        clusters, Context(ndsm, classes, scales, survey, params.surface, params.scale.connectivity, houses), ledger
+    if params.scale.merge_slivers:
+        # Only what a fake father left beside its children moves; it holds no cluster that it could cover.
+        clusters = settle(clusters, thresholds).clusters
+    context = Context(
+        ndsm, classes, colours or classes, scales, survey, params.surface, params.scale.connectivity, houses
     )
+    forest = grow_forest(clusters, context, ledger)
     logger.info("Parts: %d, rejected regions: %d", len(forest.parts), len(forest.rejections))
     return forest
 
@@ -161,16 +181,14 @@ def form_clusters(
     scale : ScaleParams
         Connectivity, and what is done about slivers and courtyards.
     ledger : ClusterLedger
-        Gets the islands that the finest opening removes, and fragments.
+        Gets the islands that the finest opening removes.
     houses : (H, W) ndarray of int32, optional
         The house of each cell; 0 for none. No cluster reaches from one house into another, or out of all houses.
 
     Notes
     -----
-    Slivers: see `merge_slivers`. Courtyards: a coarse closing fills each hole smaller than s, so that a yard becomes
-    roof; with ``keep_courtyards`` every scale is cut to the cells that are above ground on the finest. Clusters stay
-    nested, as all scales are cut alike. Fragments smaller than s of the finest scale, which this can leave, are
-    dropped where slivers are merged as well.
+    With ``merge_slivers`` every cluster has s cells or more of its own scale (V7). Courtyards: a coarse closing fills
+    each hole smaller than s, so that a yard becomes roof; with ``keep_courtyards`` the finest scale's ground stays.
 
     Houses: the scale-space is that of each house as if it stood alone. It is built of several houses at once that do
     not touch, by a colouring of the houses.
@@ -183,28 +201,20 @@ def form_clusters(
     else:
         levels = _build_levels_apart(sliced, thresholds, scale, colour_touching(houses))
     clusters = label_clusters(levels, connectivity=connectivity, houses=houses)
-    tiny = clusters.rows["area"].to_numpy() < thresholds[0]
-    small = np.flatnonzero(tiny & scale.merge_slivers)
-    return ledger.record(
-        "clusters",
-        clusters,
-        Step(clusters.without(small), clusters.rows.iloc[small].assign(reason=TOO_SMALL)),
-        Reason.SMALL_PART,
-    )
+    ledger.count("clusters", len(clusters.rows), len(clusters.rows), 0)
+    return clusters
 
 
 def _build_levels(sliced: NDArray[Any], thresholds: list[int], scale: ScaleParams) -> list[NDArray[Any]]:
-    """Return the scale-space of sliced heights, slivers merged and courtyards kept as `form_clusters` says."""
-    connectivity = scale.connectivity
-    finest = build_scale_space(sliced, thresholds[:1], connectivity=connectivity).levels[0]
-    if scale.merge_slivers:
-        finest = merge_slivers(finest, thresholds[0], connectivity=connectivity)
-    levels = [finest]
-    if len(thresholds) > 1:
-        levels.extend(build_scale_space(finest, thresholds[1:], connectivity=connectivity).levels)
-    if scale.keep_courtyards:
-        levels = [finest, *(np.where(finest > 0, level, 0) for level in levels[1:])]
-    return levels
+    """Return the scale-space of sliced heights, small zones merged and courtyards kept as `form_clusters` says."""
+    space = build_scale_space(
+        sliced,
+        thresholds,
+        connectivity=scale.connectivity,
+        merge_small=scale.merge_slivers,
+        keep_ground=scale.keep_courtyards,
+    )
+    return list(space.levels)
 
 
 def _build_levels_apart(
@@ -220,20 +230,21 @@ def _build_levels_apart(
     return levels
 
 
-def _mask_vegetation(
-    sliced: NDArray[Any], vegetation: NDArray[np.bool_], scale: ScaleParams, ledger: ClusterLedger, *, reason: str
-) -> NDArray[Any]:
+def _without_vegetation(
+    ndsm: Grid, vegetation: NDArray[np.bool_], params: Params, ledger: ClusterLedger, *, reason: str
+) -> Grid:
     """Remove vegetation with the ground, before the scale-space; each blob goes to the ledger, with the reason.
 
     The paper cuts vegetation out of clusters after the scale-space (V37), as its classes come from colours. Where they
     come from the structure, crowns need not flatten the roofs beside them first.
     """
-    blobs, count = label_zones((sliced > 0) & vegetation, connectivity=scale.connectivity)
+    above = ndsm.valid & (np.asarray(ndsm.values) >= params.surface.mask_m)
+    blobs, count = label_zones(above & vegetation, connectivity=params.scale.connectivity)
     lost = measure(blobs, count)
     ledger.write("vegetation mask", _without_scale(lost, reason))
     ledger.count("vegetation mask", count, 0, count)
     ledger.lose(vegetation, Reason.VEGETATION_BY_STRUCTURE)
-    return np.where(vegetation, 0, sliced).astype(sliced.dtype)
+    return Grid(ndsm.values, ndsm.valid & ~vegetation, ndsm.spec)
 
 
 def _record_islands(islands: NDArray[Any], smallest_px: int, connectivity: int, ledger: ClusterLedger) -> None:
@@ -248,16 +259,36 @@ def _record_islands(islands: NDArray[Any], smallest_px: int, connectivity: int, 
 
 def _without_scale(measured: pd.DataFrame, reason: str) -> pd.DataFrame:
     """Return measured regions, lost before there were scales, as rows of clusters."""
-    return measured.assign(level=-1, hzone=0, origin=measured["first"], piece=0, alive=False, reason=reason)
+    return measured.assign(level=-1, hzone=0, origin=measured["first"], piece=0, made=-1, alive=False, reason=reason)
+
+
+def _with_crowns(classes: ClassMap, crowns: NDArray[np.bool_] | None) -> ClassMap:
+    """Return the classes with one more of vegetation, in the cells of crowns."""
+    if crowns is None or not crowns.any():
+        return classes
+    number = max(classes.labels, default=0) + 1
+    index = np.where(crowns, number, classes.index).astype(np.uint8)
+    return ClassMap(index, {**classes.labels, number: "vegetation"}, classes.spec)
 
 
 def _apply_classes(
-    clusters: Clusters, classes: ClassMap, smallest_px: int, params: Params, ledger: ClusterLedger
+    clusters: Clusters,
+    classes: ClassMap,
+    crowned: ClassMap,
+    params: Params,
+    ledger: ClusterLedger,
+    *,
+    smallest_px: int,
+    kept: NDArray[np.intp],
 ) -> Clusters:
-    """Reshape, split and drop clusters by their classes (V37-V45), and drop the duplicates that this makes."""
+    """Reshape, split and drop clusters by their classes (V37-V45), and drop the duplicates that this makes.
+
+    The crowned classes have vegetation where crowns hang over roofs. The rows to keep are roots of cells that several
+    detectors support: crowns are taken from the parts in them, and not from the roots.
+    """
     scale, spectral = params.scale, params.spectral
     step = cut_vegetation(
-        clusters, classes.labelled("vegetation"), smallest_px=smallest_px, connectivity=scale.connectivity
+        clusters, crowned.labelled("vegetation"), smallest_px=smallest_px, connectivity=scale.connectivity, kept=kept
     )
     clusters = ledger.record("vegetation", clusters, step, Reason.VEGETATION_BY_COLOUR)
     step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
@@ -273,5 +304,8 @@ def _apply_classes(
     clusters = ledger.record("split", clusters, step, Reason.SMALL_PART)
     step = drop_duplicates(clusters, scale.duplicate_share, by_storeys=False)
     clusters = ledger.record("duplicates after split", clusters, step)
-    step = drop_unlike(clusters, classes, spectral.min_building_share)
-    return ledger.record("spectrum", clusters, step, Reason.UNLIKE_PART)
+    least = spectral.min_building_share
+    parts = drop_unlike(clusters, crowned, least, kept=kept)
+    others = np.setdiff1d(np.flatnonzero(clusters.alive), kept)
+    roots = drop_unlike(parts.clusters, classes, least, kept=others)
+    return ledger.record("spectrum", clusters, joined(roots.clusters, [parts, roots]), Reason.UNLIKE_PART)

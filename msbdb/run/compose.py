@@ -222,7 +222,15 @@ def decompose(
         return found.forest
     else:
         heights = Grid(heights.values, np.zeros_like(heights.valid), heights.spec)
-    return extract_parts(heights, cover.classes, survey=scene.survey.name, params=params, houses=houses)
+    return extract_parts(
+        heights,
+        cover.classes,
+        survey=scene.survey.name,
+        params=params,
+        houses=houses,
+        colours=cover.colours,
+        crowns=scene.crowns(params),
+    )
 
 
 def choose_detectors(names: Sequence[str], inputs: Inputs) -> tuple[str, ...]:

@@ -172,6 +172,19 @@ class Cover:
         labels = {**self.spectral.labels, count + 1: "building", count + 2: "vegetation", **self.operator}
         return ClassMap(index, labels, self.spectral.spec)
 
+    @property
+    def colours(self) -> ClassMap:
+        """The classes by colour alone, with the operator's labels; no cell has a class without imagery."""
+        if self.spectral is None:
+            return ClassMap(np.zeros(self.structure.spec.shape, dtype=np.uint8), {}, self.structure.spec)
+        operator = {number: label for number, label in self.operator.items() if number in self.spectral.labels}
+        return replace(self.spectral, labels={**self.spectral.labels, **operator})
+
+    def crowns(self, roughness_m: NDArray[np.floating], limit_m: float) -> NDArray[np.bool_]:
+        """Return the cells of vegetation by colour that are rougher than a limit, metres: crowns, not green roofs."""
+        found: NDArray[np.bool_] = self.colours.labelled("vegetation") & (roughness_m > limit_m)
+        return found
+
     def with_buildings(self, built: NDArray[np.bool_], heights: Grid, mask_m: float) -> "Cover":
         """Return the cover with other roofs by structure: those that several detectors support together.
 

@@ -77,7 +77,7 @@ def test_every_peak_and_pit_has_at_least_s_cells(image, thresholds, connectivity
 def test_a_zone_between_pit_and_peak_may_have_fewer_cells():
     """A stair of one cell leads up to a roof: opening and closing keep it on every scale.
 
-    The extraction merges such zones where they are smaller than the finest s (`merge_slivers`), and on no other scale.
+    With ``merge_small`` they join a neighbour on every scale (`test_smallzones`).
     """
     image = np.zeros((6, 12), dtype=np.int16)
     image[1:5, 6:10] = 2

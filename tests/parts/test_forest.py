@@ -239,6 +239,72 @@ def test_edges_below_the_mask_are_raised_inside_the_built_cells():
     assert bare["area_px"].tolist() == [15 * 15]
 
 
+def crowned_house():
+    """Return a house of two storeys with a part of four on it, and a crown that reaches from outside over both."""
+    image, crowns = np.zeros((40, 40), dtype=int), np.zeros((40, 40), dtype=bool)
+    image[5:30, 5:30] = 2
+    image[8:20, 8:28] = 4
+    crowns[10:17, 22:34] = True
+    image[10:17, 30:34] = 4
+    return image, crowns
+
+
+@pytest.mark.parametrize(("supported", "root"), [(True, 625), (False, 625 - 7 * 8)])
+def test_a_crown_over_a_roof_is_cut_from_the_parts(supported, root):
+    """By colour and roughness it is no roof: the part loses it; so does the root, unless it is supported (V37)."""
+    image, crowns = crowned_house()
+    built = (image > 0) & (np.arange(40) < 30)
+    ndsm = heights_of(image)
+    classes = ClassMap(np.where(built, 2, image > 0).astype(np.uint8), {1: "vegetation", 2: "building"}, ndsm.spec)
+    params = params_of(20.0, 300.0, decides="structure")
+    options = {"survey": "test", "params": params, "built": built if supported else None}
+    parts = extract_parts(ndsm, classes, crowns=crowns, **options).parts
+    assert parts["area_px"].tolist() == [12 * 20 - 7 * 6, root]
+    assert extract_parts(ndsm, classes, **options).parts["area_px"].tolist() == [12 * 20, 625]
+
+
+def test_a_part_of_leaves_goes_and_its_roof_stays():
+    """Planting on most of a part meets none of its edges, so that V37 leaves it; by its classes it is no part (V41)."""
+    image = np.zeros((50, 50), dtype=int)
+    image[2:48, 2:48] = 2
+    image[5:41, 5:41] = 4
+    ndsm, crowns = heights_of(image), np.zeros((50, 50), dtype=bool)
+    crowns[7:39, 7:39] = True
+    classes = ClassMap(np.where(image > 0, 2, 0).astype(np.uint8), {1: "vegetation", 2: "building"}, ndsm.spec)
+    options = {"survey": "test", "params": params_of(20.0, 1500.0, decides="structure"), "built": image > 0}
+    with_crowns = extract_parts(ndsm, classes, crowns=crowns, **options)
+    assert with_crowns.parts["area_px"].tolist() == [46 * 46]
+    assert with_crowns.rejections["reason"].tolist() == ["too few cells of building classes"]
+    assert extract_parts(ndsm, classes, **options).parts["area_px"].tolist() == [36 * 36, 46 * 46]
+
+
+def test_colours_alone_give_spe():
+    """A roof of one colour has its class, whatever the cover calls it; without colours SPE is 0 (V42)."""
+    image = np.zeros((20, 20), dtype=int)
+    image[5:15, 5:15] = 2
+    ndsm = heights_of(image)
+    classes = ClassMap(np.where(image > 0, 16, 0).astype(np.uint8), {16: "building"}, ndsm.spec)
+    colours = ClassMap(np.full((20, 20), 3, dtype=np.uint8), {3: "building"}, ndsm.spec)
+    none = ClassMap(np.zeros((20, 20), dtype=np.uint8), {}, ndsm.spec)
+    for by_colour, spe in ((colours, 3), (none, 0)):
+        parts = extract_parts(ndsm, classes, survey="test", params=params_of(20.0), colours=by_colour).parts
+        assert parts["speindex"].tolist() == [spe]
+        assert parts["building_share"].tolist() == [1.0]
+
+
+def test_what_joins_a_row_of_houses_is_a_fake_father():
+    """Five houses with low strips between are one root on the coarse scale; it is fake, and they stay (V46)."""
+    image = np.zeros((14, 62), dtype=int)
+    image[2:12, 2:60] = 1
+    for house in range(5):
+        image[2:12, 2 + 12 * house : 12 + 12 * house] = 3
+    joined = extract(image, 20, 450, fake_father_min_children=1000)
+    assert joined.parts["area_px"].tolist() == [100] * 5 + [580]
+    forest = extract(image, 20, 450)
+    assert forest.parts[["area_px", "supid"]].to_numpy().tolist() == [[100, 0]] * 5
+    assert forest.rejections["reason"].tolist() == ["fake father", *["gap between the children of a fake father"] * 4]
+
+
 IMAGES = hnp.arrays(
     np.int64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=14), elements=st.integers(0, 4)
 )
@@ -287,7 +353,8 @@ def test_the_forest_holds_its_invariants(scene, chosen):
     assert stages[-1]["kept"] == len(forest.parts)
     assert forest.rejections["region_id"].is_unique
     if chosen["merge_slivers"]:
-        assert (forest.parts["area_px"] >= 4).all()
+        least = forest.scales.set_index("scale")["threshold_px"]
+        assert (forest.parts["area_px"] >= forest.parts["scale"].map(least)).all()
     if chosen["keep_courtyards"]:
         yards, _ = label_zones(image == 0, connectivity=chosen["connectivity"])
         large = np.bincount(yards.ravel())[yards] >= 4
@@ -380,7 +447,7 @@ def test_the_same_input_gives_the_same_forest():
 
 
 def test_the_papers_profile_runs():
-    """Slivers stay and courtyards fill, as in the paper."""
+    """Courtyards fill, as in the paper, and its scales are the five of its test."""
     base = profile("vu2009")
     forest = extract_parts(heights_of(np.kron(podium(), np.ones((2, 2), int))), None, survey="x", params=base)
     assert forest.scales["threshold_m2"].tolist() == [1000.0, 500.0, 200.0, 100.0, 50.0]

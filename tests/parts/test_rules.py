@@ -14,11 +14,13 @@ from msbdb.labels import central_cells, height_statistics, measure, order_height
 from msbdb.landcover import ClassMap
 from msbdb.params import ScaleParams, SurfaceParams
 from msbdb.parts.adjacency import grow
-from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters, merge_slivers, slice_heights, storeys
+from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters
 from msbdb.parts.fakefathers import FAKE, GAP, drop_fake_fathers, spread_of_children
 from msbdb.parts.links import SAME_AREA, SAME_STOREYS, drop_duplicates, find_roots, link
 from msbdb.parts.reshaping import FRAGMENT, cut, cut_vegetation
-from msbdb.parts.spectrum import drop_unlike, measure_spectrum, split_by_classes
+from msbdb.parts.settling import settle
+from msbdb.parts.slices import slice_heights, storeys
+from msbdb.parts.spectrum import drop_unlike, measure_spectrum, spectral_modes, split_by_classes
 from msbdb.parts.tree import number_scales
 
 UTM = CRS.from_epsg(32633)
@@ -61,13 +63,56 @@ class TestSlicing:
 
     def test_storeys_count_from_one_at_the_mask(self):
         """H = 1 + floor((h - 2) / 3) inside the mask, 0 below it."""
-        heights = grid([[0.0, 1.99, 2.0, 4.9, 5.0, 8.0, 30.5]])
+        heights = grid([[0.0, 1.99, 2.0, 4.4, 5.0, 8.0, 30.5]])
         assert slice_heights(heights, SurfaceParams()).tolist() == [[0, 0, 1, 1, 2, 3, 10]]
 
     def test_a_step_slices_finer(self):
         """With steps of 1 m each metre above the mask is a slice."""
-        heights = grid([[1.0, 2.0, 2.9, 3.0, 5.5]])
+        heights = grid([[1.0, 2.0, 2.9, 3.5, 5.5]])
         assert slice_heights(heights, SurfaceParams(slicing="step", step_m=1.0)).tolist() == [[0, 1, 1, 2, 4]]
+
+    def test_without_a_level_each_cell_has_its_own_slice(self):
+        """With level_m 0 the noise of a roof at 5 m cuts it."""
+        heights = grid([[4.99, 5.01, 4.99, 5.01]])
+        assert slice_heights(heights, SurfaceParams(level_m=0)).tolist() == [[1, 2, 1, 2]]
+        assert slice_heights(heights, SurfaceParams()).tolist() == [[1, 1, 1, 1]]
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_a_level_roof_is_whole_at_any_storey_height(self, seed):
+        """From 2.5 to 4 m by 0.05, at any height and with noise of 5 cm, between a tower, an annex and a ramp."""
+        random = np.random.default_rng(seed)
+        level = random.uniform(3.5, 25)
+        heights = np.full((34, 40), level)
+        heights[:10, :10] = level + 6
+        heights[24:, :10] = level - 1.5
+        heights[12:22, 20:] = level + 0.4 * np.arange(1, 21)
+        roof = heights == level
+        values = grid(heights + random.normal(scale=0.05, size=heights.shape))
+        for storey_m in np.arange(2.5, 4.0001, 0.05):
+            slices = slice_heights(values, SurfaceParams(storey_m=float(storey_m)))
+            found, counts = np.unique(slices[roof], return_counts=True)
+            assert counts.max() == roof.sum(), (storey_m, found)
+            own = int(storeys(np.array([np.median(values.values[roof])]), SurfaceParams(storey_m=float(storey_m)))[0])
+            assert abs(int(found[0]) - own) <= 1
+            assert (slices[:10, :10] > found[0]).all()
+
+    @pytest.mark.parametrize("noise_m", [0.01, 0.05])
+    def test_a_level_hall_on_sloping_ground_is_whole(self, noise_m):
+        """The ground under it falls by 5 m over 120 m, and its heights above ground rise; a step stays a step."""
+        heights = np.repeat(np.linspace(5, 10, 120)[None], 60, axis=0)
+        heights[40:, :50] += 1.5
+        heights += np.random.default_rng(1).normal(scale=noise_m, size=heights.shape)
+        for storey_m in np.arange(2.5, 4.0001, 0.05):
+            slices = slice_heights(grid(heights), SurfaceParams(storey_m=float(storey_m)))
+            for part in (slices[:38], slices[42:, :48]):
+                assert np.bincount(part.ravel()).max() > 0.99 * part.size
+
+    def test_a_long_slope_is_cut_where_it_leaves_a_storey(self):
+        """Cells that rise by 0.4 m over three storeys are no level zone, and keep their own slices."""
+        heights = grid([np.arange(2.2, 11, 0.4)])
+        by_cell = slice_heights(heights, SurfaceParams(level_m=0))
+        assert slice_heights(heights, SurfaceParams()).tolist() == by_cell.tolist()
+        assert by_cell.max() == 3
 
     def test_cells_without_validity_are_background(self):
         """An invalid cell is no part of a building, whatever its value."""
@@ -107,17 +152,6 @@ class TestClusters:
             row, col = np.nonzero(labels == label)
             expected = [row[0] * 9 + col[0], row.size, row.sum(), col.sum()]
             assert table.loc[label - 1].tolist() == expected
-
-    def test_slivers_join_their_larger_neighbours(self):
-        """A one-cell wall zone goes to the roof, and the ground stays ground."""
-        level = np.array([[0, 0, 0, 0, 0], [0, 1, 3, 3, 3], [0, 2, 3, 3, 3], [0, 1, 3, 3, 3]])
-        merged = merge_slivers(level, 4, connectivity=8)
-        assert merged.tolist() == [[0, 0, 0, 0, 0], [0, 3, 3, 3, 3], [0, 3, 3, 3, 3], [0, 3, 3, 3, 3]]
-
-    def test_an_island_without_a_large_zone_stays(self):
-        """Where there is nothing to join, nothing changes."""
-        level = np.array([[1, 2, 0, 5, 5, 5]])
-        assert merge_slivers(level, 3, connectivity=8).tolist() == level.tolist()
 
 
 class TestDuplicates:
@@ -258,6 +292,15 @@ class TestVegetation:
         assert living(step.clusters)["area"].tolist() == [80, 40]
         assert living(step.clusters)["piece"].tolist() == [0, 1]
 
+    def test_what_is_kept_keeps_all_cells_and_its_children_do_not(self):
+        """A crown over a roof takes its cells from the part, and leaves the root as the detectors decided it."""
+        father, child = block((16, 16), (2, 2, 12, 12, 1)), block((16, 16), (4, 4, 6, 6, 3))
+        clusters = label_clusters([child, father], connectivity=8)
+        tree = block((16, 16), (5, 8, 4, 8, 1)) > 0
+        after = cut_vegetation(clusters, tree, smallest_px=4, connectivity=8, kept=[1]).clusters
+        assert living(after)["area"].tolist() == [36 - 8, 144]
+        assert link(after).tolist() == [1, -1]
+
     def test_children_stay_inside_of_their_fathers(self):
         """What a father loses his children lose as well."""
         father = block((16, 16), (2, 2, 12, 12, 1))
@@ -276,15 +319,23 @@ class TestSpectrum:
     def test_the_mode_of_the_building_classes_is_spe(self):
         """Vegetation does not count, even if it is most frequent."""
         index = np.array([[1, 1, 1, 1, 2, 3, 3, 1, 1, 1]])
-        spectrum = measure_spectrum(label_clusters([np.ones((1, 10), int)], connectivity=8), 0, classes_of(index))
-        assert spectrum.mode.tolist() == [3]
-        assert spectrum.share.tolist() == [0.3]
+        clusters = label_clusters([np.ones((1, 10), int)], connectivity=8)
+        assert spectral_modes(clusters, 0, classes_of(index))[1].tolist() == [3]
+        assert measure_spectrum(clusters, 0, classes_of(index)).share.tolist() == [0.3]
+
+    def test_without_a_building_class_the_most_frequent_of_all_is_spe(self):
+        """A roof garden has the class of its plants, and a roof without any colour has none (V42)."""
+        clusters = label_clusters([np.array([[1, 1, 1, 0, 2, 2]])], connectivity=8)
+        index = ClassMap(
+            np.array([[1, 1, 2, 3, 0, 0]], np.uint8), {1: "vegetation", 2: "vegetation", 3: "building"}, spec_of((1, 6))
+        )
+        assert spectral_modes(clusters, 0, index)[1].tolist() == [1, 0]
 
     def test_equal_classes_give_the_lower_one(self):
         """Ties are broken by the index."""
         index = np.array([[3, 2, 3, 2]])
-        spectrum = measure_spectrum(label_clusters([np.ones((1, 4), int)], connectivity=8), 0, classes_of(index))
-        assert spectrum.mode.tolist() == [2]
+        clusters = label_clusters([np.ones((1, 4), int)], connectivity=8)
+        assert spectral_modes(clusters, 0, classes_of(index))[1].tolist() == [2]
 
     @pytest.mark.parametrize(("cells", "min_share", "kept"), [(3, 0.3, 1), (2, 0.3, 0), (1, 0.0, 1), (0, 0.0, 0)])
     def test_too_few_building_cells_drop_an_object(self, cells, min_share, kept):
@@ -294,6 +345,13 @@ class TestSpectrum:
         step = drop_unlike(clusters, classes_of(index), min_share)
         assert step.clusters.alive.sum() == kept
         assert len(step.dropped) == 1 - kept
+
+    def test_what_is_kept_is_not_dropped(self):
+        """A root that the detectors support stays, whatever its classes."""
+        clusters = label_clusters([np.ones((1, 10), int)], connectivity=8)
+        step = drop_unlike(clusters, classes_of(np.ones((1, 10), int)), 0.3, kept=[0])
+        assert step.clusters.alive.all()
+        assert len(step.dropped) == 0
 
     def test_children_of_a_dropped_father_go_to_its_father(self):
         """And become roots where there is none (V45)."""
@@ -418,13 +476,17 @@ class TestFathers:
         assert step.dropped["area"].tolist() == [192, 6, 6]
 
     def test_cells_that_detectors_support_are_no_gaps(self):
-        """Strips of two cells become roots where they are supported and large enough; else they are gaps."""
+        """Strips of two cells become roots where they are supported and large enough; smaller ones go to the houses."""
         clusters = label_clusters(row_of_houses(3, depth=12, gap=2), connectivity=8)
-        for supported, least, left in ((False, 20, 3), (True, 20, 5), (True, 25, 3)):
+        areas = {(False, 20): [120] * 3, (True, 20): [120] * 3 + [24] * 2, (True, 25): [120 + 12, 120 + 24, 120 + 12]}
+        for (supported, least), expected in areas.items():
             step = drop_fake_fathers(clusters, ScaleParams(), cell_m=1.0, smallest_px=least, supported=supported)
             rows = living(step.clusters)
-            assert rows["area"].tolist() == [120, 120, 120, 24, 24][:left]
-            assert (step.dropped["reason"] == GAP).sum() == 5 - left
+            assert rows["area"].tolist() == expected
+            assert (step.dropped["reason"] == GAP).sum() == (0 if supported else 2)
+            for row, (first, area) in rows[["first", "area"]].iterrows():
+                cells = np.flatnonzero(step.clusters.labels[int(rows.loc[row, "level"])] == row + 1)
+                assert (cells[0], cells.size) == (first, area)
 
     def test_two_children_are_too_few(self):
         """Only fathers with more than two children are judged."""
@@ -465,6 +527,44 @@ class TestFathers:
         step = self.drop([fine, middle * 2, coarse], fake_father_ratio=0.1)
         assert living(step.clusters)["level"].tolist() == [0] * 9
         assert (step.dropped["reason"] == FAKE).sum() == 4
+
+
+class TestSettling:
+    """V7 after cuts: no cluster below the s of its scale."""
+
+    def settled(self, *images, thresholds):
+        """Settle clusters of some scales, finest first."""
+        clusters = label_clusters(images, connectivity=8)
+        return settle(clusters, list(thresholds))
+
+    def test_a_cut_cluster_moves_to_the_scale_that_it_reaches(self):
+        """20 cells on a scale of 50 belong to that of 10; the father and the child stay where they are."""
+        child, cut_off = block((12, 12), (3, 3, 2, 3, 3)), block((12, 12), (2, 2, 4, 5, 2))
+        step = self.settled(
+            child, np.zeros((12, 12), int), cut_off, np.ones((12, 12), int), thresholds=(5, 10, 50, 100)
+        )
+        assert living(step.clusters)[["level", "area", "made"]].to_numpy().tolist() == [
+            [0, 6, 0],
+            [1, 20, 2],
+            [3, 144, 3],
+        ]
+        assert link(step.clusters).tolist() == [1, 2, -1]
+        assert len(step.dropped) == 0
+
+    def test_it_covers_what_it_holds_on_its_new_scale(self):
+        """A child that is large enough for the same scale goes, as a duplicate; a smaller one stays its child."""
+        middle = block((12, 12), (2, 2, 3, 4, 2))
+        fine, cut_off = block((12, 12), (2, 2, 2, 3, 3)), block((12, 12), (2, 2, 4, 5, 1))
+        step = self.settled(fine, middle, cut_off, thresholds=(5, 10, 50))
+        assert living(step.clusters)["area"].tolist() == [6, 20]
+        assert step.dropped["area"].tolist() == [12]
+        assert link(step.clusters)[0] == 2
+
+    def test_clusters_that_are_large_enough_stay(self):
+        """Nothing changes."""
+        images = block((12, 12), (2, 2, 2, 3, 2)), block((12, 12), (2, 2, 5, 5, 1))
+        step = self.settled(*images, thresholds=(6, 25))
+        assert step.clusters.rows["level"].tolist() == [0, 1]
 
 
 class TestHeights:

@@ -169,12 +169,12 @@ def test_gaps_are_filled_as_the_profile_says(tmp_path):
     assert profile("mongus2013").flatregions.gaps == "all"
 
 
-def test_the_paper_s_profile_works_on_the_raw_surface(points, tmp_path):
-    """With Table 1's values, and without prior ground, the house is found all the same."""
+def test_the_papers_profile_says_where_it_cannot_separate_the_ground(points, tmp_path):
+    """On half a hectare the smooth ground is below λ_max of a town: it is one flat region, and the build says so."""
     params = profile("mongus2013")
     assert params.flatregions.on == "surface"
     report = msbdb.build([points], db=tmp_path / "paper.sqlite", params=params, profile="mongus2013")
-    assert report.flat_regions >= 1
+    assert any("of the survey: on the raw surface, the ground is a flat region" in notice for notice in report.notices)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The detector of flat regions, from a surface to regions of compact shape (Mongus et al. 2013, section 3)."""
 
 import logging
+import warnings
 from dataclasses import dataclass
 
 import geopandas as gpd
@@ -12,7 +13,7 @@ from msbdb.detect.flatregions.binarisation import Binarised, binarise
 from msbdb.detect.flatregions.initialisation import Denoised, denoise, initialise
 from msbdb.detect.flatregions.recognition import FlatRegionLedger, clean, describe, grow, measure_shapes
 from msbdb.detect.scene import Regions, Scene
-from msbdb.errors import GridMismatchError, NodataError
+from msbdb.errors import GridMismatchError, MsbdbWarning, NodataError
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, reorder, sizes
 from msbdb.ledger import Answers
@@ -28,6 +29,13 @@ VALLEY = "steep valley"
 ROUGH = "too rough for its size in every zone"
 THIN = "thinner than the opening"
 LONG = "too long and thin"
+
+GROUND_IS_FLAT = (
+    "One flat region covers {share:.0%} of the survey: on the raw surface, the ground is a flat region where its sum "
+    "of gradients is below lambda_max_m2. Set flatregions.on=ndsm, or take the default profile."
+)
+MOST_OF_SURVEY = 0.35
+"""No building covers so much of a survey; on the tiles at hand, ground that is a flat region covers 40 % and more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,11 +84,20 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
     -------
     Regions
         The table has the columns of ``tables.FLAT_REGION`` and outlines.
+
+    Warns
+    -----
+    MsbdbWarning
+        Where, on the raw surface, one region covers so much of the survey that it must be ground.
     """
     spec = scene.heights.spec
     found = extract_flat_regions(
         lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
     )
+    if params.flatregions.on == "surface" and len(found.regions):
+        share = sizes(found.labels, len(found.regions)).max() / np.count_nonzero(scene.heights.valid)
+        if share > MOST_OF_SURVEY:
+            warnings.warn(GROUND_IS_FLAT.format(share=share), MsbdbWarning, stacklevel=2)
     order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
     labels = reorder(found.labels, order, len(order))
     traced = polygonise(labels, spec, len(order))

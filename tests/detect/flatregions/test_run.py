@@ -296,6 +296,27 @@ def test_another_lattice_is_refused():
         extract(grid(houses()), heights=grid(houses(), shift=(1, 0)))
 
 
+def test_the_papers_profile_finds_houses_on_rough_ground_of_a_town():
+    """As shipped: 36 ha of meadow and shrubs have more gradient than λ_max, and each house is a region (M15).
+
+    It spreads by a cell beyond the wall, as the paper reports (M27).
+    """
+    rng = np.random.default_rng(3)
+    surface = (20 + rng.uniform(0, 1, (600, 600))).astype(np.float32)
+    truth = np.zeros(surface.shape, dtype=np.int32)
+    for number, (row, col) in enumerate([(60, 60), (60, 300), (300, 100), (320, 420), (500, 250)], start=1):
+        house = (slice(row, row + 18), slice(col, col + 14 + 6 * number))
+        truth[house] = number
+        surface[house] = 30 + rng.normal(0, 0.02, surface[house].shape)
+    found = extract(grid(surface, cell_m=1.0), profile("mongus2013"), heights=grid(surface - 20, cell_m=1.0))
+    for number in range(1, 6):
+        inside = truth == number
+        label = np.bincount(found.labels[inside]).argmax()
+        assert label > 0
+        region = found.labels == label
+        assert np.count_nonzero(region & inside) / np.count_nonzero(region | inside) > 0.8
+
+
 @pytest.mark.parametrize(
     ("name", "least", "step", "psi"),
     [("mongus2013", 30, 250, 9), ("mongus2013-ds2", 20, 500, 11), ("mongus2013-ds3", 20, 300, 10.5)],
