@@ -254,7 +254,7 @@ def _record_islands(islands: NDArray[Any], smallest_px: int, connectivity: int, 
     lost = table[table["area"] < smallest_px]
     ledger.write("opening", _without_scale(lost, TOO_SMALL))
     ledger.count("opening", count, count - len(lost), len(lost))
-    ledger.lose(chosen_cells(islands, (table["area"] < smallest_px).to_numpy()), Reason.SMALL)
+    ledger.lose(chosen_cells(labels, (table["area"] < smallest_px).to_numpy()), Reason.SMALL)
 
 
 def _without_scale(measured: pd.DataFrame, reason: str) -> pd.DataFrame:
