@@ -65,7 +65,7 @@ def upgrade(*, db: str, as_json: bool) -> None:
 
 @command(
     "downgrade",
-    examples=("msbdb db downgrade town.sqlite", "msbdb db downgrade town.sqlite --to 0002 --force"),
+    examples=("msbdb db downgrade town.sqlite", "msbdb db downgrade town.sqlite --to 0004 --force"),
 )
 @shared("db")
 @click.option("--to", metavar="REVISION", help="The schema to go back to. [default: the one before]")
