@@ -157,6 +157,7 @@ def sum_up(rows: pd.DataFrame, counted: pd.DataFrame, least_m2: float) -> tuple[
 
     Examples
     --------
+    >>> from msbdb.tables import REJECTION
     >>> dropped = REJECTION.empty()
     >>> dropped.loc[0] = [1, "area3d", "rules", "rough", 1, 40.0, 0.0, 0.0]
     >>> dropped.loc[1] = [2, "area3d", "rules", "rough", 1, 4.0, 0.0, 0.0]

@@ -26,7 +26,9 @@ from msbdb import params as declared
 from msbdb.cli import command, output
 from msbdb.cli.main import cli
 from msbdb.cli.output import emit, text
+from msbdb.database.runs.places import Place
 from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
+from msbdb.tables import Reason
 
 COMMANDS: dict[str, click.Command] = {
     **{name: made for name, made in cli.commands.items() if not isinstance(made, click.Group)},
@@ -84,6 +86,7 @@ class FakeApi(types.ModuleType):
         dsm=None,
         dtm=None,
         ndsm=None,
+        parcels=None,
         db,
         survey=None,
         date=None,
@@ -122,6 +125,11 @@ class FakeApi(types.ModuleType):
     def view(self, db, out, *, survey=None, of="buildings"):
         """Draw nothing."""
         self._note("view", db=db, out=out, survey=survey, of=of)
+
+    def why(self, db, x, y, *, survey=None, crs=None):
+        """Return a place without a building."""
+        self._note("why", db=db, x=x, y=y, survey=survey, crs=crs)
+        return Place("town", x, y, Reason.LOW, None, 0.4, 2.0, "neither", "", ())
 
     def export(self, db, out, *, survey=None, overwrite=False):
         """Write nothing."""
@@ -301,7 +309,7 @@ def test_build_hands_everything_over(api):
 
 
 @pytest.mark.parametrize(
-    "name", ["build", "info", "relabel", "classes", "view", "export", "evaluate", "evaluate_points", "classify"]
+    "name", ["build", "info", "relabel", "classes", "why", "view", "export", "evaluate", "evaluate_points", "classify"]
 )
 def test_the_fake_is_called_as_the_api_is(name):
     """The stand-in of these tests takes the arguments of the real function, by the same names."""

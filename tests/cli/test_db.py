@@ -185,7 +185,7 @@ def test_the_guide_s_commands_run_in_their_order(
     """On a file as written; those for a server fail only because there is none."""
     today = upgrade.packaged
     blocks = re.findall(r"```sh\n(.*?)```", GUIDE, flags=re.DOTALL)
-    lines = [line for block in blocks for line in block.splitlines() if line.startswith("msbdb ")]
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("msbdb db ")]
     assert len(lines) >= 8
     for line in lines:
         words = shlex.split(line)[2:]

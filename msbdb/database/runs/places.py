@@ -219,7 +219,7 @@ class _Known:
             reason=Reason.BUILDING if reason is None and building is not None else reason,
             building=building,
             height_m=float(rasters.heights_cm[cell]) / PER_METRE if valid else None,
-            ground_m=None,
+            ground_m=None if rasters.terrain_cm is None else float(rasters.terrain_cm[cell]) / PER_METRE,
             structure=STRUCTURE[int(rasters.structure[cell])],
             colour=self._colour(cell),
             detectors=tuple(self._asked(method, cell) for method in DETECTORS if method in self.run.methods),
