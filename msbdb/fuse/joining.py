@@ -56,6 +56,10 @@ class Joining:
         self.beside: list[dict[int, Floats]] = [{} for _ in self.cells]
         for one, other, counts in zip(touches.one.tolist(), touches.other.tolist(), touches.counts, strict=True):
             self.beside[one][other] = self.beside[other][one] = counts
+        self.around = [
+            rim + sum(float(counts[PAIRS]) for counts in beside.values())
+            for rim, beside in zip(pieces.rims.tolist(), self.beside, strict=True)
+        ]
         self.version = [0] * len(self.cells)
         self.into = np.arange(len(self.cells))
         self.waiting: list[tuple[float, int, int, int, int]] = []
@@ -115,6 +119,7 @@ class Joining:
         self.version[other] = -1
         if not self.small[other]:
             self.tops[one] = max(self.tops[one], self.tops[other])
+        self.around[one] += self.around[other] - 2 * float(self.beside[one][other][PAIRS])
         self.cells[one] += self.cells[other]
         self.heights[one] += self.heights[other]
         self.moments[one] = self.moments[one] + self.moments[other]
@@ -136,6 +141,8 @@ class Joining:
             return PARCEL
         counts = self.beside[one][other]
         if counts[SHOWN] < self.params.share * counts[PAIRS]:
+            return None
+        if counts[PAIRS] >= self.params.enclosed_share * min(self.around[one], self.around[other]):
             return None
         levels = self.heights[one] / self.cells[one], self.heights[other] / self.cells[other]
         mean_m, square_m2 = counts[LOWEST] / counts[PAIRS], counts[SQUARED] / counts[PAIRS]

@@ -106,6 +106,8 @@ def measure_heights(
     own = storeys(eaves - z_ground, surface)
     of_roofs = np.where(heavy, storeys(found.eaves - z_ground[found.building], surface), own[found.building])
     known = np.nan if elevations.terrain_cm is None else 0.0
+    fewest = np.clip(np.ceil((eaves - high - params.roof_build_m) / params.tall_storey_m), 1, own)
+    most = np.maximum(np.floor((eaves - low) / params.low_storey_m), own)
     return pd.DataFrame(
         {
             "z_ground": z_ground + known,
@@ -116,8 +118,8 @@ def measure_heights(
             "eaves": np.round(eaves - z_ground, 2),
             "ridge": np.round(ridge - z_ground, 2),
             "storeys": own,
-            "storeys_min": np.clip(np.ceil((eaves - high - params.roof_build_m) / params.tall_storey_m), 1, own),
-            "storeys_max": np.maximum(np.floor((eaves - low) / params.low_storey_m), own),
+            "storeys_min": fewest.astype(np.int64),
+            "storeys_max": most.astype(np.int64),
             "storeys_top": storeys(top - z_ground, surface),
             "floor_area_m2": sums(found.building + 1, found.area_m2 * of_roofs, count),
             "nodata_share": nodata,

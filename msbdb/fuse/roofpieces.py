@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter, uniform_filter
 
 from msbdb.fuse.roofborders import RoofBorders
 from msbdb.labels import Labels, label_zones, neighbours, sums
@@ -41,6 +41,8 @@ class RoofPieces:
         Sums of row, column, row², column² and row times column.
     owners : (N,) ndarray of int64
         The parcel of each piece; 0 for none.
+    rims : (N,) ndarray of float64
+        Pairs of a cell of the piece and a neighbour that is in no piece; what lies beyond the lattice counts as such.
     """
 
     labels: Labels
@@ -49,6 +51,7 @@ class RoofPieces:
     tops: Floats
     moments: Floats
     owners: NDArray[np.int64]
+    rims: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +153,10 @@ def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels
     owners = np.zeros(count, dtype=np.int64)
     if parcels is not None:
         owners[member - 1] = parcels.ravel()[cells]
-    return RoofPieces(labels, area, total, tops, np.stack(moments, axis=1), owners)
+    framed = np.pad(labels == 0, 1, constant_values=True).astype(np.float64)
+    outside = (uniform_filter(framed, 3, mode="constant") * 9).round()[1:-1, 1:-1]
+    rims = sums(member, outside.ravel()[cells], count)
+    return RoofPieces(labels, area, total, tops, np.stack(moments, axis=1), owners, rims)
 
 
 def _moments(row: Floats, col: Floats) -> tuple[Floats, ...]:

@@ -89,6 +89,9 @@ def divide(
       both sides of a valley the roofs rise ``rise_m`` above the upper end of the border, which runs along one line:
       wings that meet at a ridge stay together.
 
+    A piece that shares ``enclosed_share`` or more of its outline with one other piece stands on it or in it, and is no
+    house of its own, unless they lie in two parcels. So a tower and its podium stay together.
+
     A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house (in a parcel, than ``parcel_m2`` and
     ``parcel_width_m``) and is joined with the neighbour behind
     its weakest border. Its width is that of a rectangle with its second moments: √12 times the smaller standard

@@ -21,6 +21,9 @@ Mask = NDArray[np.bool_]
 LEAST_M2 = 50.0
 """No way is sought to smaller regions: clutter, and the cells of walls. Nor does one begin on less even ground."""
 
+BEGINNING = 0.3
+"""Share of a way that is ground already: of ways to terraces 0.4 to 0.9, of a roof whose rear meets a bank 0.2."""
+
 WAY_PX = 3
 """Width of a way, cells."""
 
@@ -44,7 +47,8 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     5. Of the ground, cells that rise above the opening are clutter, not ground.
     6. A region above ground is terrain after all where a way leads from the ground to ``reached_share`` of its cells: a
        terrace or a ramp. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell. It begins
-       on even ground, so not on a slope where a level roof touches the terrain.
+       on even ground, so not on a slope where a level roof touches the terrain; nor is the rear of such a roof its
+       beginning, which may count as ground.
 
     So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
     all regions of a place are decided together: terraces one above the other, roofs beside higher roofs.
@@ -154,7 +158,8 @@ def _reached(heights: Heights, ground: Mask, cell_m: float, params: GroundParams
     rise = dilation(heights, WAY_PX, None) - erosion(heights, WAY_PX, None)
     even = rise < (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0)
     ways, count = label_zones(even)
-    from_ground = sizes(ways[ground], count) * cell_m**2 >= LEAST_M2
+    of_ground = sizes(ways[ground], count)
+    from_ground = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
     reached = dilation(chosen_cells(ways, from_ground).astype(np.float32), WAY_PX, None) > 0
     regions, count = _joined(heights, ~ground, _wall_m(cell_m, params))
     cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))

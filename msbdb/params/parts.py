@@ -145,6 +145,9 @@ class TouchingParams:
         ours="half a storey; the teeth of a saw-tooth roof have none", low=0, high=50)
     rise_m: float = param(0.3, "m", "Height by which both roofs rise above the upper end of the valley between them.",
         ours="wings that meet at a ridge do not", low=0, high=50)
+    enclosed_share: float = param(0.75, "1",
+        "A piece with this share of its outline beside one other stands on it or in it, and is no house of its own.",
+        ours="stairs, towers and tiers; a house in a row has half at most", low=0.1, high=1.1)
     house_m2: float = param(30.0, "m2", "Smaller pieces are no house.", ours="the smallest houses of old towns",
         low=0, high=1e5)
     width_m: float = param(3.0, "m", "Narrower pieces are no house.", ours="the narrowest houses of old towns",

@@ -29,6 +29,7 @@ logger = logging.getLogger(__name__)
 TOO_SMALL = "smaller than the finest scale"
 VEGETATION = "vegetation by its structure"
 UNSUPPORTED = "vegetation, or supported by too few detectors"
+OTHER_LABEL = "its class is labelled as no building"
 NO_ROWS = np.zeros(0, dtype=np.intp)
 
 
@@ -96,7 +97,8 @@ def extract_parts(
         heights = _without_vegetation(ndsm, classes.labelled("vegetation"), params, ledger, reason=reason)
     sliced = slice_heights(heights, params.surface, connectivity=params.scale.connectivity)
     if houses is not None:
-        sliced = np.where((houses > 0) & (sliced == 0), maximum_filter(sliced, 3, mode="nearest"), sliced)
+        _record_outside((sliced > 0) & (houses == 0), classes, params.scale.connectivity, ledger)
+        sliced = np.where(houses > 0, np.where(sliced == 0, maximum_filter(sliced, 3, mode="nearest"), sliced), 0)
     scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
     thresholds = scales["threshold_px"].tolist()[::-1]
     clusters = form_clusters(sliced, thresholds, params.scale, ledger, houses)
@@ -245,6 +247,20 @@ def _without_vegetation(
     ledger.count("vegetation mask", count, 0, count)
     ledger.lose(vegetation, Reason.VEGETATION_BY_STRUCTURE)
     return Grid(ndsm.values, ndsm.valid & ~vegetation, ndsm.spec)
+
+
+def _record_outside(
+    cells: NDArray[np.bool_], classes: ClassMap | None, connectivity: int, ledger: ClusterLedger
+) -> None:
+    """Record what is above the mask and in no house: most of it stands in a class with another label, as decks do."""
+    named = np.zeros_like(cells)
+    if classes is not None:
+        named = (classes.index > 0) & ~classes.labelled("building") & ~classes.labelled("vegetation")
+    for chosen, reason in ((cells & named, OTHER_LABEL), (cells & ~named, UNSUPPORTED)):
+        blobs, count = label_zones(chosen, connectivity=connectivity)
+        ledger.write("houses", _without_scale(measure(blobs, count), reason))
+        ledger.count("houses", count, 0, count)
+    ledger.lose(cells, Reason.OTHER_CLASS)
 
 
 def _record_islands(islands: NDArray[Any], smallest_px: int, connectivity: int, ledger: ClusterLedger) -> None:

@@ -30,6 +30,7 @@ STAGES = (
     "flatregions",
     "multiscale",
     "fusion",
+    "houses",
     "parts",
     "outlines",
     "write",

@@ -20,6 +20,7 @@ STAGES = [
     "flatregions",
     "multiscale",
     "fusion",
+    "houses",
     "parts",
     "outlines",
     "write",

@@ -185,6 +185,8 @@ def one(roof: np.ndarray) -> np.ndarray:
         pytest.param(t_shape(), id="T"),
         pytest.param(saw_tooth(), id="saw tooth"),
         pytest.param(dormers(), id="dormers"),
+        pytest.param(tower_on_podium(), id="tower on a podium"),
+        pytest.param(rotate(tower_on_podium(), 30, order=0), id="turned tower on a podium"),
         pytest.param(rotate(saw_tooth(), 30, order=0), id="turned saw tooth"),
         pytest.param(rotate(l_shape("hipped"), 30, order=0), id="turned L"),
         pytest.param(rotate(one(gable(9, 14, 6)), 20, order=0), id="turned gable"),
@@ -195,6 +197,20 @@ def test_one_house_stays_one(heights: np.ndarray):
     found = division(heights.astype(np.float32))
     assert found.houses.max() == 1
     assert not found.borders
+
+
+def test_a_tower_that_stands_on_one_roof_is_no_house_of_its_own():
+    """Also at the podium's edge, with a fifth of its outline free; it is one beside the podium, or without the rule."""
+    heights = scene()
+    put(heights, 5, 5, flat(40, 28, 5))
+    put(heights, 18, 5, flat(12, 18, 25))
+    assert division(heights).houses.max() == 1
+    beside = scene()
+    put(beside, 5, 5, flat(28, 12, 5))
+    put(beside, 33, 5, flat(12, 12, 25))
+    assert areas_m2(division(beside)) == pytest.approx([28 * 12, 12 * 12], abs=9)
+    off = TouchingParams(enclosed_share=1.1)
+    assert division(tower_on_podium(), off).houses.max() == 2
 
 
 def parcels_of(shape: tuple[int, ...], shift_m: float, width_m: float) -> np.ndarray:

@@ -129,3 +129,14 @@ def test_a_level_roof_that_touches_a_slope_is_a_building():
     ground = walled_ground(grid(heights), PARAMS)
     assert not ground[51:59, 53:74].any()
     assert ground[:45].mean() > 0.98
+
+
+def test_a_level_roof_into_which_a_bank_runs_is_a_building():
+    """Its rear meets the bank, without a step, and is ground by its edges; so no way leads from there to the rest."""
+    row = np.indices((120, 120))[0]
+    heights = np.clip(0.4 * (70 - row), 0, 8.0)
+    heights[53:73, 48:72] = 7.0
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[60:72, 49:71].any()
+    assert ground[80:].all()
+    assert ground[:45].all()

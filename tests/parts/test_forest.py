@@ -257,7 +257,7 @@ def test_a_crown_over_a_roof_is_cut_from_the_parts(supported, root):
     ndsm = heights_of(image)
     classes = ClassMap(np.where(built, 2, image > 0).astype(np.uint8), {1: "vegetation", 2: "building"}, ndsm.spec)
     params = params_of(20.0, 300.0, decides="structure")
-    options = {"survey": "test", "params": params, "built": built if supported else None}
+    options = {"survey": "test", "params": params, "houses": built.astype(np.int32) if supported else None}
     parts = extract_parts(ndsm, classes, crowns=crowns, **options).parts
     assert parts["area_px"].tolist() == [12 * 20 - 7 * 6, root]
     assert extract_parts(ndsm, classes, **options).parts["area_px"].tolist() == [12 * 20, 625]
@@ -271,7 +271,8 @@ def test_a_part_of_leaves_goes_and_its_roof_stays():
     ndsm, crowns = heights_of(image), np.zeros((50, 50), dtype=bool)
     crowns[7:39, 7:39] = True
     classes = ClassMap(np.where(image > 0, 2, 0).astype(np.uint8), {1: "vegetation", 2: "building"}, ndsm.spec)
-    options = {"survey": "test", "params": params_of(20.0, 1500.0, decides="structure"), "built": image > 0}
+    params, houses = params_of(20.0, 1500.0, decides="structure"), (image > 0).astype(np.int32)
+    options = {"survey": "test", "params": params, "houses": houses}
     with_crowns = extract_parts(ndsm, classes, crowns=crowns, **options)
     assert with_crowns.parts["area_px"].tolist() == [46 * 46]
     assert with_crowns.rejections["reason"].tolist() == ["too few cells of building classes"]

@@ -181,7 +181,7 @@ def test_labels_by_the_operator_keep_the_candidates(tmp_path):
     msbdb.relabel(db, dict.fromkeys(roofs, "building"))
     with msbdb.open(db) as opened:
         before = opened.dump()
-        assert opened.buildings()["area3d_share"].tolist() == [1]
+        assert set(opened.buildings()["area3d_share"]) == {1}
         assert len(read_tables(opened.engine, [PART_CANDIDATE])["part_candidate"]) > 0
     msbdb.relabel(db, dict.fromkeys(roofs, "vegetation"))
     with msbdb.open(db) as opened:

@@ -193,10 +193,18 @@ def test_gaps_of_one_cell_merge_neighbours(built, profile_name):
 
 
 def test_gaps_of_three_cells_part_neighbours(built):
-    """Houses three pulses apart are buildings of their own."""
+    """Houses three pulses apart are buildings of their own.
+
+    Outlines are compared themselves: fitted walls may lie half a cell outside, and on cells this would count as one.
+    """
     outcome = built("row_houses", gap_m=1.5)
     assert outcome.report.buildings == 12
-    assert min(outcome.overlap(number) for number in range(1, 13)) > 0.95
+    east, north = outcome.scene.world.origin
+    for block in outcome.scene.world.blocks:
+        west, south = east + block.west, north + block.south
+        true = shapely.box(west, south, west + block.width, south + block.depth)
+        found = outcome.building(block.building).geometry
+        assert found.intersection(true).area / found.union(true).area > 0.95
 
 
 @pytest.mark.parametrize(("profile_name", "stage"), [("default", "vegetation mask"), ("vu2009", "vegetation")])
@@ -335,7 +343,7 @@ def test_the_city_is_found_whole(built):
     assert len(set.union(*pairs)) == 4
     assert outcome.report.buildings == len(apart) + 4 + 1
     tower, ring = outcome.building(1), outcome.building(2)
-    assert (tower["storeys"], ring["storeys"]) == (10, 4)
+    assert (tower["storeys_top"], ring["storeys"]) == (10, 4)
     assert max(holes(ring)) == pytest.approx(14 * 14, rel=0.05)
     walls_and_crowns = np.isin(outcome.scene.cover, [scenes.VEGETATION, scenes.OTHER]) & ~true
     assert outcome.lost("vegetation mask") == pytest.approx(

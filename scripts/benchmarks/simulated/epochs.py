@@ -118,7 +118,8 @@ def second_epoch(
     points : tuple of (N,) ndarray of float64
         Coordinates of the first epoch.
     buildings : GeoDataFrame
-        Its buildings, with ``h_p50``.
+        Its buildings, with ``h_p50``, and ``z_ground_max`` where it is known. Where one or a part of it is removed, no
+        point stays above this level, as the ground beneath a block is interpolated, also from light wells.
     ndsm : Grid
         Its heights above ground.
     heights : (N,) ndarray of float64
@@ -142,7 +143,7 @@ def second_epoch(
         built += [(Edit(what, place), height) for place, height in found]
     near = shapely.union_all([edit.place for edit, _ in built]).buffer(CLEAR_M)
     tree = shapely.STRtree(buildings.geometry.to_numpy())
-    for edit, whole in _chosen(buildings[~buildings.intersects(near)], each, rng):
+    for edit, whole, level_m in _chosen(buildings[~buildings.intersects(near)], each, rng):
         others = shapely.union_all(buildings.geometry.iloc[tree.query(whole.buffer(2.0))].to_numpy()).difference(whole)
         around = edit.place.buffer(1.0).difference(others).difference(whole.difference(edit.place)).union(edit.place)
         inside = _inside(x, y, around) & (heights > FLOOR_M)
@@ -152,7 +153,7 @@ def second_epoch(
             left = ground[inside] + np.minimum(heights[inside], LEFT_M)
             z[inside] = np.maximum(z[inside] - LOWER_M, left)
         else:
-            z[inside] = ground[inside] + rng.normal(0, NOISE_M, int(inside.sum()))
+            z[inside] = np.fmin(ground[inside], level_m) + rng.normal(0, NOISE_M, int(inside.sum()))
         edits.append(edit)
     for edit, height in built:
         inside = _inside(x, y, edit.place)
@@ -166,10 +167,11 @@ def second_epoch(
 
 def _chosen(
     buildings: gpd.GeoDataFrame, each: int, rng: np.random.Generator
-) -> Iterator[tuple[Edit, shapely.Geometry]]:
-    """Yield edits of buildings that are there, each of another one, and its whole outline."""
+) -> Iterator[tuple[Edit, shapely.Geometry, float]]:
+    """Yield edits of buildings that are there, each of another one, its whole outline, and the ground's upper level."""
     wanted = {"part removed": each, "lowered": each, "removed": each, "raised": each}
     large = buildings[buildings.geometry.area >= LARGE_M2]
+    levels = large.get("z_ground_max", np.full(len(large), np.nan))
     for at in rng.permutation(len(large)).tolist():
         shape, height = large.geometry.iloc[at], large["h_p50"].iloc[at]
         part = _part(shape) if wanted["part removed"] and shape.area >= PARTED_M2 else None
@@ -180,7 +182,7 @@ def _chosen(
         if what is None:
             continue
         wanted[what] -= 1
-        yield Edit(what, part if what == "part removed" else shape), shape
+        yield Edit(what, part if what == "part removed" else shape), shape, float(np.asarray(levels)[at])
 
 
 def _part(shape: shapely.Geometry) -> shapely.Geometry | None:
