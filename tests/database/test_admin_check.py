@@ -73,7 +73,7 @@ class Corruption:
 
 KEPT = (
     "run_id, scale, hindex, hzone, speindex, xo, yo, xcen, ycen, xin, yin, area_px, area_m2, h_max, h_mean, h_p50, "
-    "h_p90, h_std, building_share, geometry"
+    "h_p90, h_std, building_share, outline_source, geometry"
 )
 """The columns of part but its place in the forest."""
 
@@ -224,7 +224,7 @@ CORRUPTIONS = [
     Corruption(
         "a cell of a raster that somebody edited",
         *("content", "run", f"run_id={RUN}", "survey 'delft' give the digest"),
-        sql=("UPDATE run_state SET dtype = '<f4' WHERE name = 'ndsm_cm'",),
+        sql=("UPDATE run_state SET dtype = '<f2' WHERE name = 'ndsm_cm'",),
     ),
     Corruption(
         "versions that overlap",

@@ -24,6 +24,7 @@ from msbdb.database import (
     write_samples,
     write_state,
 )
+from msbdb.database.history.versions import MEASURES
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import DatabaseError
 
@@ -33,11 +34,10 @@ LATER = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
 def fill(engine: Engine) -> None:
     """Import an inventory, update it by two surveys, and let operators speak."""
     frame = footprints(ROW)
-    values = dict.fromkeys(("storeys", "h_max", "h_mean", "h_p50", "h_p90", "volume_m3", "parts"))
-    shares = dict.fromkeys(("flat_share", "area3d_share", "adaptive_share", "probability"))
+    values = dict.fromkeys(MEASURES) | {"state": "unsure", "area_m2": frame.area}
     keys = [str(n) for n in range(len(frame))]
     attributes = [{"käse": f"{n}'; --", "number": n} for n in range(len(frame))]
-    office = frame.assign(key=keys, state="unsure", area_m2=frame.area, attributes=attributes, **values, **shares)
+    office = frame.assign(key=keys, attributes=attributes, **values)
     write_import(engine, "register", "2015-01-01", office, digest="a")
     for name, date, houses in (("s1", "2020-01-01", ROW), ("s2", "2021-05-01", LATER)):
         write_build(engine, town_build(name, date, list(houses)))

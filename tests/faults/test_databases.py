@@ -71,7 +71,7 @@ def connect(path):
 def tiles(tmp_path_factory):
     """Return two tiles of the same place: one with a building, one with a meadow."""
     folder = tmp_path_factory.mktemp("tiles")
-    scenes = {name: SCENES[name](density=1.0).points for name in ("podium_tower", "flat_field")}
+    scenes = {name: SCENES[name](density=2.0).points for name in ("podium_tower", "flat_field")}
     return {name: write_points(folder / f"{name}.laz", cloud, crs=cloud.crs) for name, cloud in scenes.items()}
 
 
