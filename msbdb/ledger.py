@@ -10,7 +10,7 @@ from msbdb.errors import TableError
 from msbdb.tables import REJECTION_COUNT
 
 Answers = NDArray[np.uint8]
-"""(H, W) what a detector says of each cell: 0 nothing, otherwise the number of the stage and reason of its ledger."""
+"""(H, W) what a detector decided for each cell: 0 nothing, else the number of the stage and reason of its ledger."""
 
 KIND = ["stage", "reason"]
 
@@ -105,7 +105,7 @@ class Ledger:
             raise TableError(msg)
 
     def lost(self, empty: pd.DataFrame) -> pd.DataFrame:
-        """Return all lost regions in the order of writing; the empty table gives the columns when there are none."""
+        """Return all lost regions in the order of writing; without any, an empty table with the same columns."""
         return pd.concat(self._lost or [empty.iloc[:0].assign(reason="", method="", stage="")], ignore_index=True)
 
     def marked(self) -> "Marks":

@@ -20,7 +20,7 @@ def info(db: str | Path) -> dict[str, Any]:
 
 
 def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: str | None = None) -> "Place":
-    """Return what a run says of a place: the building there, or the reason why there is none.
+    """Return what a run found at a place: the building, or the reason why no building was found.
 
     Parameters
     ----------

@@ -16,9 +16,9 @@ from msbdb.params import ChangeParams
 KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
 """The kinds of change of a surveyed building; a building outside of the survey has no row."""
 
-NO_FOOTPRINT = "not told from its surroundings this time, but its heights stand"
+NO_FOOTPRINT = "not distinguished from its surroundings this time, but its heights are unchanged"
 
-STOOD_BEFORE = "stood there before, and is told from its surroundings for the first time"
+STOOD_BEFORE = "existed before, and is distinguished from its surroundings for the first time"
 
 FIRST_SURVEY = "the first survey of this place"
 

@@ -55,7 +55,7 @@ def info(*, db: str, as_json: bool) -> None:
 @click.option("--crs", type=crs_name, metavar="EPSG", help="CRS of the place. [default: that of the survey]")
 @shared("survey", "json")
 def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None, as_json: bool) -> None:
-    """Say what stands at a place, or why no building stands there.
+    """Show the building at a place, or why no building was found there.
 
     The answer has the building or the decisive reason, the height above ground, the land cover, and what each detector
     decided there. A place outside of the survey ends with an error.
@@ -118,7 +118,7 @@ def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     The ending of OUT decides the format. A GeoPackage (.gpkg) has the layers footprint, part, flat_region and
     candidate_region. A Shapefile (.shp) has the parts, under the paper's names of at most ten characters. GeoJSON
     (.geojson) has the parts in longitude and latitude. Outlines are edges of roofs, not walls at the ground; a
-    GeoPackage and GeoJSON say so in their description.
+    GeoPackage and GeoJSON files state this in their description.
     """
     from msbdb import api
 

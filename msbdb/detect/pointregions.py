@@ -228,7 +228,7 @@ class PointLedger(Ledger):
         number : int
             Number of the stage, scale and kind, from 1; part of the ids.
         scale : int
-            Number of the height scale, from 1; 0 where there are none.
+            Number of the height scale, from 1; 0 without height scales.
         """
         count = len(reasons)
         inside = np.flatnonzero(labels)

@@ -40,7 +40,7 @@ def label_buildings(parts: pd.DataFrame, root_labels: Labels) -> Labels:
 
     Examples
     --------
-    Two roots side by side stand in building 4, the third one in building 7:
+    Two roots side by side belong to building 4, the third one to building 7:
 
     >>> parts = pd.DataFrame({"supid": [0, 0, 0], "building_id": [4, 7, 4]})
     >>> label_buildings(parts, np.array([[1, 3, 0, 2]], dtype=np.int32))

@@ -44,7 +44,7 @@ def fuse_cells(
     mask_m : float
         Height of the mask (V17), metres.
     evidence : Evidence, optional
-        The cells' roughness, for the second look; without it there is none.
+        The cells' roughness, for the second look; without it no second look is taken.
 
     Returns
     -------

@@ -143,9 +143,9 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
 
     Notes
     -----
-    A step is a wall where it is more than ``wall_m``, and either more than that beyond the steps beside it in its line
-    that go the same way, or steeper than ``wall_slope``: steep roofs of large cells have large steps, too, one after
-    the other. A gap of a cell in a line of walls joins no roofs.
+    A wall is a step of more than ``wall_m``. It must also be steeper than ``wall_slope``, or exceed the steps beside it
+    in its line that go the same way by ``wall_m``: steep roofs of large cells have large steps, too, one after the
+    other. A gap of a cell in a line of walls joins no roofs.
 
     A roof's rim are its cells beside no building, and those beside a wall that goes down. The level at the edge of such
     a cell is half a step of the roof lower than at its centre. A roof without a rim, as in a court or between higher

@@ -138,7 +138,7 @@ def _tops(smooth: NDArray[np.float32]) -> Labels:
 
 
 def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels | None) -> RoofPieces:
-    """Sum up the cells of pieces, each of which lies in one parcel or in none."""
+    """Sum up the cells of pieces; each piece lies in one parcel at most."""
     count = int(labels.max(initial=0))
     cells = np.flatnonzero(labels)
     member = labels.ravel()[cells]

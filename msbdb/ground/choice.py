@@ -80,7 +80,7 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
     Raises
     ------
     NodataError
-        When class 2 is asked for and there is none.
+        When class 2 is asked for and no point has it.
     """
     name = _resolve(points, params.ground_filter)
     coarse = lattice(spec.bounds, max(params.ground_cell_m, spec.cell_m / 2), spec.crs)
@@ -123,6 +123,6 @@ def _resolve(points: PointCloud, name: str) -> str:
     if name == "auto":
         return "class2" if share >= MIN_GROUND_SHARE else "walls"
     if name == "class2" and share == 0.0:
-        msg = "The ground filter 'class2' needs points of class 2 and there are none; take 'walls' or 'progressive'."
+        msg = "The ground filter 'class2' needs points of class 2, and no point has it; take 'walls' or 'progressive'."
         raise NodataError(msg)
     return name

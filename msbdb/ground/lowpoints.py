@@ -213,7 +213,7 @@ def cuts(count: int) -> list[tuple[int, int]]:
 
 @kernel
 def _lowest(arrays: tuple[Floats, Floats, Floats], false: Mask, cell: float, shape: tuple[int, int]) -> Index:
-    """Lowest point of each cell that is not false; -1 where there is none."""
+    """Lowest point of each cell that is not false; -1 where no point lies."""
     u, v, z = arrays
     found = np.full(shape, -1, dtype=np.int64)
     for i in range(z.size):

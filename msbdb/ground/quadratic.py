@@ -156,7 +156,7 @@ def automatic_sliding_windows(points: PointCloud, params: GroundParams) -> Slidi
 
 
 def _slide(placed: PointFrame, ground: Floats, graph: PointGraph, windows: SlidingWindows, growth: int) -> Floats:
-    """Return the lowest fitted height of each point over all windows; infinity where there is none."""
+    """Return the lowest fitted height of each point over all windows; infinity without a fit."""
     rows, cols = placed.shape
     keys = np.floor(placed.v / placed.cell_m).astype(np.int64) * cols
     keys += np.floor(placed.u / placed.cell_m).astype(np.int64)

@@ -154,7 +154,7 @@ def _podiums(heights: Heights, ground: Mask, cell_m: float, params: GroundParams
 
 
 def _reached(heights: Heights, ground: Mask, cell_m: float, params: GroundParams) -> Mask:
-    """Return the regions above ground to most of which a way leads from the ground."""
+    """Return the regions above ground that a way from the ground leads to, for most of their cells."""
     rise = dilation(heights, WAY_PX, None) - erosion(heights, WAY_PX, None)
     even = rise < (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0)
     ways, count = label_zones(even)

@@ -180,7 +180,7 @@ class _Deferred(ModuleType):
 
 
 def _pyogrio() -> Any:  # noqa: ANN401  (a library without types)
-    """Import pyogrio, but not the libraries of which it asks no more, as it is imported, than whether they are there.
+    """Import pyogrio without the libraries that it only looks for when it is imported.
 
     Its functions on frames import them themselves, as do all others afterwards.
     """

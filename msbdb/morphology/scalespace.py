@@ -265,7 +265,7 @@ def _peaks(sizes: NDArray[np.floating], params: GranulometryParams) -> list[floa
     """Return the median sizes in the peaks of the pattern spectrum, the highest peak first."""
     index = np.floor(np.log2(sizes / params.smallest_m2) * BINS_PER_OCTAVE).astype(np.intp)
     smooth = np.convolve(np.bincount(index), [0.25, 0.5, 0.25])
-    # The convolution is longer by a bin on either side; beyond it there is nothing.
+    # The convolution is longer by a bin on either side; the rest is empty.
     here, before, after = smooth[1:-1], smooth[:-2], smooth[2:]
     # A peak's own bin holds cells: over an empty bin the smoothed spectrum rises towards the higher neighbour.
     peaks = np.flatnonzero((here > before) & (here >= after) & (here >= params.peak_share * sizes.size))

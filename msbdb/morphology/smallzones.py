@@ -32,8 +32,8 @@ def merge_small_zones(level: NDArray[Any], least_px: int, *, connectivity: int =
 
     Notes
     -----
-    Opening and closing remove small peaks and pits, but not the narrow zones on the way from one to the other, such as
-    mixed cells along a high wall. The smallest zone is merged first; of equal ones that whose first cell comes first.
+    Opening and closing remove small peaks and pits, but not the narrow zones between them, such as mixed cells along a
+    high wall. The smallest zone is merged first; of equal ones that whose first cell comes first.
     It takes the value of the neighbour that differs least; of equal ones that with the longer common edge, then the
     one that comes first. Zones that touch with one value are one zone from then on.
 
@@ -73,7 +73,7 @@ def _find(parent: NDArray[np.int32], zone: int) -> int:
 
 @kernel
 def _pairs(labels: NDArray[np.int32], cells: NDArray[np.int64], connectivity: int) -> NDArray[np.int32]:
-    """Return the zones of each pair of neighbours, of which the first cell is among those given; (N, 2)."""
+    """Return the zones of each pair of neighbours whose first cell is among those given; (N, 2)."""
     rows, cols = labels.shape
     pairs = np.empty((8 * cells.size, 2), dtype=np.int32)
     count = 0

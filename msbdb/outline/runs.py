@@ -89,7 +89,7 @@ def divide(chains: tuple[Floats, Floats, Ints], frames: tuple[Floats, Ints, Ints
     chains : (V,) columns, (V,) rows, (A + 1,) offsets
         The vertices of the arcs a cell apart, ends included.
     frames : (F,) angles, (F,) ranks, (A + 1,) offsets
-        The main directions of each arc, radians: an angle stands for itself and its right angle. The rank is 0 for the
+        The main directions of each arc, radians: an angle means itself and its right angle. The rank is 0 for the
         first direction of a region.
     costs : WallCosts
 
@@ -99,7 +99,7 @@ def divide(chains: tuple[Floats, Floats, Ints], frames: tuple[Floats, Ints, Ints
 
     Notes
     -----
-    The division with the least sum of squared distances and costs is found exactly, by dynamic programming over the
+    The division with the least sum of squared distances and costs is found exactly. Dynamic programming goes over the
     vertices and the direction of the run that ends there. A run of a main direction lies at the mean of its edges'
     midpoints; a free run is their total least-squares line. Each arc is worked on from its own first vertex, so that
     its place changes nothing. The time is the length of an arc times that of its longest possible run.

@@ -55,7 +55,7 @@ def tidied(labels: Labels, least_px: float) -> Labels:
 
 @kernel
 def _join_corners(labels: Labels) -> None:
-    """Give an empty cell to a label two of whose cells touch at its corner alone, until there is none."""
+    """Give an empty cell to a label whose cells touch at a corner only, until no such cell is left."""
     changed = True
     while changed:
         changed = False

@@ -32,7 +32,7 @@ def param(
     default : bool, int, float, str or tuple of float
         Its type is the parameter's type.
     unit : str
-        ``1`` for a share or factor, ``-`` where there is none.
+        ``1`` for a share or factor, ``-`` without a unit.
     doc : str
         The meaning, one sentence.
     paper : str

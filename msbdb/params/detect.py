@@ -71,7 +71,7 @@ class Area3dParams:
 
     heights_m: tuple[float, ...] = param((), "m",
         "Height scales h_j; empty finds them in the histogram of the heights.",
-        paper="C14: prior knowledge of the scene, where there is any", low=0, high=1000)
+        paper="C14: prior knowledge of the scene, if known", low=0, high=1000)
     most_heights: int = param(4, "count", "Most height scales; 1 is the single-scale mode (SS).", paper="C14",
         low=1, high=50)
     mask_first: bool = param(True, "-", "Take the mask's height as the first scale, before the histogram's.",

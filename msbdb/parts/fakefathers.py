@@ -183,7 +183,7 @@ def _keep_remainders(
 
 
 def _with_cells(clusters: Clusters, gained: NDArray[np.int32]) -> Clusters:
-    """Return the clusters with further cells, of which no other living cluster of their scale has any."""
+    """Return the clusters with further cells; no other living cluster of their scale has any of these."""
     cells = np.flatnonzero(gained)
     row = gained.ravel()[cells] - 1
     images = list(clusters.labels)

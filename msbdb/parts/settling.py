@@ -14,7 +14,7 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
     Parameters
     ----------
     clusters : Clusters
-        Nested clusters, of which some were cut (V37, V44) or are what a fake father left (V46).
+        Nested clusters. Some were cut (V37, V44), or are the rest of a fake father (V46).
     thresholds : list of int
         s of the scales, cells, ascending.
 

@@ -55,7 +55,7 @@ def measure_spectrum(clusters: Clusters, level: int, classes: ClassMap) -> Spect
 def spectral_modes(clusters: Clusters, level: int, colours: ClassMap) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """Return the living clusters of a scale and their SPE: the most frequent building class inside (V42).
 
-    Where there is none, as on a roof garden, it is the most frequent class of all; of equal ones the lowest; 0 where no
+    Without one, as on a roof garden, it is the most frequent class of all; of equal ones the lowest; 0 where no
     cell has a class.
     """
     rows, counts = _count_classes(clusters, level, colours)

@@ -252,7 +252,7 @@ def _without_vegetation(
 def _record_outside(
     cells: NDArray[np.bool_], classes: ClassMap | None, connectivity: int, ledger: ClusterLedger
 ) -> None:
-    """Record what is above the mask and in no house: most of it stands in a class with another label, as decks do."""
+    """Record what is above the mask and in no house: most of it lies in a class with another label, as decks do."""
     named = np.zeros_like(cells)
     if classes is not None:
         named = (classes.index > 0) & ~classes.labelled("building") & ~classes.labelled("vegetation")

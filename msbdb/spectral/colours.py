@@ -239,7 +239,7 @@ def counts(cells: NDArray[np.int32], size: int) -> NDArray[np.int32]:
 def means(
     cells: NDArray[np.int32], values: NDArray[np.uint16], count: NDArray[np.int32], out: NDArray[np.float32]
 ) -> None:
-    """Write the mean value of each cell into ``out`` (flat); 0 where there is none."""
+    """Write the mean value of each cell into ``out`` (flat); 0 in empty cells."""
     total = np.zeros(out.size, dtype=np.int64)  # whole numbers: exact in any order of the points
     for i in range(cells.size):
         if cells[i] >= 0:

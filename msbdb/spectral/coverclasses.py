@@ -234,7 +234,7 @@ def classify_cover(
     *,
     echoes: bool,
 ) -> Cover:
-    """Classify the colours where there are any, and describe all classes in one table.
+    """Classify the colours, if given, and describe all classes in one table.
 
     One band of intensity alone is no imagery: it separates materials too poorly.
     """

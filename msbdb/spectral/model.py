@@ -46,7 +46,7 @@ class ClassFacts:
 
 
 def choose_index(names: tuple[str, ...], wanted: str) -> str | None:
-    """Choose the vegetation index that the bands allow: the one wanted, or the best; None when there is none.
+    """Choose the vegetation index that the bands allow: the one wanted, or the best; None when no index is possible.
 
     NDVI needs ``nir`` and ``red``; ``green-red`` needs ``green`` and ``red``; ``pseudo-ndvi`` needs ``intensity`` and
     ``red`` (V20). An index that is wanted but not possible gives way to the best that is.

@@ -254,7 +254,7 @@ def _nearest(
 
 @kernel
 def _lowest(xyz: tuple[Floats, Floats, Floats], chosen: Mask, frame: Frame, shape: tuple[int, int]) -> Floats:
-    """Lowest chosen point of each cell, infinity where there is none."""
+    """Lowest chosen point of each cell, infinity in empty cells."""
     x, y, z = xyz
     values = np.full(shape, np.inf)
     for i in range(x.size):
@@ -267,7 +267,7 @@ def _lowest(xyz: tuple[Floats, Floats, Floats], chosen: Mask, frame: Frame, shap
 
 @kernel
 def _observed_rows(observed: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Rows of the nearest observed cells of a column, up to and from each cell; -1 where there is none."""
+    """Rows of the nearest observed cells of a column, up to and from each cell; -1 without one."""
     height, width = observed.shape
     above = np.full(observed.shape, np.int32(-1))
     below = np.full(observed.shape, np.int32(-1))

@@ -101,7 +101,7 @@ def structural_cover(
 
 
 def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> Field:
-    """Return how far split echoes speak for leaves: 0 on planes, which may be glass, to 1 on rough surfaces.
+    """Return how far split echoes suggest leaves: 0 on planes, which may be glass, to 1 on rough surfaces.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: Cover
 
 
 def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
-    """Highest or lowest roof in the 3 by 3 cells around each cell; infinite where there is none."""
+    """Highest or lowest roof in the 3 by 3 cells around each cell; infinite without a roof."""
     none = -np.inf if extreme is maximum_filter else np.inf
     return extreme(np.where(roof, heights, none), 3, mode="nearest")
 

@@ -143,7 +143,7 @@ def echoes(points: PointCloud, ndsm: Grid, dtm: Grid, *, small_m: float, wide_m:
 
 
 def _share(part: Counts, whole: Counts, size: int) -> Field:
-    """Share of two counts in a square window; 0 where there is nothing to count."""
+    """Share of two counts in a square window; 0 where both counts are 0."""
     above = uniform_filter(part.astype(np.float32), size, mode="constant")
     below = uniform_filter(whole.astype(np.float32), size, mode="constant")
     np.maximum(below, np.float32(0.5 / size**2), out=below)

@@ -1,4 +1,4 @@
-"""What a run says of a place: the building there, or the reason why there is none, and what each detector decided."""
+"""What a run found at a place: the building, or the reason for none, and what each detector decided."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ class DetectorAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """What a run says of a place.
+    """What a run found at a place.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def _said(answer: DetectorAnswer) -> str:
 
 
 def explain_places(engine: Engine, places: Sequence[tuple[float, float]], survey: str | None = None) -> list[Place]:
-    """Return what a run says of places, each in the CRS of the database.
+    """Return what a run found at places, each in the CRS of the database.
 
     Parameters
     ----------

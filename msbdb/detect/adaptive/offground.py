@@ -98,7 +98,7 @@ class SurfaceEvidence:
     level : ndarray
         Mean degree to which the points around lie on planes, of those with neighbours enough for one.
     split : ndarray
-        Share of the points around that are of pulses with several echoes, as far as these speak for leaves; 0 where
+        Share of the points around that are of pulses with several echoes, as far as these suggest leaves; 0 where
         the source has no echoes.
     """
 

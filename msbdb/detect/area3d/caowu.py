@@ -214,7 +214,7 @@ def _open_close(
     Returns
     -------
     (K, N) ndarray of float64
-        Metres; minus infinity where there is none.
+        Metres; minus infinity without one.
 
     Notes
     -----

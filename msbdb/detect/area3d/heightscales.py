@@ -165,7 +165,7 @@ class OnSets:
         Which points are connected (C2).
     filtered : (N,) ndarray of float64, metres
         The highest h_j at which each point is on after opening and closing by area (C6, C7). A point is in the on-set
-        of h_j when this is h_j or more. Minus infinity where there is none.
+        of h_j when this is h_j or more. Minus infinity without one.
     spacing_m : float
         Mean point spacing.
     link_m : float

@@ -37,7 +37,7 @@ class Shapes:
     rectangularity, compactness, linearity : (M,) ndarray
         C17, C12.
     directions : (M, 2) ndarray
-        Main directions, degrees from east, 0 to 180; NaN where there is none.
+        Main directions, degrees from east, 0 to 180; NaN without one.
     """
 
     points: NDArray[np.int64]
