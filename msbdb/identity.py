@@ -103,7 +103,7 @@ def plain(value: Any) -> Any:  # noqa: ANN401  (parameters and counts are nested
     return value
 
 
-def to_json(value: Any) -> str:  # noqa: ANN401
+def to_json(value: Any) -> str:  # noqa: ANN401  (any value of JSON)
     """Return a value as JSON with sorted keys."""
     return json.dumps(plain(value), sort_keys=True, ensure_ascii=False, allow_nan=False)
 

@@ -309,4 +309,4 @@ class Decisions:
 def _around(found: list[Box]) -> Box:
     """Return the box around boxes."""
     rows, cols = zip(*found, strict=True)
-    return tuple(slice(min(s.start for s in side), max(s.stop for s in side)) for side in (rows, cols))  # type: ignore[return-value]
+    return tuple(slice(min(s.start for s in side), max(s.stop for s in side)) for side in (rows, cols))  # type: ignore[return-value]  # two slices

@@ -256,7 +256,7 @@ def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dic
             slice(max(rows.start - margin, 0), rows.stop + margin),
             slice(max(cols.start - margin, 0), cols.stop + margin),
         )
-        near = isotropic_dilation(piece[box] == number, reach)  # type: ignore[no-untyped-call]
+        near = isotropic_dilation(piece[box] == number, reach)  # type: ignore[no-untyped-call]  # scikit-image
         labels, cells = np.unique(other[box][near & (other[box] > 0)], return_counts=True)
         found[number] = set(labels[3 * cells >= cells.max(initial=0)].tolist())
     return found
@@ -268,9 +268,9 @@ def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     margin = int(np.ceil(params.thickness_m / spec.cell_m)) + 1
     padded = np.pad(mask, margin, mode="edge")
     reach = params.thickness_m / spec.cell_m
-    opened = isotropic_opening(padded, reach)  # type: ignore[no-untyped-call]
+    opened = isotropic_opening(padded, reach)  # type: ignore[no-untyped-call]  # scikit-image
     # The disc rounds corners off; dilation inside of the mask gives them back.
-    whole = isotropic_dilation(opened, reach)[margin:-margin, margin:-margin] & mask  # type: ignore[no-untyped-call]
+    whole = isotropic_dilation(opened, reach)[margin:-margin, margin:-margin] & mask  # type: ignore[no-untyped-call]  # scikit-image
     pieces, count = label_zones(whole)
     return renumber(pieces, sizes(pieces, count) * spec.cell_area_m2 >= params.least_m2)[0]
 
@@ -281,7 +281,7 @@ def without_slivers(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
     After a part was pulled down, strips too thin to be a change can be left along the old outline.
     """
     reach = params.thickness_m / spec.cell_m
-    core = isotropic_opening(np.pad(cells, int(np.ceil(reach)) + 1), reach)  # type: ignore[no-untyped-call]
+    core = isotropic_opening(np.pad(cells, int(np.ceil(reach)) + 1), reach)  # type: ignore[no-untyped-call]  # scikit-image
     margin = (core.shape[0] - cells.shape[0]) // 2
     pieces, count = label_zones(cells, connectivity=4)  # as outlines are traced
     whole = sizes(pieces[core[margin:-margin, margin:-margin] & cells], count) > 0

@@ -139,7 +139,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
 @values
 @shared("json")
-def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401
+def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Build or extend a database of buildings from one survey.
 
     Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes separate roofs from trees. An
@@ -268,7 +268,7 @@ def check_inputs(inputs: dict[str, Any]) -> None:
 @click.option("--keep", is_flag=True, help="Keep the points of class 6 of IN in class 6, found or not.")
 @click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
 @shared("json")
-def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:  # noqa: ANN401
+def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:  # noqa: ANN401  (the options)
     """Write a copy of the points with the buildings in class 6.
 
     IN is LAS, LAZ or COPC. OUT is LAS or LAZ, by its ending, and has the same points in the same order. Only classes

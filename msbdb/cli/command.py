@@ -184,7 +184,7 @@ class Command(click.Command):
         Complete command lines; they end the help and are part of the docs.
     """
 
-    def __init__(self, *args: Any, examples: tuple[str, ...] = (), **kwargs: Any) -> None:  # noqa: ANN401
+    def __init__(self, *args: Any, examples: tuple[str, ...] = (), **kwargs: Any) -> None:  # noqa: ANN401  (click's)
         super().__init__(*args, **kwargs)
         self.examples = examples
 
@@ -202,7 +202,7 @@ class Command(click.Command):
                 for example in self.examples:
                     formatter.write(f"{'':>{formatter.current_indent}}{example}\n")
 
-    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401
+    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401  (click's)
         """Run the command; report a failure in one line, with the traceback only under ``--debug``."""
         debug = bool(ctx.params.pop("debug", False))
         with _reporting(ctx.params.pop("verbose", 0), ctx):

@@ -40,7 +40,7 @@ MOST = 50
 @click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: only buildings in them are compared.")
 @values
 @shared("json")
-def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401
+def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Build a survey and update the inventory by it.
 
     The survey's buildings are compared with those of the inventory: each is unchanged, modified, new, demolished,

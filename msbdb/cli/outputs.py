@@ -220,7 +220,7 @@ def classes(*, db: str, labels: tuple[tuple[int, str], ...], survey: str | None,
     help="Compare footprints, or points with those of a LAS or LAZ reference. [default: area; point for a point file]",
 )
 @shared("survey", "json")
-def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **options: Any) -> None:  # noqa: ANN401
+def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **options: Any) -> None:  # noqa: ANN401  (options)
     """Compare the footprints of a database, or the class 6 of a point file, with a reference.
 
     The report counts by area, by object (all, and those over 50 m2), by shape and by height, as the papers do. By

@@ -126,7 +126,7 @@ def _flooded(relief: NDArray[np.float32], seeds: Labels, built: Mask) -> Labels:
     """Return the watershed of a relief within the buildings; each connected part of them holds a seed."""
     from skimage.segmentation import watershed
 
-    found: Labels = watershed(relief, np.where(built, seeds, 0), mask=built)  # type: ignore[no-untyped-call]
+    found: Labels = watershed(relief, np.where(built, seeds, 0), mask=built)  # type: ignore[no-untyped-call]  # scikit-image
     return found
 
 
@@ -134,7 +134,7 @@ def _tops(smooth: NDArray[np.float32]) -> Labels:
     """Return the tops that rise `TOP_M` above the saddles between them, numbered."""
     from skimage.morphology import h_maxima
 
-    return label_zones(h_maxima(smooth, TOP_M) > 0)[0]  # type: ignore[no-untyped-call]
+    return label_zones(h_maxima(smooth, TOP_M) > 0)[0]  # type: ignore[no-untyped-call]  # scikit-image
 
 
 def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels | None) -> RoofPieces:

@@ -61,7 +61,7 @@ def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[Labels,
     if values.dtype.kind == "f":
         # Floats without NaN are equal just where their bits are, once negative zeros are positive.
         values = (values.astype(np.float64) + 0.0).view(np.int64)
-    labels, count = label(  # type: ignore[no-untyped-call]
+    labels, count = label(  # type: ignore[no-untyped-call]  # scikit-image
         values, background=0, return_num=True, connectivity=connectivity // 4
     )
     return labels.astype(np.int32, copy=False), int(count)

@@ -24,7 +24,7 @@ def param(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] | None = None,
-) -> Any:  # noqa: ANN401
+) -> Any:  # noqa: ANN401  (as dataclasses.field)
     """Declare a parameter of a section.
 
     Parameters
@@ -108,7 +108,7 @@ def read_params(path: Path, base: T) -> T:
     return with_values(base, values)
 
 
-def checked_value(section: str, item: Field[Any], value: Any) -> Any:  # noqa: ANN401  (any plain type)
+def checked_value(section: str, item: Field[Any], value: Any) -> Any:  # noqa: ANN401  (as dataclasses.field)  (any plain type)
     """Return a value in the declared type of its parameter.
 
     Raises
@@ -148,7 +148,7 @@ def require_rising(section: str, values: Any, lower: str, upper: str) -> None:  
         raise ParameterError(msg)
 
 
-def _converted(name: str, kind: type, value: Any) -> Any:  # noqa: ANN401  (any plain type)
+def _converted(name: str, kind: type, value: Any) -> Any:  # noqa: ANN401  (as dataclasses.field)  (any plain type)
     """Convert a plain TOML or JSON value to the type of the default."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if kind is float and is_number:

@@ -40,15 +40,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from pyproj import CRS
 
-RUN = SQL["run"]
-
-RUN_METHOD = SQL["run_method"]
-
-RUN_STATE = SQL["run_state"]
-
-SOURCE = SQL["source"]
-
-SURVEY = SQL["survey"]
+RUN, RUN_METHOD, RUN_STATE = SQL["run"], SQL["run_method"], SQL["run_state"]
+SOURCE, SURVEY = SQL["source"], SQL["survey"]
 
 
 def list_runs(engine: Engine) -> "pd.DataFrame":
@@ -295,12 +288,12 @@ def _read_plain(engine: Engine, table: Table, survey: str | None) -> "pd.DataFra
     return frame
 
 
-def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN401
+def _read(engine: Engine, table: Table, survey: str | None) -> Any:  # noqa: ANN401  (pandas loads late)
     """Return one table of one run, as a GeoDataFrame where it has a geometry."""
     return read_tables(engine, (table,), survey)[table.name]
 
 
-def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  # noqa: ANN401
+def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  # noqa: ANN401  (a row)
     """Return the row of the survey's run; without a name, the run of the only survey."""
     query = select(SURVEY.c.name.label("survey"), RUN).join_from(RUN, SURVEY)
     runs = connection.execute(query.order_by(RUN.c.run_id)).all()
@@ -371,7 +364,7 @@ def _typed(values: tuple[Any, ...], dtype: str) -> NDArray[Any]:
     return np.array(values, dtype={"str": object, "Int64": np.float64}.get(dtype, dtype))
 
 
-def _as_frame(table: Table, columns: Mapping[str, NDArray[Any]], survey: Survey) -> Any:  # noqa: ANN401
+def _as_frame(table: Table, columns: Mapping[str, NDArray[Any]], survey: Survey) -> Any:  # noqa: ANN401  (pandas loads late)
     """Return columns as a frame with the declared dtypes, geographic in the survey's CRS where it has a geometry."""
     import pandas as pd
 

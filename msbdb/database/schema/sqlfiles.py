@@ -142,7 +142,7 @@ def example_queries() -> dict[str, ExampleQuery]:
     return {name: _example(name) for name in sql_names("queries")}
 
 
-def run_example(engine: Engine, name: str, **values: Any) -> "pd.DataFrame":  # noqa: ANN401
+def run_example(engine: Engine, name: str, **values: Any) -> "pd.DataFrame":  # noqa: ANN401  (what SQL takes)
     """Run an example query with its defaults, or with other values of its parameters.
 
     Raises
