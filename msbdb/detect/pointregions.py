@@ -81,14 +81,15 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
     heights, ndvi = point_heights(scene, params), point_ndvi(scene.bands, cloud)
     found = extract(cloud, heights, spec=spec, survey=scene.survey.name, params=params, ndvi=ndvi)
     spacing_m = 1 / surface.density**0.5
-    outlines = outline_regions(
-        cloud.x, cloud.y, found.labels, len(found.regions), spacing_m=spacing_m, params=params.vector
-    )
-    table = gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs)
+    # Where regions meet, the order decides: by place, because the ids depend on the name of the survey.
+    order = np.lexsort((found.regions["xcen"], found.regions["ycen"]))
+    labels = reorder(found.labels, order, len(order))
+    by_place = outline_regions(cloud.x, cloud.y, labels, len(order), spacing_m=spacing_m, params=params.vector)
+    outlines = by_place[np.argsort(order)]
     return Regions(
         found.method,
-        rasterise(outlines, spec),
-        table,
+        reorder(rasterise(by_place, spec), np.argsort(order), len(order)),
+        gpd.GeoDataFrame(found.regions, geometry=list(outlines), crs=spec.crs),
         found.rejections,
         found.counts,
         of_points=found.labels,

@@ -19,7 +19,7 @@ from support.sizes import sample
 
 import msbdb
 from msbdb.cli.main import cli
-from msbdb.database import canonical_dump, open_database, read_build
+from msbdb.database import canonical_dump, open_database, read_build, read_candidates
 from msbdb.errors import DatabaseError, InputError
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
@@ -428,3 +428,15 @@ def test_nothing_is_written_when_inputs_cannot_be_used(tmp_path):
         msbdb.build(db=tmp_path / "none.sqlite")
     with pytest.raises(DatabaseError):
         msbdb.open(tmp_path / "none.sqlite")
+
+
+def test_the_name_of_a_survey_changes_no_outline(tmp_path):
+    """Names are part of the ids; where two candidate regions meet, their places decide which has the shared points."""
+    points = write_points(tmp_path / "hall.laz", scenes.large_building(density=0.5).points)
+    found = []
+    for survey in ("a", "b"):
+        msbdb.build([points], db=tmp_path / f"{survey}.sqlite", survey=survey, extract=["area3d"])
+        candidates = read_candidates(open_database(tmp_path / f"{survey}.sqlite"))
+        found.append(sorted(shapely.to_wkb(candidates.normalize())))
+    assert len(found[0]) == 2
+    assert found[0] == found[1]
