@@ -4,6 +4,7 @@ import click
 
 from msbdb.cli.build import build, classify
 from msbdb.cli.db import db
+from msbdb.cli.doctor import doctor
 from msbdb.cli.inventory import changes, import_, state, update
 from msbdb.cli.outputs import classes, evaluate, export, info, view, why
 from msbdb.cli.params import params
@@ -34,6 +35,7 @@ for _command in (
     state,
     db,
     params,
+    doctor,
 ):
     cli.add_command(_command)
 
