@@ -669,3 +669,16 @@ def test_results_are_legible(capsys):
         assert expected in printed
     assert "{" not in printed
     assert text(True) == "yes"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_shell_completes_commands_and_choices(shell, monkeypatch):
+    """Each shell gets a script, which asks the program for the words."""
+    monkeypatch.setenv("_MSBDB_COMPLETE", f"{shell}_source")
+    script = CliRunner().invoke(cli, prog_name="msbdb")
+    assert "_MSBDB_COMPLETE=" in script.output
+    monkeypatch.setenv("_MSBDB_COMPLETE", "bash_complete")
+    for words, expected in (("msbdb ex", "export"), ("msbdb view --of ar", "area3d")):
+        monkeypatch.setenv("COMP_WORDS", words)
+        monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
+        assert f"plain,{expected}" in CliRunner().invoke(cli, prog_name="msbdb").output.splitlines()

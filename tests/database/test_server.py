@@ -22,8 +22,8 @@ pytestmark = [
 
 
 def call(*words: str) -> "subprocess.CompletedProcess[str]":
-    """Run the script."""
-    return subprocess.run([str(SCRIPT), *words], capture_output=True, text=True, check=False)
+    """Run the script, which waits a minute for the server at most."""
+    return subprocess.run([str(SCRIPT), *words], capture_output=True, text=True, check=False, timeout=180)
 
 
 @pytest.fixture
