@@ -12,7 +12,7 @@ import pytest
 from hypothesis import settings
 
 # The examples are the same each time, so that a failure is the change's; MSBDB_TEST_EXAMPLES=random looks for new ones.
-settings.register_profile("default", max_examples=25, deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("default", max_examples=15, deadline=None, derandomize=True, print_blob=True)
 settings.register_profile("long", max_examples=100, deadline=None, derandomize=True, print_blob=True)
 settings.register_profile("random", max_examples=100, deadline=None, print_blob=True)
 
