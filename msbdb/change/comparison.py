@@ -10,7 +10,17 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.change.decisions import Decisions
-from msbdb.change.differences import Epochs, Links, Mask, Offset, earlier_heights, estimate_offset, find_pieces, moved
+from msbdb.change.differences import (
+    AGREEMENT_M,
+    Epochs,
+    Links,
+    Mask,
+    Offset,
+    earlier_heights,
+    estimate_offset,
+    find_pieces,
+    moved,
+)
 from msbdb.detect.scene import Elevations
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid, GridSpec
@@ -18,6 +28,11 @@ from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
 from msbdb.params import ChangeParams, Params
 from msbdb.tables import HEIGHTS
+
+Rise = NDArray[np.float32]
+
+ENOUGH_CELLS = 1_000_000
+"""An even choice of this many cells gives the vertical offset of two surveys; more add nothing but time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +70,8 @@ def compare(
     *,
     heights: Grid,
     earlier: Sequence[Grid] = (),
+    levels: Grid | None = None,
+    earlier_levels: Sequence[Grid | None] = (),
     surveyed: Mask | None = None,
     params: ChangeParams | None = None,
 ) -> Comparison:
@@ -71,6 +88,10 @@ def compare(
     earlier : sequence of Grid
         Heights above ground that the inventory has of the place, the latest first; none where it began from
         footprints alone.
+    levels : Grid, optional
+        Levels of the survey above sea, metres, on the lattice of ``heights``; None where its terrain is not known.
+    earlier_levels : sequence of Grid or None, optional
+        The same of each of ``earlier``; by default none is known.
     surveyed : (H, W) ndarray of bool, optional
         The area of interest on the survey's lattice; all of it by default.
     params : ChangeParams, optional
@@ -86,12 +107,18 @@ def compare(
     Buildings are compared by the pieces of ground that were built or are gone (`find_pieces`), not by how each build
     divides a block into buildings. A row of houses that is one building in one survey is unchanged while nothing was
     built or pulled down. A piece belongs to the buildings that it touches within the thickness that counts.
+
+    A roof rose or sank where its level above sea changed. The ground beneath a block is interpolated, so
+    two surveys differ there although nothing changed. Heights above ground decide where a level is not known.
     """
     params = params or ChangeParams()
     offset = estimate_offset(before, after, least_pairs=params.offset_pairs)
     spec = heights.spec
     known = earlier_heights(earlier, spec, offset)
     rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values) - np.float32(offset.dz_m)
+    if levels is not None:
+        known_levels = [*earlier_levels, *[None] * (len(earlier) - len(earlier_levels))]
+        rise = _level_rise(rise, levels, earlier, known_levels, offset)
     inside = heights.valid if surveyed is None else heights.valid & surveyed
     shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
     epochs = Epochs(
@@ -106,6 +133,33 @@ def compare(
     decisions = Decisions(links, offset)
     decisions.decide()
     return Comparison(offset, decisions.changes(), decisions.new_versions())
+
+
+def _level_rise(
+    rise: Rise, levels: Grid, earlier: Sequence[Grid], earlier_levels: Sequence[Grid | None], offset: Offset
+) -> Rise:
+    """Return the change of level in each cell, and the given rise above ground where no earlier level is known.
+
+    Two surveys may count their levels from different zeros. Their vertical offset is the change on which most cells
+    agree, streets included.
+    """
+    found, left = rise.copy(), levels.valid.copy()
+    for heights, known in zip(earlier, earlier_levels, strict=True):
+        before = earlier_heights([heights if known is None else known], levels.spec, offset)
+        both = levels.valid & before.valid
+        if known is not None and both.any():
+            change = np.asarray(levels.values) - np.asarray(before.values)
+            np.copyto(found, change - _agreed(change[both]), where=both & left)
+        left &= ~before.valid
+    return found
+
+
+def _agreed(change: Rise) -> np.float32:
+    """Return the median of the largest group of changes that lie close together, of equal groups the lowest."""
+    ordered = np.sort(change[:: -(-len(change) // ENOUGH_CELLS)])
+    ends = np.searchsorted(ordered, ordered + np.float32(2 * AGREEMENT_M), side="right")
+    first = int(np.argmax(ends - np.arange(len(ordered))))
+    return np.float32(np.median(ordered[first : ends[first]]))
 
 
 def _painted(shapes: NDArray[np.object_], spec: GridSpec) -> Labels:

@@ -35,7 +35,7 @@ from msbdb.errors import DatabaseError, InputError, MsbdbWarning
 from msbdb.grid import Grid
 from msbdb.identity import to_json
 from msbdb.io.vector import read_polygons
-from msbdb.kept import heights_of
+from msbdb.kept import PER_METRE, heights_of
 from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, ChangeParams, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
@@ -150,13 +150,17 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
         own = standing.offsets[standing.offsets["survey_id"] == survey_key(record.name)]
         offset = {str(name): value for name, value in own.drop(columns="survey_id").iloc[0].items()}
         return _report(record, date, "unchanged", standing.applied, offset)
-    before, heights = standing.before, _heights(engine, record)
+    before, (heights, levels) = standing.before, _heights(engine, record)
     inside = None
     if not area.equals(shapely.box(*record.bounds)):
         inside = rasterise([area], heights.spec) > 0
     after = read_buildings(engine, record.name)
     params = _params(engine, record.name)
-    found = compare(before, after, heights=heights, earlier=_earlier(engine, standing), surveyed=inside, params=params)
+    earlier, earlier_levels = _earlier(engine, standing)
+    found = compare(
+        before, after, heights=heights, levels=levels, earlier=earlier, earlier_levels=earlier_levels,
+        surveyed=inside, params=params,
+    )  # fmt: skip
     found, states = _states(found, before, after, heights)
     states = _with_roofs(states, found, engine, record, heights)
     states = _with_parts(states, found, engine, record.name)
@@ -174,23 +178,31 @@ def _params(engine: Engine, survey: str) -> ChangeParams:
     return with_values(Params(), {"change": values.get("change", {})}).change
 
 
-def _heights(engine: Engine, record: Survey) -> Grid:
-    """Return the heights above ground of a survey."""
-    return heights_of(record, read_rasters(engine, record.name))
+def _heights(engine: Engine, record: Survey) -> tuple[Grid, Grid | None]:
+    """Return the heights of a survey above ground, and those above sea where its terrain is known."""
+    rasters = read_rasters(engine, record.name)
+    heights = heights_of(record, rasters)
+    if rasters.terrain_cm is None:
+        return heights, None
+    level_m = np.asarray(heights.values) + rasters.terrain_cm / PER_METRE
+    return heights, Grid(np.where(heights.valid, level_m, 0).astype(np.float32), heights.valid, heights.spec)
 
 
-def _earlier(engine: Engine, standing: Standing) -> list[Grid]:
+def _earlier(engine: Engine, standing: Standing) -> tuple[list[Grid], list[Grid | None]]:
     """Return the heights of the earlier surveys of the place, the latest first, each brought to the inventory's place.
 
-    A survey that was applied before lies to the inventory as its stored offset says.
+    A survey that was applied before lies to the inventory as its stored offset says. The second list has the heights
+    above sea, each from its survey's own zero.
     """
-    grids = []
+    grids: list[Grid] = []
+    levels: list[Grid | None] = []
     offsets = standing.offsets.set_index("survey_id")
     for event in standing.events.itertuples(index=False):
-        grid = _heights(engine, read_survey(engine, event.name))
-        offset = offsets.loc[event.survey_id]
-        grids.append(_moved_back(grid, float(offset["dx_m"]), float(offset["dy_m"]), float(offset["dz_m"])))
-    return grids
+        heights, level = _heights(engine, read_survey(engine, event.name))
+        dx, dy, dz = (float(offsets.loc[event.survey_id, name]) for name in ("dx_m", "dy_m", "dz_m"))
+        grids.append(_moved_back(heights, dx, dy, dz))
+        levels.append(None if level is None else _moved_back(level, dx, dy, 0.0))
+    return grids, levels
 
 
 def _moved_back(grid: Grid, dx: float, dy: float, dz: float) -> Grid:

@@ -286,6 +286,63 @@ def test_a_building_that_an_earlier_survey_cut_is_whole_now_and_unchanged() -> N
     assert kinds(compared([*ROW, cut], [*ROW, whole])) == [("modified", 8, 8)]
 
 
+def levels(houses: list[House], terrain: Grid, zero: float = 0.0) -> tuple[Grid, Grid]:
+    """Return heights above a terrain that a survey found, and levels above its own zero."""
+    above = np.asarray(ground(houses).values)
+    found = above - np.asarray(terrain.values)
+    return Grid(found.astype(np.float32), terrain.valid, SPEC), Grid(
+        (above + zero).astype(np.float32), terrain.valid, SPEC
+    )
+
+
+def test_ground_that_is_found_elsewhere_beneath_a_block_is_no_change_of_its_roofs() -> None:
+    """Two flights interpolate it differently; the levels of the roofs decide, each from its survey's own zero."""
+    flat = ground([])
+    hill = ground([(148, 8, 164, 24, 2.5)])
+    before, base = levels(ROW, flat)
+    after, now = levels(ROW, hill, zero=43.2)
+    options = {"heights": after, "earlier": [before]}
+    assert kinds(compare(town(ROW), town(ROW), **options)) == [("modified", 7, 7)]
+    found = compare(town(ROW), town(ROW), **options, levels=now, earlier_levels=[base])
+    assert kinds(found) == []
+    assert found.changes["dh_m"].tolist() == pytest.approx([0.0] * 8, abs=1e-3)
+    # An earlier survey without a terrain is compared by heights above ground.
+    assert kinds(compare(town(ROW), town(ROW), **options, levels=now)) == [("modified", 7, 7)]
+    assert kinds(compare(town(ROW), town(ROW), **options, levels=now, earlier_levels=[None])) == [("modified", 7, 7)]
+
+
+def test_a_roof_that_rose_is_found_where_the_ground_is_found_elsewhere() -> None:
+    """A storey more hides in heights above ground where the ground is found a storey higher."""
+    flat, hill = ground([]), ground([(148, 8, 164, 24, 3.0)])
+    raised = [*ROW[:7], (*ROW[7][:4], ROW[7][4] + 3)]
+    before, base = levels(ROW, flat)
+    after, now = levels(raised, hill, zero=-2.0)
+    options = {"heights": after, "earlier": [before]}
+    assert kinds(compare(town(ROW), town(raised), **options)) == []
+    found = compare(town(ROW), town(raised), **options, levels=now, earlier_levels=[base])
+    assert kinds(found) == [("modified", 7, 7)]
+    assert found.changes["dh_m"].iloc[7] == pytest.approx(3.0, abs=1e-3)
+
+
+def test_of_several_earlier_surveys_each_has_its_own_zero() -> None:
+    """The latest has levels in the west alone; an older one has the east, from another zero."""
+    west = np.zeros(SPEC.shape, dtype=np.bool_)
+    west[:, :200] = True
+    raised = [(*ROW[0][:4], 12.0), *ROW[1:7], (*ROW[7][:4], 20.0)]
+    after, now = levels(raised, ground([]), zero=100.0)
+    earlier, known = zip(*(levels(ROW, ground([]), zero=zero) for zero in (7.0, -30.0)), strict=True)
+    halves = [
+        Grid(np.where(west, np.asarray(grid.values), 0).astype(np.float32), west, SPEC)
+        for grid in (earlier[0], known[0])
+    ]
+    found = compare(
+        town(ROW), town(raised), heights=after, levels=now, earlier=[halves[0], earlier[1]],
+        earlier_levels=[halves[1], known[1]],
+    )  # fmt: skip
+    assert kinds(found) == [("modified", 0, 0), ("modified", 7, 7)]
+    assert found.changes["dh_m"].iloc[[0, 7]].tolist() == pytest.approx([6.0, 7.0], abs=1e-3)
+
+
 def test_a_slender_building_that_rises_as_a_whole_is_modified() -> None:
     """No disc fits into it, but most of its cells agree; a part of it that rose is no change."""
     slender: House = (20, 60, 60, 61.5, 6)

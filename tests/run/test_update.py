@@ -127,6 +127,27 @@ def test_an_update_is_computed_again_when_others_change_the_place(
     assert seen == [0, 0, 8]
 
 
+def test_the_ground_beneath_a_block_is_no_change_of_its_roofs(tmp_path: Path) -> None:
+    """Surveys interpolate it 2.5 m apart, from zeros of their own; what rose by the levels of its roof is modified."""
+    db, bounds = tmp_path / "town.sqlite", (0.0, 0.0, 180.0, 32.0)
+    raised = [(*ROW[0][:4], 11.0), *ROW[1:]]
+    engine = open_database(db, create=True, srid=EPSG)
+    surveys = (("one", ROW, 0.0, 0, 0), ("two", ROW, 0.5, 250, 4312), ("three", raised, 0.0, 0, -700))
+    for year, (name, houses, shift, deeper_cm, zero_cm) in enumerate(surveys, 2020):
+        build = town_build(name, str(year), houses, bounds=bounds, shift=shift)
+        terrain = np.zeros(build.rasters.heights_cm.shape, dtype=np.int32)
+        terrain[:, 280:] = deeper_cm
+        heights = np.maximum(build.rasters.heights_cm - terrain, 0)
+        rasters = replace(build.rasters, heights_cm=heights, terrain_cm=terrain + zero_cm)
+        write_build(engine, replace(build, rasters=rasters))
+    engine.dispose()
+    assert api.advance(db, "one").counts == {"new": 8, "versions": 8}
+    two = api.advance(db, "two")
+    assert two.offset["dx_m"] == pytest.approx(0.5)
+    assert two.counts == {"unchanged": 8, "versions": 0}
+    assert api.advance(db, "three").counts == {"modified": 1, "unchanged": 7, "versions": 1}
+
+
 def test_operators_labels_survive_that_a_survey_is_built_again(points: Path, tmp_path: Path) -> None:
     """Labels of classes that are the same stay, others are told; building once more changes nothing."""
     db = tmp_path / "town.sqlite"

@@ -29,24 +29,16 @@ FOUND_SHARE = 0.5
 UNTOUCHED_SHARE = 0.1
 """A building is untouched when edits cover less of it (and it less of them)."""
 
-NEAR_M = 0.25
-"""Houses of a block stand nearer to each other than twice this, a cell."""
-
 UNCLASSIFIED = 1
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Edits that were found and missed, and the kinds of changes that were told of untouched buildings.
-
-    ``invented`` are those of blocks that no edit touches; ``beside`` those of other houses in the block of an edit:
-    there the ground beneath, and the borders of houses, change with the edit.
-    """
+    """Edits that were found and missed, and the kinds of changes that were told of untouched buildings."""
 
     found: tuple[Edit, ...]
     missed: tuple[Edit, ...]
     invented: tuple[str, ...]
-    beside: tuple[str, ...]
 
     def by_edit(self) -> dict[str, tuple[int, int]]:
         """Return what was found and missed of each edit."""
@@ -95,9 +87,7 @@ def write_second(
     return written, epoch.edits
 
 
-def judge(
-    edits: Sequence[Edit], told: gpd.GeoDataFrame, before: gpd.GeoDataFrame, surveys: Sequence[gpd.GeoDataFrame] = ()
-) -> Judgement:
+def judge(edits: Sequence[Edit], told: gpd.GeoDataFrame, before: gpd.GeoDataFrame) -> Judgement:
     """Compare the changes that were told with the edits that were made.
 
     Parameters
@@ -108,8 +98,6 @@ def judge(
         Changes of the second survey (`msbdb.database.read_changes`).
     before : GeoDataFrame
         Versions of the inventory, by ``version_id``.
-    surveys : sequence of GeoDataFrame
-        The buildings of both surveys, whose houses that touch are blocks. Without them a change stands for itself.
     """
     told = told[told["kind"] != "unchanged"]
     outlines = dict(zip(before["version_id"].astype(int), before.geometry, strict=True))
@@ -121,23 +109,10 @@ def judge(
     large = [edit for edit in edits if edit.place.area >= LEAST_M2]
     found = tuple(edit for edit in large if _is_found(edit, told))
     everywhere = shapely.union_all([edit.place for edit in edits])
-
-    def touched(place: shapely.Geometry) -> bool:
-        return _is_touched(place, edits, everywhere)
-
-    untouched = [(kind, place) for kind, place in zip(told["kind"], places, strict=True) if not touched(place)]
-    blocks = _blocks([*places, *(shape for survey in surveys for shape in survey.geometry)]) if surveys else []
-    beside, invented = [], []
-    for kind, place in untouched:
-        block = [shape for shape in blocks if shape.intersects(place)]
-        (beside if any(shape.intersects(everywhere) for shape in block) else invented).append(kind)
-    return Judgement(found, tuple(edit for edit in large if edit not in found), tuple(invented), tuple(beside))
-
-
-def _blocks(shapes: Sequence[shapely.Geometry]) -> list[shapely.Geometry]:
-    """Return the outlines of blocks: of houses that touch, or nearly."""
-    joined = shapely.union_all(shapely.buffer(np.array(shapes), NEAR_M))
-    return list(shapely.get_parts(joined))
+    invented = tuple(
+        kind for kind, place in zip(told["kind"], places, strict=True) if not _is_touched(place, edits, everywhere)
+    )
+    return Judgement(found, tuple(edit for edit in large if edit not in found), invented)
 
 
 def _is_found(edit: Edit, told: gpd.GeoDataFrame) -> bool:
