@@ -1,13 +1,14 @@
 """Decisions of a comparison: the kind of change of each building, and its new state."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from scipy.ndimage import distance_transform_edt
 
-from msbdb.change.differences import Epochs, Links, Offset, Pieces, thick, without_slivers
+from msbdb.change.differences import Epochs, Links, Offset, Pieces, core, thick, without_slivers
 from msbdb.grid import GridSpec
 from msbdb.labels import Box, Labels, boxes, sizes
 from msbdb.outline.polygons import polygonise
@@ -56,6 +57,8 @@ class Decisions:
         self.box_before, self.box_after, self.box_gain = map(
             boxes, (self.epochs.before, self.epochs.after, self.pieces.gain)
         )
+        self.beyond = self._divide_beyond()
+        self.box_gain = boxes(self.pieces.gain)
 
     @property
     def before(self) -> gpd.GeoDataFrame:
@@ -130,13 +133,15 @@ class Decisions:
             return
         lifted = self._lifted(i)
         gains = self.links.gains.get(i, [])
-        outline = bool(lost) or not all(self._is_beyond(i, piece) for piece in gains)
+        outline = bool(lost) or not self.beyond.issuperset(gains)
         height = lifted > 0 or (bool(own) and self._rose_by_attributes(i, own[0]))
         if not own:
             self._note("unchanged", i, 0, note=NO_FOOTPRINT)
         elif outline or height:
             common = int(np.count_nonzero(stood & (np.asarray(self.epochs.heights.values)[box] >= self.params.rise_m)))
-            shape, adopted = self._outline((i,), own[0])
+            # Where its ground is as it was, a building keeps its outline, however the survey draws it.
+            is_kept = not lost and not gains
+            shape, adopted = (self.links.shifted[i - 1], False) if is_kept else self._outline((i,), own[0])
             in_part = 0 < lifted < self.params.gone_share * common
             version = self._enter(i, own[0], shape, adopted=adopted)
             self._note("modified", i, own[0], version=version, outline=outline, height=height, parts=bool(in_part))
@@ -164,12 +169,47 @@ class Decisions:
         is_large = count * self.spec.cell_area_m2 >= self.params.least_m2
         return count if is_whole and is_large and np.count_nonzero(whole & under) >= least * count else 0
 
-    def _is_beyond(self, i: int, piece: int) -> bool:
-        """Return whether a piece of gain lies beyond the earlier surveys, though one has measured the building."""
+    def _divide_beyond(self) -> set[int]:
+        """Give each building what of it lies beyond the earlier surveys, and return these pieces of gain.
+
+        What no earlier survey has measured may have stood before, so it joins no buildings. Of several that were
+        measured each gets the nearest cells, without parts that no disc fits into.
+        """
+        links, gain = self.links, self.pieces.gain.copy()
+        linked: dict[int, list[int]] = {}
+        for i, pieces in sorted(links.gains.items()):
+            for piece in pieces:
+                linked.setdefault(piece, []).append(i)
+        beyond: set[int] = set()
+        count = int(gain.max(initial=0))
+        for piece, group in linked.items():
+            if not self._is_beyond(piece, group):
+                continue
+            for i in group:
+                links.gains[i].remove(piece)
+            del links.gain_after[piece]
+            around = _around([self.box_gain[piece], *(self.box_before[i] for i in group)])
+            cells, houses = gain[around] == piece, self.epochs.before[around]
+            nearest = distance_transform_edt(~np.isin(houses, group), return_distances=False, return_indices=True)
+            gain[around][cells] = 0
+            for i in group:
+                own = cells & (houses[tuple(nearest)] == i)
+                if core(own, self.spec, self.params).any():
+                    count += 1
+                    gain[around][own] = count
+                    links.gains[i].append(count)
+                    beyond.add(count)
+        links.pieces = replace(self.pieces, gain=gain)
+        return beyond
+
+    def _is_beyond(self, piece: int, group: list[int]) -> bool:
+        """Return whether a piece of gain lies beyond the earlier surveys, though they have measured its buildings."""
         known, least = self.epochs.earlier.valid, self.params.surveyed_share
-        place, box = self.box_before[i], self.box_gain[piece]
-        measured = known[place][self.epochs.before[place] == i].mean()
-        return bool(measured >= least and known[box][self.pieces.gain[box] == piece].mean() < least)
+        box = self.box_gain[piece]
+        if known[box][self.pieces.gain[box] == piece].mean() >= least:
+            return False
+        places = ((self.box_before[i], i) for i in group)
+        return all(known[place][self.epochs.before[place] == i].mean() >= least for place, i in places)
 
     def _own(self, pieces: Labels, i: int) -> dict[int, int]:
         """Count the cells of each piece inside a building, where they are thick and many in it alone.
@@ -222,6 +262,8 @@ class Decisions:
         known = self.epochs.earlier.valid[box][place].mean() >= self.params.surveyed_share
         built = np.mean(self.pieces.gain[box][place] > 0) >= self.params.surveyed_share
         if known and not built:
+            if 2 * np.count_nonzero(self.epochs.before[box][place]) >= np.count_nonzero(place):
+                return  # the inventory divides this ground in another way, and its houses still stand
             kind, note = "unchanged", STOOD_BEFORE
         else:
             kind, note = "new", "" if known else FIRST_SURVEY

@@ -275,16 +275,21 @@ def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     return renumber(pieces, sizes(pieces, count) * spec.cell_area_m2 >= params.least_m2)[0]
 
 
+def core(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
+    """Return the cells of a mask that a disc inside of it covers; beyond the array there is no mask."""
+    reach = params.thickness_m / spec.cell_m
+    margin = int(np.ceil(reach)) + 1
+    opened = isotropic_opening(np.pad(cells, margin), reach)  # type: ignore[no-untyped-call]  # scikit-image
+    return np.asarray(opened[margin:-margin, margin:-margin] & cells)
+
+
 def without_slivers(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
     """Return a footprint without its pieces that no disc fits into, unless none else is left.
 
     After a part was pulled down, strips too thin to be a change can be left along the old outline.
     """
-    reach = params.thickness_m / spec.cell_m
-    core = isotropic_opening(np.pad(cells, int(np.ceil(reach)) + 1), reach)  # type: ignore[no-untyped-call]  # scikit-image
-    margin = (core.shape[0] - cells.shape[0]) // 2
     pieces, count = label_zones(cells, connectivity=4)  # as outlines are traced
-    whole = sizes(pieces[core[margin:-margin, margin:-margin] & cells], count) > 0
+    whole = sizes(pieces[core(cells, spec, params)], count) > 0
     return chosen_cells(pieces, whole) if whole.any() else cells
 
 

@@ -286,6 +286,44 @@ def test_a_building_that_an_earlier_survey_cut_is_whole_now_and_unchanged() -> N
     assert kinds(compared([*ROW, cut], [*ROW, whole])) == [("modified", 8, 8)]
 
 
+def test_touching_houses_that_an_earlier_survey_cut_are_not_merged_beyond_its_border() -> None:
+    """What no earlier survey measured may have stood before: each house gets the cells that are nearest to it."""
+    cut: list[House] = [(180, 60, 190, 70, 9), (180, 70, 190, 80, 6)]
+    whole: list[House] = [(180, 60, 199, 80, 9)]
+    known = ground([*ROW, *cut])
+    border = known.spec.crop(slice(0, known.spec.shape[0]), slice(0, 380))
+    earlier = Grid(np.asarray(known.values)[:, :380].copy(), known.valid[:, :380].copy(), border)
+    after = town([*ROW, *whole])
+    found = compare(town([*ROW, *cut]), after, heights=ground([*ROW, *whole, cut[1]]), earlier=[earlier])
+    assert kinds(found) == [("unchanged", 8, 8), ("unchanged", 9, 8)]
+    assert set(found.changes["note"].iloc[8:]) == {BEYOND_BORDER}
+    assert found.versions.geometry.area.tolist() == pytest.approx([19 * 10, 19 * 10])
+    assert shapely.area(shapely.intersection(*found.versions.geometry)) == 0
+
+
+def test_a_raised_house_that_an_earlier_survey_cut_gets_its_whole_outline() -> None:
+    """Its height changed, and what lies beyond the border is no change of its outline."""
+    cut, whole = (180.0, 60.0, 190.0, 75.0, 9.0), (180.0, 60.0, 199.0, 75.0, 15.0)
+    known = ground([*ROW, cut])
+    border = known.spec.crop(slice(0, known.spec.shape[0]), slice(0, 380))
+    earlier = Grid(np.asarray(known.values)[:, :380].copy(), known.valid[:, :380].copy(), border)
+    found = compared([*ROW, cut], [*ROW, whole], earlier=[earlier])
+    row = found.changes.iloc[8]
+    assert (row["kind"], row["outline"], row["height"]) == ("modified", False, True)
+    assert found.versions.geometry.area.tolist() == pytest.approx([19 * 15])
+
+
+def test_a_strip_beyond_the_border_of_the_earlier_surveys_is_no_part_of_a_house() -> None:
+    """A few cells along the border are within what outlines differ by, and need no new state."""
+    cut, whole = (180.0, 60.0, 199.0, 80.0, 9.0), (180.0, 60.0, 200.5, 80.0, 9.0)
+    known = ground([*ROW, cut])
+    border = known.spec.crop(slice(0, known.spec.shape[0]), slice(0, 398))
+    earlier = Grid(np.asarray(known.values)[:, :398].copy(), known.valid[:, :398].copy(), border)
+    found = compared([*ROW, cut], [*ROW, whole], earlier=[earlier], params=ChangeParams(least_m2=5.0))
+    assert kinds(found) == []
+    assert found.versions.empty
+
+
 def levels(houses: list[House], terrain: Grid, zero: float = 0.0) -> tuple[Grid, Grid]:
     """Return heights above a terrain that a survey found, and levels above its own zero."""
     above = np.asarray(ground(houses).values)
@@ -341,6 +379,32 @@ def test_of_several_earlier_surveys_each_has_its_own_zero() -> None:
     )  # fmt: skip
     assert kinds(found) == [("modified", 0, 0), ("modified", 7, 7)]
     assert found.changes["dh_m"].iloc[[0, 7]].tolist() == pytest.approx([6.0, 7.0], abs=1e-3)
+
+
+def test_a_house_whose_height_alone_changed_keeps_its_outline() -> None:
+    """The survey draws it half a metre wider, and joins it with its neighbour; neither is a change of its ground."""
+    pair: list[House] = [(20, 60, 32, 72, 8), (32, 60, 44, 72, 8)]
+    alone: list[House] = [*ROW[:7], (149.5, 9.5, 162.5, 22.5, 20.0)]
+    found = compared(ROW, alone)
+    assert kinds(found) == [("modified", 7, 7)]
+    assert found.versions.geometry.iloc[0].equals(town(ROW).geometry.iloc[7])
+    assert found.changes["darea_m2"].iloc[7] == 0
+    after = town([*ROW, (20, 60, 44, 72, 8)])
+    found = compare(
+        town([*ROW, *pair]), after, heights=ground([*ROW, pair[0], (*pair[1][:4], 12)]), earlier=[ground([*ROW, *pair])]
+    )
+    assert kinds(found) == [("modified", 9, 8)]
+    assert found.versions.geometry.iloc[0].equals(town(pair).geometry.iloc[1])
+
+
+def test_a_footprint_on_ground_of_several_known_houses_is_none_of_its_own() -> None:
+    """The survey divides a block otherwise, so that a house lies on parts of four; all of them stay as they are."""
+    block: list[House] = [(west, south, west + 20, south + 20, 8) for west in (20.0, 40.0) for south in (60.0, 80.0)]
+    middle: House = (35, 75, 45, 85, 8)
+    found = compared([*ROW, *block], [*ROW, *block, middle])
+    assert kinds(found) == []
+    assert found.versions.empty
+    assert found.changes["before"].tolist() == [*range(12)]
 
 
 def test_a_slender_building_that_rises_as_a_whole_is_modified() -> None:
