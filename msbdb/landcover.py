@@ -38,7 +38,9 @@ class ClassMap:
             msg = f"The class map has the shape {self.index.shape}; the lattice has {self.spec.shape}."
             raise GridMismatchError(msg)
         wrong = sorted(set(self.labels.values()) - set(LABELS))
-        unknown = sorted(set(np.unique(self.index).tolist()) - {0} - set(self.labels))
+        there = np.zeros(256, dtype=np.bool_)
+        there[self.index] = True
+        unknown = sorted(set(np.flatnonzero(there).tolist()) - {0} - set(self.labels))
         if wrong or unknown:
             msg = (
                 f"Every class needs one of the labels {', '.join(LABELS)}; "

@@ -2,14 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from msbdb.fuse.roofborders import RoofBorders
-from msbdb.labels import Box, Labels, boxes, label_zones, sums
+from msbdb.labels import Labels, around, boxes, label_zones, sums, widened
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -133,18 +132,6 @@ def cut_pieces(
     return label_zones(both, connectivity=4)[0]
 
 
-def widened(window: Box, margin: int) -> Box:
-    """Return a window with so many cells more on each side; beyond the lattice there are none.
-
-    Examples
-    --------
-    >>> widened((slice(1, 3), slice(8, 9)), 2)
-    (slice(0, 5, None), slice(6, 11, None))
-    """
-    rows, cols = (slice(max(side.start - margin, 0), side.stop + margin) for side in window)
-    return rows, cols
-
-
 def _marks(
     heights: NDArray[np.float32], built: Mask, strength: NDArray[np.float32], *, cell_m: float, core_m: float
 ) -> tuple[Mask, Mask, NDArray[np.float32], NDArray[np.float32]]:
@@ -184,7 +171,7 @@ def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels
     if parcels is not None:
         owners[member - 1] = parcels.ravel()[cells]
     framed = np.pad(labels, 1)
-    outside = (_window(framed, np.flatnonzero(framed)) == 0).sum(axis=1).astype(np.float64)
+    outside = (around(framed, np.flatnonzero(framed)) == 0).sum(axis=1).astype(np.float64)
     rims = sums(member, outside, count)
     return RoofPieces(labels, area, total, tops, np.stack(moments, axis=1), owners, rims)
 
@@ -245,11 +232,11 @@ def measure_touches(
         here = cells[pair]
         there = here + step
         found = [
-            (_window(strength, here).max(axis=1) >= least) | (_window(strength, there).max(axis=1) >= least)
+            (around(strength, here).max(axis=1) >= least) | (around(strength, there).max(axis=1) >= least)
             for strength, least in zip(strengths, least_m, strict=True)
         ]
         evidence = (found[0] | found[1] | found[2], *found)
-        low = np.minimum(_window(below, here).min(axis=1), _window(below, there).min(axis=1)).astype(np.float64)
+        low = np.minimum(around(below, here).min(axis=1), around(below, there).min(axis=1)).astype(np.float64)
         places = (place.astype(np.float64) - 1 for place in np.divmod(here, width))
         differ = np.abs(height.ravel()[here] - height.ravel()[there]).astype(np.float64)
         columns.append(np.stack([np.ones(low.size), *evidence, differ, low, low * low, *_moments(*places)], axis=1))
@@ -257,10 +244,3 @@ def measure_touches(
     table = np.concatenate(columns)
     counts = np.stack([sums(member + 1, column, touch.size) for column in table.T], axis=1)
     return Touches(touch // max(count, 1), touch % max(count, 1), counts)
-
-
-def _window(framed: NDArray[Any], cells: NDArray[np.intp]) -> NDArray[Any]:
-    """Return (K, 9) the values of 3 by 3 cells around cells, flat indices of an image with a frame of one cell."""
-    steps = (np.arange(-1, 2)[:, None] * framed.shape[1] + np.arange(-1, 2)).ravel()
-    values: NDArray[Any] = framed.ravel()[cells[:, None] + steps]
-    return values

@@ -9,9 +9,9 @@ from scipy.ndimage import distance_transform_edt, median_filter
 
 from msbdb.fuse.joining import REASONS, Joining
 from msbdb.fuse.roofborders import RoofBorders, find_roof_borders, reach_m
-from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_pieces, measure_pieces, measure_touches, widened
+from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_pieces, measure_pieces, measure_touches
 from msbdb.grid import Grid
-from msbdb.labels import Labels, boxes, label_zones, touching_pairs
+from msbdb.labels import Labels, boxes, label_zones, touching_pairs, widened
 from msbdb.params import TouchingParams
 
 

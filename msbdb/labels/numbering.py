@@ -1,11 +1,13 @@
 """Label images: connected regions of equal value, their numbers, their sizes, and the cells that two images share."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+
+T = TypeVar("T", bound=np.generic)
 
 Labels = NDArray[np.int32]
 Box = tuple[slice, slice]
@@ -105,6 +107,18 @@ def boxes(labels: Labels) -> dict[int, Box]:
     return {number: box for number, box in enumerate(ndimage.find_objects(labels), start=1) if box is not None}
 
 
+def widened(window: Box, margin: int) -> Box:
+    """Return a window with so many cells more on each side; beyond the lattice there are none.
+
+    Examples
+    --------
+    >>> widened((slice(1, 3), slice(8, 9)), 2)
+    (slice(0, 5, None), slice(6, 11, None))
+    """
+    rows, cols = (slice(max(side.start - margin, 0), side.stop + margin) for side in window)
+    return rows, cols
+
+
 def sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     """Return the number of cells or points of each label from 1 to ``count``, int64.
 
@@ -154,6 +168,30 @@ def chosen_cells(labels: Labels, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]
     """
     cells: NDArray[np.bool_] = np.concatenate([[False], chosen])[labels]
     return cells
+
+
+def around(framed: NDArray[T], cells: NDArray[np.intp]) -> NDArray[T]:
+    """Return the values of the 3 by 3 cells around some cells: quicker than a filter of all cells where these are few.
+
+    Parameters
+    ----------
+    framed : (H + 2, W + 2) ndarray
+        An image with a frame of one cell.
+    cells : (K,) ndarray of int
+        Flat indices into it; none is of the frame.
+
+    Returns
+    -------
+    (K, 9) ndarray
+
+    Examples
+    --------
+    >>> around(np.pad([[1, 2], [3, 4]], 1), np.array([5]))
+    array([[0, 0, 0, 0, 1, 2, 0, 3, 4]])
+    """
+    steps = np.add.outer(np.arange(-1, 2) * framed.shape[1], np.arange(-1, 2)).ravel()
+    values: NDArray[T] = framed.ravel()[cells[:, None] + steps]
+    return values
 
 
 def small_zones(mask: NDArray[np.bool_], cells: float, *, connectivity: int) -> NDArray[np.bool_]:
