@@ -198,7 +198,8 @@ def _walls(
 ) -> tuple[Mask, Mask, Floats]:
     """Return which cells are of one roof with the next one of their row and of their column, and the levels at a rim.
 
-    Each island of buildings is looked at in its own window: most of a lattice has none. Returns (H, W - 1), (H - 1, W) and (H, W).
+    Each island of buildings is looked at in its own window, as most of a lattice has none. Returns (H, W - 1),
+    (H - 1, W) and (H, W).
     """
     across, down = np.zeros_like(inside), np.zeros_like(inside)
     edge = np.full(labels.shape, np.inf)
