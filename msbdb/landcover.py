@@ -1,6 +1,6 @@
 """Class maps: land-cover classes on a lattice, which classifiers write and detectors read."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,9 +51,12 @@ class ClassMap:
 
     def labelled(self, *labels: str) -> NDArray[np.bool_]:
         """Return the (H, W) mask of the cells whose class has one of the labels."""
+        return self.among(index for index, label in self.labels.items() if label in labels)
+
+    def among(self, indices: Iterable[int]) -> NDArray[np.bool_]:
+        """Return the (H, W) mask of the cells with one of these indices."""
         wanted = np.zeros(256, dtype=np.bool_)
-        for index, label in self.labels.items():
-            wanted[index] = label in labels
+        wanted[list(indices)] = True
         return wanted[self.index]
 
 
@@ -93,7 +96,7 @@ def overlay(
         kept = {k for k, label in labels.items() if k <= count and (label == "building" or k in operator)}
         if green_decides:
             kept |= {k for k, label in labels.items() if k <= count and label == "vegetation"}
-        colour = np.isin(spectral.index, sorted(kept))
-        labelled = np.isin(spectral.index, sorted(k for k in operator if k <= count))
+        colour = spectral.among(kept)
+        labelled = spectral.among(k for k in operator if k <= count)
         index = np.where((is_roof & colour) | ((is_roof | is_crown) & labelled), spectral.index, index)
     return ClassMap(index, labels, structure.spec)
