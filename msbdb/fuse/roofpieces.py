@@ -142,7 +142,7 @@ def _marks(
     relief = gaussian_filter(np.where(built, strength, 0), 0.5)
     smooth = np.where(built, gaussian_filter(heights, SMOOTH_M / cell_m, truncate=TRUNCATE), 0).astype(np.float32)
     # Tops rise `TOP_M` above the saddles between them.
-    top = h_maxima(smooth, TOP_M) > 0  # type: ignore[no-untyped-call]
+    top = h_maxima(smooth, TOP_M) > 0  # type: ignore[no-untyped-call]  # scikit-image
     return core, top, relief, smooth
 
 
