@@ -1,6 +1,6 @@
 """Class maps: land-cover classes on a lattice, which classifiers write and detectors read."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +38,9 @@ class ClassMap:
             msg = f"The class map has the shape {self.index.shape}; the lattice has {self.spec.shape}."
             raise GridMismatchError(msg)
         wrong = sorted(set(self.labels.values()) - set(LABELS))
-        unknown = sorted(set(np.unique(self.index).tolist()) - {0} - set(self.labels))
+        there = np.zeros(256, dtype=np.bool_)
+        there[self.index] = True
+        unknown = sorted(set(np.flatnonzero(there).tolist()) - {0} - set(self.labels))
         if wrong or unknown:
             msg = (
                 f"Every class needs one of the labels {', '.join(LABELS)}; "
@@ -49,9 +51,12 @@ class ClassMap:
 
     def labelled(self, *labels: str) -> NDArray[np.bool_]:
         """Return the (H, W) mask of the cells whose class has one of the labels."""
+        return self.among(index for index, label in self.labels.items() if label in labels)
+
+    def among(self, indices: Iterable[int]) -> NDArray[np.bool_]:
+        """Return the (H, W) mask of the cells with one of these indices."""
         wanted = np.zeros(256, dtype=np.bool_)
-        for index, label in self.labels.items():
-            wanted[index] = label in labels
+        wanted[list(indices)] = True
         return wanted[self.index]
 
 
@@ -91,7 +96,7 @@ def overlay(
         kept = {k for k, label in labels.items() if k <= count and (label == "building" or k in operator)}
         if green_decides:
             kept |= {k for k, label in labels.items() if k <= count and label == "vegetation"}
-        colour = np.isin(spectral.index, sorted(kept))
-        labelled = np.isin(spectral.index, sorted(k for k in operator if k <= count))
+        colour = spectral.among(kept)
+        labelled = spectral.among(k for k in operator if k <= count)
         index = np.where((is_roof & colour) | ((is_roof | is_crown) & labelled), spectral.index, index)
     return ClassMap(index, labels, structure.spec)

@@ -1165,7 +1165,7 @@ COMMENT ON COLUMN run_state.dtype IS 'numpy dtype of the cells, with byte order'
 
 COMMENT ON COLUMN run_state.shape IS 'lengths of the axes [cells]';
 
-COMMENT ON COLUMN run_state.data IS 'the cells in C order, compressed by zlib';
+COMMENT ON COLUMN run_state.data IS 'the cells in C order, packed as in msbdb.database.runs.packing';
 
 COMMENT ON TABLE scale IS 'A scale of a run''s scale-space';
 

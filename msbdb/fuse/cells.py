@@ -1,16 +1,18 @@
 """Which cells are building: the detectors' votes, and a minimum cut whose edges follow the steps of height."""
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.secondlook import with_flush_planes, without_crowns
 from msbdb.grid import Grid
-from msbdb.labels import Labels, Pairs, label_zones, minimum_cut, neighbours, small_zones
+from msbdb.labels import Labels, Pairs, around, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
+
+T = TypeVar("T", bound=np.generic)
 
 Mask = NDArray[np.bool_]
 
@@ -107,32 +109,40 @@ def _straight(decided: Mask) -> Mask:
     A corner has four of its nine cells. So what an opening by 3 by 3 cells keeps stays, and what a closing leaves empty
     stays empty: bumps and notches of a cell go.
     """
-    most = uniform_filter(decided.astype(np.float32), 3, mode="nearest") > 0.5
-    opened = maximum_filter(minimum_filter(decided, 3, mode="nearest"), 3, mode="nearest")
-    closed = minimum_filter(maximum_filter(decided, 3, mode="nearest"), 3, mode="nearest")
+    most = _by_three(np.add, decided.astype(np.int8)) > 4
+    opened = _by_three(np.logical_or, _by_three(np.logical_and, decided))
+    closed = _by_three(np.logical_and, _by_three(np.logical_or, decided))
     straight: Mask = (most | opened) & closed
     return straight
 
 
+def _by_three(combine: np.ufunc, image: NDArray[T]) -> NDArray[T]:
+    """Combine the 3 by 3 cells around each cell; beyond the lattice the outermost cells go on."""
+    for axis in range(2):
+        framed = np.pad(image, [(1, 1) if axis == side else (0, 0) for side in range(2)], mode="edge")
+        count = image.shape[axis]
+        one, two, three = (framed[n : n + count] if axis == 0 else framed[:, n : n + count] for n in range(3))
+        image = combine(combine(one, two), three)
+    return image
+
+
 def _apart(decided: Mask, high: Mask) -> Mask:
     """Keep of the cells below the mask those beside one building, unless they touch those of another."""
-    labels, _ = label_zones(high)
-    rim = decided & ~high & (_highest(labels) > 0) & (_highest(labels) == _lowest(labels))
-    owner = np.where(rim, _highest(labels), labels)
-    kept: Mask = high | (rim & (_highest(owner) == _lowest(owner)))
-    return kept
+    owner = np.pad(label_zones(high)[0], 1)
+    rim = np.flatnonzero(np.pad(decided & ~high, 1))
+    highest, lowest = _extremes(owner, rim)
+    rim, own = rim[highest == lowest], highest[highest == lowest]
+    owner.ravel()[rim] = own
+    highest, lowest = _extremes(owner, rim)
+    kept = np.pad(high, 1)
+    kept.ravel()[rim[highest == lowest]] = True
+    return kept[1:-1, 1:-1]
 
 
-def _highest(labels: Labels) -> Labels:
-    """Return the largest label in the 3 by 3 cells around each cell."""
-    found: Labels = maximum_filter(labels, 3, mode="nearest")
-    return found
-
-
-def _lowest(labels: Labels) -> Labels:
-    """Return the smallest label above 0 in the 3 by 3 cells around each cell."""
-    found: Labels = minimum_filter(np.where(labels > 0, labels, np.iinfo(np.int32).max), 3, mode="nearest")
-    return found
+def _extremes(framed: Labels, cells: NDArray[np.intp]) -> tuple[Labels, Labels]:
+    """Return the largest label in the 3 by 3 cells around some cells, and the smallest one above 0."""
+    labels = around(framed, cells)
+    return labels.max(axis=1), np.where(labels > 0, labels, np.iinfo(np.int32).max).min(axis=1)
 
 
 def _cut(votes: NDArray[np.int8], needed: float, heights: Grid, params: FuseParams) -> Mask:

@@ -80,7 +80,12 @@ def find_roof_borders(heights: Heights, built: NDArray[np.bool_], *, cell_m: flo
     (3.0, 0.5)
     """
     near_m = max(NEAR_M, NEAR_SPACINGS * spacing_m)
-    return RoofBorders(*_profiles(heights, built, cell_m, near_m, near_m + REACH_M))
+    return RoofBorders(*_profiles(heights, built, cell_m, near_m, reach_m(spacing_m)))
+
+
+def reach_m(spacing_m: float) -> float:
+    """Return how far a profile reads on each side, metres, for points of this mean distance."""
+    return max(NEAR_M, NEAR_SPACINGS * spacing_m) + REACH_M
 
 
 @kernel

@@ -16,12 +16,15 @@ from scipy.sparse.csgraph import connected_components
 from msbdb.detect.scene import Elevations
 from msbdb.grid import Grid
 from msbdb.kept import PER_METRE
-from msbdb.labels import Labels, neighbours, quantiles, sizes, sums
+from msbdb.labels import Labels, boxes, label_zones, neighbours, quantiles, sizes, sums, widened
 from msbdb.params import HeightParams, SurfaceParams
 from msbdb.parts.slices import storeys
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+AROUND = 5
+"""What is a wall depends on cells up to so far away."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,14 +170,13 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     heights = np.asarray(level.values, dtype=np.float64)
     inside = (labels > 0) & level.valid
     cell_m = level.spec.cell_m
-    across = _along_rows(heights, labels, inside, params, cell_m)
-    down = tuple(one.T for one in _along_rows(heights.T, labels.T, inside.T, params, cell_m))
+    across, down, edge = _walls(heights, labels, inside, params, cell_m)
     count = int(np.count_nonzero(inside))
     node = np.full(labels.shape, -1, dtype=np.int32)
     node[inside] = np.arange(count, dtype=np.int32)
     pairs = [
         (node[one][joined], node[other][joined])
-        for (one, other), (joined, _) in zip(neighbours(labels.shape), (across, down), strict=True)
+        for (one, other), joined in zip(neighbours(labels.shape), (across, down), strict=True)
     ]
     first, second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
     graph = coo_matrix((np.ones(first.size, dtype=np.int8), (first, second)), shape=(count, count))
@@ -183,13 +185,35 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     found[inside] = member + 1
     building = np.zeros(number, dtype=np.int32)
     building[member] = labels[inside] - 1
-    edge = np.minimum(across[1], down[1])
     rim = np.isfinite(edge)
     eaves = quantiles(found[rim], edge[rim], number, params.eaves_share)
     eaves = np.where(np.isnan(eaves), quantiles(found, heights, number, params.eaves_share), eaves)
     ridge = quantiles(found, heights, number, params.ridge_share)
     area_m2 = sizes(found, number).astype(np.float64) * level.spec.cell_area_m2
     return Roofs(found, building, area_m2, eaves, ridge)
+
+
+def _walls(
+    heights: Floats, labels: Labels, inside: Mask, params: HeightParams, cell_m: float
+) -> tuple[Mask, Mask, Floats]:
+    """Return which cells are of one roof with the next one of their row and of their column, and the levels at a rim.
+
+    Each island of buildings is looked at in its own window, as most of a lattice has none. Returns (H, W - 1),
+    (H - 1, W) and (H, W).
+    """
+    across, down = np.zeros_like(inside), np.zeros_like(inside)
+    edge = np.full(labels.shape, np.inf)
+    islands, _ = label_zones(labels > 0)
+    for number, window in boxes(islands).items():
+        near = widened(window, AROUND)
+        own = islands[near] == number
+        level, label, known = heights[near], labels[near], inside[near]
+        joined, rim = _along_rows(level, label, known, params, cell_m)
+        joined_down, rim_down = _along_rows(level.T, label.T, known.T, params, cell_m)
+        across[near][:, :-1][own[:, :-1]] = joined[own[:, :-1]]
+        down[near][:-1][own[:-1]] = joined_down.T[own[:-1]]
+        edge[near][own] = np.minimum(rim, rim_down.T)[own]
+    return across[:, :-1], down[:-1], edge
 
 
 def _along_rows(

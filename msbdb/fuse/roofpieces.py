@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter, minimum_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from msbdb.fuse.roofborders import RoofBorders
-from msbdb.labels import Labels, label_zones, neighbours, sums
+from msbdb.labels import Labels, around, boxes, label_zones, sums, widened
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -18,6 +18,9 @@ KINDS = ("step", "valley", "wall")
 
 SMOOTH_M = 0.4
 """Standard deviation of the smoothing before tops are sought: below it are tiles, dormers' edges and noise."""
+
+TRUNCATE = 4.0
+"""The smoothing reaches so many standard deviations."""
 
 TOP_M = 0.4
 """A top rises this far above the saddle to a higher one: chimneys and noise are lower after the smoothing."""
@@ -108,18 +111,39 @@ def cut_pieces(
     .. [1] Beucher, S., Meyer, F., 1993. The morphological approach to segmentation: the watershed transformation.
        Mathematical Morphology in Image Processing, 433-481.
     """
-    free = built & (strength < 1)
-    cores, count = label_zones(distance_transform_edt(free) * cell_m >= core_m)
     islands, island_count = label_zones(built)
+    core, top = np.zeros_like(built), np.zeros_like(built)
+    relief, smooth = np.zeros_like(heights), np.zeros_like(heights)
+    margin = math.ceil(TRUNCATE * SMOOTH_M / cell_m) + 1
+    for number, window in boxes(islands).items():
+        near = widened(window, margin)
+        own = islands[near] == number
+        found = _marks(heights[near], built[near], strength[near], cell_m=cell_m, core_m=core_m)
+        for whole, part in zip((core, top, relief, smooth), found, strict=True):
+            whole[near][own] = part[own]
+    cores, count = label_zones(core)
     has_core = np.zeros(island_count + 1, dtype=np.bool_)
     has_core[islands[cores > 0]] = True
     # An island without any core is one piece here.
     seeds = np.where(has_core[islands], cores, islands + count)
-    between = _flooded(gaussian_filter(np.where(built, strength, 0), 0.5), seeds, built)
-    smooth = np.where(built, gaussian_filter(heights, SMOOTH_M / cell_m), 0).astype(np.float32)
-    below = _flooded(-smooth, _tops(smooth), built)
+    between = _flooded(relief, seeds, built)
+    below = _flooded(-smooth, label_zones(top)[0], built)
     both = np.where(built, between.astype(np.int64) * (int(below.max()) + 2) + below + 1, 0)
     return label_zones(both, connectivity=4)[0]
+
+
+def _marks(
+    heights: NDArray[np.float32], built: Mask, strength: NDArray[np.float32], *, cell_m: float, core_m: float
+) -> tuple[Mask, Mask, NDArray[np.float32], NDArray[np.float32]]:
+    """Return cores and tops of roofs, the evidence that is flooded from the cores, and the smoothed roofs."""
+    from skimage.morphology import h_maxima
+
+    core = distance_transform_edt(built & (strength < 1)) * cell_m >= core_m
+    relief = gaussian_filter(np.where(built, strength, 0), 0.5)
+    smooth = np.where(built, gaussian_filter(heights, SMOOTH_M / cell_m, truncate=TRUNCATE), 0).astype(np.float32)
+    # Tops rise `TOP_M` above the saddles between them.
+    top = h_maxima(smooth, TOP_M) > 0  # type: ignore[no-untyped-call]  # scikit-image
+    return core, top, relief, smooth
 
 
 def _flooded(relief: NDArray[np.float32], seeds: Labels, built: Mask) -> Labels:
@@ -128,13 +152,6 @@ def _flooded(relief: NDArray[np.float32], seeds: Labels, built: Mask) -> Labels:
 
     found: Labels = watershed(relief, np.where(built, seeds, 0), mask=built)  # type: ignore[no-untyped-call]  # scikit-image
     return found
-
-
-def _tops(smooth: NDArray[np.float32]) -> Labels:
-    """Return the tops that rise `TOP_M` above the saddles between them, numbered."""
-    from skimage.morphology import h_maxima
-
-    return label_zones(h_maxima(smooth, TOP_M) > 0)[0]  # type: ignore[no-untyped-call]  # scikit-image
 
 
 def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels | None) -> RoofPieces:
@@ -153,9 +170,9 @@ def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels
     owners = np.zeros(count, dtype=np.int64)
     if parcels is not None:
         owners[member - 1] = parcels.ravel()[cells]
-    framed = np.pad(labels == 0, 1, constant_values=True).astype(np.float64)
-    outside = (uniform_filter(framed, 3, mode="constant") * 9).round()[1:-1, 1:-1]
-    rims = sums(member, outside.ravel()[cells], count)
+    framed = np.pad(labels, 1)
+    outside = (around(framed, np.flatnonzero(framed)) == 0).sum(axis=1).astype(np.float64)
+    rims = sums(member, outside, count)
     return RoofPieces(labels, area, total, tops, np.stack(moments, axis=1), owners, rims)
 
 
@@ -200,32 +217,30 @@ def measure_touches(
         From which step, valley and wall on there is evidence, metres.
     """
     count = int(labels.max(initial=0))
-    found = [
-        maximum_filter(strength, 3, mode="nearest") >= least
-        for strength, least in zip((borders.step_m, borders.valley_m, borders.wall_m), least_m, strict=True)
-    ]
-    shown = np.stack([found[0] | found[1] | found[2], *found])
-    lowest = minimum_filter(np.where(labels > 0, heights, np.float32(np.inf)), 3, mode="nearest")
-    rows, cols = labels.shape
-    indices = np.broadcast_to(np.arange(rows)[:, None], labels.shape), np.broadcast_to(np.arange(cols), labels.shape)
+    framed = np.pad(labels, 1)
+    height = np.pad(heights, 1)
+    below = np.where(framed > 0, height, np.float32(np.inf))
+    strengths = [np.pad(strength, 1) for strength in (borders.step_m, borders.valley_m, borders.wall_m)]
+    cells, width = np.flatnonzero(framed), framed.shape[1]
     keys, columns = [], []
-    for here, there in _all_neighbours(labels.shape):
-        one, other = labels[here], labels[there]
-        pair = (one != other) & (one > 0) & (other > 0)
-        smaller, larger = np.minimum(one[pair], other[pair]), np.maximum(one[pair], other[pair])
+    # To the right, down, and down along both diagonals; the frame is in no piece.
+    for step in (1, width, width + 1, width - 1):
+        one, other = framed.ravel()[cells], framed.ravel()[cells + step]
+        pair = (one != other) & (other > 0)
+        smaller, larger = np.minimum(one, other)[pair], np.maximum(one, other)[pair]
         keys.append((smaller.astype(np.int64) - 1) * count + larger - 1)
-        evidence = (shown[:, *here] | shown[:, *there])[:, pair]
-        low = np.minimum(lowest[here], lowest[there])[pair].astype(np.float64)
-        rows_cols = (places[here][pair].astype(np.float64) for places in indices)
-        differ = np.abs(heights[here] - heights[there])[pair].astype(np.float64)
-        columns.append(np.stack([np.ones(low.size), *evidence, differ, low, low * low, *_moments(*rows_cols)], axis=1))
+        here = cells[pair]
+        there = here + step
+        found = [
+            (around(strength, here).max(axis=1) >= least) | (around(strength, there).max(axis=1) >= least)
+            for strength, least in zip(strengths, least_m, strict=True)
+        ]
+        evidence = (found[0] | found[1] | found[2], *found)
+        low = np.minimum(around(below, here).min(axis=1), around(below, there).min(axis=1)).astype(np.float64)
+        places = (place.astype(np.float64) - 1 for place in np.divmod(here, width))
+        differ = np.abs(height.ravel()[here] - height.ravel()[there]).astype(np.float64)
+        columns.append(np.stack([np.ones(low.size), *evidence, differ, low, low * low, *_moments(*places)], axis=1))
     touch, member = np.unique(np.concatenate(keys), return_inverse=True)
     table = np.concatenate(columns)
     counts = np.stack([sums(member + 1, column, touch.size) for column in table.T], axis=1)
     return Touches(touch // max(count, 1), touch % max(count, 1), counts)
-
-
-def _all_neighbours(shape: tuple[int, ...]) -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Return the pairs of cells that touch along a side, and those that touch at a corner."""
-    upper, lower, left, right = slice(0, shape[0] - 1), slice(1, None), slice(0, shape[1] - 1), slice(1, None)
-    return [*neighbours(shape), ((upper, left), (lower, right)), ((upper, right), (lower, left))]

@@ -1,5 +1,6 @@
 """Touching houses: the cells of buildings divided where there is a reason, and the reason kept (decision 0031)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,10 +8,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, median_filter
 
 from msbdb.fuse.joining import REASONS, Joining
-from msbdb.fuse.roofborders import RoofBorders, find_roof_borders
-from msbdb.fuse.roofpieces import cut_pieces, measure_pieces, measure_touches
+from msbdb.fuse.roofborders import RoofBorders, find_roof_borders, reach_m
+from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_pieces, measure_pieces, measure_touches
 from msbdb.grid import Grid
-from msbdb.labels import Labels, label_zones, touching_pairs
+from msbdb.labels import Labels, boxes, label_zones, touching_pairs, widened
 from msbdb.params import TouchingParams
 
 
@@ -107,7 +108,7 @@ def divide(
     if not count or not (params.divide or parcels is not None):
         return Division(islands, {})
     cell_m = heights.spec.cell_m
-    smooth = median_filter(np.asarray(heights.values, dtype=np.float32), 3, mode="nearest")
+    smooth = _without_outliers(np.asarray(heights.values, dtype=np.float32), islands, cell_m, spacing_m)
     least_m = (params.step_m, params.valley_m, params.wall_m)
     if params.divide:
         borders = find_roof_borders(smooth, built, cell_m=cell_m, spacing_m=spacing_m)
@@ -133,6 +134,22 @@ def divide(
         pair = int(house[one]), int(house[other])
         found[min(pair), max(pair)] = reason
     return Division(houses, found)
+
+
+def _without_outliers(
+    heights: NDArray[np.float32], islands: Labels, cell_m: float, spacing_m: float
+) -> NDArray[np.float32]:
+    """Return heights freed of single outliers, in buildings and as far around them as anything is read."""
+    margin = math.ceil(max(reach_m(spacing_m), TRUNCATE * SMOOTH_M) / cell_m) + 1
+    smooth = heights.copy()
+    for window in boxes(islands).values():
+        near, around = widened(window, margin), widened(window, margin + 1)
+        found = median_filter(heights[around], 3, mode="nearest")
+        # The median of the outermost cells lacks what lies beyond, except at the border of the lattice.
+        rows, cols = (slice(one.start - other.start, None) for one, other in zip(near, around, strict=True))
+        inside = smooth[near]
+        inside[...] = found[rows, cols][: inside.shape[0], : inside.shape[1]]
+    return smooth
 
 
 def _with_strips(parcels: Labels, islands: Labels, width: float) -> Labels:

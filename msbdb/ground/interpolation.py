@@ -5,11 +5,12 @@ The filters on cells check regions by their edges: walls rise above the ground b
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import sizes
+from msbdb.morphology.windows import erosion
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
@@ -132,7 +133,7 @@ def count_edges(
     boundary, edges : (count,) ndarray of int
         Cells of each cluster with a neighbour in ``beside``, and the edges among them.
     """
-    lowest = minimum_filter(beside, 3, mode="nearest")
+    lowest = erosion(beside, 3, None)
     boundary = (labels > 0) & np.isfinite(lowest)
     edges = boundary & (heights - np.where(boundary, lowest, 0) > step_m)
     return sizes(labels[boundary], count), sizes(labels[edges], count)

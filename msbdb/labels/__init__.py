@@ -10,6 +10,7 @@ from msbdb.labels.numbering import (
     EIGHT,
     Box,
     Labels,
+    around,
     boxes,
     chosen_cells,
     label_zones,
@@ -19,6 +20,7 @@ from msbdb.labels.numbering import (
     sizes,
     small_zones,
     sums,
+    widened,
 )
 from msbdb.labels.statistics import (
     HeightOrder,
@@ -38,6 +40,7 @@ __all__ = [
     "HeightOrder",
     "Labels",
     "Pairs",
+    "around",
     "boxes",
     "central_cells",
     "centroids",
@@ -59,4 +62,5 @@ __all__ = [
     "small_zones",
     "sums",
     "touching_pairs",
+    "widened",
 ]

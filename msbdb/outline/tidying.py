@@ -45,11 +45,13 @@ def tidied(labels: Labels, least_px: float) -> Labels:
     zones, count = label_zones(found, connectivity=4)
     cells = sizes(zones, count)
     owner = np.zeros(count + 1, dtype=np.int64)
-    owner[zones.ravel()] = found.ravel()
+    inside = np.flatnonzero(zones)
+    owner[zones.ravel()[inside]] = found.ravel()[inside]
     order = np.lexsort((np.arange(count), -cells, owner[1:]))
     largest = np.zeros(count, dtype=np.bool_)
     largest[order[np.diff(owner[1:][order], prepend=0) > 0]] = True
-    found[np.concatenate(([False], (cells < least_px) & ~largest))[zones]] = 0
+    crumb = np.concatenate(([False], (cells < least_px) & ~largest))
+    found.ravel()[inside[crumb[zones.ravel()[inside]]]] = 0
     return _without_small_holes(found, least_px)
 
 
@@ -84,15 +86,18 @@ def _without_small_holes(labels: Labels, least_px: float) -> Labels:
         small[border] = False
     if not small.any():
         return labels
-    sides = []
-    for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[1:], np.s_[:-1])):
-        sides += [(zones[one], labels[other]), (zones[:, one], labels[:, other])]
-    pairs = [(zone[chosen], label[chosen]) for zone, label in sides if (chosen := small[zone] & (label > 0)).any()]
-    zone, label = (np.concatenate(values).astype(np.int64) for values in zip(*pairs, strict=True))
+    # A small zone does not reach the border, so each of its cells has four neighbours.
+    cells = np.flatnonzero(small[zones])
+    width = labels.shape[1]
+    zone = np.tile(zones.ravel()[cells], 4).astype(np.int64)
+    label = np.concatenate([labels.ravel()[cells + step] for step in (1, -1, width, -width)]).astype(np.int64)
+    zone, label = zone[label > 0], label[label > 0]
     key, edges = np.unique(zone * (int(labels.max()) + 1) + label, return_counts=True)
     zone, label = np.divmod(key, int(labels.max()) + 1)
     order = np.lexsort((label, -edges, zone))
     first = order[np.diff(zone[order], prepend=0) > 0]
     winner = np.zeros(count + 1, dtype=np.int32)
     winner[zone[first]] = label[first]
-    return np.where(zones > 0, winner[zones], labels).astype(np.int32)
+    filled = labels.copy()
+    filled.ravel()[cells] = winner[zones.ravel()[cells]]
+    return filled

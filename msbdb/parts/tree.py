@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
-from msbdb.labels import Labels, chosen_cells, colour_touching, label_zones, measure
+from msbdb.labels import Labels, around, chosen_cells, colour_touching, label_zones, measure
 from msbdb.landcover import ClassMap
 from msbdb.morphology.scalespace import build_scale_space, find_scales
 from msbdb.params import Params, ScaleParams, with_values
@@ -98,7 +97,7 @@ def extract_parts(
     sliced = slice_heights(heights, params.surface, connectivity=params.scale.connectivity)
     if houses is not None:
         _record_outside((sliced > 0) & (houses == 0), classes, params.scale.connectivity, ledger)
-        sliced = np.where(houses > 0, np.where(sliced == 0, maximum_filter(sliced, 3, mode="nearest"), sliced), 0)
+        sliced = _beside_slices(sliced, houses)
     scales = number_scales(params.scale.scales_m2, ndsm.spec.cell_area_m2)
     thresholds = scales["threshold_px"].tolist()[::-1]
     clusters = form_clusters(sliced, thresholds, params.scale, ledger, houses)
@@ -123,6 +122,15 @@ def extract_parts(
     forest = grow_forest(clusters, context, ledger)
     logger.info("Parts: %d, rejected regions: %d", len(forest.parts), len(forest.rejections))
     return forest
+
+
+def _beside_slices(sliced: NDArray[Any], houses: Labels) -> NDArray[Any]:
+    """Return the slices of houses alone; their cells below the mask get the highest slice beside them."""
+    framed = np.pad(sliced, 1)
+    low = np.flatnonzero(np.pad((houses > 0) & (sliced == 0), 1))
+    raised = around(framed, low).max(axis=1)
+    framed.ravel()[low] = raised
+    return np.where(houses > 0, framed[1:-1, 1:-1], sliced.dtype.type(0))
 
 
 def choose_scales(ndsm: Grid, classes: ClassMap | None, params: Params) -> Params:

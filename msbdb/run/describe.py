@@ -216,8 +216,9 @@ def _joined(first: pd.DataFrame, others: list[pd.DataFrame]) -> pd.DataFrame:
 
 def count_cells(heights: Grid, cover: Cover) -> dict[str, int]:
     """Count the cells: all, valid, and a class label each."""
-    labels = cover.classes.labels
-    found = np.bincount(cover.classes.index.ravel(), minlength=256)
+    classes = cover.classes
+    labels = classes.labels
+    found = np.bincount(classes.index.ravel(), minlength=256)
     by_label: dict[str, int] = {}
     for index, label in sorted(labels.items()):
         by_label[label] = by_label.get(label, 0) + int(found[index])

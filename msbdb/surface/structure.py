@@ -11,11 +11,12 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+from scipy.ndimage import gaussian_filter
 
 from msbdb.grid import Grid
 from msbdb.labels import chosen_cells, label_zones, sizes, small_zones, sums
 from msbdb.landcover import ClassMap
+from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import CoverParams, Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.heights import Surface
@@ -166,7 +167,7 @@ def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverP
     radius = round(neck_m / 2 / cell_m)
     if radius:
         size = 2 * radius + 1
-        roof = maximum_filter(minimum_filter(roof, size, mode="nearest"), size, mode="nearest")
+        roof = opening(roof.astype(np.float32), size, None) > 0
     return roof & ~small_zones(roof, params.min_roof_m2 / cell_m**2, connectivity=8)
 
 
@@ -215,7 +216,7 @@ def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params:
 def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: CoverParams) -> Mask:
     """Give the roofs' edges back: raised neighbours of like height, a cell at a time, and then the small holes."""
     for _ in range(round(params.grow_m / cell_m)):
-        upper, lower = in_threads(partial(_around, roof, heights), (maximum_filter, minimum_filter))
+        upper, lower = in_threads(partial(_around, roof, heights), (dilation, erosion))
         near = np.minimum(np.abs(heights - upper), np.abs(heights - lower)) < params.grow_step_m
         roof = roof | (raised & near)
     return roof | (small_zones(~roof, params.hole_m2 / cell_m**2, connectivity=4) & raised)
@@ -223,8 +224,8 @@ def _grow(roof: Mask, raised: Mask, heights: Field, cell_m: float, params: Cover
 
 def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
     """Highest or lowest roof in the 3 by 3 cells around each cell; infinite without a roof."""
-    none = -np.inf if extreme is maximum_filter else np.inf
-    return extreme(np.where(roof, heights, none), 3, mode="nearest")
+    none = np.float32(-np.inf if extreme is dilation else np.inf)
+    return extreme(np.where(roof, heights, none), 3, None)
 
 
 def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:

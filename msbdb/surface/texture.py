@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+from scipy.ndimage import uniform_filter
 
 from msbdb.grid import Grid
+from msbdb.morphology.windows import dilation, erosion
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Frame, Samples, cell_of, frame
 from msbdb.threads import kernel
@@ -95,7 +96,7 @@ def roughness(samples: Samples, window_m: float) -> Field:
     # Heights are taken from the middle of their range, so that the sums of their squares keep their digits.
     origin = float(np.nanmin(samples.z) + np.nanmax(samples.z)) / 2
     residual = _plane_residual(samples.z, (samples.east, samples.north), origin, samples.spec.cell_m, size // 2)
-    best: Field = minimum_filter(residual, size, mode="nearest")
+    best: Field = erosion(residual, size, None)
     return best
 
 
@@ -136,9 +137,9 @@ def echoes(points: PointCloud, ndsm: Grid, dtm: Grid, *, small_m: float, wide_m:
     share_small, share_wide = _share(split, firsts, small), _share(split, firsts, wide)
     return Echoes(
         split=share_small,
-        split_best=minimum_filter(np.where(raised, share_small, 1), small, mode="nearest"),
-        split_wide=minimum_filter(np.where(raised, share_wide, 1), wide, mode="nearest"),
-        solid=maximum_filter(_share(stopped, lasts, wide), wide, mode="nearest"),
+        split_best=erosion(np.where(raised, share_small, np.float32(1)), small, None),
+        split_wide=erosion(np.where(raised, share_wide, np.float32(1)), wide, None),
+        solid=dilation(_share(stopped, lasts, wide), wide, None),
     )
 
 
@@ -193,23 +194,27 @@ def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell
     out = np.full(z.shape, np.float32(NO_PLANE_M))
     for row in range(height):
         columns = _column_moments(z, offsets, (origin, cell), row, half)
-        for col in range(width):
+        sums = np.zeros((10, width))
+        # The columns around a cell one by one, each for all cells of the row: the processor takes several at once.
+        for right in range(-half, half + 1):
             # Sums from columns whose eastings count from their own centre: e becomes e + shift, so that
             # sum(e z) becomes sum(e z) + shift sum(z), and sum(e e) gains shift (2 sum(e) + n shift).
-            n = se = sn = sz = see = sen = snn = sez = snz = szz = 0.0
-            for c in range(max(col - half, 0), min(col + half + 1, width)):
-                m = columns[c]
-                shift = (c - col) * cell
-                n += m[0]
-                se += m[1] + m[0] * shift
-                sn += m[2]
-                sz += m[3]
-                see += m[4] + shift * (2 * m[1] + m[0] * shift)
-                sen += m[5] + shift * m[2]
-                snn += m[6]
-                sez += m[7] + shift * m[3]
-                snz += m[8]
-                szz += m[9]
+            shift = right * cell
+            for col in range(max(-right, 0), min(width - right, width)):
+                c = col + right
+                sums[0, col] += columns[0, c]
+                sums[1, col] += columns[1, c] + columns[0, c] * shift
+                sums[2, col] += columns[2, c]
+                sums[3, col] += columns[3, c]
+                sums[4, col] += columns[4, c] + shift * (2 * columns[1, c] + columns[0, c] * shift)
+                sums[5, col] += columns[5, c] + shift * columns[2, c]
+                sums[6, col] += columns[6, c]
+                sums[7, col] += columns[7, c] + shift * columns[3, c]
+                sums[8, col] += columns[8, c]
+                sums[9, col] += columns[9, c]
+        for col in range(width):
+            n, se, sn, sz, see = sums[0, col], sums[1, col], sums[2, col], sums[3, col], sums[4, col]
+            sen, snn, sez, snz, szz = sums[5, col], sums[6, col], sums[7, col], sums[8, col], sums[9, col]
             if n < LEAST_SAMPLES:
                 continue
             cee, cen, cnn = see - se * se / n, sen - se * sn / n, snn - sn * sn / n
@@ -230,22 +235,21 @@ def _column_moments(z: Floats, offsets: tuple[Field, Field], scale: tuple[float,
     """Return the count and moments (1, e, n, z, ee, en, nn, ez, nz, zz) of each column around a row."""
     east, north = offsets
     origin, cell = scale
-    columns = np.zeros((z.shape[1], 10))
+    columns = np.zeros((10, z.shape[1]))
     for r in range(max(row - half, 0), min(row + half + 1, z.shape[0])):
         for col in range(z.shape[1]):
             h = z[r, col] - origin
             if np.isnan(h):
                 continue
             e, n = float(east[r, col]), (row - r) * cell + north[r, col]
-            m = columns[col]
-            m[0] += 1.0
-            m[1] += e
-            m[2] += n
-            m[3] += h
-            m[4] += e * e
-            m[5] += e * n
-            m[6] += n * n
-            m[7] += e * h
-            m[8] += n * h
-            m[9] += h * h
+            columns[0, col] += 1.0
+            columns[1, col] += e
+            columns[2, col] += n
+            columns[3, col] += h
+            columns[4, col] += e * e
+            columns[5, col] += e * n
+            columns[6, col] += n * n
+            columns[7, col] += e * h
+            columns[8, col] += n * h
+            columns[9, col] += h * h
     return columns

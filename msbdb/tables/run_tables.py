@@ -97,7 +97,7 @@ RUN_STATE = Table(
             Column("name", "str", "-", "name of the raster", primary=True),
             Column("dtype", "str", "-", "numpy dtype of the cells, with byte order"),
             Column("shape", "json", "cells", "lengths of the axes"),
-            Column("data", "bytes", "-", "the cells in C order, compressed by zlib"),
+            Column("data", "bytes", "-", "the cells in C order, packed as in msbdb.database.runs.packing"),
         ),
     ),
 )

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 from pyproj import CRS
+from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from msbdb.detect.scene import Regions
+from msbdb.fuse import cells
 from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.grid import Grid, lattice
+from msbdb.labels import label_zones
 from msbdb.params import FuseParams
 
 PARAMS = FuseParams()
@@ -119,3 +122,25 @@ def test_two_detectors_and_the_papers_profiles_leave_it_to_the_multiscale_one():
     assert is_fused(three, FuseParams())
     assert not is_fused({name: three[name] for name in ("area3d", "multiscale")}, FuseParams())
     assert not is_fused(three, FuseParams(votes=False))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_edges_are_tidied_as_by_filters_of_all_cells(seed):
+    """The majority, the opening and the closing, and the owners of low cells, are those of SciPy's filters."""
+    random = np.random.default_rng(seed)
+    decided = random.random(SHAPE) < 0.6
+    high = decided & (random.random(SHAPE) < 0.7)
+    most = uniform_filter(decided.astype(np.float64), 3, mode="nearest") > 0.5
+    opened = maximum_filter(minimum_filter(decided, 3, mode="nearest"), 3, mode="nearest")
+    closed = minimum_filter(maximum_filter(decided, 3, mode="nearest"), 3, mode="nearest")
+    np.testing.assert_array_equal(cells._straight(decided), (most | opened) & closed)
+
+    def extremes(labels):
+        above = np.where(labels > 0, labels, 9999)
+        return maximum_filter(labels, 3, mode="nearest"), minimum_filter(above, 3, mode="nearest")
+
+    labels = label_zones(high)[0]
+    highest, lowest = extremes(labels)
+    rim = decided & ~high & (highest == lowest)
+    highest, lowest = extremes(np.where(rim, highest, labels))
+    np.testing.assert_array_equal(cells._apart(decided, high), high | (rim & (highest == lowest)))

@@ -11,8 +11,10 @@ from simulated.roofs import SIDE_M, errors_of, houses, measured
 from simulated.scenes import DATUM_M, Block, Tree, World
 
 from msbdb.detect.scene import Elevations
+from msbdb.fuse import roofheights
 from msbdb.fuse.roofheights import measure_heights, roofs_of
 from msbdb.grid import Grid, lattice
+from msbdb.labels import boxes
 from msbdb.params import HeightParams, Params
 
 UTM = CRS.from_epsg(32633)
@@ -237,3 +239,24 @@ def test_the_range_of_storeys_is_wide_where_the_eaves_leave_a_choice(eaves: floa
     found = heights_of(surface, labels)[["storeys_min", "storeys", "storeys_max"]]
     assert set(found.dtypes) == {np.dtype(np.int64)}
     assert tuple(found.iloc[0]) == expected
+
+
+def test_the_windows_around_islands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each island of buildings is looked at in a window; windows as large as the lattice give the same roofs."""
+    random = np.random.default_rng(5)
+    levels = np.repeat(np.repeat(random.choice([0.0, 3.0, 3.3, 6.0, 9.0], (12, 15)), 5, axis=0), 6, axis=1)
+    levels += random.normal(0, 0.3, levels.shape)
+    labels = np.where(levels > 2, 1 + np.indices(levels.shape)[1] // 30, 0).astype(np.int32)
+    spec = replace(lattice((0, 0.01, 44.99, 30), 0.5, UTM), shape=levels.shape)
+    level = Grid(levels, random.random(levels.shape) < 0.97, spec)
+    found = roofs_of(labels, level, HeightParams())
+
+    def everywhere(islands: NDArray[np.int32]) -> dict[int, tuple[slice, slice]]:
+        return {number: (slice(0, islands.shape[0]), slice(0, islands.shape[1])) for number in boxes(islands)}
+
+    monkeypatch.setattr(roofheights, "boxes", everywhere)
+    whole = roofs_of(labels, level, HeightParams())
+    np.testing.assert_array_equal(found.labels, whole.labels)
+    for name in ("building", "area_m2", "eaves", "ridge"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
+    assert found.labels.max() > 20

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from affine import Affine
 from pyproj import CRS
-from scipy.ndimage import rotate
+from scipy.ndimage import distance_transform_edt, gaussian_filter, median_filter, rotate
 
+from msbdb.fuse import roofpieces, touching
 from msbdb.fuse.joining import REASONS
 from msbdb.fuse.touching import Division, divide
 from msbdb.grid import Grid, GridSpec
-from msbdb.labels import sizes
+from msbdb.labels import boxes, label_zones, sizes
 from msbdb.params import TouchingParams
 
 CELL_M = 0.5
@@ -313,3 +314,29 @@ def test_the_division_does_not_depend_on_the_place():
     shown = there.houses[33:, 21:]
     assert ((shown > 0) == (here.houses > 0)).all()
     assert len({*zip(shown[shown > 0].tolist(), here.houses[shown > 0].tolist(), strict=True)}) == 4
+
+
+def test_the_windows_around_islands_change_nothing(monkeypatch):
+    """Each island is looked at in a window; windows as large as the lattice give the same heights and pieces."""
+    random = np.random.default_rng(3)
+    noise = gaussian_filter(random.normal(size=(2, 90, 110)), (0, 3, 3)) * 10
+    heights = (6 + noise[0] + random.normal(0, 0.2, noise[0].shape)).astype(np.float32)
+    built = noise[1] > 0.3
+    strength = (1.3 * random.random(built.shape) ** 4).astype(np.float32)
+
+    def measured():
+        islands, count = label_zones(built)
+        assert count > 5
+        smooth = touching._without_outliers(heights, islands, CELL_M, SPACING_M)
+        return smooth, roofpieces.cut_pieces(smooth, built, strength, cell_m=CELL_M, core_m=1.0)
+
+    smooth, pieces = measured()
+    near = distance_transform_edt(~built) * CELL_M <= 1.5 + 0.8
+    np.testing.assert_array_equal(smooth[near], median_filter(heights, 3, mode="nearest")[near])
+
+    def everywhere(labels):
+        return {number: (slice(0, labels.shape[0]), slice(0, labels.shape[1])) for number in boxes(labels)}
+
+    for module in (touching, roofpieces):
+        monkeypatch.setattr(module, "boxes", everywhere)
+    np.testing.assert_array_equal(pieces, measured()[1])

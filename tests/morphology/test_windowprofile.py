@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import ndimage
 from support import oracles
 from support.strategies import surfaces
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import external_gradient, internal_gradient, second_order_gradient, window_profile
+from msbdb.morphology.windows import BLOCK, dilation, erosion
 
 WINDOWS = st.lists(st.integers(1, 5), min_size=1, max_size=4, unique=True).map(
     lambda halves: [2 * half + 1 for half in sorted(halves)]
@@ -154,3 +156,14 @@ def test_a_surface_without_differences_is_refused():
                 function(image)
     with pytest.raises(ParameterError, match="odd number of cells"):
         external_gradient(np.zeros((3, 3)), window_px=2)
+
+
+@pytest.mark.parametrize("window", [3, 5, 9, 31, 65])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_extremes_of_windows_are_those_of_scipy(window, dtype):
+    """Also over the borders of blocks of rows, and in windows larger than the array."""
+    values = np.random.default_rng(window).normal(size=(2 * BLOCK + 7, 40)).astype(dtype)
+    lowest, highest = erosion(values, window, None), dilation(values, window, None)
+    assert lowest.dtype == highest.dtype == dtype
+    np.testing.assert_array_equal(lowest, ndimage.minimum_filter(values, window, mode="nearest"))
+    np.testing.assert_array_equal(highest, ndimage.maximum_filter(values, window, mode="nearest"))

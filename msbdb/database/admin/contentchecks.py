@@ -10,6 +10,7 @@ from sqlalchemy import Connection, Table, exists, func, select
 
 from msbdb.database.admin.findings import Finding, by_id, keyed
 from msbdb.database.runs.digests import TABLES, digested
+from msbdb.database.runs.packing import unpack
 from msbdb.database.runs.reading import content_of
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import MsbdbError
@@ -135,7 +136,7 @@ def check_rasters(connection: Connection) -> Iterator[Finding]:
         key = f"{by_id('run_state', 'run_id', run_id)}, name={name}"
         lattice = (round((north - south) / cell), round((east - west) / cell))
         try:
-            cells = np.frombuffer(zlib.decompress(data), dtype=np.dtype(dtype)).reshape(shape)
+            cells = unpack(data, dtype, shape)
         except (ValueError, TypeError, zlib.error) as error:
             yield Finding("rasters", "run_state", key, f"it cannot be read: {error}", f"{shape} cells of {dtype}")
             continue

@@ -6,17 +6,17 @@ Copying a whole database into an empty one, of the same or the other dialect.
 import hashlib
 import json
 import logging
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from typing import Any
 
 import numpy as np
 import shapely
-from sqlalchemy import JSON, URL, Connection, Engine, LargeBinary, Table, func, literal_column, select, text
+from sqlalchemy import JSON, URL, Connection, Engine, LargeBinary, Row, Table, func, literal_column, select, text
 
 from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require_srid, snapshot
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
+from msbdb.database.runs.packing import unpack
 from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.database.schema.srid import FIRST_OWN_SRID
@@ -75,15 +75,19 @@ def _table_lines(connection: Connection, table: Table, left_out: set[str]) -> It
     # Texts are sorted here, because servers sort them differently.
     rows = sorted(connection.execute(query), key=lambda row: [row[i] for i in keys])
     for row in rows:
-        cells = [_shown(value, is_raster=i in blobs) for i, value in enumerate(row[: len(plain)])]
+        values = enumerate(row[: len(plain)])
+        cells = [_digest(row) if place in blobs else _shown(value) for place, value in values]
         if len(row) > len(plain):
             cells.append(_shown_geometry(bytes(row[-1])))
         yield json.dumps([table.name, *cells], ensure_ascii=False)
 
 
-def _shown(value: Any, *, is_raster: bool) -> Any:  # noqa: ANN401  (any column's value)
-    if is_raster:
-        return hashlib.sha256(zlib.decompress(value)).hexdigest()
+def _digest(row: Row[Any]) -> str:
+    """Return the checksum of the cells of a raster's row, however they are packed."""
+    return hashlib.sha256(unpack(row.data, row.dtype, row.shape).tobytes()).hexdigest()
+
+
+def _shown(value: Any) -> Any:  # noqa: ANN401  (any column's value)
     if isinstance(value, float):
         # Adding zero turns a rounded -0.0 into 0.0.
         return f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}"

@@ -1,6 +1,5 @@
 """Reading runs: tables as frames, rasters, and a summary in numbers."""
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ from sqlalchemy import Connection, Engine, func, select, text
 from msbdb.database.dialects.connection import snapshot
 from msbdb.database.dialects.dialect import guarded, shown
 from msbdb.database.runs.digests import RunContent
+from msbdb.database.runs.packing import unpack
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import crs_from, horizontal
 from msbdb.errors import InputError, TableError
@@ -385,9 +385,7 @@ def crs_of(survey: Survey) -> "CRS":
 def _read_rasters(connection: Connection, run_id: int) -> dict[str, NDArray[Any]]:
     """Return a run's rasters by the names of their rows."""
     rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name))
-    return {
-        row.name: np.frombuffer(zlib.decompress(row.data), dtype=np.dtype(row.dtype)).reshape(row.shape) for row in rows
-    }
+    return {row.name: unpack(row.data, row.dtype, row.shape) for row in rows}
 
 
 def _known_rasters(named: Mapping[str, NDArray[Any]], survey: str, engine: Engine) -> Rasters:

@@ -1,7 +1,6 @@
 """Loading a build in one transaction: the same rows for the same build, completely or not at all."""
 
 import logging
-import zlib
 from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
@@ -15,6 +14,7 @@ from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.runs.checks import check_build, geometries
 from msbdb.database.runs.digests import BuildBasis, RunContent, portable, source_rows, survey_row
+from msbdb.database.runs.packing import pack
 from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
@@ -37,9 +37,6 @@ SOURCE = SQL["source"]
 SURVEY = SQL["survey"]
 
 logger = logging.getLogger(__name__)
-
-PACKING = 4
-"""Compression level of rasters; the next level takes four times as long for files smaller by a twentieth."""
 
 _FRAMES = {table.name for table in TABLES}
 
@@ -238,7 +235,7 @@ def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
         "name": name,
         "dtype": cells.dtype.str,
         "shape": list(cells.shape),
-        "data": zlib.compress(cells.data, PACKING),
+        "data": pack(cells),
     }
 
 

@@ -286,7 +286,8 @@ class _Level:
         scene = self.scene
         left = self.without_absorbed()
         on = (scene.filtered >= self.height_m) & ~self.taken
-        opened = self.without_small(on, left)
+        opened = self.without_small(on, *left)
+        del left
         labels, count = self.without_crowns(*self.without_leaves(on, opened))
         labels = self.grown(labels)
         shapes = scene.shapes(labels, count)
@@ -306,23 +307,22 @@ class _Level:
             reach=Reach(scene.grow_m, own.grow_step_m, own.wall_factor, scene.mask_m),
         )
 
-    def without_absorbed(self) -> int:
-        """Record the components within accepted regions; return how many of the on-set are left (C19)."""
+    def without_absorbed(self) -> tuple[Labels, int]:
+        """Record the components within accepted regions; return the components of the on-set that are left (C19)."""
         stage, graph, on = "fusion", self.scene.graph, self.scene.cloud.heights >= self.height_m
-        _, left = components(on & ~self.taken, graph)
+        others, left = components(on & ~self.taken, graph)
         if not self.taken.any():
             self.ledger.count(stage, left, left, 0)
-            return left
+            return others, left
         _, entered = components(on, graph)
         labels, absorbed = components(on & self.taken, graph)
         self.record(stage, labels, np.ones(absorbed, dtype=np.bool_), WITHIN)
         self.ledger.count(stage, entered, left, absorbed, pieces=left + absorbed - entered)
-        return left
+        return others, left
 
-    def without_small(self, on: Mask, entered: int) -> int:
+    def without_small(self, on: Mask, labels: Labels, count: int) -> int:
         """Record the components that the opening removed; return how many are left after AOC (C4 to C6)."""
         stage, graph = "opening", self.scene.graph
-        labels, count = components((self.scene.cloud.heights >= self.height_m) & ~self.taken, graph)
         _, opened = components(on, graph)
         lost = sums(labels, on, count) == 0
         lost &= sums(labels, self.recorded, count) == 0
@@ -330,7 +330,7 @@ class _Level:
         dropped = self.record(stage, labels, lost & spans, SMALL)
         dropped += self.record_loose(stage, chosen_cells(labels, lost & ~spans))
         self.recorded[chosen_cells(labels, lost)] = True
-        self.ledger.count(stage, entered, opened, dropped, pieces=opened + dropped - entered)
+        self.ledger.count(stage, count, opened, dropped, pieces=opened + dropped - count)
         return opened
 
     def without_leaves(self, on: Mask, entered: int) -> tuple[Labels, int]:

@@ -1,0 +1,79 @@
+"""Union-find over the cells of an image, compiled: the connected cells of equal value."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.threads import kernel
+
+Labels = NDArray[np.int32]
+
+
+@kernel
+def label_cells(values: NDArray[Any], eight: bool) -> tuple[Labels, int]:
+    """Return the flat zones of an image and their number, as `msbdb.labels.label_zones` does.
+
+    Invariant: a mark's parent is no larger than itself, so the root of a zone is the mark of its first cell. Cells that
+    touch each other above the cell are joined already: each cell joins two marks at most.
+    """
+    rows, cols = values.shape
+    labels = np.zeros((rows, cols), dtype=np.int32)
+    parent = np.zeros(1024, dtype=np.int32)
+    marks = 0
+    for row in range(rows):
+        for col in range(cols):
+            value = values[row, col]
+            if value == 0:
+                continue
+            left = col > 0 and values[row, col - 1] == value
+            corner = row > 0 and col > 0 and values[row - 1, col - 1] == value
+            if row > 0 and values[row - 1, col] == value:
+                labels[row, col] = labels[row - 1, col]
+                if left and not corner and not eight:
+                    _join(parent, labels[row, col - 1], labels[row, col])
+                continue
+            right = eight and row > 0 and col + 1 < cols and values[row - 1, col + 1] == value
+            if left:
+                labels[row, col] = labels[row, col - 1]
+            elif eight and corner:
+                labels[row, col] = labels[row - 1, col - 1]
+            elif right:
+                labels[row, col] = labels[row - 1, col + 1]
+                continue
+            else:
+                marks += 1
+                if marks == parent.size:
+                    parent = np.concatenate((parent, np.zeros_like(parent)))
+                labels[row, col] = parent[marks] = marks
+            if right:
+                _join(parent, labels[row, col], labels[row - 1, col + 1])
+    return labels, _number(labels, parent, marks)
+
+
+@kernel
+def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
+    """Join the zones of two marks under the smaller root, and halve the ways to it."""
+    while parent[one] != one:
+        parent[one] = parent[parent[one]]
+        one = parent[one]
+    while parent[other] != other:
+        parent[other] = parent[parent[other]]
+        other = parent[other]
+    parent[max(one, other)] = min(one, other)
+
+
+@kernel
+def _number(labels: Labels, parent: NDArray[np.int32], marks: int) -> int:
+    """Replace marks by the zones' numbers, in the order of their first cells; return the number of zones."""
+    count = 0
+    for mark in range(1, marks + 1):
+        if parent[mark] == mark:
+            count += 1
+            parent[mark] = count
+        else:
+            parent[mark] = parent[parent[mark]]
+    for row in range(labels.shape[0]):
+        for col in range(labels.shape[1]):
+            labels[row, col] = parent[labels[row, col]]
+    return count
