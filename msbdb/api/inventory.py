@@ -238,7 +238,7 @@ def changes(
         The database.
     since, until : str, optional
         The first and the last day of the period, ISO 8601; the states at the end of both days are compared. By default
-        from before the first survey, and to the present.
+        from the first state of each place, and to the present.
     survey : str, optional
         Report what this survey changed, in place of the net change.
     each : bool
@@ -253,6 +253,12 @@ def changes(
     Returns
     -------
     Changes
+
+    Notes
+    -----
+    The first state of a place is its beginning, not a change. Buildings that the first survey of a place finds count as
+    present before: 'unchanged' in the net change, 'first seen' in the changes of surveys. They are 'new' where an
+    import of the same place lacks them, and where ``since`` is before all surveys and imports.
 
     Raises
     ------

@@ -13,7 +13,7 @@ import shapely
 from pyproj import CRS
 
 from msbdb.change.differences import Offset, earlier_heights
-from msbdb.change.netchange import Net, net_changes
+from msbdb.change.netchange import NO_CHANGE, Net, net_changes, with_beginnings
 from msbdb.database import (
     Engine,
     database_crs_of,
@@ -205,7 +205,7 @@ def changes_of(
     """List what changed in the inventory between two dates; see `msbdb.api.changes`."""
     with opened(db) as engine:
         period = read_period(engine, since, until)
-        rows = period.changes
+        rows = with_beginnings(period.changes, period.events, None if since is None else first_day(since))
         if survey is not None:
             rows = rows[rows["survey"] == survey]
         if each or survey is not None:
@@ -298,7 +298,7 @@ def _relief(grids: list[Grid]) -> Grid:
 
 def records_of(found: Changes) -> list[dict[str, Any]]:
     """Return a record of plain values for each row that is a change."""
-    changed = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED, UNSURE])]
+    changed = found.table[~found.table["kind"].isin([*NO_CHANGE, NOT_SURVEYED, UNSURE])]
     plain = pd.DataFrame(changed.drop(columns="geometry")).astype(object)
     return [
         {str(name): value for name, value in row.items()}

@@ -187,11 +187,14 @@ class Period:
         The versions before and after the changes: columns of ``building_version``.
     offsets : DataFrame
         ``survey_offset``, of all surveys.
+    events : GeoDataFrame
+        All imports and updates, from `read_events`, also those outside of the period.
     """
 
     changes: "gpd.GeoDataFrame"
     versions: "gpd.GeoDataFrame"
     offsets: "pd.DataFrame"
+    events: "gpd.GeoDataFrame"
 
 
 def read_period(engine: Engine, since: str | None = None, until: str | None = None) -> Period:
@@ -208,7 +211,8 @@ def read_period(engine: Engine, since: str | None = None, until: str | None = No
     named = BUILDING_VERSION.c.version_id.in_(union(*ids))
     query = select(*_version_columns()).where(named).order_by(BUILDING_VERSION.c.version_id)
     with snapshot(engine) as connection:
-        return Period(_changes(connection, since, until), _frame(connection, query), read_offsets(connection))
+        changes, versions = _changes(connection, since, until), _frame(connection, query)
+        return Period(changes, versions, read_offsets(connection), read_events(connection))
 
 
 def _changes(connection: Connection, since: str | None, until: str | None) -> "gpd.GeoDataFrame":
