@@ -18,12 +18,20 @@ from msbdb.database.history.periods import (
     first_day,
     footprint_at,
     read_changes,
+    read_crs,
     read_history,
     read_states,
 )
 from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, write_advance
-from msbdb.database.runs.digests import BuildBasis, OutdatedError, read_digest, read_labelled_classes
+from msbdb.database.runs.basis import (
+    BuildBasis,
+    Former,
+    OutdatedError,
+    read_digest,
+    read_former,
+    read_labelled_classes,
+)
 from msbdb.database.runs.places import DetectorAnswer, Place, explain_places
 from msbdb.database.runs.reading import (
     RunSummary,
@@ -60,6 +68,7 @@ __all__ = [
     "Engine",
     "ExampleQuery",
     "Finding",
+    "Former",
     "Loss",
     "OutdatedError",
     "Place",
@@ -88,8 +97,10 @@ __all__ = [
     "read_changes",
     "read_classes",
     "read_columns",
+    "read_crs",
     "read_digest",
     "read_flat_regions",
+    "read_former",
     "read_history",
     "read_labelled_classes",
     "read_parts",

@@ -34,6 +34,7 @@ from msbdb.grid import Grid, lattice
 from msbdb.io.vector import read_point_features, read_polygons
 from msbdb.kept import heights_of
 from msbdb.run.reports import Changes, ImportReport
+from msbdb.run.store import read_fallback
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS
 from msbdb.view.buildingmap import draw_changes
 
@@ -65,7 +66,7 @@ def take_inventory(
     crs: str | None,
 ) -> ImportReport:
     """Import the footprints of a file as the inventory; see `msbdb.api.import_inventory`."""
-    frame = read_polygons(file, layer=layer, crs=crs)
+    frame = read_polygons(file, layer=layer, crs=crs or read_fallback(db))
     engine = _opened_or_created(db, frame)
     try:
         frame = frame.to_crs(database_crs_of(engine))
@@ -83,7 +84,7 @@ def take_samples(
     """Import points at which the material of a roof is known; see `msbdb.api.import_roof_samples`."""
     columns = {"material": "material", **mapping}
     with opened(db) as engine:
-        frame = read_point_features(file, layer=layer, crs=crs, to=database_crs_of(engine))
+        frame = read_point_features(file, layer=layer, crs=crs or read_fallback(db), to=database_crs_of(engine))
         _require_columns(frame, columns)
         material = frame[columns["material"]].astype("string").fillna("").str.strip()
         if (material == "").any():

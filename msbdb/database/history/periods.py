@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import dataclass
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from sqlalchemy import (
+    URL,
     Column,
     ColumnElement,
     Connection,
@@ -23,9 +25,10 @@ from sqlalchemy import (
     union,
 )
 
-from msbdb.database.dialects.connection import snapshot
-from msbdb.database.dialects.dialect import dialect_of, guarded
+from msbdb.database.dialects.connection import TIMEOUT_S, snapshot
+from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
 from msbdb.database.runs.digests import COLUMN
+from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.sqlfiles import footprint_at_query
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import FIRST_OWN_SRID
@@ -253,6 +256,18 @@ def database_crs_of(engine: Engine) -> "CRS":
     """Return the database's CRS."""
     with guarded(engine.url), engine.connect() as connection:
         return database_crs(connection)
+
+
+def read_crs(target: str | PathLike[str] | URL) -> "CRS | None":
+    """Return the CRS of a database of any schema; None where there is no database."""
+    url = database_url(target)
+    dialect = dialect_of(url)
+    with guarded(url):
+        if not dialect.exists(url, TIMEOUT_S):
+            return None
+        with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
+            require_version(connection, shown(url))
+            return database_crs(connection)
 
 
 def database_crs(connection: Connection) -> "CRS":
