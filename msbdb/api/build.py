@@ -89,11 +89,11 @@ def build(
         One of its kinds, when the inputs or the database cannot be used, or when what is there may not be replaced. The
         database is then unchanged.
     """
-    from msbdb.database import check_target, read_labelled_classes
+    from msbdb.database import check_target, read_fallback, read_labelled_classes
     from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.prepare import Inputs, Label
     from msbdb.run.reports import collect_notices
-    from msbdb.run.store import read_fallback, replaced, report_of, require_replaceable, store_survey
+    from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
     values = params or named_profile(profile)
     check_target(db)

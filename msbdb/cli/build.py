@@ -142,7 +142,11 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
     ),
 )
 @inputs
-@click.option("--survey", metavar="NAME", help="Name of the survey. [default: the first file's name]")
+@click.option(
+    "--survey",
+    metavar="NAME",
+    help="Name of the survey. [default: the first file's; with its folder's if it is one like 'points']",
+)
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
 @values
 @shared("json")

@@ -14,11 +14,13 @@ from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.periods import (
+    LAST_DAY,
     database_crs_of,
     first_day,
     footprint_at,
+    has_inventory,
     read_changes,
-    read_crs,
+    read_fallback,
     read_history,
     read_states,
 )
@@ -60,6 +62,7 @@ from msbdb.database.schema.srid import srid_of
 
 __all__ = [
     "CHECKS",
+    "LAST_DAY",
     "PATIENCE_S",
     "ROLES",
     "Advance",
@@ -88,6 +91,7 @@ __all__ = [
     "first_day",
     "footprint_at",
     "grant_role",
+    "has_inventory",
     "list_runs",
     "open_database",
     "opened",
@@ -97,8 +101,8 @@ __all__ = [
     "read_changes",
     "read_classes",
     "read_columns",
-    "read_crs",
     "read_digest",
+    "read_fallback",
     "read_flat_regions",
     "read_former",
     "read_history",

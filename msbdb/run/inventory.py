@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,14 @@ from pyproj import CRS
 from msbdb.change.differences import Offset, earlier_heights
 from msbdb.change.netchange import NO_CHANGE, Net, net_changes, with_beginnings
 from msbdb.database import (
+    LAST_DAY,
     Engine,
     database_crs_of,
     first_day,
     footprint_at,
     open_database,
     opened,
+    read_fallback,
     read_rasters,
     read_states,
     read_survey,
@@ -34,7 +36,6 @@ from msbdb.grid import Grid, lattice
 from msbdb.io.vector import read_point_features, read_polygons
 from msbdb.kept import heights_of
 from msbdb.run.reports import Changes, ImportReport
-from msbdb.run.store import read_fallback
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS
 from msbdb.view.buildingmap import draw_changes
 
@@ -183,9 +184,6 @@ NOT_SURVEYED = "not surveyed"
 UNSURE = "unsure"
 """Kind of a building that came or went without ever being confirmed, by its probability or an operator."""
 
-END = "9999-12-31"
-"""A day after all surveys."""
-
 LARGEST_MAP = 4000
 """Cells a side beyond which a map of several surveys is made of larger cells."""
 
@@ -217,7 +215,7 @@ def changes_of(
         if aoi is not None:
             area = read_polygons(aoi, to=rows.crs).union_all()
             rows, table, passing = (frame[frame.intersects(area)] for frame in (rows, table, passing))
-            table = _with_unseen(table, footprint_at(engine, until or END), area)
+            table = _with_unseen(table, footprint_at(engine, until or LAST_DAY), area)
         table = table.reset_index(drop=True)
         if out is not None:
             write_changes(table, Path(out))
@@ -275,10 +273,15 @@ def _draw(engine: Engine, table: gpd.GeoDataFrame, rows: gpd.GeoDataFrame, figur
             "Choose other dates or another area."
         )
         raise InputError(msg)
-    relief = _relief([_heights(engine, str(name)) for name in names])
+    relief = relief_of(engine, [str(name) for name in names])
     place = CRS.from_user_input(table.crs).name
     several = f"{len(names)} surveys" if len(names) > 1 else f"survey {names[0]}"
     draw_changes(table, relief, figure, title=f"Changes by {several}", subtitle=f"{period} · {place}")
+
+
+def relief_of(engine: Engine, surveys: Sequence[str]) -> Grid:
+    """Return the heights above ground of surveys as one grid, the first one on top."""
+    return _relief([_heights(engine, name) for name in surveys])
 
 
 def _heights(engine: Engine, survey: str) -> Grid:

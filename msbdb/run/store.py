@@ -15,7 +15,6 @@ from msbdb.database import (
     OutdatedError,
     opened,
     read_build,
-    read_crs,
     read_digest,
     read_former,
     read_survey,
@@ -24,7 +23,6 @@ from msbdb.database import (
 from msbdb.detect.scene import Elevations, Evidence, Regions, Scene
 from msbdb.errors import DatabaseError
 from msbdb.grid import GridSpec
-from msbdb.io.crs import Fallback
 from msbdb.kept import KeptRun, Rasters, lattice_of
 from msbdb.landcover import ClassMap
 from msbdb.params import POINT_DETECTORS
@@ -40,16 +38,10 @@ ATTEMPTS = 5
 """Attempts to give labels, when others label the same survey at the same time."""
 
 
-def read_fallback(db: str | Path) -> Fallback | None:
-    """Return the CRS of a database for files that state none; None without a database."""
-    crs = read_crs(db)
-    return None if crs is None else Fallback(crs, "the database")
-
-
 def require_replaceable(
     db: str | Path, name: str, inputs: Inputs, methods: Sequence[str], *, replace: bool
 ) -> Former | None:
-    """Return the run that a build will replace, None where there is none; refuse before the work what needs a word.
+    """Return the run that a build will replace, None where there is none; check before the work that it may.
 
     Raises
     ------

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import geopandas as gpd
 import pytest
 import rasterio
 from click.testing import CliRunner
@@ -16,11 +17,13 @@ from msbdb import api
 from msbdb.cli.main import cli
 from msbdb.database import BuildBasis, canonical_dump, open_database, store_build
 from msbdb.errors import InputError
+from msbdb.kept import KeptRun
 
 HERE: list[House] = [(8, 8, 20, 20, 6)]
-THERE: list[House] = [(508, 8, 520, 20, 7)]
+THERE: list[House] = [(68, 8, 80, 20, 7)]
 LATER: list[House] = [(8, 24, 20, 36, 9)]
-PLACES = {"here": (HERE, (0, 0, 40, 40)), "there": (THERE, (500, 0, 540, 40)), "later": (LATER, (0, 0, 40, 40))}
+PLACES = {"here": (HERE, (0, 0, 40, 40)), "there": (THERE, (60, 0, 100, 40)), "later": (LATER, (0, 0, 40, 40))}
+"""The houses and the extent of each file: two places side by side, and one of them years later."""
 
 TWO = ("--extract", "multiscale,flatregions")
 
@@ -108,7 +111,7 @@ def test_the_same_files_with_other_values_replace_with_a_notice(target: str, fil
 
 
 def test_fewer_detectors_are_refused_with_what_they_would_delete(target: str, files: dict[str, Path]) -> None:
-    """With --replace they are deleted; more detectors need no word."""
+    """With --replace they are deleted; more detectors need no option."""
     words = ("build", "--ndsm", files["here"], "--db", target, "--survey", "town")
     run(*words, "--extract", "multiscale")
     run(*words, *TWO)
@@ -175,3 +178,87 @@ def test_completion_shows_the_public_functions_and_nothing_else() -> None:
     assert {"advance", "build", "changes", "import_inventory", "open", "set_state", "update", "why"} <= set(dir(msbdb))
     own = {name for name in api.__all__ if name not in ("evaluate", "export", "view")}
     assert {name for name in own if name[0].islower()} <= set(dir(msbdb))
+
+
+@pytest.fixture(scope="module")
+def towns() -> dict[str, KeptRun]:
+    """Return two surveys side by side, and a later one of the first place."""
+    dates = {"here": "2020", "there": "2021-05", "later": "2022"}
+    return {name: town_build(name, dates[name], houses, bounds=bounds) for name, (houses, bounds) in PLACES.items()}
+
+
+def layers(path: Path) -> dict[str, gpd.GeoDataFrame]:
+    """Return the layers of a GeoPackage by name."""
+    return {name: gpd.read_file(path, layer=name) for name in gpd.list_layers(path)["name"]}
+
+
+def test_several_surveys_are_exported_and_drawn_without_a_name(
+    target: str, towns: dict[str, KeptRun], tmp_path: Path
+) -> None:
+    """Without an inventory all of them, the newest first, with the survey of each row, in every format."""
+    for name in ("here", "there"):
+        store_build(target, towns[name])
+    told = run("export", target, tmp_path / "town.gpkg")
+    assert "2 surveys: there, here. All are taken, the newest first; --survey NAME takes one" in told.replace("\n", " ")
+    found = layers(tmp_path / "town.gpkg")
+    assert list(found) == ["footprint", "part", "flat_region", "candidate_region"]
+    assert found["footprint"]["survey"].tolist() == found["part"]["survey"].tolist() == ["there", "here"]
+    run("export", target, tmp_path / "one.gpkg", "--survey", "here")
+    assert "survey" not in layers(tmp_path / "one.gpkg")["footprint"]
+    for ending, column in (("shp", "SURVEY"), ("geojson", "survey")):
+        run("export", target, tmp_path / f"town.{ending}")
+        assert gpd.read_file(tmp_path / f"town.{ending}")[column].tolist() == ["there", "here"]
+    assert "Too far" not in run("view", target, "--out", tmp_path / "near.png")
+    assert (tmp_path / "near.png").stat().st_size > 10_000
+    far = town_build("far", "2019", [(5008, 8, 5020, 20, 7)], bounds=(5000, 0, 5040, 40))
+    store_build(target, far)
+    told = run("view", target, "--out", tmp_path / "far.png", "--of", "area3d").replace("\n", " ")
+    assert "Too far away for this map, and not drawn: far. --survey NAME draws one" in told
+
+
+def test_the_current_inventory_is_exported_where_there_is_one(
+    target: str, towns: dict[str, KeptRun], tmp_path: Path
+) -> None:
+    """What was demolished is left out, imported buildings and operators' decisions are in, and parts fit."""
+    office = footprints([HERE[0], (100, 8, 112, 20, 5)])
+    office.to_file(tmp_path / "cadastre.gpkg")
+    run("db", "create", target, "--crs", EPSG)
+    run("import", tmp_path / "cadastre.gpkg", "--as", "inventory", "--db", target, "--date", "2015-01-01")
+    run("export", target, tmp_path / "imported.gpkg")
+    run("view", target, "--out", tmp_path / "imported.png")
+    assert [len(rows) for rows in layers(tmp_path / "imported.gpkg").values()] == [2, 0, 0, 0]
+    for name in ("here", "there", "later"):
+        store_build(target, towns[name])
+        api.advance(target, name)
+    told = run("export", target, tmp_path / "town.gpkg")
+    assert "those of the current inventory" in told
+    found = layers(tmp_path / "town.gpkg")
+    assert sorted(found["footprint"]["survey"].fillna("")) == ["", "later", "there"]
+    assert found["footprint"]["uid"].is_unique
+    assert sorted(found["part"]["survey"]) == ["later", "there"]
+    # As floats, which the reader makes of a column with nulls.
+    assert found["part"]["building_id"].astype("float64").isin(found["footprint"]["building_id"]).all()
+    imported = found["footprint"].loc[found["footprint"]["survey"].isna()]
+    assert json.loads(imported["attributes"].iloc[0]) == {"HGT": 5.0}
+    run("state", target, int(imported["uid"].iloc[0]), "refuted", "--operator", "ann")
+    told = run("export", target, tmp_path / "town.geojson")
+    assert "1 building of the inventory has no parts" in told.replace("\n", " ")
+    run("export", target, tmp_path / "again.gpkg")
+    states = layers(tmp_path / "again.gpkg")["footprint"].set_index("uid")["state"]
+    assert states[int(imported["uid"].iloc[0])] == "refuted"
+    run("view", target, "--out", tmp_path / "town.png")
+
+
+@pytest.mark.parametrize("ending", ["gpkg", "shp", "geojson"])
+def test_an_empty_database_gives_an_empty_valid_file(target: str, tmp_path: Path, ending: str) -> None:
+    """With the columns, the CRS and a notice; the map is empty, too."""
+    run("db", "create", target, "--crs", EPSG)
+    out = tmp_path / f"none.{ending}"
+    assert "no survey and no inventory yet; the output is empty" in run("export", target, out).replace("\n", " ")
+    back = gpd.read_file(out, layer="part" if ending == "gpkg" else None)
+    assert len(back) == 0
+    assert back.crs is not None
+    if ending == "gpkg":
+        assert list(layers(out)) == ["footprint", "part", "flat_region", "candidate_region"]
+        run("view", target, "--out", tmp_path / "none.png")
+        assert (tmp_path / "none.png").stat().st_size > 1_000

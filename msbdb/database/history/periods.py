@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from pyproj import CRS
 
+    from msbdb.io.crs import Fallback
+
 BUILDING_CHANGE = SQL["building_change"]
 
 BUILDING_VERSION = SQL["building_version"]
@@ -53,6 +55,9 @@ SURVEY = SQL["survey"]
 SURVEY_OFFSET = SQL["survey_offset"]
 
 Bounds = tuple[float, float, float, float]
+
+LAST_DAY = "9999-12-31"
+"""A day after all surveys."""
 
 _WINDOWS = {
     "sqlite": (
@@ -247,6 +252,12 @@ def read_states(engine: Engine) -> "pd.DataFrame":
         return _plain(connection, select(*_columns_of(OPERATOR_STATE)).order_by(OPERATOR_STATE.c.uid))
 
 
+def has_inventory(engine: Engine) -> bool:
+    """Return whether anything was imported into the inventory, or updated it."""
+    with guarded(engine.url), engine.connect() as connection:
+        return bool(connection.scalar(select(func.count()).select_from(INVENTORY_EVENT)))
+
+
 def has_building(connection: Connection, uid: int) -> bool:
     """Return whether the inventory has a building."""
     return bool(connection.scalar(select(func.count()).where(INVENTORY_BUILDING.c.uid == uid)))
@@ -258,8 +269,10 @@ def database_crs_of(engine: Engine) -> "CRS":
         return database_crs(connection)
 
 
-def read_crs(target: str | PathLike[str] | URL) -> "CRS | None":
-    """Return the CRS of a database of any schema; None where there is no database."""
+def read_fallback(target: str | PathLike[str] | URL) -> "Fallback | None":
+    """Return the CRS of a database of any schema, for files that state none; None where there is no database."""
+    from msbdb.io.crs import Fallback
+
     url = database_url(target)
     dialect = dialect_of(url)
     with guarded(url):
@@ -267,7 +280,7 @@ def read_crs(target: str | PathLike[str] | URL) -> "CRS | None":
             return None
         with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
             require_version(connection, shown(url))
-            return database_crs(connection)
+            return Fallback(database_crs(connection), "the database")
 
 
 def database_crs(connection: Connection) -> "CRS":
