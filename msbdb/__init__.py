@@ -1,16 +1,36 @@
 """Multi-scale building databases from airborne LiDAR and imagery.
 
-The names below are the public interface. Libraries that take time to load are imported when they are used.
+The names below are the public interface. `msbdb.api` also has ``evaluate``, ``export`` and ``view``: here these names
+belong to packages. An open database has them as methods. Libraries that take time to load are imported when used.
 
 Examples
 --------
 >>> import msbdb
->>> report = msbdb.build(["town.laz"], db="town.sqlite")  # doctest: +SKIP
+>>> report = msbdb.build("town.laz", db="town.sqlite")  # doctest: +SKIP
 >>> with msbdb.open("town.sqlite") as town:  # doctest: +SKIP
 ...     print(town.buildings().sort_values("h_max").tail())
 """
 
-from msbdb.api import BuildReport, Inventory, build, changes, classify, info, open, relabel, update, why
+from msbdb import api, errors
+from msbdb.api import (
+    BuildReport,
+    Inventory,
+    advance,
+    build,
+    changes,
+    classes,
+    classify,
+    evaluate_points,
+    import_inventory,
+    import_roof_samples,
+    info,
+    open,
+    relabel,
+    set_state,
+    summary,
+    update,
+    why,
+)
 from msbdb.errors import MsbdbError
 from msbdb.params import Params, profile
 from msbdb.version import __version__
@@ -21,13 +41,27 @@ __all__ = [
     "MsbdbError",
     "Params",
     "__version__",
+    "advance",
+    "api",
     "build",
     "changes",
+    "classes",
     "classify",
+    "errors",
+    "evaluate_points",
+    "import_inventory",
+    "import_roof_samples",
     "info",
     "open",
     "profile",
     "relabel",
+    "set_state",
+    "summary",
     "update",
     "why",
 ]
+
+
+def __dir__() -> list[str]:
+    """Return the public names for completion, and none of the modules that happen to be loaded."""
+    return sorted(__all__)

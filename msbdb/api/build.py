@@ -11,15 +11,20 @@ from msbdb.run.reports import BuildReport, ClassifyReport, Notices, Progress, St
 if TYPE_CHECKING:
     import pandas as pd
 
+File = str | Path
+
+Files = File | Sequence[File]
+"""One file, or several."""
+
 
 def build(
-    points: Sequence[Path] = (),
+    points: Files = (),
     *,
-    ortho: Sequence[Path] = (),
-    dsm: Path | None = None,
-    dtm: Path | None = None,
-    ndsm: Path | None = None,
-    parcels: Path | None = None,
+    ortho: Files = (),
+    dsm: File | None = None,
+    dtm: File | None = None,
+    ndsm: File | None = None,
+    parcels: File | None = None,
     db: str | Path,
     survey: str | None = None,
     date: str | None = None,
@@ -28,17 +33,18 @@ def build(
     z_unit: str = "auto",
     params: Params | None = None,
     profile: str = "default",
-    extract: Sequence[str] = DETECTORS,
+    extract: str | Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
+    replace: bool = False,
     progress: Progress | None = None,
 ) -> BuildReport:
     """Build or extend a database of buildings from one survey.
 
     Parameters
     ----------
-    points : sequence of path
+    points : path or sequence of path
         LAS, LAZ or COPC files; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF.
-    ortho : sequence of path
+    ortho : path or sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional
         Rasters of heights.
@@ -47,24 +53,29 @@ def build(
     db : str or path
         A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
     survey : str, optional
-        Name of the survey; the first file's name by default. Building it again replaces it, if anything differs.
+        Name of the survey; the first file's name by default, with that of its folder where it is one like 'points'.
+        Building the same files again with other values replaces the survey, with a notice.
     date : str, optional
         When the data were taken, ISO 8601.
     crs : str, optional
-        CRS of point files and rasters of heights that state none.
+        CRS of point files and rasters of heights that state none; by default that of a database that exists, with a
+        notice.
     ortho_crs : str, optional
-        CRS of orthophotos that state none.
+        CRS of orthophotos that state none; by default as for ``crs``.
     z_unit : str
         Unit of the heights: ``auto``, ``m``, ``ft`` or ``us-ft``.
     params : Params, optional
         Parameters; the profile's by default.
     profile : str
         Name of the profile that the parameters come from.
-    extract : sequence of str
+    extract : str or sequence of str
         The detectors: ``multiscale`` finds buildings as trees of parts, ``flatregions`` finds flat regions, ``area3d``
         and ``adaptive`` find candidate regions among the points. The last three are evidence for the buildings.
     denoising_figure : path, optional
         PNG of the surface before and after the denoising for the flat regions.
+    replace : bool
+        Replace a survey of this name also where it is of other files or of another place, or where it has results of
+        detectors that ``extract`` lacks.
     progress : callable, optional
         Called with stage, steps done and steps in all.
 
@@ -75,27 +86,32 @@ def build(
     Raises
     ------
     MsbdbError
-        One of its kinds, when the inputs or the database cannot be used. The database is then unchanged.
+        One of its kinds, when the inputs or the database cannot be used, or when what is there may not be replaced. The
+        database is then unchanged.
     """
-    from msbdb.database import check_target, read_labelled_classes
+    from msbdb.database import check_target, read_fallback, read_labelled_classes
     from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.prepare import Inputs, Label
     from msbdb.run.reports import collect_notices
-    from msbdb.run.store import report_of, store_survey
+    from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
     values = params or named_profile(profile)
-    inputs = Inputs(tuple(map(Path, points)), tuple(map(Path, ortho)), dsm, dtm, ndsm, crs, ortho_crs, z_unit, parcels)
+    check_target(db)
+    heights = {"dsm": dsm, "dtm": dtm, "ndsm": ndsm}
+    stated = {"crs": crs, "ortho_crs": ortho_crs, "z_unit": z_unit}
+    inputs = Inputs.of(points, ortho, **heights, **stated, parcels=parcels, fallback=read_fallback(db))
     notices, stages = Notices(), Stages(progress)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)
-    check_target(db)
     name = survey or inputs.default_survey()
+    former = require_replaceable(db, name, inputs, methods, replace=replace)
     labelled = read_labelled_classes(db, name)
     job = Job(inputs, values, profile, Label(name, date or "", labelled), methods, denoising_figure)
     kept = run_survey(job, stages, notices)
     with stages.stage("write"):
-        changed = store_survey(kept, db, labelled)
-    return report_of(kept, stages, changed=changed, passing=notices.passing)
+        changed = store_survey(kept, db, labelled, replace=replace)
+    passing = (*notices.passing, *(replaced(former, kept) if changed else ()))
+    return report_of(kept, stages, changed=changed, passing=passing)
 
 
 def classes(db: str | Path, survey: str | None = None) -> "pd.DataFrame":
@@ -127,12 +143,12 @@ def relabel(
 
 
 def classify(
-    source: Path,
-    out: Path,
+    source: File,
+    out: File,
     *,
-    extract: Sequence[str] = ("area3d",),
+    extract: str | Sequence[str] = ("area3d",),
     crs: str | None = None,
-    ortho: Sequence[Path] = (),
+    ortho: Files = (),
     ortho_crs: str | None = None,
     z_unit: str = "auto",
     params: Params | None = None,
@@ -149,13 +165,13 @@ def classify(
         LAS, LAZ or COPC.
     out : path
         LAS or LAZ, by its ending; everything but the classes is as in the source.
-    extract : sequence of str
+    extract : str or sequence of str
         The detectors. Three or more with ``multiscale`` decide together, as in a build; of others, a point that any of
         them finds is a building. ``area3d`` and ``adaptive`` find points. Of ``multiscale`` and ``flatregions``, the
         points in the cells of a part or flat region count. They must be at least ``surface.mask_m`` above ground.
     crs, ortho_crs : str, optional
         CRS of points and orthophotos that state none.
-    ortho : sequence of path
+    ortho : path or sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     z_unit : str
         Unit of the heights: ``auto``, ``m``, ``ft`` or ``us-ft``.
@@ -182,7 +198,7 @@ def classify(
     from msbdb.run.classify import classify_points
     from msbdb.run.prepare import Inputs
 
-    inputs = Inputs((Path(source),), tuple(map(Path, ortho)), crs=crs, ortho_crs=ortho_crs, z_unit=z_unit)
+    inputs = Inputs.of(source, ortho, crs=crs, ortho_crs=ortho_crs, z_unit=z_unit)
     values = params or named_profile(profile)
     return classify_points(
         inputs, Path(out), extract=extract, params=values, keep=keep, overwrite=overwrite, progress=progress

@@ -1,22 +1,23 @@
 """The living inventory: updates by surveys, imports, operators' decisions, and what changed between two dates."""
 
 import datetime
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from msbdb.api.build import build
+from msbdb.api.build import Files, build
 from msbdb.errors import InputError
 from msbdb.run.reports import AdvanceReport, Changes, ImportReport, Progress, Stages, UpdateReport
 
 
 def update(
-    points: Sequence[Path] = (),
+    points: Files = (),
     *,
     db: str | Path,
     survey: str,
     date: str,
     aoi: Path | None = None,
+    replace: bool = False,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401  (those of build)
 ) -> UpdateReport:
@@ -24,7 +25,7 @@ def update(
 
     Parameters
     ----------
-    points : sequence of path
+    points : path or sequence of path
         LAS, LAZ or COPC files; or give rasters among the options.
     db : str or path
         A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
@@ -32,6 +33,8 @@ def update(
         Name of the survey, and when the data were taken, ISO 8601.
     aoi : path, optional
         Polygons in any vector format: only buildings in them are compared.
+    replace : bool
+        As for `msbdb.api.build`.
     progress : callable, optional
         Called with stage, steps done and steps in all.
     **options
@@ -56,7 +59,7 @@ def update(
     stages = Stages(progress)
     built = None
     if not is_built(points, db=db, survey=survey, date=date, **options):
-        built = build(points, db=db, survey=survey, date=date, progress=progress, **options)
+        built = build(points, db=db, survey=survey, date=date, replace=replace, progress=progress, **options)
     with stages.stage("inventory"):
         return UpdateReport(built, advance(db, survey, aoi=aoi))
 
@@ -238,7 +241,7 @@ def changes(
         The database.
     since, until : str, optional
         The first and the last day of the period, ISO 8601; the states at the end of both days are compared. By default
-        from before the first survey, and to the present.
+        from the first state of each place, and to the present.
     survey : str, optional
         Report what this survey changed, in place of the net change.
     each : bool
@@ -253,6 +256,12 @@ def changes(
     Returns
     -------
     Changes
+
+    Notes
+    -----
+    The first state of a place is its beginning, not a change. Buildings that the first survey of a place finds count as
+    present before: 'unchanged' in the net change, 'first seen' in the changes of surveys. They are 'new' where an
+    import of the same place lacks them, and where ``since`` is before all surveys and imports.
 
     Raises
     ------

@@ -74,7 +74,8 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
     out : path
         The picture.
     survey : str, optional
-        Not needed where the database holds one.
+        By default the current inventory; without an inventory all surveys, the newest on top. Surveys too far from the
+        newest one for the same map are left out, with a notice.
     of : {'buildings', 'flatregions', 'area3d', 'adaptive'}
         Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height.
     """
@@ -84,7 +85,24 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
 
 
 def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: bool = False) -> None:
-    """Write parts and footprints of a survey to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
+    """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    out : path
+        The file.
+    survey : str, optional
+        By default the footprints are those of the current inventory (the columns of ``footprint_current``), with their
+        parts. Without an inventory all surveys are written, the newest first, with a column ``survey``.
+    overwrite : bool
+        Replace files that exist.
+
+    Notes
+    -----
+    A notice reports what was taken where that is not one survey. An empty database gives an empty file.
+    """
     from msbdb.run.outputs import write_layers
 
     write_layers(db, Path(out), survey=survey, overwrite=overwrite)

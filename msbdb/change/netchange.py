@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from msbdb.change.decisions import FIRST_SURVEY
 from msbdb.change.differences import moved
 
 RELATED_SHARE = 0.3
@@ -18,6 +19,11 @@ strip along a common wall is less."""
 
 STATES = ("state", "probability", "storeys", "h_max", "h_p90", "area_m2", "volume_m3", "attributes")
 """Attributes of a building before and after."""
+
+FIRST_SEEN = "first seen"
+"""Kind of a building in the first survey of its place: its first state is the beginning there, not a change."""
+
+NO_CHANGE = ("unchanged", FIRST_SEEN)
 
 COLUMNS = (
     "kind", "uid_before", "uid_after", "version_before", "version_after", "outline", "height", "parts", "times",
@@ -58,7 +64,7 @@ class _Trail:
 
     def after(self, row: dict[str, Any]) -> "_Trail":
         """Return the trail with a survey's row behind it."""
-        changed = row["kind"] != "unchanged"
+        changed = row["kind"] not in NO_CHANGE
         note = (row["note"],) if row["note"] and row["note"] not in self.notes else ()
         found = replace(
             self,
@@ -120,10 +126,11 @@ class _Chains:
     def _from(self, row: dict[str, Any]) -> tuple[Origins, _Trail]:
         """Return the origins of a row's building, and the row's own trail, each with the row behind it."""
         before, after = row["uid_before"], row["uid_after"]
-        if before is None and row["kind"] == "unchanged":
-            # It is older than this survey, which detects it for the first time.
+        if before is None and row["kind"] in NO_CHANGE:
+            # It is older than this survey, which detects it or surveys its place for the first time.
             self.begins[after] = row["version_after"]
-            return {after: _Trail().after(row)}, _Trail().after(row)
+            trail = _Trail().after(row | {"note": ""} if row["kind"] == FIRST_SEEN else row)
+            return {after: trail}, trail
         if before is None:
             return {}, _Trail().after(row)
         if before not in self.standing:
@@ -133,13 +140,41 @@ class _Chains:
         return origins, self.born.get(before, _Trail()).after(row)
 
 
+def with_beginnings(rows: gpd.GeoDataFrame, events: gpd.GeoDataFrame, since: str | None) -> gpd.GeoDataFrame:
+    """Return the changes with `FIRST_SEEN` for 'new' where a survey is the first one of its place.
+
+    Parameters
+    ----------
+    rows : GeoDataFrame
+        From `msbdb.database.read_changes`.
+    events : GeoDataFrame
+        All imports and updates: ``kind``, ``date`` and area.
+    since : str, optional
+        The day with whose state a later one is compared. Before the first event the inventory was empty: then all
+        buildings are new.
+
+    Returns
+    -------
+    GeoDataFrame
+        The same rows. A building that an import of the same place lacks stays new.
+    """
+    if since is not None and not (events["date"] <= since).any():
+        return rows
+    first = (rows["kind"] == "new") & rows["note"].str.contains(FIRST_SURVEY, regex=False)
+    imported = events.loc[events["kind"] == "import"].geometry.union_all()
+    rows = rows.copy()
+    rows.loc[first & ~rows.representative_point().intersects(imported), "kind"] = FIRST_SEEN
+    return rows
+
+
 def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.DataFrame) -> Net:
     """Return the net change of a period.
 
     Parameters
     ----------
     rows : DataFrame
-        The changes of the surveys of the period from `msbdb.database.read_changes`, survey by survey in their order.
+        The changes of the surveys of the period from `msbdb.database.read_changes`, survey by survey in their order;
+        those of `with_beginnings` have `FIRST_SEEN` buildings.
     versions : GeoDataFrame
         The versions that the rows name: ``version_id``, ``survey_id``, `STATES`, and outlines in metres.
     offsets : DataFrame
@@ -159,7 +194,7 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
       share `RELATED_SHARE` of the smaller at the end. Buildings that were joined and divided again are no pair. A part
       that was joined and then pulled down was demolished.
     - The first row of a building gives its state at the beginning. So an import within the period counts as older than
-      the period, and so does an older building that is detected for the first time.
+      the period, and so does an older building that is detected for the first time, or first seen.
     """
     chains = _Chains()
     plain = pd.DataFrame(rows).drop(columns="geometry", errors="ignore").astype(object)

@@ -101,6 +101,12 @@ _VALUES = (
         help="Also draw the surface before and after the denoising for the flat regions.",
     ),
     click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Also draw the map of 'msbdb view'."),
+    click.option(
+        "--replace",
+        is_flag=True,
+        help="Replace a survey of this name also where it is of other files or another place, or has results of "
+        "detectors that are not run now.",
+    ),
 )
 """Options of how it is made."""
 
@@ -132,10 +138,15 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --points town.laz --db postgresql://me@localhost/town --scales 30,100,1000",
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
         "msbdb build --points town.laz --db town.sqlite --outline traced",
+        "msbdb build --points town_corrected.laz --db town.sqlite --survey town --replace",
     ),
 )
 @inputs
-@click.option("--survey", metavar="NAME", help="Name of the survey. [default: the first file's name]")
+@click.option(
+    "--survey",
+    metavar="NAME",
+    help="Name of the survey. [default: the first file's; with its folder's if it is one like 'points']",
+)
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
 @values
 @shared("json")
@@ -144,7 +155,7 @@ def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa:
 
     Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes separate roofs from trees. An
     orthophoto, or the colours of the points, adds spectral classes. Building the same survey again leaves the database
-    unchanged.
+    unchanged. With other values it replaces the survey, with a notice. Other files need another --survey, or --replace.
     """
     check_inputs(given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))

@@ -42,7 +42,8 @@ def db() -> None:
 def create(*, db: str, crs: str, as_json: bool) -> None:
     """Create an empty database; one that exists stays unchanged.
 
-    The CRS must be projected, in metres. 'msbdb build' creates a database by itself in the CRS of its data.
+    The CRS must be projected, in metres. It serves files that state none, with a notice. 'msbdb build' creates a
+    database by itself in the CRS of its data.
     """
     from msbdb.database import create_database
 

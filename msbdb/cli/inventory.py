@@ -216,11 +216,12 @@ def changes(
 ) -> None:
     """Report how the buildings changed between two dates.
 
-    The result is the net change, a row a building: unchanged, modified (outline, height or parts), new, demolished,
-    merged or split. State, heights and area are given before and after. Changes by several surveys count as one: raised
-    and then demolished is demolished. Buildings that were new and then demolished between the dates are only counted;
-    --each shows them. Unchanged buildings are counted and not printed. So are unsure ones, which came or went without
-    ever being confirmed.
+    Without --from, the period begins with the first state of each place, which is no change. The result is the net
+    change, a row a building: unchanged, modified (outline, height or parts), new, demolished, merged or split. State,
+    heights and area are given before and after. Changes by several surveys count as one: raised and then demolished is
+    demolished. Buildings that were new and then demolished between the dates are only counted; --each shows them.
+    Unchanged buildings are counted and not printed. So are unsure ones, which came or went without ever being
+    confirmed.
     """
     from msbdb import api
 

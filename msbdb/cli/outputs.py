@@ -92,7 +92,8 @@ def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
     """Draw a map of the buildings, or of the regions of another detector, on a hillshade of the surface.
 
     Parts of buildings are outlined by scale and filled by height. Flat regions are coloured by their zone. Candidate
-    regions are coloured by the height scale that accepted them, or by their height.
+    regions are coloured by the height scale that accepted them, or by their height. Without --survey, the current
+    inventory is drawn; without an inventory all surveys near the newest, which is on top.
     """
     from msbdb import api
 
@@ -119,6 +120,9 @@ def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     candidate_region. A Shapefile (.shp) has the parts, under the paper's names of at most ten characters. GeoJSON
     (.geojson) has the parts in longitude and latitude. Outlines are edges of roofs, not walls at the ground; a
     GeoPackage and GeoJSON files state this in their description.
+
+    Without --survey, the footprints are those of the current inventory, with their parts. Without an inventory all
+    surveys are written, the newest first, with the survey of each row. An empty database gives an empty file.
     """
     from msbdb import api
 

@@ -14,16 +14,26 @@ from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.periods import (
+    LAST_DAY,
     database_crs_of,
     first_day,
     footprint_at,
+    has_inventory,
     read_changes,
+    read_fallback,
     read_history,
     read_states,
 )
 from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, write_advance
-from msbdb.database.runs.digests import BuildBasis, OutdatedError, read_digest, read_labelled_classes
+from msbdb.database.runs.basis import (
+    BuildBasis,
+    Former,
+    OutdatedError,
+    read_digest,
+    read_former,
+    read_labelled_classes,
+)
 from msbdb.database.runs.places import DetectorAnswer, Place, explain_places
 from msbdb.database.runs.reading import (
     RunSummary,
@@ -52,6 +62,7 @@ from msbdb.database.schema.srid import srid_of
 
 __all__ = [
     "CHECKS",
+    "LAST_DAY",
     "PATIENCE_S",
     "ROLES",
     "Advance",
@@ -60,6 +71,7 @@ __all__ = [
     "Engine",
     "ExampleQuery",
     "Finding",
+    "Former",
     "Loss",
     "OutdatedError",
     "Place",
@@ -79,6 +91,7 @@ __all__ = [
     "first_day",
     "footprint_at",
     "grant_role",
+    "has_inventory",
     "list_runs",
     "open_database",
     "opened",
@@ -89,7 +102,9 @@ __all__ = [
     "read_classes",
     "read_columns",
     "read_digest",
+    "read_fallback",
     "read_flat_regions",
+    "read_former",
     "read_history",
     "read_labelled_classes",
     "read_parts",

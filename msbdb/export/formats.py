@@ -95,8 +95,8 @@ def write_shapefile(layers: Layers, path: Path) -> None:
     Parameters
     ----------
     layers : mapping of str to Layer
-        ``part``, the table ``PART`` with geometry and CRS. Other layers are not written: a Shapefile holds one, and the
-        roots are in it.
+        ``part``, the table ``PART`` with geometry and CRS, and ``survey`` where there are several. Other layers are
+        not written: a Shapefile holds one, and the roots are in it.
     path : Path
         The .shp; .shx, .dbf, .prj and .cpg (UTF-8) lie beside it.
 
@@ -108,6 +108,8 @@ def write_shapefile(layers: Layers, path: Path) -> None:
     """
     part = layers["part"]
     columns = {field: part.columns[name] for name, field in FIELDS.items()}
+    if "survey" in part.columns:
+        columns["SURVEY"] = part.columns["survey"]
     write_layers(path, {path.stem: replace(part, columns=columns)}, "ESRI Shapefile", encoding="UTF-8")
 
 

@@ -8,6 +8,7 @@ are scaled. A geographic CRS is refused, because reprojecting is the user's deci
 import copy
 import math
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,7 +21,7 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError as ProjError
 
-from msbdb.errors import CRSError
+from msbdb.errors import CRSError, MsbdbWarning
 from msbdb.grid import Bounds
 
 Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": 1200 / 3937}
@@ -32,7 +33,16 @@ PARAMETER_TOLERANCE = 1e-6
 AREA_MARGIN_DEG = 1.0
 """How far beyond a CRS's area of use data may lie without a notice."""
 
-CrsLike = CRS | str | int
+
+@dataclass(frozen=True, slots=True)
+class Fallback:
+    """A CRS for files that state none, such as that of the database; others keep their own."""
+
+    crs: CRS
+    whose: str
+
+
+CrsLike = CRS | str | int | Fallback
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +93,7 @@ def parse_crs(value: CrsLike) -> CRS:
         If the value is not understood.
     """
     try:
-        return canonical(CRS.from_user_input(value))
+        return canonical(CRS.from_user_input(value.crs if isinstance(value, Fallback) else value))
     except ProjError as error:
         msg = f"The CRS {value!r} is not known; give an EPSG code such as 2154 or EPSG:2154, or a WKT text."
         raise CRSError(msg) from error
@@ -161,8 +171,8 @@ def settle(found: CRS | None, stated: CrsLike | None, where: str) -> CRS:
     ----------
     found : CRS, optional
         The file's own.
-    stated : CRS, str or int, optional
-        The user's, for files that have none.
+    stated : CRS, str, int or Fallback, optional
+        The user's, for files that have none; a `Fallback` gives a notice where it is used.
     where : str
         The file's name, for messages.
 
@@ -180,8 +190,13 @@ def settle(found: CRS | None, stated: CrsLike | None, where: str) -> CRS:
             raise CRSError(msg)
         return own
     wanted = parse_crs(stated)
+    if own is None and isinstance(stated, Fallback):
+        msg = f"{where} states no CRS; that of {stated.whose} is used, {name_of(wanted)}. State another with --crs."
+        warnings.warn(msg, MsbdbWarning, stacklevel=2)
     if own is None:
         return wanted
+    if isinstance(stated, Fallback):
+        return own
     (mine, my_heights), (yours, your_heights) = split_crs(own), split_crs(wanted)
     heights_differ = my_heights is not None and your_heights is not None and my_heights != your_heights
     if heights_differ or not same_crs(canonical(mine), canonical(yours)):

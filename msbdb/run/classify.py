@@ -26,7 +26,7 @@ def classify_points(
     inputs: Inputs,
     out: Path,
     *,
-    extract: Sequence[str],
+    extract: str | Sequence[str],
     params: Params,
     keep: bool,
     overwrite: bool,

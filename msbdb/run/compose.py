@@ -233,7 +233,7 @@ def decompose(
     )
 
 
-def choose_detectors(names: Sequence[str], inputs: Inputs) -> tuple[str, ...]:
+def choose_detectors(names: str | Sequence[str], inputs: Inputs) -> tuple[str, ...]:
     """Return the detectors to run, in order of their names.
 
     Those that take the points themselves are left out, with a notice, where the source is a raster.
@@ -243,6 +243,7 @@ def choose_detectors(names: Sequence[str], inputs: Inputs) -> tuple[str, ...]:
     ParameterError
         When one does not exist, none is named, or none of them can be run.
     """
+    names = (names,) if isinstance(names, str) else names
     unknown = sorted(set(names) - set(DETECTORS))
     if unknown or not names:
         msg = f"The detectors are {', '.join(DETECTORS)}; got {', '.join(unknown) or 'none'}."

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,16 @@ import shapely
 from pyproj import CRS
 
 from msbdb.change.differences import Offset, earlier_heights
-from msbdb.change.netchange import Net, net_changes
+from msbdb.change.netchange import NO_CHANGE, Net, net_changes, with_beginnings
 from msbdb.database import (
+    LAST_DAY,
     Engine,
     database_crs_of,
     first_day,
     footprint_at,
     open_database,
     opened,
+    read_fallback,
     read_rasters,
     read_states,
     read_survey,
@@ -65,7 +67,7 @@ def take_inventory(
     crs: str | None,
 ) -> ImportReport:
     """Import the footprints of a file as the inventory; see `msbdb.api.import_inventory`."""
-    frame = read_polygons(file, layer=layer, crs=crs)
+    frame = read_polygons(file, layer=layer, crs=crs or read_fallback(db))
     engine = _opened_or_created(db, frame)
     try:
         frame = frame.to_crs(database_crs_of(engine))
@@ -83,7 +85,7 @@ def take_samples(
     """Import points at which the material of a roof is known; see `msbdb.api.import_roof_samples`."""
     columns = {"material": "material", **mapping}
     with opened(db) as engine:
-        frame = read_point_features(file, layer=layer, crs=crs, to=database_crs_of(engine))
+        frame = read_point_features(file, layer=layer, crs=crs or read_fallback(db), to=database_crs_of(engine))
         _require_columns(frame, columns)
         material = frame[columns["material"]].astype("string").fillna("").str.strip()
         if (material == "").any():
@@ -182,9 +184,6 @@ NOT_SURVEYED = "not surveyed"
 UNSURE = "unsure"
 """Kind of a building that came or went without ever being confirmed, by its probability or an operator."""
 
-END = "9999-12-31"
-"""A day after all surveys."""
-
 LARGEST_MAP = 4000
 """Cells a side beyond which a map of several surveys is made of larger cells."""
 
@@ -205,7 +204,7 @@ def changes_of(
     """List what changed in the inventory between two dates; see `msbdb.api.changes`."""
     with opened(db) as engine:
         period = read_period(engine, since, until)
-        rows = period.changes
+        rows = with_beginnings(period.changes, period.events, None if since is None else first_day(since))
         if survey is not None:
             rows = rows[rows["survey"] == survey]
         if each or survey is not None:
@@ -216,7 +215,7 @@ def changes_of(
         if aoi is not None:
             area = read_polygons(aoi, to=rows.crs).union_all()
             rows, table, passing = (frame[frame.intersects(area)] for frame in (rows, table, passing))
-            table = _with_unseen(table, footprint_at(engine, until or END), area)
+            table = _with_unseen(table, footprint_at(engine, until or LAST_DAY), area)
         table = table.reset_index(drop=True)
         if out is not None:
             write_changes(table, Path(out))
@@ -274,10 +273,15 @@ def _draw(engine: Engine, table: gpd.GeoDataFrame, rows: gpd.GeoDataFrame, figur
             "Choose other dates or another area."
         )
         raise InputError(msg)
-    relief = _relief([_heights(engine, str(name)) for name in names])
+    relief = relief_of(engine, [str(name) for name in names])
     place = CRS.from_user_input(table.crs).name
     several = f"{len(names)} surveys" if len(names) > 1 else f"survey {names[0]}"
     draw_changes(table, relief, figure, title=f"Changes by {several}", subtitle=f"{period} · {place}")
+
+
+def relief_of(engine: Engine, surveys: Sequence[str]) -> Grid:
+    """Return the heights above ground of surveys as one grid, the first one on top."""
+    return _relief([_heights(engine, name) for name in surveys])
 
 
 def _heights(engine: Engine, survey: str) -> Grid:
@@ -298,7 +302,7 @@ def _relief(grids: list[Grid]) -> Grid:
 
 def records_of(found: Changes) -> list[dict[str, Any]]:
     """Return a record of plain values for each row that is a change."""
-    changed = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED, UNSURE])]
+    changed = found.table[~found.table["kind"].isin([*NO_CHANGE, NOT_SURVEYED, UNSURE])]
     plain = pd.DataFrame(changed.drop(columns="geometry")).astype(object)
     return [
         {str(name): value for name, value in row.items()}

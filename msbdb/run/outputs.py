@@ -3,16 +3,48 @@
 Each function imports what it alone needs, so that a summary and an export are quick.
 """
 
-from dataclasses import asdict
+import warnings
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from msbdb.database import RunSummary, crs_of, opened, read_build, read_columns, run_heads, shown, summarise_run
+from msbdb.database import (
+    LAST_DAY,
+    Engine,
+    RunSummary,
+    crs_of,
+    database_crs_of,
+    footprint_at,
+    has_inventory,
+    opened,
+    read_columns,
+    read_rasters,
+    read_scales,
+    read_survey,
+    read_tables,
+    run_heads,
+    shown,
+    summarise_run,
+)
+from msbdb.errors import PassingNotice
+from msbdb.identity import to_json
+from msbdb.kept import heights_of
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
 
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+    from msbdb.grid import Grid
+    from msbdb.io.layers import Layer
+
+Bounds = tuple[float, float, float, float]
+
 LAYERS = {"footprint": BUILDING, "part": PART, "flat_region": FLAT_REGION, "candidate_region": CANDIDATE_REGION}
 """The layers of an export and their tables."""
+
+EMPTY_MAP = (0.0, 0.0, 100.0, 100.0)
+"""Extent of a map of nothing, metres."""
 
 
 def info_of(db: str | Path) -> dict[str, Any]:
@@ -45,52 +77,194 @@ def _counts(summary: RunSummary) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What an output is made of.
+
+    ``surveys`` has the names, the newest first. ``present`` is set where the buildings are those of the current
+    inventory, and not those of each survey.
+    """
+
+    surveys: tuple[str, ...]
+    present: bool
+
+    @property
+    def is_one(self) -> bool:
+        """Whether it is one survey, as that found it."""
+        return len(self.surveys) == 1 and not self.present
+
+
+def choose(engine: Engine, survey: str | None) -> Choice:
+    """Return what an output is made of: the named survey, else the current inventory, else all surveys.
+
+    Gives a notice where that is more or less than one survey.
+    """
+    if survey is not None:
+        return Choice((survey,), present=False)
+    heads = sorted(run_heads(engine), key=lambda head: str(head["date"]), reverse=True)
+    choice = Choice(tuple(str(head["survey"]) for head in heads), present=has_inventory(engine))
+    several = f"{len(heads)} surveys: {', '.join(choice.surveys)}"
+    if choice.present:
+        msg = "The buildings are those of the current inventory. --survey NAME takes those of one survey."
+    elif not heads:
+        msg = f"The database {shown(engine.url)} has no survey and no inventory yet; the output is empty."
+    else:
+        msg = f"The database has {several}. All are taken, the newest first; --survey NAME takes one."
+    if not choice.is_one:
+        warnings.warn(msg, PassingNotice, stacklevel=2)
+    return choice
+
+
 def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
     """Draw a map; see `msbdb.api.view`."""
-    import geopandas as gpd
-    from pyproj import CRS
-
     from msbdb.view.buildingmap import draw_map
     from msbdb.view.regionmap import draw_candidates, draw_zones
 
     with opened(db) as engine:
-        build = read_build(engine, survey)
-    relief = build.heights
-    scales, regions = build.frames["scale"], build.frames["flat_region"]
-    place = CRS.from_wkt(build.survey.crs_wkt).name
-    subtitle = " · ".join(word for word in (build.survey.date, place, f"cell {build.survey.cell_m:g} m") if word)
+        choice = _of_one_place(engine, choose(engine, survey))
+        frames, thresholds = _frames(engine, choice), _thresholds(engine, choice)
+        relief = _relief(engine, choice, frames["footprint"])
+        dates = [read_survey(engine, name).date for name in choice.surveys]
+    name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(dates)} surveys"
+    if len(dates) > 1:  # the newest are drawn last, on top
+        frames = {layer: frame.iloc[::-1] for layer, frame in frames.items()}
+    parts, buildings, place = frames["part"], frames["footprint"], relief.spec.crs.name
+    if choice.present:
+        here = buildings["survey"].isna() | buildings["survey"].isin(choice.surveys)
+        buildings = buildings[here & (buildings["state"] != "refuted")]
+    words = (max(dates, default=""), place, f"cell {relief.spec.cell_m:g} m")
+    subtitle = " · ".join(word for word in words if word)
     if of == "flatregions":
-        title = f"{build.survey.name}: {len(regions)} flat regions"
-        draw_zones(gpd.GeoDataFrame(regions), relief, out, title=title, subtitle=subtitle)
+        regions = frames["flat_region"]
+        draw_zones(regions, relief, out, title=f"{name}: {len(regions)} flat regions", subtitle=subtitle)
         return
     if of in POINT_DETECTORS:
-        frame = build.frames["candidate_region"]
-        chosen = gpd.GeoDataFrame(frame[frame["method"] == of])
-        title = f"{build.survey.name}: {len(chosen)} candidate regions of {of}"
-        draw_candidates(chosen, relief, out, title=title, subtitle=subtitle)
+        regions = frames["candidate_region"]
+        regions = regions[regions["method"] == of]
+        title = f"{name}: {len(regions)} candidate regions of {of}"
+        draw_candidates(regions, relief, out, title=title, subtitle=subtitle)
         return
-    draw_map(
-        build.frames["part"],
-        build.frames["building"],
-        relief,
-        out,
-        title=f"{build.survey.name}: {len(build.frames['building'])} buildings in {len(build.frames['part'])} parts",
-        subtitle=subtitle,
-        thresholds_m2=dict(zip(scales["scale"].tolist(), scales["threshold_m2"].tolist(), strict=True)),
-    )
+    title = f"{name}: {len(buildings)} buildings in {len(parts)} parts"
+    draw_map(parts, buildings, relief, out, title=title, subtitle=subtitle, thresholds_m2=thresholds)
+
+
+def _of_one_place(engine: Engine, choice: Choice) -> Choice:
+    """Leave out, with a notice, surveys that are too far from the newest one for the same map.
+
+    Surveys are of one place when the gap between them, or between each and the next, is less than the larger is wide.
+    """
+    boxes = {name: read_survey(engine, name).bounds for name in choice.surveys}
+    near = list(choice.surveys[:1])
+    for name in near:  # grows in the loop
+        near += [other for other in boxes if other not in near and _is_near(boxes[name], boxes[other])]
+    away = [name for name in choice.surveys if name not in near]
+    if away:
+        msg = f"Too far away for this map, and not drawn: {', '.join(away)}. --survey NAME draws one of them."
+        warnings.warn(msg, PassingNotice, stacklevel=2)
+    return replace(choice, surveys=tuple(name for name in choice.surveys if name in near))
+
+
+def _is_near(one: Bounds, other: Bounds) -> bool:
+    """Return whether the gap between two extents is less than the larger one is wide."""
+    wide = max(max(east - west, north - south) for west, south, east, north in (one, other))
+    east = max(one[0], other[0]) - min(one[2], other[2])
+    north = max(one[1], other[1]) - min(one[3], other[3])
+    return max(east, north) < wide
+
+
+def _frames(engine: Engine, choice: Choice) -> "dict[str, gpd.GeoDataFrame]":
+    """Return the layers by name as frames, the newest rows first, with the name of the survey of each row.
+
+    The footprints of the current inventory are those of its view, and its parts those of its footprints.
+    """
+    import geopandas as gpd
+    import numpy as np
+    import pandas as pd
+
+    present = footprint_at(engine, LAST_DAY) if choice.present else None
+    crs = database_crs_of(engine)
+    read: dict[str, list[gpd.GeoDataFrame]] = {name: [] for name in LAYERS}
+    for survey in choice.surveys:
+        tables = read_tables(engine, tuple(LAYERS.values()), survey)
+        for name, table in LAYERS.items():
+            frame = gpd.GeoDataFrame(tables[table.name])
+            if present is not None and name == "part":
+                own = present.loc[present["survey"] == survey, "building_id"].dropna().astype("int64")
+                frame = frame[frame["building_id"].isin(own)]
+            read[name].append(frame)
+    found = {}
+    for name, frames in read.items():
+        empty = gpd.GeoDataFrame(LAYERS[name].empty(), geometry=[], crs=crs)
+        names = np.repeat(np.array(choice.surveys, dtype=object), [len(frame) for frame in frames])
+        filled = [frame for frame in frames if len(frame)] or [empty]
+        found[name] = gpd.GeoDataFrame(pd.concat(filled, ignore_index=True))
+        found[name].insert(0, "survey", pd.Series(names, dtype=object))
+    return found if present is None else found | {"footprint": present}
+
+
+def _thresholds(engine: Engine, choice: Choice) -> dict[int, float]:
+    """Return the area thresholds of the scales, square metres; none where they differ between the surveys."""
+    tables = [read_scales(engine, survey) for survey in choice.surveys]
+    found = [dict(zip(own["scale"].tolist(), own["threshold_m2"].tolist(), strict=True)) for own in tables]
+    return found[0] if found and all(own == found[0] for own in found) else {}
+
+
+def _relief(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") -> "Grid":
+    """Return the heights of the surveys, the newest on top; without surveys an empty grid around the buildings."""
+    import numpy as np
+
+    from msbdb.grid import Grid, lattice
+
+    if len(choice.surveys) == 1:
+        [name] = choice.surveys
+        return heights_of(read_survey(engine, name), read_rasters(engine, name))
+    if choice.surveys:
+        from msbdb.run.inventory import relief_of
+
+        return relief_of(engine, choice.surveys)
+    bounds = tuple(buildings.total_bounds.tolist()) if len(buildings) else EMPTY_MAP
+    spec = lattice(bounds, 1.0, buildings.crs)
+    return Grid(np.zeros(spec.shape, dtype=np.float32), np.zeros(spec.shape, dtype=np.bool_), spec)
 
 
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
     from msbdb.export import export
-    from msbdb.io.layers import Layer, crs_text
 
     with opened(db) as engine:
-        read, found = read_columns(engine, tuple(LAYERS.values()), survey)
+        choice = choose(engine, survey)
+        layers = _survey_layers(engine, survey) if choice.is_one else _layers(engine, choice, out)
+    export(layers, out, overwrite=overwrite)
+
+
+def _layers(engine: Engine, choice: Choice, out: Path) -> "dict[str, Layer]":
+    """Return the layers of several surveys, of none, or of the current inventory.
+
+    Gives a notice of buildings without parts where the file has parts alone.
+    """
+    from msbdb.io.layers import Layer
+
+    frames = _frames(engine, choice)
+    if choice.present:
+        without = int((~frames["footprint"]["building_id"].isin(frames["part"]["building_id"])).sum())
+        if without and out.suffix.lower() != ".gpkg":
+            some = "1 building of the inventory has" if without == 1 else f"{without} buildings of the inventory have"
+            msg = f"{some} no parts, so {out} has none of it. A GeoPackage has all buildings."
+            warnings.warn(msg, PassingNotice, stacklevel=2)
+        texts = [None if value is None else to_json(value) for value in frames["footprint"]["attributes"]]
+        frames["footprint"] = frames["footprint"].assign(attributes=texts)
+    return {name: Layer.of(frame) for name, frame in frames.items()}
+
+
+def _survey_layers(engine: Engine, survey: str | None) -> "dict[str, Layer]":
+    """Return the layers of one survey."""
+    from msbdb.io.layers import Layer, crs_text
+
+    read, found = read_columns(engine, tuple(LAYERS.values()), survey)
     # A code needs no PROJ, which takes time to load.
     crs = f"EPSG:{found.epsg}" if found.epsg else crs_text(crs_of(found))
     layers = {}
     for name, table in LAYERS.items():
         columns = read[table.name]
         layers[name] = Layer({own: columns[own] for own in table.names}, columns["geometry"], crs)
-    export(layers, out, overwrite=overwrite)
+    return layers

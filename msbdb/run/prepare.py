@@ -1,10 +1,13 @@
 """Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
 import logging
+import os
+import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -14,6 +17,7 @@ from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
+from msbdb.io.crs import CrsLike, Fallback
 from msbdb.io.files import describe_source
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
@@ -34,14 +38,24 @@ from msbdb.tables import Source, Survey
 
 logger = logging.getLogger(__name__)
 
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
 NO_IMAGERY = "There is no imagery: height texture and echoes alone separate roofs from vegetation."
 
 NO_ECHOES = "No pulse has a second echo, or none is recorded: height texture alone separates roofs from vegetation."
 
 
+ANYWHERE = re.compile(
+    r"(points?|point_?cloud|cloud|lidar|las|laz|dsm|dtm|dem|ndsm|chm|surface|terrain|ground|heights?|tiles?|data|input"
+    r"|output|merged|classified|survey)[-_ ]?\d*",
+    re.IGNORECASE,
+)
+"""Names of files that hold for any place, so that files of two places often have them."""
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """The files of a build, and what the user states about them."""
+    """The files of a build, and what the user states about them; ``fallback`` is the CRS where nothing states one."""
 
     points: tuple[Path, ...] = ()
     ortho: tuple[Path, ...] = ()
@@ -52,6 +66,13 @@ class Inputs:
     ortho_crs: str | None = None
     z_unit: str = "auto"
     parcels: Path | None = None
+    fallback: Fallback | None = None
+
+    @classmethod
+    def of(cls, points: Paths = (), ortho: Paths = (), **given: Any) -> Self:  # noqa: ANN401  (the other fields)
+        """Return the files as a user gives them: a single one in place of a list, and texts as paths."""
+        files = {name: given[name] for name in ("dsm", "dtm", "ndsm", "parcels") if given.get(name) is not None}
+        return cls(_paths(points), _paths(ortho), **given | {name: Path(file) for name, file in files.items()})
 
     def __post_init__(self) -> None:
         """Check that there is one kind of heights."""
@@ -76,8 +97,28 @@ class Inputs:
         words = {"crs": self.crs, "ortho_crs": self.ortho_crs, "z_unit": self.z_unit if self.z_unit != "auto" else None}
         return {name: str(word) for name, word in words.items() if word is not None}
 
+    @property
+    def any_crs(self) -> CrsLike | None:
+        """The CRS of points and rasters of heights that state none."""
+        return self.crs or self.fallback
+
+    @property
+    def any_ortho_crs(self) -> CrsLike | None:
+        """The CRS of orthophotos that state none."""
+        return self.ortho_crs or self.fallback
+
     def default_survey(self) -> str:
-        """Name the survey after the first file."""
+        """Name the survey after the first file, and after its folder too where the file's name holds for any place."""
+        stem = self._stem()
+        return self.longer_survey() if ANYWHERE.fullmatch(stem) else stem
+
+    def longer_survey(self, taken: str = "") -> str:
+        """Return a name of the first file with its folder; NAME where that is taken."""
+        folder = next(self.files())[0].resolve().parent.name
+        name = "-".join(word for word in (folder, self._stem()) if word)
+        return "NAME" if name == taken else name
+
+    def _stem(self) -> str:
         return next(self.files())[0].stem.removesuffix(".copc")
 
     def sources(self) -> tuple[Source, ...]:
@@ -86,11 +127,16 @@ class Inputs:
         return tuple(sorted(described, key=lambda source: (source.role, source.sha256)))
 
 
+def _paths(given: Paths) -> tuple[Path, ...]:
+    """Return one path or several as a tuple."""
+    return tuple(map(Path, (given,) if isinstance(given, str | os.PathLike) else given))
+
+
 def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:
     """Read the points, where the build is from points."""
     if not inputs.points:
         return None
-    return read_points(inputs.points, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
+    return read_points(inputs.points, crs=inputs.any_crs, z_unit=inputs.z_unit, progress=progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +179,7 @@ def prepare(
     with stages.stage("cover"):
         structure = cover_from_surface(surface, cloud, params)
     with stages.stage("bands"):
-        ortho = read_bands(list(inputs.ortho), spec, crs=inputs.ortho_crs) if inputs.ortho else None
+        ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
         bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
     with stages.stage("classes"):
         echoes = cloud is not None and cloud.has_echoes
@@ -178,13 +224,13 @@ def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Su
     if cloud is not None:
         return build_surface(cloud, params)
     if inputs.ndsm is not None:
-        ndsm = read_grid(inputs.ndsm, crs=inputs.crs, role="nDSM", z_unit=inputs.z_unit)
+        ndsm = read_grid(inputs.ndsm, crs=inputs.any_crs, role="nDSM", z_unit=inputs.z_unit)
         return surface_from_rasters(ndsm, flat_ground(ndsm), terrain_known=False)
     if inputs.dsm is None or inputs.dtm is None:  # kept from happening by Inputs
         msg = "A DSM needs a DTM."
         raise InputError(msg)
-    dsm = read_grid(inputs.dsm, crs=inputs.crs, role="DSM", z_unit=inputs.z_unit)
-    dtm = read_grid(inputs.dtm, crs=inputs.crs, role="DTM", z_unit=inputs.z_unit)
+    dsm = read_grid(inputs.dsm, crs=inputs.any_crs, role="DSM", z_unit=inputs.z_unit)
+    dtm = read_grid(inputs.dtm, crs=inputs.any_crs, role="DTM", z_unit=inputs.z_unit)
     return surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm))
 
 

@@ -219,7 +219,8 @@ class Changes:
     table : GeoDataFrame
         A row for each building that a survey covered (a pair of buildings for merged and split): the net change
         (`msbdb.change.netchange`), or the changes by each survey (`msbdb.database.read_changes`).
-        Buildings within an area of interest that no survey covered follow as 'not surveyed'.
+        Buildings within an area of interest that no survey covered follow as 'not surveyed'. In the changes by each
+        survey, those of the first survey of a place are 'first seen'.
     counts : dict
         The rows by kind.
     in_between : int

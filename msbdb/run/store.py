@@ -11,10 +11,12 @@ import pandas as pd
 from msbdb.database import (
     PATIENCE_S,
     BuildBasis,
+    Former,
     OutdatedError,
     opened,
     read_build,
     read_digest,
+    read_former,
     read_survey,
     store_build,
 )
@@ -25,6 +27,7 @@ from msbdb.kept import KeptRun, Rasters, lattice_of
 from msbdb.landcover import ClassMap
 from msbdb.params import POINT_DETECTORS
 from msbdb.run.compose import relabelled
+from msbdb.run.prepare import Inputs
 from msbdb.run.reports import BuildReport, Progress, Stages
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import REJECTION, Survey
@@ -35,16 +38,42 @@ ATTEMPTS = 5
 """Attempts to give labels, when others label the same survey at the same time."""
 
 
-def store_survey(kept: KeptRun, db: str | Path, labelled: pd.DataFrame) -> bool:
+def require_replaceable(
+    db: str | Path, name: str, inputs: Inputs, methods: Sequence[str], *, replace: bool
+) -> Former | None:
+    """Return the run that a build will replace, None where there is none; check before the work that it may.
+
+    Raises
+    ------
+    InputError
+        Without ``replace``, when the run is of other files, or has results of detectors that the build lacks.
+    """
+    former = read_former(db, name)
+    if former is not None and not replace:
+        former.require_sources(inputs.sources(), inputs.longer_survey(name))
+        former.require_methods(methods)
+    return former
+
+
+def replaced(former: Former | None, kept: KeptRun) -> tuple[str, ...]:
+    """Return the notice that a run took the place of another one."""
+    if former is None:
+        return ()
+    return (f"The survey '{former.name}' was there and is replaced: {former.differences(kept.survey, kept.run)}.",)
+
+
+def store_survey(kept: KeptRun, db: str | Path, labelled: pd.DataFrame, *, replace: bool) -> bool:
     """Write a run in one transaction; return whether the database changed.
 
     Raises
     ------
     DatabaseError
         When an operator labelled classes since the build began; the build would overwrite the labels.
+    InputError
+        Without ``replace``, when the survey of this name is of other files or another place, or has more detectors.
     """
     try:
-        basis = BuildBasis(labelled=labelled)
+        basis = BuildBasis(labelled=labelled, replace=replace)
         return store_build(db, kept, basis=basis, timeout_s=PATIENCE_S).status != "unchanged"
     except OutdatedError as error:
         msg = (

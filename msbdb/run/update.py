@@ -40,7 +40,7 @@ from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, ChangeParams, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
 from msbdb.run.compose import choose_detectors
-from msbdb.run.prepare import Inputs
+from msbdb.run.prepare import Inputs, Paths
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
 from msbdb.run.store import recall_elevations
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey
@@ -62,15 +62,15 @@ CELL_HEIGHTS = ("h_max", "h_mean", "h_p50", "h_p90")
 
 
 def is_built(
-    points: Sequence[Path],
+    points: Paths,
     *,
     db: str | Path,
     survey: str,
     date: str,
-    ortho: Sequence[Path] = (),
+    ortho: Paths = (),
     params: Params | None = None,
     profile: str = "default",
-    extract: Sequence[str] = DETECTORS,
+    extract: str | Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
     **given: Any,  # noqa: ANN401  (the other inputs of build)
 ) -> bool:
@@ -78,7 +78,7 @@ def is_built(
 
     The parameters are those of `msbdb.api.build`.
     """
-    inputs = Inputs(tuple(map(Path, points)), tuple(map(Path, ortho)), **given)
+    inputs = Inputs.of(points, ortho, **given)
     with collect_notices(Notices()):
         methods = choose_detectors(extract, inputs)
     try:

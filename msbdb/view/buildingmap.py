@@ -45,6 +45,7 @@ HEIGHTS: Colormap = LinearSegmentedColormap.from_list(
 
 KINDS = {
     "unchanged": "#c4c4c4",
+    "first seen": "#dcdcdc",
     "not surveyed": "#ffffff",
     "unsure": "#ece7d5",
     "modified": "#e69f00",
@@ -338,7 +339,7 @@ def draw_changes(changes: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: s
     for order, (kind, colour) in enumerate(KINDS.items()):
         chosen = changes[changes["kind"] == kind]
         paths = outlines(chosen.geometry.to_numpy())
-        is_quiet = kind in ("unchanged", "not surveyed", "unsure")
+        is_quiet = kind in ("unchanged", "first seen", "not surveyed", "unsure")
         fills = PathCollection(
             paths, facecolors=colour, edgecolors="#555555" if is_quiet else "black",
             linewidths=0.4 if is_quiet else 1.0, joinstyle="round", zorder=2 + order / 100,

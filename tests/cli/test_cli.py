@@ -97,6 +97,7 @@ class FakeApi(types.ModuleType):
         profile="default",
         extract=("multiscale", "flatregions", "area3d", "adaptive"),
         denoising_figure=None,
+        replace=False,
         progress=None,
     ):
         """Pass two steps of a stage and return a report."""

@@ -72,6 +72,20 @@ def test_an_inventory_is_imported_updated_and_told(town: Path) -> None:
     assert "No survey of the period" in run("changes", town, "--from", "2022")
 
 
+def test_a_building_that_the_first_import_lacks_is_new(rasters: dict[str, Path], tmp_path: Path) -> None:
+    """With an import of the place, the first survey finds changes; without one, it is the first state."""
+    footprints(ROW[:7]).to_file(tmp_path / "cadastre.gpkg")
+    # The last house of the row lies beside the others, within the import's bounds.
+    footprints([*ROW[:6], ROW[7]]).to_file(tmp_path / "gap.gpkg")
+    counts = {}
+    for name in ("cadastre", "gap"):
+        db = tmp_path / f"{name}.sqlite"
+        run("import", tmp_path / f"{name}.gpkg", "--as", "inventory", "--db", db)
+        run("update", "--ndsm", rasters["first"], "--db", db, "--survey", "first", "--date", "2020")
+        counts[name] = json.loads(run("changes", db, "--json"))["counts"]
+    assert counts == {"cadastre": {"unchanged": 8}, "gap": {"new": 1, "unchanged": 7}}
+
+
 def test_a_repeat_builds_nothing_and_changes_nothing(town: Path, rasters: dict[str, Path]) -> None:
     """The same files and values are known by the survey's record."""
     engine = open_database(town)

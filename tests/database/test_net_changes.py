@@ -75,6 +75,18 @@ def test_many_surveys_are_told_as_one_change(engine: Engine) -> None:
     assert pair["darea_m2"].tolist() == pytest.approx([0, 0])
 
 
+def test_changes_without_a_first_day_begin_with_the_first_survey(engine: Engine, tmp_path: Path) -> None:
+    """The first state is no change: what is gone since is demolished, and the rest is as after the first survey."""
+    found, after = api.changes(place(engine)), api.changes(place(engine), since="2020")
+    assert (found.counts, found.in_between) == (after.counts, 1)
+    columns = ["kind", "uid_before", "uid_after", "version_before", "version_after", "times", "note"]
+    assert found.table[columns].equals(after.table[columns])
+    assert set(api.changes(place(engine), since="2019", until="2020").counts) == {"new"}
+    first = json.loads(run("changes", place(engine), "--survey", "s2020", "--json"))
+    assert (first["counts"], first["changes"]) == ({"first seen": 10}, [])
+    run("changes", place(engine), "--survey", "s2020", "--figure", tmp_path / "first.png")
+
+
 def test_the_states_at_both_dates_are_those_of_the_inventory(engine: Engine) -> None:
     """Versions before and after are the ones that were valid then, whatever the period."""
     days = ["2019", "2020", "2021", "2022", "2023", "2024"]

@@ -79,7 +79,7 @@ def test_flat_regions_alone_make_no_building(points, tmp_path):
 def test_other_extractors_replace_the_run(points, town, tmp_path):
     """A survey has one run: building it again with one extractor less leaves what a first such build leaves."""
     again = shutil.copy(town[0], tmp_path / "again.sqlite")
-    assert msbdb.build([points], db=again, extract=MULTISCALE).changed
+    assert msbdb.build([points], db=again, extract=MULTISCALE, replace=True).changed
     msbdb.build([points], db=tmp_path / "fresh.sqlite", extract=MULTISCALE)
     with msbdb.open(again) as one, msbdb.open(tmp_path / "fresh.sqlite") as other:
         assert one.dump() == other.dump()

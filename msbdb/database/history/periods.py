@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import dataclass
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from sqlalchemy import (
+    URL,
     Column,
     ColumnElement,
     Connection,
@@ -23,9 +25,10 @@ from sqlalchemy import (
     union,
 )
 
-from msbdb.database.dialects.connection import snapshot
-from msbdb.database.dialects.dialect import dialect_of, guarded
+from msbdb.database.dialects.connection import TIMEOUT_S, snapshot
+from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
 from msbdb.database.runs.digests import COLUMN
+from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.sqlfiles import footprint_at_query
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import FIRST_OWN_SRID
@@ -34,6 +37,8 @@ if TYPE_CHECKING:
     import geopandas as gpd
     import pandas as pd
     from pyproj import CRS
+
+    from msbdb.io.crs import Fallback
 
 BUILDING_CHANGE = SQL["building_change"]
 
@@ -50,6 +55,9 @@ SURVEY = SQL["survey"]
 SURVEY_OFFSET = SQL["survey_offset"]
 
 Bounds = tuple[float, float, float, float]
+
+LAST_DAY = "9999-12-31"
+"""A day after all surveys."""
 
 _WINDOWS = {
     "sqlite": (
@@ -187,11 +195,14 @@ class Period:
         The versions before and after the changes: columns of ``building_version``.
     offsets : DataFrame
         ``survey_offset``, of all surveys.
+    events : GeoDataFrame
+        All imports and updates, from `read_events`, also those outside of the period.
     """
 
     changes: "gpd.GeoDataFrame"
     versions: "gpd.GeoDataFrame"
     offsets: "pd.DataFrame"
+    events: "gpd.GeoDataFrame"
 
 
 def read_period(engine: Engine, since: str | None = None, until: str | None = None) -> Period:
@@ -208,7 +219,8 @@ def read_period(engine: Engine, since: str | None = None, until: str | None = No
     named = BUILDING_VERSION.c.version_id.in_(union(*ids))
     query = select(*_version_columns()).where(named).order_by(BUILDING_VERSION.c.version_id)
     with snapshot(engine) as connection:
-        return Period(_changes(connection, since, until), _frame(connection, query), read_offsets(connection))
+        changes, versions = _changes(connection, since, until), _frame(connection, query)
+        return Period(changes, versions, read_offsets(connection), read_events(connection))
 
 
 def _changes(connection: Connection, since: str | None, until: str | None) -> "gpd.GeoDataFrame":
@@ -240,6 +252,12 @@ def read_states(engine: Engine) -> "pd.DataFrame":
         return _plain(connection, select(*_columns_of(OPERATOR_STATE)).order_by(OPERATOR_STATE.c.uid))
 
 
+def has_inventory(engine: Engine) -> bool:
+    """Return whether anything was imported into the inventory, or updated it."""
+    with guarded(engine.url), engine.connect() as connection:
+        return bool(connection.scalar(select(func.count()).select_from(INVENTORY_EVENT)))
+
+
 def has_building(connection: Connection, uid: int) -> bool:
     """Return whether the inventory has a building."""
     return bool(connection.scalar(select(func.count()).where(INVENTORY_BUILDING.c.uid == uid)))
@@ -249,6 +267,20 @@ def database_crs_of(engine: Engine) -> "CRS":
     """Return the database's CRS."""
     with guarded(engine.url), engine.connect() as connection:
         return database_crs(connection)
+
+
+def read_fallback(target: str | PathLike[str] | URL) -> "Fallback | None":
+    """Return the CRS of a database of any schema, for files that state none; None where there is no database."""
+    from msbdb.io.crs import Fallback
+
+    url = database_url(target)
+    dialect = dialect_of(url)
+    with guarded(url):
+        if not dialect.exists(url, TIMEOUT_S):
+            return None
+        with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
+            require_version(connection, shown(url))
+            return Fallback(database_crs(connection), "the database")
 
 
 def database_crs(connection: Connection) -> "CRS":

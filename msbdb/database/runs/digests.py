@@ -1,15 +1,13 @@
-"""Digests of content, which detect edits by other programs, and the basis of a build.
+"""Digests of content, which detect edits by other programs.
 
 A run is replaced completely and has one digest. The history is written row by row over years, and updates end versions
-of earlier ones. So each of its rows has its own digest, in the column `COLUMN`. A build is computed before the
-transaction that writes it; its basis must be unchanged when that transaction begins.
+of earlier ones. So each of its rows has its own digest, in the column `COLUMN`.
 """
 
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +15,10 @@ import shapely
 from numpy.typing import NDArray
 from sqlalchemy import (
     JSON,
-    URL,
     Boolean,
     ColumnElement,
     Connection,
     Double,
-    Engine,
     Table,
     bindparam,
     func,
@@ -31,14 +27,13 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import TypeEngine
 
-from msbdb.database.dialects.connection import TIMEOUT_S
-from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded
+from msbdb.database.dialects.dialect import Dialect
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import plain, text_id, to_json
 from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Run, Survey
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 
 COLUMN = ROW_DIGEST.name
@@ -216,93 +211,3 @@ def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
     # Each different text is encoded once.
     written = {word: to_json(word) for word in set(words)}
     return f"[{', '.join(written[word] for word in words)}]".encode()
-
-
-RUN = SQL["run"]
-
-SPECTRAL_CLASS = SQL["spectral_class"]
-
-SURVEY = SQL["survey"]
-
-COLUMNS = ("speindex", "label", "labelled_by", "source", "cells", "ndvi", "brightness", "roughness_m")
-"""Columns that identify a class over several builds; every schema has them."""
-
-
-def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> "pd.DataFrame":
-    """Return the classes of a survey that an operator has labelled, from a database of any schema.
-
-    Parameters
-    ----------
-    target : str, path or URL
-        The database, which may be missing.
-    survey : str
-        Name of the survey, which may be missing.
-
-    Returns
-    -------
-    DataFrame
-        ``COLUMNS``; empty if no operator has labelled a class.
-    """
-    import pandas as pd
-
-    url = database_url(target)
-    dialect = dialect_of(url)
-    with guarded(url):
-        if dialect.exists(url, TIMEOUT_S):
-            with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
-                return labelled_classes(connection, survey)
-    return pd.DataFrame([], columns=list(COLUMNS))
-
-
-def labelled_classes(connection: Connection, survey: str) -> "pd.DataFrame":
-    """Return what ``read_labelled_classes`` does, as an open transaction sees it."""
-    import pandas as pd
-
-    query = (
-        select(*(SPECTRAL_CLASS.c[name] for name in COLUMNS))
-        .join(RUN, RUN.c.run_id == SPECTRAL_CLASS.c.run_id)
-        .join(SURVEY, SURVEY.c.survey_id == RUN.c.survey_id)
-        .where(SURVEY.c.name == survey)
-        .order_by(SPECTRAL_CLASS.c.speindex)
-    )
-    rows = [tuple(row) for row in connection.execute(query)]
-    found = pd.DataFrame(rows, columns=list(COLUMNS))
-    return found[found["labelled_by"] == "operator"].reset_index(drop=True)
-
-
-class OutdatedError(Exception):
-    """The basis of a computation has changed since it was read; compute it again."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BuildBasis:
-    """The content of the database from which a build was computed, so that no change of others is lost.
-
-    ``labelled`` has the classes labelled by operators, from `read_labelled_classes`; ``content_sha256`` is the digest
-    of the run that the build continues. None means that it is not checked.
-    """
-
-    labelled: "pd.DataFrame | None" = None
-    content_sha256: str | None = None
-
-    def require(self, connection: Connection, survey: str) -> None:
-        """Raise `OutdatedError` when the basis has changed."""
-        if self.labelled is not None:
-            now = labelled_classes(connection, survey)
-            # As text: a missing value is not equal to itself.
-            if repr(now.to_numpy().tolist()) != repr(self.labelled.to_numpy().tolist()):
-                raise OutdatedError
-        if self.content_sha256 is not None and _digest_of(connection, survey) != self.content_sha256:
-            raise OutdatedError
-
-
-def read_digest(engine: Engine, survey: str) -> str | None:
-    """Return the digest of the content of a survey's run, None without a run."""
-    with guarded(engine.url), engine.connect() as connection:
-        return _digest_of(connection, survey)
-
-
-def _digest_of(connection: Connection, survey: str) -> str | None:
-    """Return what `read_digest` does, as an open transaction sees it."""
-    query = select(RUN.c.content_sha256).where(RUN.c.survey_id == text_id("survey", survey))
-    return connection.scalar(query)

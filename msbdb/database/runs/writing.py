@@ -12,8 +12,9 @@ from sqlalchemy import URL, Connection, Engine, delete, func, insert, select, te
 
 from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require_srid
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
+from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_build, geometries
-from msbdb.database.runs.digests import BuildBasis, RunContent, portable, source_rows, survey_row
+from msbdb.database.runs.digests import RunContent, portable, source_rows, survey_row
 from msbdb.database.runs.packing import pack
 from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA, SQL
@@ -81,6 +82,8 @@ def store_build(
     ------
     OutdatedError
         When the basis has changed; nothing was written.
+    InputError
+        When the basis keeps what the build would replace; nothing was written.
     MsbdbError
         See `open_database` and `write_build`.
     """
@@ -127,7 +130,7 @@ def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = No
     OutdatedError
         When the basis has changed; nothing was written.
     InputError, TableError
-        When the build breaks its declaration; nothing was written.
+        When the build breaks its declaration, or would replace what the basis keeps; nothing was written.
     CRSError
         When the survey's CRS is not the database's.
     LoadError
@@ -154,7 +157,7 @@ def _write(engine: Engine, build: KeptRun, basis: BuildBasis | None) -> WriteRep
         rasters = _packed(build)
         with dialect.writing(engine) as connection:
             if basis is not None:
-                basis.require(connection, build.survey.name)
+                basis.require(connection, build)
             removed = _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
     return _report(build, rows, "replaced" if removed else "created")
 
