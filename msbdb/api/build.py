@@ -30,6 +30,7 @@ def build(
     profile: str = "default",
     extract: Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
+    overwrite: bool = False,
     progress: Progress | None = None,
 ) -> BuildReport:
     """Build or extend a database of buildings from one survey.
@@ -41,7 +42,7 @@ def build(
     ortho : sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional
-        Rasters of heights.
+        Rasters of heights. With points, ``dtm`` is the ground, and none is detected.
     parcels : path, optional
         Polygons of any vector format and CRS that divide touching houses: parcels, cadastre or footprints.
     db : str or path
@@ -65,6 +66,8 @@ def build(
         and ``adaptive`` find candidate regions among the points. The last three are evidence for the buildings.
     denoising_figure : path, optional
         PNG of the surface before and after the denoising for the flat regions.
+    overwrite : bool
+        Replace the figure if it exists.
     progress : callable, optional
         Called with stage, steps done and steps in all.
 
@@ -78,6 +81,7 @@ def build(
         One of its kinds, when the inputs or the database cannot be used. The database is then unchanged.
     """
     from msbdb.database import check_target, read_labelled_classes
+    from msbdb.io.files import PICTURES, require_output
     from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.prepare import Inputs, Label
     from msbdb.run.reports import collect_notices
@@ -85,6 +89,9 @@ def build(
 
     values = params or named_profile(profile)
     inputs = Inputs(tuple(map(Path, points)), tuple(map(Path, ortho)), dsm, dtm, ndsm, crs, ortho_crs, z_unit, parcels)
+    if denoising_figure is not None:
+        sources = [db, *(path for path, _ in inputs.files())]
+        require_output(denoising_figure, overwrite=overwrite, endings=PICTURES, sources=sources)
     notices, stages = Notices(), Stages(progress)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)

@@ -17,6 +17,7 @@ def update(
     survey: str,
     date: str,
     aoi: Path | None = None,
+    overwrite: bool = False,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401  (those of build)
 ) -> UpdateReport:
@@ -32,6 +33,8 @@ def update(
         Name of the survey, and when the data were taken, ISO 8601.
     aoi : path, optional
         Polygons in any vector format: only buildings in them are compared.
+    overwrite : bool
+        Replace a figure that exists.
     progress : callable, optional
         Called with stage, steps done and steps in all.
     **options
@@ -56,7 +59,7 @@ def update(
     stages = Stages(progress)
     built = None
     if not is_built(points, db=db, survey=survey, date=date, **options):
-        built = build(points, db=db, survey=survey, date=date, progress=progress, **options)
+        built = build(points, db=db, survey=survey, date=date, overwrite=overwrite, progress=progress, **options)
     with stages.stage("inventory"):
         return UpdateReport(built, advance(db, survey, aoi=aoi))
 
@@ -229,6 +232,7 @@ def changes(
     aoi: Path | None = None,
     out: Path | None = None,
     figure: Path | None = None,
+    overwrite: bool = False,
 ) -> Changes:
     """Report what changed in the inventory between two dates.
 
@@ -249,6 +253,8 @@ def changes(
         A GeoPackage, GeoJSON or CSV of the rows, by its ending.
     figure : path, optional
         A PNG: the buildings coloured by kind on a hillshade of the surveys.
+    overwrite : bool
+        Replace ``out`` and ``figure`` if they exist.
 
     Returns
     -------
@@ -258,10 +264,14 @@ def changes(
     ------
     InputError
         When no building is left to draw, or an ending is unknown.
+    FileError
+        When a file cannot be written, or exists already. This is checked first.
     """
     from msbdb.run.inventory import changes_of
 
-    return changes_of(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
+    return changes_of(
+        db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure, overwrite=overwrite
+    )
 
 
 def summary(found: Changes) -> dict[str, Any]:

@@ -64,7 +64,9 @@ def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: s
         return explain_places(engine, [(x, y)], survey)[0]
 
 
-def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings") -> None:
+def view(
+    db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings", overwrite: bool = False
+) -> None:
     """Draw a map on a hillshade, as PNG.
 
     Parameters
@@ -77,10 +79,12 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
         Not needed where the database holds one.
     of : {'buildings', 'flatregions', 'area3d', 'adaptive'}
         Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height.
+    overwrite : bool
+        Replace the picture if it exists.
     """
     from msbdb.run.outputs import draw
 
-    draw(db, Path(out), survey=survey, of=of)
+    draw(db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
 
 def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: bool = False) -> None:
@@ -252,9 +256,11 @@ class Inventory:
         """Return the ledger in numbers: how many regions a detector dropped, by stage and reason, small ones too."""
         return self._read.read_rejection_counts(self.engine, survey)
 
-    def view(self, out: str | Path, survey: str | None = None, *, of: str = "buildings") -> None:
+    def view(
+        self, out: str | Path, survey: str | None = None, *, of: str = "buildings", overwrite: bool = False
+    ) -> None:
         """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""
-        view(self.db, Path(out), survey=survey, of=of)
+        view(self.db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
     def export(self, out: str | Path, survey: str | None = None, *, overwrite: bool = False) -> None:
         """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""

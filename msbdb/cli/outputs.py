@@ -87,8 +87,8 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
     show_default=True,
     help="What to draw.",
 )
-@shared("survey")
-def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
+@shared("overwrite", "survey")
+def view(*, db: str, out: Path, of: str, overwrite: bool, survey: str | None) -> None:
     """Draw a map of the buildings, or of the regions of another detector, on a hillshade of the surface.
 
     Parts of buildings are outlined by scale and filled by height. Flat regions are coloured by their zone. Candidate
@@ -96,7 +96,7 @@ def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
     """
     from msbdb import api
 
-    api.view(db, out, survey=survey, of=of)
+    api.view(db, out, survey=survey, of=of, overwrite=overwrite)
     click.echo(f"Wrote {out}.")
 
 
@@ -110,8 +110,7 @@ def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
 )
 @shared("db")
 @click.argument("out", type=click.Path(path_type=Path), metavar="OUT")
-@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
-@shared("survey")
+@shared("overwrite", "survey")
 def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     """Write footprints and parts to a file.
 

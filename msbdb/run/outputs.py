@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from msbdb.database import RunSummary, crs_of, opened, read_build, read_columns, run_heads, shown, summarise_run
+from msbdb.errors import counted
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
 
@@ -45,8 +46,11 @@ def _counts(summary: RunSummary) -> dict[str, Any]:
     }
 
 
-def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
+def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
     """Draw a map; see `msbdb.api.view`."""
+    from msbdb.io.files import PICTURES, require_output
+
+    require_output(out, overwrite=overwrite, endings=PICTURES, sources=[db])
     import geopandas as gpd
     from pyproj import CRS
 
@@ -60,21 +64,22 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
     place = CRS.from_wkt(build.survey.crs_wkt).name
     subtitle = " · ".join(word for word in (build.survey.date, place, f"cell {build.survey.cell_m:g} m") if word)
     if of == "flatregions":
-        title = f"{build.survey.name}: {len(regions)} flat regions"
+        title = f"{build.survey.name}: {counted(len(regions), 'flat region')}"
         draw_zones(gpd.GeoDataFrame(regions), relief, out, title=title, subtitle=subtitle)
         return
     if of in POINT_DETECTORS:
         frame = build.frames["candidate_region"]
         chosen = gpd.GeoDataFrame(frame[frame["method"] == of])
-        title = f"{build.survey.name}: {len(chosen)} candidate regions of {of}"
+        title = f"{build.survey.name}: {counted(len(chosen), 'candidate region')} of {of}"
         draw_candidates(chosen, relief, out, title=title, subtitle=subtitle)
         return
+    buildings = counted(len(build.frames["building"]), "building")
     draw_map(
         build.frames["part"],
         build.frames["building"],
         relief,
         out,
-        title=f"{build.survey.name}: {len(build.frames['building'])} buildings in {len(build.frames['part'])} parts",
+        title=f"{build.survey.name}: {buildings} in {counted(len(build.frames['part']), 'part')}",
         subtitle=subtitle,
         thresholds_m2=dict(zip(scales["scale"].tolist(), scales["threshold_m2"].tolist(), strict=True)),
     )
@@ -83,8 +88,11 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
     from msbdb.export import export
+    from msbdb.export.formats import FORMATS
+    from msbdb.io.files import require_output
     from msbdb.io.layers import Layer, crs_text
 
+    require_output(out, overwrite=overwrite, endings=tuple(FORMATS), sources=[db])
     with opened(db) as engine:
         read, found = read_columns(engine, tuple(LAYERS.values()), survey)
     # A code needs no PROJ, which takes time to load.

@@ -70,7 +70,7 @@ class FakeApi(types.ModuleType):
         self.fails: BaseException | None = None
         self.warns: tuple[Warning, ...] = ()
 
-    def _note(self, name: str, **values: Any) -> None:
+    def _note(self, name: str, /, **values: Any) -> None:
         self.calls.append((name, values))
         for warning in self.warns:
             warnings.warn(warning, stacklevel=2)
@@ -97,6 +97,7 @@ class FakeApi(types.ModuleType):
         profile="default",
         extract=("multiscale", "flatregions", "area3d", "adaptive"),
         denoising_figure=None,
+        overwrite=False,
         progress=None,
     ):
         """Pass two steps of a stage and return a report."""
@@ -122,9 +123,9 @@ class FakeApi(types.ModuleType):
         self._note("classes", db=db, survey=survey)
         return pd.DataFrame({"speindex": [1, 2], "label": ["building", "other"], "ndvi": [0.25, float("nan")]})
 
-    def view(self, db, out, *, survey=None, of="buildings"):
+    def view(self, db, out, *, survey=None, of="buildings", overwrite=False):
         """Draw nothing."""
-        self._note("view", db=db, out=out, survey=survey, of=of)
+        self._note("view", db=db, out=out, survey=survey, of=of, overwrite=overwrite)
 
     def why(self, db, x, y, *, survey=None, crs=None):
         """Return a place without a building."""
@@ -192,7 +193,9 @@ class FakeApi(types.ModuleType):
         inventory = types.SimpleNamespace(**told, notices=("Few pairs.",))
         return types.SimpleNamespace(build=FakeReport(), inventory=inventory, as_dict=lambda: {"inventory": told})
 
-    def changes(self, db, *, since=None, until=None, survey=None, each=False, aoi=None, out=None, figure=None):
+    def changes(
+        self, db, *, since=None, until=None, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
+    ):
         """Return counts."""
         values = {name: value for name, value in locals().items() if name != "self"}
         self._note("changes", **values)
@@ -379,7 +382,8 @@ def test_build_reports_and_draws(api):
     assert "spring" in result.stdout
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
-    assert api.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings"})
+    called = {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings", "overwrite": False}
+    assert api.calls[1] == ("view", called)
 
 
 def test_json_has_no_nan(api):
@@ -395,7 +399,7 @@ def test_json_has_no_nan(api):
     [
         (("--db", "x"), "Give --points"),
         (("--db", "x", "--dsm", "a.laz"), "--dsm needs --dtm"),
-        (("--db", "x", "--points", "a.laz", "--dtm", "a.laz"), "--dtm goes with --dsm"),
+        (("--db", "x", "--ndsm", "a.laz", "--dtm", "a.laz"), "Leave --dtm out"),
         (("--db", "x", "--points", "a.laz", "--ndsm", "a.laz"), "--points and --ndsm"),
         (("--points", "a.laz"), "--db"),
         (("--db", "x", "--points", "missing.laz"), "missing.laz"),
@@ -562,7 +566,8 @@ def test_export_view_and_evaluate_pass_their_options(api):
     result = run("evaluate", "x", "--reference", "r.gpkg", "--layer", "b", "--overlap", "0.3", "--cell", "1")
     assert result.exit_code == 0
     assert api.calls[0] == ("export", {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True})
-    assert api.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings"})
+    called = {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings", "overwrite": False}
+    assert api.calls[1] == ("view", called)
     values = api.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
     assert "0.912" in result.stdout
