@@ -1,6 +1,7 @@
 """Build a database from survey files, label its classes, and classify the points of a file."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +39,7 @@ def build(
     Parameters
     ----------
     points : sequence of path
-        LAS, LAZ or COPC files; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF.
+        LAS, LAZ or COPC files, with or without ``dtm``; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF.
     ortho : sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional
@@ -95,10 +96,11 @@ def build(
     notices, stages = Notices(), Stages(progress)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)
+    inputs.require_files()
+    label = Label(survey or inputs.default_survey(), date or "")
     check_target(db)
-    name = survey or inputs.default_survey()
-    labelled = read_labelled_classes(db, name)
-    job = Job(inputs, values, profile, Label(name, date or "", labelled), methods, denoising_figure)
+    labelled = read_labelled_classes(db, label.name)
+    job = Job(inputs, values, profile, replace(label, classes=labelled), methods, denoising_figure)
     kept = run_survey(job, stages, notices)
     with stages.stage("write"):
         changed = store_survey(kept, db, labelled)

@@ -36,7 +36,9 @@ _HEIGHTS = (
         "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."
     ),
     click.option("--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster; needs --dtm."),
-    click.option("--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster."),
+    click.option(
+        "--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster, for --dsm or for --points."
+    ),
     click.option("--ndsm", type=INPUT_FILE, metavar="FILE", help="Heights above ground as a raster."),
     click.option(
         "--parcels",
@@ -128,6 +130,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --points town.laz --db town.sqlite",
         "msbdb build --points tiles/*.laz --crs EPSG:28992 --ortho rgb.tif --db town.sqlite --figure town.png",
         "msbdb build --dsm dsm.tif --dtm dtm.tif --db town.sqlite --survey spring --date 2021-04-20",
+        "msbdb build --points town.laz --dtm terrain.tif --db town.sqlite",
         "msbdb build --points town.laz --parcels cadastre.gpkg --db town.sqlite",
         "msbdb build --points town.laz --db postgresql://me@localhost/town --scales 30,100,1000",
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
@@ -142,7 +145,8 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
 def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Build or extend a database of buildings from one survey.
 
-    Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes separate roofs from trees. An
+    Give points, or a DSM with a DTM, or heights above ground. The ground is detected among the points, or taken from a
+    DTM of your own. Height texture and echoes separate roofs from trees. An
     orthophoto, or the colours of the points, adds spectral classes. Building the same survey again leaves the database
     unchanged.
     """

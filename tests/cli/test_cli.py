@@ -573,6 +573,24 @@ def test_export_view_and_evaluate_pass_their_options(api):
     assert "0.912" in result.stdout
 
 
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ("https://example.org/a.laz", "is a URL; a file is expected. Download it first"),
+        ("tiles", "is a folder; a file is expected"),
+        ("none.laz", "does not exist"),
+    ],
+)
+@pytest.mark.parametrize("option", ["--points", "--ortho", "--dtm", "--parcels", "--params"])
+def test_a_user_gives_a_url_or_a_folder_for_a_file(option, value, says, api):
+    """Each input says what it is and what to do."""
+    Path("tiles").mkdir()
+    result = run("build", option, value, "--db", "x")
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert not api.calls
+
+
 def test_classify_passes_its_options_and_reports(api):
     """Names, lists, flags and parameters; notices go to the standard error."""
     for name in ("a.laz", "o.tif", "p.tif"):
@@ -687,3 +705,34 @@ def test_the_shell_completes_commands_and_choices(shell, monkeypatch):
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
         assert f"plain,{expected}" in CliRunner().invoke(cli, prog_name="msbdb").output.splitlines()
+
+
+@pytest.mark.parametrize(("words", "meant"), [(("infoo", "x"), "'info'"), (("db", "chekc", "x"), "'check'")])
+def test_a_user_mistypes_a_command(words, meant):
+    """The message has the command that is meant."""
+    result = run(*words)
+    assert result.exit_code == 2
+    assert f"Did you mean {meant}?" in result.stderr
+
+
+def test_a_user_draws_a_figure_that_could_not_be_written(api, tmp_path):
+    """Every option that names a figure is refused before the build begins; no folder is made."""
+    for name in ("a.laz", "there.png", "photo.png"):
+        Path(name).write_bytes(b"mine")
+    cases = {
+        ("--figure", "x.pdf"): ".png",
+        ("--figure", "none/x.png"): "none does not exist",
+        ("--figure", "there.png"): "--overwrite",
+        ("--figure", "photo.png", "--ortho", "photo.png", "--overwrite"): "is the source itself",
+        ("--figure", "x.png", "--denoising-figure", "x.png"): "name the same file",
+        ("--figure", "."): ".png",
+    }
+    for words, says in cases.items():
+        for command_ in (["build"], ["update", "--survey", "s", "--date", "2021"]):
+            result = run(*command_, "--points", "a.laz", "--db", "x", *words)
+            assert result.exit_code in (1, 2), words
+            assert says in result.stderr, words
+    assert not api.calls
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz", "photo.png", "there.png"]
+    assert run("build", "--points", "a.laz", "--db", "x", "--figure", "there.png", "--overwrite").exit_code == 0
+    assert api.calls[-1][1]["overwrite"]
