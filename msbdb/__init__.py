@@ -10,7 +10,7 @@ Examples
 ...     print(town.buildings().sort_values("h_max").tail())
 """
 
-from msbdb.api import BuildReport, Inventory, build, changes, classify, info, open, relabel, update, why
+from msbdb.api import BuildReport, Inventory, build, changes, classify, info, open, queries, query, relabel, update, why
 from msbdb.errors import MsbdbError
 from msbdb.params import Params, profile
 from msbdb.version import __version__
@@ -27,6 +27,8 @@ __all__ = [
     "info",
     "open",
     "profile",
+    "queries",
+    "query",
     "relabel",
     "update",
     "why",

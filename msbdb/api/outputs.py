@@ -1,5 +1,6 @@
 """What comes out of a database: data frames, plain values, maps, files, and the comparison with a reference."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -8,7 +9,7 @@ if TYPE_CHECKING:
     import geopandas as gpd
     import pandas as pd
 
-    from msbdb.database import Place
+    from msbdb.database import ExampleQuery, Place
     from msbdb.evaluate import Evaluation, PointEvaluation
 
 
@@ -17,6 +18,48 @@ def info(db: str | Path) -> dict[str, Any]:
     from msbdb.run.outputs import info_of
 
     return info_of(db)
+
+
+def queries() -> "dict[str, ExampleQuery]":
+    """Return the example queries by name: the question that each answers, and its parameters."""
+    from msbdb.database import example_queries
+
+    return example_queries()
+
+
+def query(db: str | Path, name: str, parameters: Mapping[str, object] | None = None) -> "pd.DataFrame":
+    """Run an example query.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    name : str
+        Its name; see `queries`.
+    parameters : mapping, optional
+        Values of its parameters by name; the others have their defaults.
+
+    Returns
+    -------
+    DataFrame
+
+    Raises
+    ------
+    ParameterError
+        For an unknown query or parameter, or a value that cannot be one.
+    InputError
+        For a survey that the database does not have.
+
+    Examples
+    --------
+    >>> import msbdb
+    >>> msbdb.query("town.sqlite", "tallest_buildings", {"count": 3})  # doctest: +SKIP
+    """
+    from msbdb.database import find_example, opened, run_example
+
+    find_example(name).values(parameters or {})
+    with opened(db) as engine:
+        return run_example(engine, name, **(parameters or {}))
 
 
 def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: str | None = None) -> "Place":
@@ -272,6 +315,10 @@ class Inventory:
         ``layer``, ``aoi``, ``crs``, ``height``, ``overlap``, ``cell_m`` and ``of``; see `msbdb.api.evaluate`.
         """
         return evaluate(self.db, Path(reference), survey=survey, **options)
+
+    def query(self, name: str, parameters: Mapping[str, object] | None = None) -> "pd.DataFrame":
+        """Run an example query; see `msbdb.api.query`."""
+        return self._read.run_example(self.engine, name, **(parameters or {}))
 
     def dump(self, *, provenance: bool = False) -> list[str]:
         """Return the content as lines that are equal for equal content; see `msbdb.database.canonical_dump`."""

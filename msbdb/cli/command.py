@@ -136,6 +136,21 @@ def assignment(text: str) -> tuple[str, str]:
     return name.strip(), column.strip()
 
 
+def parameter(text: str) -> tuple[str, str]:
+    """Return name and value of a parameter of a query, written NAME=VALUE.
+
+    Examples
+    --------
+    >>> parameter("survey=spring")
+    ('survey', 'spring')
+    """
+    name, sign, value = text.partition("=")
+    if not name.strip() or not sign:
+        msg = f"{text!r} is no parameter like survey=spring; 'msbdb query --list' shows them."
+        raise click.BadParameter(msg)
+    return name.strip(), value.strip()
+
+
 def class_label(text: str) -> tuple[int, str]:
     """Return an operator's label of a class, written NUMBER=LABEL (V36)."""
     from msbdb.landcover import LABELS

@@ -18,6 +18,7 @@ import click
 import numpy as np
 import pandas as pd
 import pytest
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 from rich.console import Console
 
@@ -26,6 +27,7 @@ from msbdb import params as declared
 from msbdb.cli import command, output
 from msbdb.cli.main import cli
 from msbdb.cli.output import emit, text
+from msbdb.database import example_queries
 from msbdb.database.runs.places import Place
 from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
 from msbdb.tables import Reason
@@ -112,6 +114,15 @@ class FakeApi(types.ModuleType):
         """Return two levels of plain and numpy values."""
         self._note("info", db=db)
         return {"schema": "0001", "surveys": [{"name": "spring", "cells": np.int64(5), "density": np.float32(2.5)}]}
+
+    def query(self, db, name, parameters=None):
+        """Return a row with an id beyond 2^53 and a null."""
+        self._note("query", db=db, name=name, parameters=parameters)
+        return pd.DataFrame({"building_id": [2**62 + 1], "storeys": pd.array([None], dtype="Int64")})
+
+    def queries(self):
+        """Return the real queries."""
+        return example_queries()
 
     def relabel(self, db, labels, *, survey=None, progress=None):
         """Return a report without notices."""
@@ -262,13 +273,14 @@ def test_every_command_has_help_with_examples(name):
     assert all(option.help for option in options)
 
 
-@pytest.mark.parametrize("name", sorted({"build", "info", "classes", "classify", "evaluate", "params"}))
+@pytest.mark.parametrize("name", sorted({"build", "info", "classes", "classify", "evaluate", "params", "query"}))
 def test_every_reporting_command_has_json(name, api):
     """With --json the standard output is one JSON value and nothing else."""
     Path("a.laz").touch()
     args = {
         "build": ["--points", "a.laz", "--db", "x"],
         "info": ["x"],
+        "query": ["x", "tallest_buildings"],
         "classes": ["x"],
         "classify": ["a.laz", "b.laz"],
         "evaluate": ["x", "--reference", "a.laz"],
@@ -312,7 +324,11 @@ def test_build_hands_everything_over(api):
 
 
 @pytest.mark.parametrize(
-    "name", ["build", "info", "relabel", "classes", "why", "view", "export", "evaluate", "evaluate_points", "classify"]
+    "name",
+    [
+        *("build", "info", "relabel", "classes", "query", "why", "view", "export", "evaluate", "evaluate_points"),
+        *("classify", "changes"),
+    ],
 )
 def test_the_fake_is_called_as_the_api_is(name):
     """The stand-in of these tests takes the arguments of the real function, by the same names."""
@@ -556,6 +572,55 @@ def test_a_wrong_label_is_refused(wrong, api):
     assert result.exit_code == 2
     assert "building, vegetation, shadow, water, other" in " ".join(result.stderr.split())
     assert not api.calls
+
+
+def test_a_user_lists_and_runs_the_example_queries(api):
+    """The list needs no database; rows keep their whole numbers; a value is handed over as it is written."""
+    listed = run("query", "--list").stdout
+    assert "tallest_buildings\n  Which are the tallest buildings" in listed
+    assert "    count=10  how many to list" in listed
+    assert {row["name"] for row in json.loads(run("query", "--list", "--json").stdout)} == set(example_queries())
+    result = run("query", "x", "tallest_buildings", "--param", "count=3", "--param", "survey=a=b", "--json")
+    assert json.loads(result.stdout) == {
+        "query": "tallest_buildings",
+        "parameters": {"count": 3, "survey": "a=b"},
+        "rows": [{"building_id": 2**62 + 1, "storeys": None}],
+    }
+    assert api.calls == [
+        ("query", {"db": "x", "name": "tallest_buildings", "parameters": {"count": "3", "survey": "a=b"}})
+    ]
+    assert str(2**62 + 1) in run("query", "x", "tallest_buildings").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "msbdb query --list"),
+        (("x",), "msbdb query --list"),
+        (("x", "surveys", "--param", "survey"), "no parameter like survey=spring"),
+        (("x", "surveys", "--param", "survey=a", "--param", "survey=b"), "more than once"),
+    ],
+)
+def test_a_query_without_what_it_needs_is_refused(words, says, api):
+    """The message has the next step."""
+    result = run("query", *words)
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert not api.calls
+
+
+@pytest.mark.parametrize(
+    ("words", "begun", "expected"),
+    [
+        (["query", "x.sqlite"], "tall", ["tall_buildings_near", "tallest_buildings"]),
+        (["query", "x.sqlite", "tallest_buildings", "--param"], "", ["count=", "survey="]),
+        (["que"], "", []),
+    ],
+)
+def test_a_shell_completes_the_names_of_queries_and_parameters(words, begun, expected):
+    """After the Tab key, where the shell's completion is on."""
+    found = ShellComplete(cli, {}, "msbdb", "_MSBDB_COMPLETE").get_completions(words, begun)
+    assert [item.value for item in found if not item.value.startswith("-")] == (expected or sorted(cli.commands))
 
 
 def test_export_view_and_evaluate_pass_their_options(api):
