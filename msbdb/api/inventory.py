@@ -53,10 +53,12 @@ def update(
     -----
     A survey that was built from the same files with the same values by the same msbdb is not built again.
     """
-    from msbdb.run.update import is_built, require_area, require_date
+    from msbdb.run.prepare import require_polygons
+    from msbdb.run.update import is_built, require_date
 
     require_date(survey, date)
-    require_area(aoi)
+    if aoi is not None:
+        require_polygons(aoi)
     stages = Stages(progress)
     built = None
     if not is_built(points, db=db, survey=survey, date=date, **options):

@@ -21,7 +21,7 @@ from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.files import describe_source, require_input
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
-from msbdb.io.raster import align_grid, read_grid, states_crs
+from msbdb.io.raster import align_grid, open_raster, read_grid, states_crs
 from msbdb.io.vector import read_polygons
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
@@ -69,12 +69,12 @@ class Inputs:
             raise InputError(msg)
 
     def require_files(self) -> None:
-        """Refuse what is no file, and two files of equal content: points twice, or heights above themselves.
+        """Refuse what cannot be read, and two files of equal content: points twice, or heights above themselves.
 
         Raises
         ------
         FileError
-            For a URL, a folder or a missing file.
+            For a URL, a folder, a missing file, or one of another kind; points show this when they are read, first.
         InputError
             For a file that is given twice, also as a copy.
         """
@@ -88,6 +88,12 @@ class Inputs:
                     roles = f"{role} and {its_role}" if role != its_role else f"{role} twice"
                     msg = f"The same file is given as {roles}: {one} and {other}. Leave one out, or correct its name."
                     raise InputError(msg)
+        for path, role in self.files():
+            if role == "parcels":
+                require_polygons(path)
+            elif role != "points":
+                with open_raster(path):
+                    pass
 
     def files(self) -> Iterator[tuple[Path, str]]:
         """Yield each file with its role."""
@@ -111,6 +117,12 @@ class Inputs:
         """Describe every file by name, role, size and checksum, in an order of content."""
         described = [describe_source(path, role) for path, role in self.files()]
         return tuple(sorted(described, key=lambda source: (source.role, source.sha256)))
+
+
+def require_polygons(path: Path) -> None:
+    """Refuse a file without polygons; notices of the polygons come when they are used."""
+    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+        read_polygons(path)
 
 
 def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:

@@ -119,13 +119,6 @@ def advance_inventory(db: str | Path, survey: str, *, aoi: Path | None) -> Advan
     raise DatabaseError(msg)
 
 
-def require_area(aoi: Path | None) -> None:
-    """Refuse an area of interest that cannot be read, before a long build."""
-    if aoi is not None:
-        with warnings.catch_warnings(action="ignore", category=MsbdbWarning):  # they come when the area is used
-            read_polygons(aoi)
-
-
 def require_date(survey: str, date: str) -> None:
     """Refuse a survey without a date, or with one in the future."""
     Label(survey, date)

@@ -370,6 +370,16 @@ def test_a_user_gives_the_same_file_twice(tmp_path, tile, heights):
         msbdb.build([tile, tmp_path / "copy.laz"], db=db)
 
 
+@pytest.mark.parametrize("option", ["--ortho", "--dtm", "--parcels", "--aoi"])
+def test_a_user_gives_a_file_of_another_kind(tmp_path, tile, option, monkeypatch):
+    """A raster or vector file that is none is refused before the points are read."""
+    monkeypatch.delattr("msbdb.run.prepare.read_points")
+    wrong = tmp_path / "wrong.txt"
+    wrong.write_text("no map")
+    args = ["--points", tile, option, wrong, "--db", tmp_path / "town.sqlite"]
+    refuses(tmp_path, ["update", *args, "--survey", "spring", "--date", "2021"], "wrong.txt", "cannot be read")
+
+
 def test_a_user_gives_a_date_in_the_future(tmp_path, tile):
     """A survey of tomorrow may be of today in the east; a later one is mistyped, and so is no date at all."""
     args = ["build", "--points", tile, "--db", tmp_path / "town.sqlite", "--date"]
