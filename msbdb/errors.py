@@ -1,4 +1,4 @@
-"""The errors of msbdb: one root, so that a caller can catch all of them or one kind.
+"""The errors of msbdb: one root, so that a caller can catch all of them or one kind; numbers in messages.
 
 Every message says what is wrong, what was found, what was expected and what to do next.
 """
@@ -58,3 +58,14 @@ class MsbdbWarning(UserWarning):
 
 class PassingNotice(MsbdbWarning):
     """A notice of one call alone, which the run does not keep."""
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number of things, in the plural where it is not one.
+
+    Examples
+    --------
+    >>> counted(1, "finding"), counted(2, "finding")
+    ('1 finding', '2 findings')
+    """
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,5 +1,6 @@
 """Build a database from survey files, label its classes, and classify the points of a file."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +37,7 @@ def build(
     extract: str | Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
     replace: bool = False,
+    overwrite: bool = False,
     progress: Progress | None = None,
 ) -> BuildReport:
     """Build or extend a database of buildings from one survey.
@@ -43,11 +45,11 @@ def build(
     Parameters
     ----------
     points : path or sequence of path
-        LAS, LAZ or COPC files; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF.
+        LAS, LAZ or COPC files, with or without ``dtm``; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF.
     ortho : path or sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional
-        Rasters of heights.
+        Rasters of heights. With points, ``dtm`` is the ground, and none is detected.
     parcels : path, optional
         Polygons of any vector format and CRS that divide touching houses: parcels, cadastre or footprints.
     db : str or path
@@ -76,6 +78,8 @@ def build(
     replace : bool
         Replace a survey of this name also where it is of other files or of another place, or where it has results of
         detectors that ``extract`` lacks.
+    overwrite : bool
+        Replace the figure if it exists.
     progress : callable, optional
         Called with stage, steps done and steps in all.
 
@@ -90,23 +94,30 @@ def build(
         database is then unchanged.
     """
     from msbdb.database import check_target, read_fallback, read_labelled_classes
+    from msbdb.io.files import PICTURES, require_output
     from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.prepare import Inputs, Label
     from msbdb.run.reports import collect_notices
     from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
     values = params or named_profile(profile)
-    check_target(db)
     heights = {"dsm": dsm, "dtm": dtm, "ndsm": ndsm}
     stated = {"crs": crs, "ortho_crs": ortho_crs, "z_unit": z_unit}
-    inputs = Inputs.of(points, ortho, **heights, **stated, parcels=parcels, fallback=read_fallback(db))
+    inputs = Inputs.of(points, ortho, **heights, **stated, parcels=parcels)
+    if denoising_figure is not None:
+        sources = [db, *(path for path, _ in inputs.files())]
+        require_output(denoising_figure, overwrite=overwrite, endings=PICTURES, sources=sources)
     notices, stages = Notices(), Stages(progress)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)
-    name = survey or inputs.default_survey()
-    former = require_replaceable(db, name, inputs, methods, replace=replace)
-    labelled = read_labelled_classes(db, name)
-    job = Job(inputs, values, profile, Label(name, date or "", labelled), methods, denoising_figure)
+    inputs.require_files()
+    label = Label(survey or inputs.default_survey(), date or "")
+    check_target(db)
+    inputs = dataclasses.replace(inputs, fallback=read_fallback(db))
+    former = require_replaceable(db, label.name, inputs, methods, replace=replace)
+    labelled = read_labelled_classes(db, label.name)
+    label = dataclasses.replace(label, classes=labelled)
+    job = Job(inputs, values, profile, label, methods, denoising_figure)
     kept = run_survey(job, stages, notices)
     with stages.stage("write"):
         changed = store_survey(kept, db, labelled, replace=replace)

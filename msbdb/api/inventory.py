@@ -18,6 +18,7 @@ def update(
     date: str,
     aoi: Path | None = None,
     replace: bool = False,
+    overwrite: bool = False,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401  (those of build)
 ) -> UpdateReport:
@@ -35,6 +36,8 @@ def update(
         Polygons in any vector format: only buildings in them are compared.
     replace : bool
         As for `msbdb.api.build`.
+    overwrite : bool
+        Replace a figure that exists.
     progress : callable, optional
         Called with stage, steps done and steps in all.
     **options
@@ -53,13 +56,25 @@ def update(
     -----
     A survey that was built from the same files with the same values by the same msbdb is not built again.
     """
+    from msbdb.run.prepare import require_polygons
     from msbdb.run.update import is_built, require_date
 
     require_date(survey, date)
+    if aoi is not None:
+        require_polygons(aoi)
     stages = Stages(progress)
     built = None
     if not is_built(points, db=db, survey=survey, date=date, **options):
-        built = build(points, db=db, survey=survey, date=date, replace=replace, progress=progress, **options)
+        built = build(
+            points,
+            db=db,
+            survey=survey,
+            date=date,
+            replace=replace,
+            overwrite=overwrite,
+            progress=progress,
+            **options,
+        )
     with stages.stage("inventory"):
         return UpdateReport(built, advance(db, survey, aoi=aoi))
 
@@ -232,6 +247,7 @@ def changes(
     aoi: Path | None = None,
     out: Path | None = None,
     figure: Path | None = None,
+    overwrite: bool = False,
 ) -> Changes:
     """Report what changed in the inventory between two dates.
 
@@ -252,6 +268,8 @@ def changes(
         A GeoPackage, GeoJSON or CSV of the rows, by its ending.
     figure : path, optional
         A PNG: the buildings coloured by kind on a hillshade of the surveys.
+    overwrite : bool
+        Replace ``out`` and ``figure`` if they exist.
 
     Returns
     -------
@@ -267,10 +285,14 @@ def changes(
     ------
     InputError
         When no building is left to draw, or an ending is unknown.
+    FileError
+        When a file cannot be written, or exists already. This is checked first.
     """
     from msbdb.run.inventory import changes_of
 
-    return changes_of(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
+    return changes_of(
+        db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure, overwrite=overwrite
+    )
 
 
 def summary(found: Changes) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """What comes out of a database: data frames, plain values, maps, files, and the comparison with a reference."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -8,7 +9,7 @@ if TYPE_CHECKING:
     import geopandas as gpd
     import pandas as pd
 
-    from msbdb.database import Place
+    from msbdb.database import ExampleQuery, Place
     from msbdb.evaluate import Evaluation, PointEvaluation
 
 
@@ -17,6 +18,48 @@ def info(db: str | Path) -> dict[str, Any]:
     from msbdb.run.outputs import info_of
 
     return info_of(db)
+
+
+def queries() -> "dict[str, ExampleQuery]":
+    """Return the example queries by name: the question that each answers, and its parameters."""
+    from msbdb.database import example_queries
+
+    return example_queries()
+
+
+def query(db: str | Path, name: str, parameters: Mapping[str, object] | None = None) -> "pd.DataFrame":
+    """Run an example query.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    name : str
+        Its name; see `queries`.
+    parameters : mapping, optional
+        Values of its parameters by name; the others have their defaults.
+
+    Returns
+    -------
+    DataFrame
+
+    Raises
+    ------
+    ParameterError
+        For an unknown query or parameter, or a value that cannot be one.
+    InputError
+        For a survey that the database does not have.
+
+    Examples
+    --------
+    >>> import msbdb
+    >>> msbdb.query("town.sqlite", "tallest_buildings", {"count": 3})  # doctest: +SKIP
+    """
+    from msbdb.database import find_example, opened, run_example
+
+    find_example(name).values(parameters or {})
+    with opened(db) as engine:
+        return run_example(engine, name, **(parameters or {}))
 
 
 def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: str | None = None) -> "Place":
@@ -64,7 +107,9 @@ def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: s
         return explain_places(engine, [(x, y)], survey)[0]
 
 
-def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings") -> None:
+def view(
+    db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings", overwrite: bool = False
+) -> None:
     """Draw a map on a hillshade, as PNG.
 
     Parameters
@@ -78,10 +123,12 @@ def view(db: str | Path, out: Path, *, survey: str | None = None, of: str = "bui
         newest one for the same map are left out, with a notice.
     of : {'buildings', 'flatregions', 'area3d', 'adaptive'}
         Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height.
+    overwrite : bool
+        Replace the picture if it exists.
     """
     from msbdb.run.outputs import draw
 
-    draw(db, Path(out), survey=survey, of=of)
+    draw(db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
 
 def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: bool = False) -> None:
@@ -270,9 +317,11 @@ class Inventory:
         """Return the ledger in numbers: how many regions a detector dropped, by stage and reason, small ones too."""
         return self._read.read_rejection_counts(self.engine, survey)
 
-    def view(self, out: str | Path, survey: str | None = None, *, of: str = "buildings") -> None:
+    def view(
+        self, out: str | Path, survey: str | None = None, *, of: str = "buildings", overwrite: bool = False
+    ) -> None:
         """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""
-        view(self.db, Path(out), survey=survey, of=of)
+        view(self.db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
     def export(self, out: str | Path, survey: str | None = None, *, overwrite: bool = False) -> None:
         """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
@@ -284,6 +333,10 @@ class Inventory:
         ``layer``, ``aoi``, ``crs``, ``height``, ``overlap``, ``cell_m`` and ``of``; see `msbdb.api.evaluate`.
         """
         return evaluate(self.db, Path(reference), survey=survey, **options)
+
+    def query(self, name: str, parameters: Mapping[str, object] | None = None) -> "pd.DataFrame":
+        """Run an example query; see `msbdb.api.query`."""
+        return self._read.run_example(self.engine, name, **(parameters or {}))
 
     def dump(self, *, provenance: bool = False) -> list[str]:
         """Return the content as lines that are equal for equal content; see `msbdb.database.canonical_dump`."""

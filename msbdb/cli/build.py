@@ -36,7 +36,9 @@ _HEIGHTS = (
         "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."
     ),
     click.option("--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster; needs --dtm."),
-    click.option("--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster."),
+    click.option(
+        "--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster, for --dsm or for --points."
+    ),
     click.option("--ndsm", type=INPUT_FILE, metavar="FILE", help="Heights above ground as a raster."),
     click.option(
         "--parcels",
@@ -134,6 +136,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --points town.laz --db town.sqlite",
         "msbdb build --points tiles/*.laz --crs EPSG:28992 --ortho rgb.tif --db town.sqlite --figure town.png",
         "msbdb build --dsm dsm.tif --dtm dtm.tif --db town.sqlite --survey spring --date 2021-04-20",
+        "msbdb build --points town.laz --dtm terrain.tif --db town.sqlite",
         "msbdb build --points town.laz --parcels cadastre.gpkg --db town.sqlite",
         "msbdb build --points town.laz --db postgresql://me@localhost/town --scales 30,100,1000",
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
@@ -149,15 +152,17 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
 )
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
 @values
-@shared("json")
+@shared("overwrite", "json")
 def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Build or extend a database of buildings from one survey.
 
-    Give points, or a DSM with a DTM, or heights above ground. Height texture and echoes separate roofs from trees. An
+    Give points, or a DSM with a DTM, or heights above ground. The ground is detected among the points, or taken from a
+    DTM of your own. Height texture and echoes separate roofs from trees. An
     orthophoto, or the colours of the points, adds spectral classes. Building the same survey again leaves the database
     unchanged. With other values it replaces the survey, with a notice. Other files need another --survey, or --replace.
     """
     check_inputs(given)
+    check_figure(figure, given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
     params = with_walls(params, given.pop("outline"))
     from msbdb import api
@@ -165,7 +170,7 @@ def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa:
     with progress_bars() as progress:
         report = api.build(given.pop("points"), **given, params=params, progress=progress)
     if figure is not None:
-        api.view(given["db"], figure, survey=report.survey)
+        api.view(given["db"], figure, survey=report.survey, overwrite=given["overwrite"])
     if as_json:
         emit_json(report.as_dict())
     else:
@@ -228,9 +233,23 @@ def check_inputs(inputs: dict[str, Any]) -> None:
     if given == ["dsm"] and not inputs["dtm"]:
         msg = "--dsm needs --dtm FILE, or give heights above ground by --ndsm FILE."
         raise click.UsageError(msg)
-    if inputs["dtm"] and not inputs["dsm"]:
-        msg = "--dtm goes with --dsm FILE."
+    if inputs["dtm"] and inputs["ndsm"]:
+        msg = "--ndsm has heights above ground already. Leave --dtm out, or give it with --dsm or --points."
         raise click.UsageError(msg)
+
+
+def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
+    """Refuse a figure that could not be drawn after the build."""
+    from msbdb.io.files import PICTURES, require_output
+
+    if figure is None:
+        return
+    if figure == inputs["denoising_figure"]:
+        msg = f"--figure and --denoising-figure name the same file, {figure}. Give each a name of its own."
+        raise click.UsageError(msg)
+    single = [inputs[name] for name in ("dsm", "dtm", "ndsm", "parcels", "db") if inputs[name]]
+    sources = [*inputs["points"], *inputs["ortho"], *single]
+    require_output(figure, overwrite=inputs["overwrite"], endings=PICTURES, sources=sources)
 
 
 @command(
@@ -277,8 +296,7 @@ def check_inputs(inputs: dict[str, Any]) -> None:
     help="One value over all others; repeatable.",
 )
 @click.option("--keep", is_flag=True, help="Keep the points of class 6 of IN in class 6, found or not.")
-@click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
-@shared("json")
+@shared("overwrite", "json")
 def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:  # noqa: ANN401  (the options)
     """Write a copy of the points with the buildings in class 6.
 

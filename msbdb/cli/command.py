@@ -17,13 +17,29 @@ from typing import Any, TypeVar
 import click
 
 from msbdb.cli.output import stderr_console
-from msbdb.errors import MsbdbError, MsbdbWarning
+from msbdb.errors import FileError, MsbdbError, MsbdbWarning
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-INPUT_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
-OUTPUT_FILE = click.Path(dir_okay=False, path_type=Path)
+class InputFile(click.Path):
+    """A file that exists; a URL or a folder is refused with the next step."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        """Return the path."""
+        from msbdb.io.files import require_input
+
+        try:
+            require_input(value)
+        except FileError as error:
+            self.fail(str(error), param, ctx)
+        return super().convert(value, param, ctx)
+
+
+INPUT_FILE = InputFile(exists=True, path_type=Path)
+
+OUTPUT_FILE = click.Path(path_type=Path)
+"""A file to write; what it may be is checked where it is written, for users of Python too."""
 
 logger = logging.getLogger(__name__)
 
@@ -120,6 +136,21 @@ def assignment(text: str) -> tuple[str, str]:
     return name.strip(), column.strip()
 
 
+def parameter(text: str) -> tuple[str, str]:
+    """Return name and value of a parameter of a query, written NAME=VALUE.
+
+    Examples
+    --------
+    >>> parameter("survey=spring")
+    ('survey', 'spring')
+    """
+    name, sign, value = text.partition("=")
+    if not name.strip() or not sign:
+        msg = f"{text!r} is no parameter like survey=spring; 'msbdb query --list' shows them."
+        raise click.BadParameter(msg)
+    return name.strip(), value.strip()
+
+
 def class_label(text: str) -> tuple[int, str]:
     """Return an operator's label of a class, written NUMBER=LABEL (V36)."""
     from msbdb.landcover import LABELS
@@ -156,6 +187,7 @@ def setting(text: str) -> tuple[str, str, object]:
 
 SHARED: dict[str, Callable[[F], F]] = {
     "db": click.argument("db", metavar="DB"),
+    "overwrite": click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     "survey": click.option("--survey", metavar="NAME", help="The survey to use, where the database holds several."),
     "json": click.option("as_json", "--json", is_flag=True, help="Print the result as JSON on the standard output."),
     "verbose": click.option("-v", "--verbose", count=True, help="Print more: -v the stages, -vv the details."),

@@ -9,6 +9,7 @@ import click
 
 from msbdb.cli.command import OUTPUT_FILE, Command, command, crs_name, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
+from msbdb.errors import counted
 
 UNSOUND = 1
 """Exit code of a check with findings."""
@@ -105,7 +106,7 @@ def check(*, db: str, as_json: bool) -> None:
         emit_json({"database": _shown(db), "checks": list(CHECKS), "findings": [asdict(found) for found in findings]})
     elif findings:
         emit_table([asdict(found) for found in findings])
-        click.echo(f"{len(findings)} findings in {_shown(db)}.")
+        click.echo(f"{counted(len(findings), 'finding')} in {_shown(db)}.")
     else:
         click.echo(f"{len(CHECKS)} checks passed: {_shown(db)}.")
     if findings:
@@ -116,14 +117,17 @@ def check(*, db: str, as_json: bool) -> None:
 @shared("db")
 @click.option("--provenance", is_flag=True, help="Also the source files and the notices that name them.")
 @click.option("--out", type=OUTPUT_FILE, metavar="FILE", help="Write to this file, complete or not at all.")
-def dump(*, db: str, provenance: bool, out: Path | None) -> None:
+@shared("overwrite")
+def dump(*, db: str, provenance: bool, out: Path | None, overwrite: bool) -> None:
     """Print the content as text: equal content gives equal bytes, in SpatiaLite and in PostGIS.
 
     A line of names for each table and a line for each row, as JSON. Timings are left out.
     """
     from msbdb.database import canonical_dump, open_database
-    from msbdb.io.files import write_atomic
+    from msbdb.io.files import require_output, write_atomic
 
+    if out is not None:
+        require_output(out, overwrite=overwrite, sources=[db])
     engine = open_database(db)
     lines = (f"{line}\n".encode() for line in canonical_dump(engine, provenance=provenance))
     if out is None:

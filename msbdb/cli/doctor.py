@@ -11,7 +11,7 @@ INCOMPLETE = 1
 """Exit code where something that msbdb needs is missing."""
 
 
-@command("doctor", examples=("msbdb doctor", "msbdb doctor --db postgresql://user@host/inventory --json"))
+@command("doctor", examples=("msbdb doctor", "msbdb doctor --db town.sqlite --json"))
 @click.option("--db", metavar="FILE|URL", help="A database to look at too: its server, PostGIS and schema.")
 @shared("json")
 def doctor(*, db: str | None, as_json: bool) -> None:

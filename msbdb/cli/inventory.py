@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msbdb.cli.build import check_inputs, emit_report, inputs, parameters, values, with_walls
+from msbdb.cli.build import check_figure, check_inputs, emit_report, inputs, parameters, values, with_walls
 from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, notice, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
+from msbdb.errors import counted
 
 if TYPE_CHECKING:
     from msbdb.run.reports import AdvanceReport
@@ -39,7 +40,7 @@ MOST = 50
 )
 @click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: only buildings in them are compared.")
 @values
-@shared("json")
+@shared("overwrite", "json")
 def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Build a survey and update the inventory by it.
 
@@ -48,6 +49,7 @@ def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa
     repeated; the same content leaves the inventory unchanged. After an interruption, run the command again.
     """
     check_inputs(given)
+    check_figure(figure, given)
     params = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
     params = with_walls(params, given.pop("outline"))
     from msbdb import api
@@ -55,7 +57,7 @@ def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa
     with progress_bars() as progress:
         report = api.update(given.pop("points"), **given, params=params, progress=progress)
     if figure is not None:
-        api.changes(given["db"], survey=given["survey"], figure=figure)
+        api.changes(given["db"], survey=given["survey"], figure=figure, overwrite=given["overwrite"])
     if as_json:
         emit_json(report.as_dict())
         return
@@ -77,7 +79,7 @@ def emit_advance(report: "AdvanceReport") -> None:
         **counts,
         "new versions": report.counts["versions"],
         "offset, m": f"{offset['dx_m']:.2f} east, {offset['dy_m']:.2f} north, {offset['dz_m']:.2f} up",
-        "measured on": f"{offset['pairs']} pairs of buildings",
+        "measured on": f"{counted(int(offset['pairs'] or 0), 'pair')} of buildings",
     }
     emit_pairs(pairs, "Inventory")
 
@@ -201,7 +203,7 @@ def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> 
 )
 @click.option("--out", type=OUTPUT_FILE, metavar="FILE", help="Write all rows as .gpkg, .geojson or .csv.")
 @click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Draw the buildings coloured by kind of change.")
-@shared("json")
+@shared("overwrite", "json")
 def changes(
     *,
     db: str,
@@ -212,6 +214,7 @@ def changes(
     aoi: Path | None,
     out: Path | None,
     figure: Path | None,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Report how the buildings changed between two dates.
@@ -225,7 +228,9 @@ def changes(
     """
     from msbdb import api
 
-    found = api.changes(db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure)
+    found = api.changes(
+        db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure, overwrite=overwrite
+    )
     summary = api.summary(found)
     if as_json:
         emit_json(summary)

@@ -6,7 +6,7 @@ from msbdb.cli.build import build, classify
 from msbdb.cli.db import db
 from msbdb.cli.doctor import doctor
 from msbdb.cli.inventory import changes, import_, state, update
-from msbdb.cli.outputs import classes, evaluate, export, info, view, why
+from msbdb.cli.outputs import classes, evaluate, export, info, query, view, why
 from msbdb.cli.params import params
 from msbdb.version import __version__
 
@@ -23,6 +23,7 @@ def cli() -> None:
 for _command in (
     build,
     info,
+    query,
     why,
     classes,
     view,

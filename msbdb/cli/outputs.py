@@ -7,7 +7,17 @@ import click
 from click.core import ParameterSource
 
 from msbdb.cli.build import emit_report
-from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, class_label, command, crs_name, declared_range, place, shared
+from msbdb.cli.command import (
+    INPUT_FILE,
+    OUTPUT_FILE,
+    class_label,
+    command,
+    crs_name,
+    declared_range,
+    parameter,
+    place,
+    shared,
+)
 from msbdb.cli.output import emit, emit_json, emit_table, progress_bars
 from msbdb.params import REGION_DETECTORS, EvaluateParams
 
@@ -35,6 +45,91 @@ def info(*, db: str, as_json: bool) -> None:
         for run in result.get("runs", []):
             run["ground_filter"] = run.pop("chosen").get("ground_filter")
         emit(result)
+
+
+def _names(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    """Return the queries that a shell completes."""
+    from msbdb.database.schema.sqlfiles import sql_names
+
+    return [name for name in sql_names("queries") if name.startswith(incomplete)]
+
+
+def _parameters(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    """Return the parameters of the named query that a shell completes."""
+    from msbdb.database import example_queries
+
+    known = example_queries()
+    # An option without its value ends the parsing, and leaves the words before it in ctx.args.
+    chosen = next((known[word] for word in (ctx.params.get("name"), *ctx.args) if word in known), None)
+    return [f"{name}=" for name in (chosen.defaults if chosen else ()) if name.startswith(incomplete)]
+
+
+@command(
+    "query",
+    examples=(
+        "msbdb query --list",
+        "msbdb query town.sqlite tallest_buildings",
+        "msbdb query town.sqlite tall_buildings_near --param storeys=3 --param easting=85210 --param northing=446512",
+        "msbdb query town.sqlite storeys_histogram --param survey=spring --json",
+    ),
+)
+@click.argument("db", metavar="DB", required=False)
+@click.argument("name", metavar="NAME", required=False, shell_complete=_names)
+@click.option(
+    "--param",
+    "given",
+    type=parameter,
+    multiple=True,
+    metavar="NAME=VALUE",
+    shell_complete=_parameters,
+    help="A value of a parameter in place of its default; repeatable.",
+)
+@click.option("--list", "listed", is_flag=True, help="List the queries with their parameters; needs no database.")
+@shared("json")
+def query(*, db: str | None, name: str | None, given: tuple[tuple[str, str], ...], listed: bool, as_json: bool) -> None:
+    """Run one of the example queries, and print its rows.
+
+    The same queries are files of SQL, in the folder schema/queries, for any client of the database.
+    """
+    from msbdb import api
+
+    if listed:
+        _list_queries(as_json=as_json)
+        return
+    if db is None or name is None:
+        msg = "Give DB and the NAME of a query; 'msbdb query --list' shows the names."
+        raise click.UsageError(msg)
+    twice = [own for own, _ in given if [other for other, _ in given].count(own) > 1]
+    if twice:
+        msg = f"--param {twice[0]} is given more than once; give it once."
+        raise click.UsageError(msg)
+    found = api.query(db, name, dict(given))
+    plain = found.astype(object).where(found.notna(), None)
+    rows = [dict(zip(plain.columns, row, strict=True)) for row in plain.itertuples(index=False)]
+    if as_json:
+        emit_json({"query": name, "parameters": api.queries()[name].values(dict(given)), "rows": rows})
+    elif rows:
+        emit_table(rows)
+    else:
+        click.echo("No row answers this query.")
+
+
+def _list_queries(*, as_json: bool) -> None:
+    """Print each query with its question and its parameters."""
+    from msbdb import api
+
+    found = api.queries().values()
+    if as_json:
+        names = ("name", "title", "defaults", "meanings")
+        emit_json([{name: getattr(query, name) for name in names} for query in found])
+        return
+    for query in found:
+        click.secho(query.name, bold=True)
+        click.echo(f"  {query.title}")
+        for name, meaning in query.meanings.items():
+            default = query.defaults[name]
+            shown = f"{default:g}" if isinstance(default, float) else default
+            click.echo(f"    {name if shown is None else f'{name}={shown}'}  {meaning}")
 
 
 @command(
@@ -87,8 +182,8 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
     show_default=True,
     help="What to draw.",
 )
-@shared("survey")
-def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
+@shared("overwrite", "survey")
+def view(*, db: str, out: Path, of: str, overwrite: bool, survey: str | None) -> None:
     """Draw a map of the buildings, or of the regions of another detector, on a hillshade of the surface.
 
     Parts of buildings are outlined by scale and filled by height. Flat regions are coloured by their zone. Candidate
@@ -97,7 +192,7 @@ def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
     """
     from msbdb import api
 
-    api.view(db, out, survey=survey, of=of)
+    api.view(db, out, survey=survey, of=of, overwrite=overwrite)
     click.echo(f"Wrote {out}.")
 
 
@@ -111,8 +206,7 @@ def view(*, db: str, out: Path, of: str, survey: str | None) -> None:
 )
 @shared("db")
 @click.argument("out", type=click.Path(path_type=Path), metavar="OUT")
-@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
-@shared("survey")
+@shared("overwrite", "survey")
 def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
     """Write footprints and parts to a file.
 

@@ -57,7 +57,7 @@ from msbdb.database.runs.reading import (
     summarise_run,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
-from msbdb.database.schema.sqlfiles import ExampleQuery, example_queries, run_example
+from msbdb.database.schema.sqlfiles import ExampleQuery, example_queries, find_example, run_example
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [
@@ -88,6 +88,7 @@ __all__ = [
     "downgrade_schema",
     "example_queries",
     "explain_places",
+    "find_example",
     "first_day",
     "footprint_at",
     "grant_role",

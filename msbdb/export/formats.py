@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msbdb.errors import FileError, InputError
-from msbdb.io.files import write_atomic
-from msbdb.io.layers import Layer, existing_files, texts, write_layers
+from msbdb.errors import InputError
+from msbdb.io.files import require_output, write_atomic
+from msbdb.io.layers import Layer, texts, write_layers
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -142,15 +142,8 @@ def export(layers: Layers, path: Path, *, overwrite: bool = False) -> None:
     FileError
         When a file exists already, or cannot be written.
     """
-    writer = FORMATS.get(path.suffix.lower())
-    if writer is None:
-        msg = f"The ending of the file's name decides the format: {', '.join(FORMATS)}. Got '{path.name}'."
-        raise InputError(msg)
-    found = existing_files(path)
-    if found and not overwrite:
-        msg = f"{', '.join(str(file) for file in found)} exists already. Delete it, or add --overwrite."
-        raise FileError(msg)
-    writer(layers, path)
+    require_output(path, overwrite=overwrite, endings=tuple(FORMATS))
+    FORMATS[path.suffix.lower()](layers, path)
 
 
 def write_changes(table: "gpd.GeoDataFrame", path: Path) -> None:

@@ -1,15 +1,105 @@
-"""Whole files: writing one that appears complete or not at all, and the record of one that was read."""
+"""Whole files: what may be read and written, a file that appears complete or not at all, and the record of one read."""
 
 import hashlib
 import os
+import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from msbdb.errors import FileError
+from msbdb.errors import FileError, InputError
 from msbdb.tables import Source
+
+SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".shp.xml")
+"""The files of a Shapefile, some of them left there by other programs."""
+
+PICTURES = (".png",)
+"""The endings of a map or figure."""
+
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
+"""The beginning of a URL. A single letter is a drive, and ``Path`` makes one slash of two."""
+
+
+def require_input(path: str | os.PathLike[str]) -> None:
+    """Refuse a URL, a folder, or a file that does not exist.
+
+    Raises
+    ------
+    FileError
+        With the next step.
+    """
+    if _URL.match(str(path)):
+        msg = f"{path} is a URL; a file is expected. Download it first, and give the path of the file."
+        raise FileError(msg)
+    if Path(path).is_dir():
+        msg = f"{path} is a folder; a file is expected. Give the path of a file in it."
+        raise FileError(msg)
+    if not Path(path).exists():
+        msg = f"The file '{path}' does not exist. Check the path; relative ones begin in {Path.cwd()}."
+        raise FileError(msg)
+
+
+def require_output(
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool,
+    endings: tuple[str, ...] = (),
+    sources: Iterable[str | os.PathLike[str]] = (),
+) -> None:
+    """Refuse a file that could not be written at the end of the work; nothing is made or changed.
+
+    Parameters
+    ----------
+    path : path
+        The file to be written. Its folder must exist: a folder is never made, as its name may be mistyped.
+    overwrite : bool
+        Whether existing files may be replaced.
+    endings : tuple of str
+        Those that the file may have, in lower case with their dots; empty for any.
+    sources : iterable of path
+        What the work reads: files, or URLs of databases. They are never replaced.
+
+    Raises
+    ------
+    InputError
+        For another ending, or a file that is a source.
+    FileError
+        When the folder is missing or read-only, the path is a URL or a folder, or files exist and may not be replaced.
+    """
+    out = Path(path)
+    if endings and out.suffix.lower() not in endings:
+        msg = f"Results are written as {', '.join(endings)}, by the ending of the name; got '{out.name}'."
+        raise InputError(msg)
+    if _URL.match(str(path)) or out.is_dir():
+        kind = "folder" if out.is_dir() else "URL"
+        msg = f"{path} cannot be written: it is a {kind}. Give the path of a file."
+        raise FileError(msg)
+    if not out.parent.is_dir():
+        msg = (
+            f"{out} cannot be written: No such file or directory; {out.parent} does not exist. Make this folder first."
+        )
+        raise FileError(msg)
+    if not os.access(out.parent, os.W_OK):
+        msg = f"{out} cannot be written: the folder {out.parent} is read-only. Check its rights, or choose another."
+        raise FileError(msg)
+    if any(out.exists() and Path(source).exists() and out.samefile(source) for source in sources):
+        msg = f"{out} is the source itself, which is never overwritten. Choose another name."
+        raise InputError(msg)
+    found = existing_files(out)
+    if found and not overwrite:
+        more = f" (with {', '.join(file.name for file in found[1:])})" if found[1:] else ""
+        msg = f"{found[0]} exists already{more}. Choose another name, or replace it by --overwrite (overwrite=True)."
+        raise FileError(msg)
+
+
+def existing_files(path: Path) -> list[Path]:
+    """Return the files that writing to the path would replace, the sidecars of a Shapefile included."""
+    candidates = [path]
+    if path.suffix.lower() == ".shp":
+        candidates += [path.with_suffix(suffix) for suffix in SIDECARS if suffix != path.suffix]
+    return [candidate for candidate in candidates if candidate.exists()]
 
 
 @contextmanager

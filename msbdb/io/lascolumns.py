@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.errors import NodataError
+from msbdb.errors import NodataError, counted
 from msbdb.io.crs import Reference
 from msbdb.points.cloud import PointCloud, lone_points
 
@@ -94,7 +94,7 @@ def as_cloud(
     columns.dropped["far from all others"] = int(lone.sum())
     for why, count in columns.dropped.items():
         if count:
-            columns.note(f"{count} points {why} were dropped.")
+            columns.note(f"{counted(count, 'point')} {why} {'was' if count == 1 else 'were'} dropped.")
     if lone.all():  # also where nothing is left to be lone
         msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
         raise NodataError(msg)

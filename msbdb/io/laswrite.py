@@ -22,7 +22,7 @@ from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import NDArray
 
 from msbdb.errors import FileError, InputError, MsbdbWarning
-from msbdb.io.files import write_atomic
+from msbdb.io.files import require_output, write_atomic
 from msbdb.io.las import Progress, read_chunks
 from msbdb.io.lasheader import COMPRESSION, COPC, LasInfo, decoding, read_las_header
 
@@ -149,17 +149,7 @@ def check_output(source: Path, out: Path, *, overwrite: bool) -> None:
     if out.suffix.lower() not in (".las", ".laz") or out.name.lower().endswith(".copc.laz"):
         msg = f"Points are written as .las or .laz, not as COPC; got '{out.name}'. Choose such a name, without '.copc'."
         raise InputError(msg)
-    if not out.parent.is_dir():
-        msg = f"{out} cannot be written: the folder {out.parent} does not exist. Choose one that exists."
-        raise FileError(msg)
-    if not out.exists():
-        return
-    if source.exists() and out.samefile(source):
-        msg = f"{out} is the source itself, which is never overwritten. Choose another name."
-        raise InputError(msg)
-    if not overwrite:
-        msg = f"{out} exists already. Delete it, or add --overwrite."
-        raise FileError(msg)
+    require_output(out, overwrite=overwrite, sources=[source])
 
 
 def _check_classes(info: LasInfo, classes: NDArray[np.uint8], chosen: NDArray[np.bool_]) -> None:

@@ -21,13 +21,11 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import CRSError, FileError
+from msbdb.io.files import existing_files
 
 if TYPE_CHECKING:
     import geopandas as gpd
     from pyproj import CRS
-
-SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".shp.xml")
-"""The files of a Shapefile, some of them left there by other programs."""
 
 ROOM_BYTES = 2**16
 """More than the drivers keep in their buffers until they close a file."""
@@ -206,14 +204,6 @@ def _unsynchronised(pyogrio: Any) -> Iterator[None]:  # noqa: ANN401  (a library
         yield
     finally:
         pyogrio.set_gdal_config_options({option: before})
-
-
-def existing_files(path: Path) -> list[Path]:
-    """Return the files that writing to the path would replace, the sidecars of a Shapefile included."""
-    candidates = [path]
-    if path.suffix.lower() == ".shp":
-        candidates += [path.with_suffix(suffix) for suffix in SIDECARS if suffix != path.suffix]
-    return [candidate for candidate in candidates if candidate.exists()]
 
 
 def _require_room(folder: Path) -> None:

@@ -199,6 +199,12 @@ def raster_crs(dataset: rasterio.DatasetReader, stated: CrsLike | None) -> CRS:
     return settle(found, stated, Path(dataset.name).name)
 
 
+def states_crs(path: str | os.PathLike[str]) -> bool:
+    """Return whether a raster states a CRS."""
+    with open_raster(path) as dataset:
+        return dataset.crs is not None
+
+
 def raster_bounds(dataset: rasterio.DatasetReader) -> Bounds:
     """Return west, south, east and north of a raster in its own units, also if it is rotated."""
     t, rows, cols = dataset.transform, dataset.height, dataset.width

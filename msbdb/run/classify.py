@@ -38,6 +38,7 @@ def classify_points(
     check_output(source, out, overwrite=overwrite)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)
+        inputs.require_files()
         with stages.stage("read"):
             cloud, index = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
         scene, params = prepare(inputs, cloud, params, stages, Label(inputs.default_survey()))

@@ -31,8 +31,9 @@ from msbdb.database import (
 )
 from msbdb.database.history.periods import read_period
 from msbdb.errors import DatabaseError, InputError, ParameterError, SchemaVersionError
-from msbdb.export.formats import write_changes
+from msbdb.export.formats import CHANGE_FORMATS, write_changes
 from msbdb.grid import Grid, lattice
+from msbdb.io.files import PICTURES, require_output
 from msbdb.io.vector import read_point_features, read_polygons
 from msbdb.kept import heights_of
 from msbdb.run.reports import Changes, ImportReport
@@ -200,8 +201,12 @@ def changes_of(
     aoi: Path | None,
     out: Path | None,
     figure: Path | None,
+    overwrite: bool,
 ) -> Changes:
     """List what changed in the inventory between two dates; see `msbdb.api.changes`."""
+    for path, endings in ((out, CHANGE_FORMATS), (figure, PICTURES)):
+        if path is not None:
+            require_output(path, overwrite=overwrite, endings=endings, sources=[db, *([aoi] if aoi else [])])
     with opened(db) as engine:
         period = read_period(engine, since, until)
         rows = with_beginnings(period.changes, period.events, None if since is None else first_day(since))

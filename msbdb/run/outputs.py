@@ -26,7 +26,7 @@ from msbdb.database import (
     shown,
     summarise_run,
 )
-from msbdb.errors import PassingNotice
+from msbdb.errors import PassingNotice, counted
 from msbdb.identity import to_json
 from msbdb.kept import heights_of
 from msbdb.params import POINT_DETECTORS
@@ -115,8 +115,11 @@ def choose(engine: Engine, survey: str | None) -> Choice:
     return choice
 
 
-def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
+def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
     """Draw a map; see `msbdb.api.view`."""
+    from msbdb.io.files import PICTURES, require_output
+
+    require_output(out, overwrite=overwrite, endings=PICTURES, sources=[db])
     from msbdb.view.buildingmap import draw_map
     from msbdb.view.regionmap import draw_candidates, draw_zones
 
@@ -136,15 +139,15 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
     subtitle = " · ".join(word for word in words if word)
     if of == "flatregions":
         regions = frames["flat_region"]
-        draw_zones(regions, relief, out, title=f"{name}: {len(regions)} flat regions", subtitle=subtitle)
+        draw_zones(regions, relief, out, title=f"{name}: {counted(len(regions), 'flat region')}", subtitle=subtitle)
         return
     if of in POINT_DETECTORS:
         regions = frames["candidate_region"]
         regions = regions[regions["method"] == of]
-        title = f"{name}: {len(regions)} candidate regions of {of}"
+        title = f"{name}: {counted(len(regions), 'candidate region')} of {of}"
         draw_candidates(regions, relief, out, title=title, subtitle=subtitle)
         return
-    title = f"{name}: {len(buildings)} buildings in {len(parts)} parts"
+    title = f"{name}: {counted(len(buildings), 'building')} in {counted(len(parts), 'part')}"
     draw_map(parts, buildings, relief, out, title=title, subtitle=subtitle, thresholds_m2=thresholds)
 
 
@@ -230,7 +233,10 @@ def _relief(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") -> "G
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
     from msbdb.export import export
+    from msbdb.export.formats import FORMATS
+    from msbdb.io.files import require_output
 
+    require_output(out, overwrite=overwrite, endings=tuple(FORMATS), sources=[db])
     with opened(db) as engine:
         choice = choose(engine, survey)
         layers = _survey_layers(engine, survey) if choice.is_one else _layers(engine, choice, out)

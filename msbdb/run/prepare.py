@@ -1,27 +1,31 @@
 """Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
+import datetime
+import filecmp
 import logging
 import os
 import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 
+from msbdb.database import first_day
 from msbdb.detect.scene import Elevations, Evidence, Scene
 from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.crs import CrsLike, Fallback
-from msbdb.io.files import describe_source
+from msbdb.io.files import describe_source, require_input
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
-from msbdb.io.raster import align_grid, read_grid
+from msbdb.io.raster import align_grid, open_raster, read_grid, states_crs
 from msbdb.io.vector import read_polygons
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
@@ -32,8 +36,8 @@ from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import spectral_bands
 from msbdb.spectral.coverclasses import classify_cover, keep_labels
 from msbdb.surface import Surface, cover_from_surface, surface_from_rasters
-from msbdb.surface.gridding import cell_size, density
-from msbdb.surface.heights import grid_surface, normalise
+from msbdb.surface.gridding import CELL_LADDER_M, cell_size, density
+from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
 from msbdb.tables import Source, Survey
 
 logger = logging.getLogger(__name__)
@@ -77,20 +81,49 @@ class Inputs:
     def __post_init__(self) -> None:
         """Check that there is one kind of heights."""
         given = [name for name in ("points", "dsm", "ndsm") if getattr(self, name)]
-        if len(given) != 1 or (self.dsm is None) != (self.dtm is None):
+        needless, missing = self.dtm and self.ndsm, self.dsm and not self.dtm
+        if len(given) != 1 or needless or missing:
             msg = (
-                f"A build needs either points, or a DSM with a DTM, or an nDSM; got {' and '.join(given) or 'none'}"
-                f"{' with' if self.dtm else ' without'} a DTM."
+                "A build needs either points, with or without a DTM, or a DSM with a DTM, or an nDSM; "
+                f"got {' and '.join(given) or 'none'}{' with' if self.dtm else ' without'} a DTM."
             )
             raise InputError(msg)
 
+    def require_files(self) -> None:
+        """Refuse what cannot be read, and two files of equal content: points twice, or heights above themselves.
+
+        Raises
+        ------
+        FileError
+            For a URL, a folder, a missing file, or one of another kind; points show this when they are read, first.
+        InputError
+            For a file that is given twice, also as a copy.
+        """
+        by_size: dict[int, list[tuple[Path, str]]] = {}
+        for path, role in self.files():
+            require_input(path)
+            by_size.setdefault(path.stat().st_size, []).append((path, role))
+        for alike in by_size.values():
+            for (one, role), (other, its_role) in combinations(alike, 2):
+                if filecmp.cmp(one, other, shallow=False):
+                    roles = f"{role} and {its_role}" if role != its_role else f"{role} twice"
+                    msg = f"The same file is given as {roles}: {one} and {other}. Leave one out, or correct its name."
+                    raise InputError(msg)
+        for path, role in self.files():
+            if role == "parcels":
+                require_polygons(path)
+            elif role != "points":
+                with open_raster(path):
+                    pass
+
     def files(self) -> Iterator[tuple[Path, str]]:
         """Yield each file with its role."""
-        yield from ((path, "points") for path in self.points)
-        yield from ((path, role) for path, role in ((self.dsm, "dsm"), (self.dtm, "dtm"), (self.ndsm, "ndsm")) if path)
-        yield from ((path, "ortho") for path in self.ortho)
+        heights = ((self.dsm, "dsm"), (self.dtm, "dtm"), (self.ndsm, "ndsm"))
+        yield from ((Path(path), "points") for path in self.points)
+        yield from ((Path(path), role) for path, role in heights if path is not None)
+        yield from ((Path(path), "ortho") for path in self.ortho)
         if self.parcels is not None:
-            yield self.parcels, "parcels"
+            yield Path(self.parcels), "parcels"
 
     def stated(self) -> dict[str, str]:
         """Return what the user stated about the files, where it is not the default."""
@@ -132,6 +165,12 @@ def _paths(given: Paths) -> tuple[Path, ...]:
     return tuple(map(Path, (given,) if isinstance(given, str | os.PathLike) else given))
 
 
+def require_polygons(path: Path) -> None:
+    """Refuse a file without polygons; notices of the polygons come when they are used."""
+    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+        read_polygons(path)
+
+
 def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:
     """Read the points, where the build is from points."""
     if not inputs.points:
@@ -141,11 +180,28 @@ def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """The name and date of a survey, and the classes that an operator labelled in it before."""
+    """The name and date of a survey, and the classes that an operator labelled in it before.
+
+    The date is a day, month or year of ISO 8601, or empty. One in the future is refused.
+    """
 
     name: str
     date: str = ""
     classes: pd.DataFrame | None = None
+
+    def __post_init__(self) -> None:
+        """Check the date; a day more than today is allowed, as it is tomorrow already in the east."""
+        if not self.date:
+            return
+        tomorrow = datetime.datetime.now(datetime.UTC).date() + datetime.timedelta(days=1)
+        try:
+            begins = datetime.date.fromisoformat(first_day(self.date))
+        except ValueError as error:
+            msg = f"The date of a survey is written as 2021-05-31, 2021-05 or 2021; got '{self.date}'."
+            raise InputError(msg) from error
+        if begins > tomorrow:
+            msg = f"The date of the survey '{self.name}', {self.date}, is in the future. Give the day of the flight."
+            raise InputError(msg)
 
 
 def prepare(
@@ -222,19 +278,37 @@ def note_missing_sources(scene: Scene) -> None:
 def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Surface:
     """Build the surface from the points, or take it from the rasters."""
     if cloud is not None:
-        return build_surface(cloud, params)
+        return build_surface(cloud, params, None if inputs.dtm is None else read_terrain(inputs, inputs.dtm))
     if inputs.ndsm is not None:
         ndsm = read_grid(inputs.ndsm, crs=inputs.any_crs, role="nDSM", z_unit=inputs.z_unit)
+        note_sparse(1 / ndsm.spec.cell_area_m2, f"cells of the nDSM {inputs.ndsm.name}")
         return surface_from_rasters(ndsm, flat_ground(ndsm), terrain_known=False)
     if inputs.dsm is None or inputs.dtm is None:  # kept from happening by Inputs
         msg = "A DSM needs a DTM."
         raise InputError(msg)
     dsm = read_grid(inputs.dsm, crs=inputs.any_crs, role="DSM", z_unit=inputs.z_unit)
     dtm = read_grid(inputs.dtm, crs=inputs.any_crs, role="DTM", z_unit=inputs.z_unit)
-    return surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm))
+    note_sparse(1 / dsm.spec.cell_area_m2, f"cells of the DSM {inputs.dsm.name}")
+    return note_offset(surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm)))
 
 
-def build_surface(points: PointCloud, params: Params) -> Surface:
+def read_terrain(inputs: Inputs, path: Path) -> Grid:
+    """Read the terrain of a build from points; the stated CRS is of the points where the raster has its own."""
+    return read_grid(path, crs=None if states_crs(path) else inputs.any_crs, role="DTM", z_unit=inputs.z_unit)
+
+
+def note_sparse(points_m2: float, what: str) -> None:
+    """Give notice of heights that are too far apart for any building: farther than the largest cell."""
+    spacing, largest = points_m2**-0.5, CELL_LADDER_M[-1]
+    if spacing > largest * (1 + 1e-6):
+        msg = (
+            f"The {what} are {spacing:.1f} m apart on average, too far for buildings, at most {largest:g} m. "
+            "Check the CRS and the unit of the coordinates, or give denser data."
+        )
+        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+
+
+def build_surface(points: PointCloud, params: Params, given: Grid | None = None) -> Surface:
     """Grid the first echoes, detect the ground, and subtract it (V13 to V16).
 
     Parameters
@@ -243,19 +317,50 @@ def build_surface(points: PointCloud, params: Params) -> Surface:
         All echoes of the survey; outliers are gone.
     params : Params
         Sections ``surface`` and ``ground``.
+    given : Grid, optional
+        The terrain, on any lattice and CRS; without it the ground is detected among the points.
 
     Raises
     ------
     NodataError
         When there is no first echo, or no ground.
+    GridMismatchError
+        When the given terrain is of another place.
     """
     points_m2 = density(points)
+    note_sparse(points_m2, "first echoes")
     cell_m = params.surface.cell_m or cell_size(points_m2, literal=params.surface.cell_rule == "literal")
     spec = lattice(points.bounds, cell_m, points.crs)
+    aligned = None if given is None else align_grid(given, spec, role="DTM")
     dsm, samples = grid_surface(points, spec, params)
-    dtm, name = terrain(points, spec, params.ground)
+    if aligned is None:
+        dtm, name = terrain(points, spec, params.ground)
+    else:
+        dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
     logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)
-    return Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
+    surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
+    return surface if given is None else note_offset(surface)
+
+
+LARGEST_OFFSET_M = 10.0
+"""Ours: a surface has open ground somewhere, and other height references are farther away, such as the ellipsoid."""
+
+LOW_PERCENT = 5.0
+"""Ours: this share of a surface is ground, also in an old town or a park."""
+
+
+def note_offset(surface: Surface) -> Surface:
+    """Give notice of a given terrain that is nowhere near the lowest heights; return the surface as it is."""
+    heights = np.asarray(surface.ndsm.values)[surface.ndsm.valid]
+    low = float(np.percentile(heights, LOW_PERCENT)) if heights.size else 0.0
+    if abs(low) > LARGEST_OFFSET_M:
+        share, where = (100 - LOW_PERCENT, "above") if low > 0 else (LOW_PERCENT, "below")
+        msg = (
+            f"Of the surface, {share:.0f} % are {abs(low):.0f} m or more {where} the given DTM. "
+            "Check its place, its unit and its height reference."
+        )
+        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+    return surface
 
 
 def without_gaps(dtm: Grid, dsm: Grid) -> Grid:

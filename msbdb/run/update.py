@@ -40,7 +40,7 @@ from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, ChangeParams, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
 from msbdb.run.compose import choose_detectors
-from msbdb.run.prepare import Inputs, Paths
+from msbdb.run.prepare import Inputs, Label, Paths
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
 from msbdb.run.store import recall_elevations
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey
@@ -81,6 +81,7 @@ def is_built(
     inputs = Inputs.of(points, ortho, **given)
     with collect_notices(Notices()):
         methods = choose_detectors(extract, inputs)
+    inputs.require_files()
     try:
         engine = open_database(db)
     except DatabaseError:
@@ -122,7 +123,8 @@ def advance_inventory(db: str | Path, survey: str, *, aoi: Path | None) -> Advan
 
 
 def require_date(survey: str, date: str) -> None:
-    """Refuse a survey without a date."""
+    """Refuse a survey without a date, or with one in the future."""
+    Label(survey, date)
     if not date:
         msg = (
             f"The survey '{survey}' has no date, so its place in the inventory's history is unknown. "

@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
-from msbdb.errors import FileError, InputError
+from msbdb.errors import InputError
 from msbdb.grid import Grid
 from msbdb.io.files import write_atomic
 from msbdb.view.furniture import north_arrow, outlines, scale_bar
@@ -314,11 +314,6 @@ def write_picture(figure: Figure, out: Path) -> None:
         # Signs that the font lacks are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
         figure.savefig(picture, format="png", metadata={"Software": None})
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"The map {out} cannot be written: {error.strerror}. Choose another place."
-        raise FileError(msg) from error
     with write_atomic(out) as temporary:
         temporary.write_bytes(picture.getvalue())
 

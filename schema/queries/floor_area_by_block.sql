@@ -1,14 +1,15 @@
 -- How much floor area is there in each square block? An estimate: each roof counts its area once for every storey
 -- below its eaves. The floor area ratio is the floor area over the block's area.
---
--- :block_m = 100  side of a block, metres
--- :survey = null  name of a survey; null takes all
-WITH block AS (
-  SELECT CAST(:block_m AS DOUBLE PRECISION) AS side
+WITH param AS (  -- the values to edit
+  SELECT
+    CAST(100 AS DOUBLE PRECISION) AS block_m,  -- side of a block, metres
+    CAST(NULL AS TEXT) AS survey  -- name of a survey; NULL takes all
+), block AS (
+  SELECT (SELECT block_m FROM param) AS side
 ), found AS MATERIALIZED (
   SELECT survey, xcen, ycen, floor_area_m2
   FROM building_summary
-  WHERE (CAST(:survey AS TEXT) IS NULL OR survey = :survey)
+  WHERE ((SELECT survey FROM param) IS NULL OR survey = (SELECT survey FROM param))
 )
 SELECT survey,
        FLOOR(xcen / side) * side AS west, FLOOR(ycen / side) * side AS south,

@@ -1,10 +1,11 @@
 -- Which parts does a building have? Its trees, fathers before children, each part below its father.
---
--- :building_id = null  the building; null takes the one of most parts
-WITH RECURSIVE chosen AS (
+WITH RECURSIVE param AS (  -- the values to edit
+  SELECT
+    CAST(NULL AS BIGINT) AS building_id  -- the building; NULL takes the one of most parts
+), chosen AS (
   SELECT building_id FROM building
   WHERE building_id = COALESCE(
-    CAST(:building_id AS BIGINT), (SELECT building_id FROM building ORDER BY parts DESC, building_id LIMIT 1)
+    (SELECT building_id FROM param), (SELECT building_id FROM building ORDER BY parts DESC, building_id LIMIT 1)
   )
 ), tree (part_id, depth, path) AS (
   SELECT part_id, 0, CAST(part_id AS TEXT) FROM part

@@ -1,8 +1,11 @@
 -- Which flat regions does no part explain, the largest first?
---
--- :min_area_m2 = 50  smallest region that counts, square metres
--- :survey = null  name of a survey; null takes all
+WITH param AS (  -- the values to edit
+  SELECT
+    CAST(50 AS DOUBLE PRECISION) AS min_area_m2,  -- smallest region that counts, square metres
+    CAST(NULL AS TEXT) AS survey  -- name of a survey; NULL takes all
+)
 SELECT region_id, survey, zone, area_m2, compactness, h_p50, explained_share, xcen, ycen
 FROM unexplained_flat_region
-WHERE area_m2 >= :min_area_m2 AND (CAST(:survey AS TEXT) IS NULL OR survey = :survey)
+WHERE area_m2 >= (SELECT min_area_m2 FROM param)
+  AND ((SELECT survey FROM param) IS NULL OR survey = (SELECT survey FROM param))
 ORDER BY area_m2 DESC, region_id;

@@ -18,6 +18,7 @@ import click
 import numpy as np
 import pandas as pd
 import pytest
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 from rich.console import Console
 
@@ -26,6 +27,7 @@ from msbdb import params as declared
 from msbdb.cli import command, output
 from msbdb.cli.main import cli
 from msbdb.cli.output import emit, text
+from msbdb.database import example_queries
 from msbdb.database.runs.places import Place
 from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
 from msbdb.tables import Reason
@@ -70,7 +72,7 @@ class FakeApi(types.ModuleType):
         self.fails: BaseException | None = None
         self.warns: tuple[Warning, ...] = ()
 
-    def _note(self, name: str, **values: Any) -> None:
+    def _note(self, name: str, /, **values: Any) -> None:
         self.calls.append((name, values))
         for warning in self.warns:
             warnings.warn(warning, stacklevel=2)
@@ -98,6 +100,7 @@ class FakeApi(types.ModuleType):
         extract=("multiscale", "flatregions", "area3d", "adaptive"),
         denoising_figure=None,
         replace=False,
+        overwrite=False,
         progress=None,
     ):
         """Pass two steps of a stage and return a report."""
@@ -113,6 +116,15 @@ class FakeApi(types.ModuleType):
         self._note("info", db=db)
         return {"schema": "0001", "surveys": [{"name": "spring", "cells": np.int64(5), "density": np.float32(2.5)}]}
 
+    def query(self, db, name, parameters=None):
+        """Return a row with an id beyond 2^53 and a null."""
+        self._note("query", db=db, name=name, parameters=parameters)
+        return pd.DataFrame({"building_id": [2**62 + 1], "storeys": pd.array([None], dtype="Int64")})
+
+    def queries(self):
+        """Return the real queries."""
+        return example_queries()
+
     def relabel(self, db, labels, *, survey=None, progress=None):
         """Return a report without notices."""
         self._note("relabel", db=db, labels=labels, survey=survey, progress=progress)
@@ -123,9 +135,9 @@ class FakeApi(types.ModuleType):
         self._note("classes", db=db, survey=survey)
         return pd.DataFrame({"speindex": [1, 2], "label": ["building", "other"], "ndvi": [0.25, float("nan")]})
 
-    def view(self, db, out, *, survey=None, of="buildings"):
+    def view(self, db, out, *, survey=None, of="buildings", overwrite=False):
         """Draw nothing."""
-        self._note("view", db=db, out=out, survey=survey, of=of)
+        self._note("view", db=db, out=out, survey=survey, of=of, overwrite=overwrite)
 
     def why(self, db, x, y, *, survey=None, crs=None):
         """Return a place without a building."""
@@ -193,7 +205,9 @@ class FakeApi(types.ModuleType):
         inventory = types.SimpleNamespace(**told, notices=("Few pairs.",))
         return types.SimpleNamespace(build=FakeReport(), inventory=inventory, as_dict=lambda: {"inventory": told})
 
-    def changes(self, db, *, since=None, until=None, survey=None, each=False, aoi=None, out=None, figure=None):
+    def changes(
+        self, db, *, since=None, until=None, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
+    ):
         """Return counts."""
         values = {name: value for name, value in locals().items() if name != "self"}
         self._note("changes", **values)
@@ -260,13 +274,14 @@ def test_every_command_has_help_with_examples(name):
     assert all(option.help for option in options)
 
 
-@pytest.mark.parametrize("name", sorted({"build", "info", "classes", "classify", "evaluate", "params"}))
+@pytest.mark.parametrize("name", sorted({"build", "info", "classes", "classify", "evaluate", "params", "query"}))
 def test_every_reporting_command_has_json(name, api):
     """With --json the standard output is one JSON value and nothing else."""
     Path("a.laz").touch()
     args = {
         "build": ["--points", "a.laz", "--db", "x"],
         "info": ["x"],
+        "query": ["x", "tallest_buildings"],
         "classes": ["x"],
         "classify": ["a.laz", "b.laz"],
         "evaluate": ["x", "--reference", "a.laz"],
@@ -310,7 +325,11 @@ def test_build_hands_everything_over(api):
 
 
 @pytest.mark.parametrize(
-    "name", ["build", "info", "relabel", "classes", "why", "view", "export", "evaluate", "evaluate_points", "classify"]
+    "name",
+    [
+        *("build", "info", "relabel", "classes", "query", "why", "view", "export", "evaluate", "evaluate_points"),
+        *("classify", "changes"),
+    ],
 )
 def test_the_fake_is_called_as_the_api_is(name):
     """The stand-in of these tests takes the arguments of the real function, by the same names."""
@@ -380,7 +399,8 @@ def test_build_reports_and_draws(api):
     assert "spring" in result.stdout
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
-    assert api.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings"})
+    called = {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings", "overwrite": False}
+    assert api.calls[1] == ("view", called)
 
 
 def test_json_has_no_nan(api):
@@ -396,7 +416,7 @@ def test_json_has_no_nan(api):
     [
         (("--db", "x"), "Give --points"),
         (("--db", "x", "--dsm", "a.laz"), "--dsm needs --dtm"),
-        (("--db", "x", "--points", "a.laz", "--dtm", "a.laz"), "--dtm goes with --dsm"),
+        (("--db", "x", "--ndsm", "a.laz", "--dtm", "a.laz"), "Leave --dtm out"),
         (("--db", "x", "--points", "a.laz", "--ndsm", "a.laz"), "--points and --ndsm"),
         (("--points", "a.laz"), "--db"),
         (("--db", "x", "--points", "missing.laz"), "missing.laz"),
@@ -555,6 +575,55 @@ def test_a_wrong_label_is_refused(wrong, api):
     assert not api.calls
 
 
+def test_a_user_lists_and_runs_the_example_queries(api):
+    """The list needs no database; rows keep their whole numbers; a value is handed over as it is written."""
+    listed = run("query", "--list").stdout
+    assert "tallest_buildings\n  Which are the tallest buildings" in listed
+    assert "    count=10  how many to list" in listed
+    assert {row["name"] for row in json.loads(run("query", "--list", "--json").stdout)} == set(example_queries())
+    result = run("query", "x", "tallest_buildings", "--param", "count=3", "--param", "survey=a=b", "--json")
+    assert json.loads(result.stdout) == {
+        "query": "tallest_buildings",
+        "parameters": {"count": 3, "survey": "a=b"},
+        "rows": [{"building_id": 2**62 + 1, "storeys": None}],
+    }
+    assert api.calls == [
+        ("query", {"db": "x", "name": "tallest_buildings", "parameters": {"count": "3", "survey": "a=b"}})
+    ]
+    assert str(2**62 + 1) in run("query", "x", "tallest_buildings").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "msbdb query --list"),
+        (("x",), "msbdb query --list"),
+        (("x", "surveys", "--param", "survey"), "no parameter like survey=spring"),
+        (("x", "surveys", "--param", "survey=a", "--param", "survey=b"), "more than once"),
+    ],
+)
+def test_a_query_without_what_it_needs_is_refused(words, says, api):
+    """The message has the next step."""
+    result = run("query", *words)
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert not api.calls
+
+
+@pytest.mark.parametrize(
+    ("words", "begun", "expected"),
+    [
+        (["query", "x.sqlite"], "tall", ["tall_buildings_near", "tallest_buildings"]),
+        (["query", "x.sqlite", "tallest_buildings", "--param"], "", ["count=", "survey="]),
+        (["que"], "", []),
+    ],
+)
+def test_a_shell_completes_the_names_of_queries_and_parameters(words, begun, expected):
+    """After the Tab key, where the shell's completion is on."""
+    found = ShellComplete(cli, {}, "msbdb", "_MSBDB_COMPLETE").get_completions(words, begun)
+    assert [item.value for item in found if not item.value.startswith("-")] == (expected or sorted(cli.commands))
+
+
 def test_export_view_and_evaluate_pass_their_options(api):
     """The thin commands hand over what they are given."""
     Path("r.gpkg").touch()
@@ -563,10 +632,29 @@ def test_export_view_and_evaluate_pass_their_options(api):
     result = run("evaluate", "x", "--reference", "r.gpkg", "--layer", "b", "--overlap", "0.3", "--cell", "1")
     assert result.exit_code == 0
     assert api.calls[0] == ("export", {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True})
-    assert api.calls[1] == ("view", {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings"})
+    called = {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings", "overwrite": False}
+    assert api.calls[1] == ("view", called)
     values = api.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
     assert "0.912" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ("https://example.org/a.laz", "is a URL; a file is expected. Download it first"),
+        ("tiles", "is a folder; a file is expected"),
+        ("none.laz", "does not exist"),
+    ],
+)
+@pytest.mark.parametrize("option", ["--points", "--ortho", "--dtm", "--parcels", "--params"])
+def test_a_user_gives_a_url_or_a_folder_for_a_file(option, value, says, api):
+    """Each input says what it is and what to do."""
+    Path("tiles").mkdir()
+    result = run("build", option, value, "--db", "x")
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert not api.calls
 
 
 def test_classify_passes_its_options_and_reports(api):
@@ -683,3 +771,34 @@ def test_the_shell_completes_commands_and_choices(shell, monkeypatch):
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
         assert f"plain,{expected}" in CliRunner().invoke(cli, prog_name="msbdb").output.splitlines()
+
+
+@pytest.mark.parametrize(("words", "meant"), [(("infoo", "x"), "'info'"), (("db", "chekc", "x"), "'check'")])
+def test_a_user_mistypes_a_command(words, meant):
+    """The message has the command that is meant."""
+    result = run(*words)
+    assert result.exit_code == 2
+    assert f"Did you mean {meant}?" in result.stderr
+
+
+def test_a_user_draws_a_figure_that_could_not_be_written(api, tmp_path):
+    """Every option that names a figure is refused before the build begins; no folder is made."""
+    for name in ("a.laz", "there.png", "photo.png"):
+        Path(name).write_bytes(b"mine")
+    cases = {
+        ("--figure", "x.pdf"): ".png",
+        ("--figure", "none/x.png"): "none does not exist",
+        ("--figure", "there.png"): "--overwrite",
+        ("--figure", "photo.png", "--ortho", "photo.png", "--overwrite"): "is the source itself",
+        ("--figure", "x.png", "--denoising-figure", "x.png"): "name the same file",
+        ("--figure", "."): ".png",
+    }
+    for words, says in cases.items():
+        for command_ in (["build"], ["update", "--survey", "s", "--date", "2021"]):
+            result = run(*command_, "--points", "a.laz", "--db", "x", *words)
+            assert result.exit_code in (1, 2), words
+            assert says in result.stderr, words
+    assert not api.calls
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.laz", "photo.png", "there.png"]
+    assert run("build", "--points", "a.laz", "--db", "x", "--figure", "there.png", "--overwrite").exit_code == 0
+    assert api.calls[-1][1]["overwrite"]

@@ -16,7 +16,7 @@ from support.latermigration import LATER, TODAY, migrations_of_tomorrow
 
 from msbdb.cli.db import db as commands
 from msbdb.cli.main import cli
-from msbdb.database import CHECKS, ROLES, canonical_dump, check_database, open_database, write_build
+from msbdb.database import CHECKS, ROLES, Finding, canonical_dump, check_database, open_database, write_build
 from msbdb.database.schema import migration as upgrade
 
 
@@ -206,3 +206,21 @@ def test_the_guide_names_every_check_and_role() -> None:
         assert f"| {name} |" in GUIDE
     for name in ROLES:
         assert f"| `{name}` |" in GUIDE
+
+
+def test_a_user_reads_of_one_finding(town: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One is not plural."""
+    found = Finding("rows", "survey", "spring", "it is wrong", "right")
+    for findings, says in (([found], "1 finding in "), ([found, found], "2 findings in ")):
+        monkeypatch.setattr("msbdb.database.check_database", lambda *_, found=findings, **__: found)
+        result = run("check", town)
+        assert (result.exit_code, says in result.stdout) == (1, True)
+
+
+def test_a_user_has_to_choose_a_survey(town: str) -> None:
+    """The message has the option to use, and the names."""
+    for words in (["classes", town], ["classes", town, "--survey", "none"]):
+        result = CliRunner().invoke(cli, words)
+        assert result.exit_code == 1
+        assert "by --survey: " in result.stderr
+        assert "delft" in result.stderr

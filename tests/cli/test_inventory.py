@@ -107,7 +107,7 @@ def test_changes_are_written_in_every_format(town: Path, tmp_path: Path) -> None
     assert now < uids
     run("changes", town, "--out", tmp_path / "changes.gpkg")
     assert len(gpd.read_file(tmp_path / "changes.gpkg")) == 9
-    run("changes", town, "--each", "--out", tmp_path / "changes.gpkg")
+    run("changes", town, "--each", "--out", tmp_path / "changes.gpkg", "--overwrite")
     layer = gpd.read_file(tmp_path / "changes.gpkg")
     assert len(layer) == 17
     with closing(sqlite3.connect(tmp_path / "changes.gpkg")) as file:

@@ -1,6 +1,11 @@
 """The example queries run on both dialects and find what is known of the small build."""
 
-from contextlib import nullcontext
+import re
+import shutil
+import subprocess
+from collections.abc import Iterable
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -23,7 +28,8 @@ from simulated.builds import (
 from sqlalchemy import Engine
 
 from msbdb.database import example_queries, run_example
-from msbdb.errors import DatabaseError, ParameterError
+from msbdb.database.schema.sqlfiles import _column, packaged
+from msbdb.errors import InputError, ParameterError
 
 KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [
     ("tall_buildings_near", {}, ["building_id", "storeys"], [(PODIUM, 7)]),
@@ -172,7 +178,93 @@ def test_unknown_queries_and_parameters_are_refused(loaded: Engine) -> None:
 
 
 def test_values_are_bound_not_pasted(loaded: Engine) -> None:
-    """SQL in a parameter stays a value."""
-    with pytest.raises(DatabaseError) if loaded.dialect.name == "postgresql" else nullcontext():
+    """SQL in a parameter stays a value: of a number it is refused, of a text it is a text."""
+    with pytest.raises(ParameterError, match=r"min_area_m2 .* is a number"):
         run_example(loaded, "plain_buildings", min_area_m2="0; DROP TABLE building CASCADE; COMMIT")
+    with pytest.raises(InputError, match="no survey"):
+        run_example(loaded, "plain_buildings", survey="'; DROP TABLE building CASCADE; COMMIT; --")
     assert len(run_example(loaded, "parts_of_building")) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "says"),
+    [
+        ("plain_buildings", {"survey": "delfd"}, "no survey 'delfd'. Give one of them: delft"),
+        ("tallest_buildings", {"count": -1}, "whole number of at least 0"),
+        ("tallest_buildings", {"count": None}, "whole number of at least 0"),
+        ("tallest_buildings", {"count": 2.5}, "whole number of at least 0"),
+        ("tallest_buildings", {"count": 1.5e300}, "whole number of at least 0"),
+        ("plain_buildings", {"min_area_m2": "nan"}, "is a number"),
+        ("inventory_at_date", {"date": "2021"}, "a day such as 2021-05-31"),
+        ("tallest_building", {}, "Did you mean tallest_buildings"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_and_gives_no_wrong_answer(
+    loaded: Engine, name: str, values: dict[str, Any], says: str
+) -> None:
+    """An empty or endless answer would look like a true one."""
+    with pytest.raises(InputError, match=re.escape(says)):
+        run_example(loaded, name, **values)
+
+
+def test_whole_numbers_beside_nulls_stay_whole(loaded: Engine) -> None:
+    """Ids have more digits than floating point numbers."""
+    found = run_example(loaded, "buildings_by_class")
+    assert str(found["speindex"].dtype) == "int64"
+    assert str(pd.DataFrame({"id": _column([2**62 + 1, None])})["id"].dtype) == "Int64"
+    assert _column([2**62 + 1, None])[0] == 2**62 + 1
+
+
+def files() -> list[Path]:
+    """Return the files of the example queries."""
+    return [packaged("schema") / "queries" / f"{name}.sql" for name in example_queries()]
+
+
+def rows_of(found: Iterable[Any]) -> list[list[Any]]:
+    """Return rows of plain values."""
+    return [[None if pd.isna(value) else value for value in row] for row in found]
+
+
+def test_a_user_runs_the_files_as_they_are(loaded: Engine) -> None:
+    """Each file answers as the query of its name does with the defaults, without parameters of the driver."""
+    with closing(loaded.raw_connection()) as connection:
+        for path in files():
+            cursor = connection.cursor()
+            cursor.execute(path.read_text(encoding="utf-8"))
+            assert rows_of(cursor.fetchall()) == rows_of(run_example(loaded, path.stem).itertuples(index=False)), path
+
+
+def test_a_user_edits_the_values_at_the_top_of_a_file(loaded: Engine) -> None:
+    """The values of ``param`` decide, as the parameters do."""
+    words = (packaged("schema") / "queries" / "tallest_buildings.sql").read_text(encoding="utf-8")
+    edited = words.replace("CAST(10 AS INTEGER)", "CAST(1 AS INTEGER)").replace("NULL AS TEXT", "'delft' AS TEXT")
+    with closing(loaded.raw_connection()) as connection:
+        cursor = connection.cursor()
+        cursor.execute(edited)
+        assert [row[0] for row in cursor.fetchall()] == [PODIUM]
+        cursor.execute(edited.replace("'delft'", "'spring'"))
+        assert not cursor.fetchall()
+
+
+def test_a_user_runs_the_files_in_the_client_of_the_database(loaded: Engine) -> None:
+    """All of them by sqlite3 or psql, where it is installed; the first error would end the client."""
+    if loaded.dialect.name == "postgresql":
+        url = loaded.url.set(drivername="postgresql").render_as_string(hide_password=False)
+        command = [
+            "psql",
+            "-X",
+            "-At",
+            "-v",
+            "ON_ERROR_STOP=1",
+            *(word for path in files() for word in ("-f", path)),
+            url,
+        ]
+        script = ""
+    else:
+        command = ["sqlite3", "-bail", "-cmd", ".load mod_spatialite", str(loaded.url.database)]
+        script = "".join(f".read {path}\n" for path in files())
+    if shutil.which(str(command[0])) is None:
+        pytest.skip(f"{command[0]} is not installed")
+    done = subprocess.run(command, input=script, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(done.stdout.splitlines()) == sum(len(run_example(loaded, path.stem)) for path in files())

@@ -1,5 +1,6 @@
 """Bad input, from the command line to the database: each case ends in one clear line, or in a right result."""
 
+import datetime
 import json
 import os
 import struct
@@ -12,13 +13,20 @@ import numpy as np
 import pytest
 import shapely
 from click.testing import CliRunner
-from pyproj import CRS
+from pyproj import CRS, Transformer
+from simulated.builds import EPSG, small_build
 from simulated.scenes import SCENES
 from support.faultfiles import moved, write_points, write_raster
 
 import msbdb
 import msbdb.run.store  # the libraries are loaded before a clock starts
 from msbdb.cli.main import cli
+from msbdb.database import open_database, write_build
+from msbdb.errors import InputError, MsbdbWarning
+from msbdb.grid import lattice
+from msbdb.io.las import read_points
+from msbdb.io.raster import align_grid, read_grid
+from msbdb.run.prepare import Inputs, Label, make_surface
 
 SECONDS = 10.0
 OREGON_M, OREGON_FT = CRS.from_epsg(2993), CRS.from_epsg(2994)
@@ -347,3 +355,115 @@ def test_real_hostile_files_end_well(tmp_path, path, crs):
     assert (len(buildings), len(parts)) == (report["buildings"], report["parts"])
     assert (parts["supid"] == 0).sum() == buildings["trees"].sum()
     assert parts.geometry.is_valid.all()
+
+
+def test_a_user_gives_the_same_file_twice(tmp_path, tile, heights):
+    """By another path, as a copy, or as surface and ground: refused before any work; a user of Python, too."""
+    (tmp_path / "copy.laz").write_bytes(tile.read_bytes())
+    (tmp_path / "link.laz").symlink_to(tile)
+    dsm, _, _ = heights
+    db = tmp_path / "town.sqlite"
+    for other in (tile, "copy.laz", "link.laz"):
+        refuses(tmp_path, ["build", "--points", tile, tmp_path / other, "--db", db], "points twice", "Leave one out")
+    refuses(tmp_path, ["build", "--dsm", dsm, "--dtm", dsm, "--db", db], "given as dsm and dtm")
+    with pytest.raises(InputError, match="points twice"):
+        msbdb.build([tile, tmp_path / "copy.laz"], db=db)
+
+
+@pytest.mark.parametrize("option", ["--ortho", "--dtm", "--parcels", "--aoi"])
+def test_a_user_gives_a_file_of_another_kind(tmp_path, tile, option, monkeypatch):
+    """A raster or vector file that is none is refused before the points are read."""
+    monkeypatch.delattr("msbdb.run.prepare.read_points")
+    wrong = tmp_path / "wrong.txt"
+    wrong.write_text("no map")
+    args = ["--points", tile, option, wrong, "--db", tmp_path / "town.sqlite"]
+    refuses(tmp_path, ["update", *args, "--survey", "spring", "--date", "2021"], "wrong.txt", "cannot be read")
+
+
+def test_a_user_gives_a_date_in_the_future(tmp_path, tile):
+    """A survey of tomorrow may be of today in the east; a later one is mistyped, and so is no date at all."""
+    args = ["build", "--points", tile, "--db", tmp_path / "town.sqlite", "--date"]
+    refuses(tmp_path, [*args, "2999-05-31"], "2999-05-31, is in the future")
+    refuses(tmp_path, ["update", *args[1:], "2999", "--survey", "spring"], "2999, is in the future")
+    with pytest.raises(InputError, match="written as 2021-05-31"):
+        msbdb.build([tile], db=tmp_path / "town.sqlite", date="31.5.2021")
+    now = datetime.datetime.now(datetime.UTC).date()
+    assert Label("spring", str(now + datetime.timedelta(days=1))).date > str(now)
+    assert Label("spring", str(now.year)).date == str(now.year)
+
+
+def test_a_user_gives_a_dtm_from_elsewhere(tmp_path, podium, tile, heights):
+    """With points and with a DSM: one that does not overlap is refused; one far above the surface is noticed."""
+    dsm, _, values = heights
+    far = write_raster(tmp_path / "far.tif", values, moved(podium.spec, 1e5, 0))
+    for other in (["--points", tile], ["--dsm", dsm]):
+        refuses(tmp_path, ["build", *other, "--dtm", far, "--db", tmp_path / "town.sqlite"], "DTM of the same place")
+    high = write_raster(tmp_path / "high.tif", values + np.float32(50), podium.spec)
+    with pytest.warns(MsbdbWarning, match="5 % are 50 m or more below the given DTM"):
+        make_surface(Inputs(dsm=dsm, dtm=high), None, msbdb.Params())
+
+
+def test_a_user_gives_points_too_far_apart(tmp_path, podium):
+    """A density of 0 with cells of 5 m has no buildings, and a notice of it."""
+    few = podium.points.take(np.arange(len(podium.points)) % 400 == 7)
+    tile = write_points(tmp_path / "tile.laz", few, crs=few.crs)
+    cloud = read_points([tile])
+    with pytest.warns(MsbdbWarning, match="too far for buildings.* Check the CRS and the unit"):
+        make_surface(Inputs((tile,)), cloud, msbdb.Params())
+
+
+def test_a_user_gives_points_with_a_dtm(tmp_path, podium, tile, heights):
+    """The given DTM is the ground, in any CRS: 2 m lower, all is 2 m higher; no ground is detected."""
+    _, dtm, _ = heights
+    row, col = np.indices(podium.spec.shape)
+    ground = podium.ground(*podium.spec.xy(row, col)).astype(np.float32)
+    low = write_raster(tmp_path / "low.tif", ground - 2, podium.spec)
+    cloud, params = read_points([tile]), msbdb.Params()
+    own, given, lower = (make_surface(Inputs((tile,), dtm=file), cloud, params) for file in (None, dtm, low))
+    assert (own.ground_filter, given.ground_filter) == ("walls", "given")
+    both = given.ndsm.valid & lower.ndsm.valid
+    np.testing.assert_allclose(np.asarray(lower.ndsm.values)[both] - np.asarray(given.ndsm.values)[both], 2, atol=0.02)
+    db = tmp_path / "town.sqlite"
+    report = succeeds("build", "--points", tile, "--dtm", dtm, "--db", db, "--extract", "multiscale")
+    assert report["buildings"] == 1
+    run_ = json.loads(run("info", db, "--json").stdout)["runs"][0]
+    assert run_["chosen"]["ground_filter"] == "given"
+    assert [source["role"] for source in run_["survey_record"]["sources"]] == ["dtm", "points"]
+
+
+@pytest.mark.filterwarnings("ignore::msbdb.errors.MsbdbWarning")  # the warped raster lacks the corners
+def test_a_user_states_the_crs_of_points_beside_a_dtm_of_another(tmp_path, podium, heights):
+    """--crs is of the points that state none; the raster has its own."""
+    _, dtm, _ = heights
+    bare = write_points(tmp_path / "bare.laz", podium.points, crs=None)
+    there = CRS.from_epsg(25832)
+    bounds = Transformer.from_crs(podium.spec.crs, there, always_xy=True).transform_bounds(*podium.spec.bounds)
+    warped = align_grid(read_grid(dtm), lattice(bounds, podium.spec.cell_m, there))
+    raster = write_raster(tmp_path / "other.tif", np.where(warped.valid, warped.values, -9999), warped.spec)
+    inputs = Inputs((bare,), dtm=raster, crs=f"EPSG:{podium.points.crs.to_epsg()}")
+    cloud = read_points([bare], crs=inputs.crs)
+    other, same = (make_surface(one, cloud, msbdb.Params()) for one in (inputs, replace(inputs, dtm=dtm)))
+    difference = np.asarray(other.dtm.values) - np.asarray(same.dtm.values)
+    assert np.abs(difference[1:-1, 1:-1]).max() < 0.1
+
+
+def test_a_user_writes_where_nothing_can_be_written(tmp_path):
+    """Maps, exports, changes and dumps: no folder is made, nothing is replaced unasked, and never the database."""
+    db = tmp_path / "town.sqlite"
+    write_build(open_database(db, create=True, srid=EPSG), small_build())
+    for name, words in {
+        "town.png": ["view", db, "--out"],
+        "town.gpkg": ["export", db],
+        "changes.csv": ["changes", db, "--out"],
+        "dump.txt": ["db", "dump", db, "--out"],
+    }.items():
+        refuses(tmp_path, [*words, tmp_path / "none" / name], "none does not exist")
+        (tmp_path / name).write_text("mine")
+        refuses(tmp_path, [*words, tmp_path / name], "exists already", "--overwrite")
+        assert (tmp_path / name).read_text() == "mine"
+        result = run(*words, tmp_path / name, "--overwrite")
+        assert result.exit_code == 0, result.stderr
+        assert (tmp_path / name).read_bytes() != b"mine"
+    before = db.read_bytes()
+    refuses(tmp_path, ["db", "dump", db, "--out", db, "--overwrite"], "is the source itself")
+    assert db.read_bytes() == before

@@ -108,7 +108,7 @@ def test_lone_and_absurd_points_are_dropped_and_counted(tmp_path):
     cloud, notices = with_notices(read_points, path)
     assert len(cloud) == COUNT - 3
     assert cloud.z.max() == pytest.approx(830)
-    assert "1 points of absurd coordinates were dropped." in notices
+    assert "1 point of absurd coordinates was dropped." in notices
     assert "2 points far from all others were dropped." in notices
 
 

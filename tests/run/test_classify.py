@@ -64,7 +64,8 @@ def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch,
     def extract(cloud, heights, *, spec, survey, params, ndvi):
         seen.update(cloud=cloud, heights=heights, spec=spec, survey=survey, ndvi=ndvi)
         labels = (np.arange(len(cloud)) % 3).astype(np.int32)
-        return Candidates(method, labels, pd.DataFrame(index=range(2)), REJECTION.empty(), {}, Ledger(method).marked())
+        regions = pd.DataFrame({"xcen": [0.0, 1.0], "ycen": [0.0, 0.0]})
+        return Candidates(method, labels, regions, REJECTION.empty(), {}, Ledger(method).marked())
 
     monkeypatch.setattr(MODULES[method], f"extract_{method}", extract)
     report = msbdb.api.classify(source, tmp_path / "out.laz", extract=(method,))

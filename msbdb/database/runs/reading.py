@@ -302,7 +302,7 @@ def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  #
         return found[0]
     there = "; ".join(sorted(r.survey for r in runs)) or "none"
     asked = f"no survey '{survey}'" if survey else f"{len(runs)} surveys"
-    msg = f"The database {where} has {asked}. Name one of its surveys: {there}."
+    msg = f"The database {where} has {asked}. Name one of them by --survey: {there}."
     raise InputError(msg)
 
 

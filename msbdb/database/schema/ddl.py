@@ -12,6 +12,11 @@ from msbdb.database.schema.sqltables import METADATA, SPATIAL, VERSION_TABLE
 
 _NOTE = "Written by scripts/generate_schema; change msbdb.tables and the migrations instead."
 
+_QUERIES = (
+    "Each file runs as it is in psql and in sqlite3 with mod_spatialite; the values to edit are at its top. "
+    "`msbdb query` runs them, too."
+)
+
 _HOOKS: dict[str, tuple[Hooks, Dialect, str]] = {
     "spatialite": (spatialite, URL.create("sqlite").get_dialect()(), "SELECT InitSpatialMetaData(0, 'NONE')"),
     "postgis": (postgis, URL.create("postgresql+psycopg").get_dialect()(), "CREATE EXTENSION IF NOT EXISTS postgis"),
@@ -71,7 +76,7 @@ def dictionary() -> str:
     lines += [f"- `{view.name}`, with the geometry of `{view.base}`: {view.doc}" for view in VIEWS]
     lines += [f"- `{view.name}`, without geometry: {view.doc}" for view in TABLE_VIEWS]
     lines += ["", "On PostGIS also the function `footprint_at(date)`: the inventory as it was on a day."]
-    lines += ["", "# Example queries", "", "In `schema/queries/`; each runs on both dialects.", ""]
+    lines += ["", "# Example queries", "", f"In `schema/queries/`. {_QUERIES}", ""]
     lines += [f"- `{query.name}`: {query.title}" for query in example_queries().values()]
     return "\n".join(lines) + "\n"
 
