@@ -97,7 +97,7 @@ def fit_coverage(
     Returns
     -------
     outlines : (N,) ndarray of MultiPolygon
-        Valid, without overlaps, with every ring of the input still there.
+        Valid, without overlaps, within the lattice, with every ring of the input still there.
     fitted : (N,) ndarray of bool
         False where an arc of the outline stays traced.
 
@@ -153,7 +153,9 @@ def fit_coverage(
         vertices, offsets, off = drawn_arcs(walls, chains.places, (chains.nodes[0], chains.nodes[1], places))
         fault = (off > costs.reach + GATE) & (level < TRACED)
         if not fault.any():
-            drawn = _drawn(arcs, chains, (_world(_fine(vertices), spec), offsets), level, tolerance_px * spec.cell_m)
+            # A wall along the border of the survey must not lean over it.
+            inside = np.clip(_fine(vertices), 0, spec.shape[::-1])
+            drawn = _drawn(arcs, chains, (_world(inside, spec), offsets), level, tolerance_px * spec.cell_m)
             result = assembled(arcs, drawn)
             occurrence = _faults(arcs, drawn, result, (level < LAST)[chains.own], smallest)
             fault[chains.own[occurrence]] = True

@@ -162,6 +162,16 @@ def test_a_building_that_touches_itself_at_corners_is_one_piece():
     assert len(outline.geoms) == 1
 
 
+@pytest.mark.parametrize("angle", [1, 3, 10, 40])
+def test_a_house_that_the_border_cuts_ends_at_it(angle):
+    """Its wall there has the direction of the house, and yet it does not lean over the border."""
+    spec = lattice_of()
+    for place in ((0.6, 45.0), (45.0, 0.4), (89.7, 45.0), (45.0, 89.5)):
+        house = affinity.rotate(shapely.box(-9, -14, 9, 14), angle, origin=(0, 0))
+        outlines, _ = fitted([affinity.translate(house, WEST + place[0], NORTH - place[1])], spec)
+        assert shapely.box(*spec.bounds).covers(outlines[0])
+
+
 def test_traced_outlines_are_marked():
     """Asked for, they follow the cells within the tolerance of their simplification."""
     spec = lattice_of()
