@@ -21,6 +21,8 @@ from msbdb.database import (
     downgrade_schema,
     open_database,
     read_buildings,
+    read_fallback,
+    read_former,
     read_parts,
     upgrade_schema,
     write_build,
@@ -28,7 +30,7 @@ from msbdb.database import (
 from msbdb.database.runs.digests import digest_again
 from msbdb.database.schema.migration import head_version
 from msbdb.database.schema.sqltables import SQL
-from msbdb.errors import DatabaseError, SchemaVersionError
+from msbdb.errors import DatabaseError, InputError, SchemaVersionError
 from msbdb.tables import HEIGHTS
 
 DIGEST = "7d4072dd211b31378503f7094ebfb46acd6ae1e8e966588c20e4f667a0a0039c"
@@ -52,6 +54,20 @@ def old(target: str, tmp_path: Path) -> Engine:
     with engine.begin() as connection:
         connection.execute(text("UPDATE run SET content_sha256 = :digest"), {"digest": DIGEST})
     return engine
+
+
+def test_a_build_over_an_old_schema_knows_what_it_would_replace(old: Engine, target: str) -> None:
+    """Before the upgrade: the sources, the results of detectors, and the CRS for files that state none."""
+    build = small_build()
+    former, fallback = read_former(target, build.survey.name), read_fallback(target)
+    assert former is not None
+    assert fallback is not None
+    assert fallback.crs.to_epsg() == EPSG
+    former.require_sources(build.survey.sources)
+    former.require_place(build.survey)
+    with pytest.raises(InputError, match=f"{len(build.frames['flat_region'])} flat regions? of flatregions"):
+        former.require_methods(["multiscale"])
+    assert read_former(target, "elsewhere") is None
 
 
 def test_every_building_keeps_its_id_and_gets_its_tree(old: Engine, target: str) -> None:
