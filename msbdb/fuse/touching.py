@@ -81,8 +81,8 @@ def divide(
 
     Notes
     -----
-    The cells are cut into far too many pieces (`cut_pieces`), and pieces are joined again, the weakest border first,
-    until there is a reason for each border that is left:
+    The cells are cut into far too many pieces (`cut_pieces`). Pieces are joined again, the weakest border first, until
+    each border that is left has a reason:
 
     - *parcel*: the pieces lie in two parcels;
     - *step*, *valley* or *wall*: at least ``share`` of the border has evidence, and most of it of this kind. Beside a
@@ -90,12 +90,11 @@ def divide(
       both sides of a valley the roofs rise ``rise_m`` above the upper end of the border, which runs along one line:
       wings that meet at a ridge stay together.
 
-    A piece that shares ``enclosed_share`` or more of its outline with one other piece stands on it or in it, and is no
-    house of its own, unless they lie in two parcels. So a tower and its podium stay together.
+    A piece that shares ``enclosed_share`` or more of its outline with one other piece lies on it or in it. It is no
+    house of its own, unless the two lie in two parcels. So a tower and its podium stay together.
 
-    A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house (in a parcel, than ``parcel_m2`` and
-    ``parcel_width_m``) and is joined with the neighbour behind
-    its weakest border. Its width is that of a rectangle with its second moments: √12 times the smaller standard
+    A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house; in a parcel, the limits are
+    ``parcel_m2`` and ``parcel_width_m``. It is joined with the neighbour behind its weakest border. Its width is that of a rectangle with its second moments: √12 times the smaller standard
     deviation of its cells.
 
     Parcels: a sliver may cross the line of a parcel where the evidence is on another line. So a house keeps its wall

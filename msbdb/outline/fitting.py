@@ -111,9 +111,10 @@ def fit_coverage(
        free wall. A wall is the mean place of its run (`msbdb.outline.runs`).
     3. Walls that go on beyond a node become one, and nodes move to where their walls meet
        (`msbdb.outline.corners`). An arc is drawn from node to node by the corners of its walls.
-    4. An arc is at fault when an edge of its cells is off by more than the reach and `GATE`, when it crosses itself or
-       another one, or when its ring shrinks below the least area. It is divided anew at lower costs and a shorter
-       reach, and at last stays traced: simplified by Douglas-Peucker, with its nodes where they are.
+    4. An arc is at fault when an edge of its cells is off by more than the reach and `GATE`. It is also at fault when
+       it crosses itself or another one, or when its ring shrinks below the least area. It is divided anew at lower
+       costs and a shorter reach. At last it stays traced: simplified by Douglas-Peucker, with its nodes where they
+       are.
 
     What lies elsewhere has no effect on a touching group, nor has its place on the lattice: corners lie on a lattice of
     1/1024 cell.
