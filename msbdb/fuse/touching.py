@@ -94,8 +94,8 @@ def divide(
     house of its own, unless the two lie in two parcels. So a tower and its podium stay together.
 
     A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house; in a parcel, the limits are
-    ``parcel_m2`` and ``parcel_width_m``. It is joined with the neighbour behind its weakest border. Its width is that of a rectangle with its second moments: √12 times the smaller standard
-    deviation of its cells.
+    ``parcel_m2`` and ``parcel_width_m``. It is joined with the neighbour behind its weakest border. Its width is
+    that of a rectangle with its second moments: √12 times the smaller standard deviation of its cells.
 
     Parcels: a sliver may cross the line of a parcel where the evidence is on another line. So a house keeps its wall
     where parcels are shifted by less than ``parcel_width_m``. Strips outside of all parcels, narrower than ``width_m``,
