@@ -11,13 +11,14 @@ INCOMPLETE = 1
 """Exit code where something that msbdb needs is missing."""
 
 
-@command("doctor", examples=("msbdb doctor", "msbdb doctor --db town.sqlite --json"))
+@command("doctor", examples=("msbdb doctor", "msbdb doctor --json"))
 @click.option("--db", metavar="FILE|URL", help="A database to look at too: its server, PostGIS and schema.")
 @shared("json")
 def doctor(*, db: str | None, as_json: bool) -> None:
     """List what is installed, with versions, and what to do about what is missing.
 
-    Nothing is changed. The exit code is 1 when something that msbdb needs is missing.
+    With --db the server, PostGIS and the schema of a database are looked at too. Nothing is changed. The exit code is
+    1 when something that msbdb needs is missing.
     """
     from dataclasses import asdict
 

@@ -228,7 +228,7 @@ def test_ctrl_c_in_an_output_leaves_nothing(killer, tile, starts, tmp_path, comm
     db = Path(shutil.copy(starts[OLD][0], tmp_path / "town.sqlite"))
     out = tmp_path / ("town.gpkg" if command == "export" else "town.png")
     out.write_text("the former file")
-    args = ["export", db, out, "--overwrite"] if command == "export" else ["view", db, "--out", out]
+    args = ["export", db, out, "--overwrite"] if command == "export" else ["view", db, "--out", out, "--overwrite"]
     places = {"export": "msbdb.io.layers:_replace", "view": "msbdb.io.files:_flush"}
     code, told = killer.run(*args, place=places[command], nth=1, signal=signal.SIGINT)
     assert (code, told.strip()) == (130, TOLD)
