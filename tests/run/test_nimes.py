@@ -1,6 +1,6 @@
 """The real tile of Nîmes from the point file to the database, against numbers that were looked at.
 
-``MSBDB_REGEN=1 pytest tests/pipeline/test_nimes.py`` writes tests/golden/nimes.json anew. A difference in it is a
+``MSBDB_REGEN=1 pytest tests/run/test_nimes.py`` writes tests/golden/nimes.json anew. A difference in it is a
 change of results: look at the map before, and tell users in CHANGELOG.md.
 """
 
