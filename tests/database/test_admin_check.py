@@ -574,6 +574,19 @@ def test_boxes_are_compared_in_batches(
         assert connection.scalar(text("SELECT count(*) FROM part")) in rows
 
 
+def test_a_box_without_the_last_digit_is_sound(request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    """SpatiaLite writes 120872.99999999999 into its index as 120873."""
+    engine = file_of(request, tmp_path)
+    west, east = np.nextafter((120873.0, 120885.0), 0).tolist()
+    shape = f"SetSRID(MultiPolygonFromText('MULTIPOLYGON((({{}})))'), {EPSG})"
+    ring = ", ".join(f"{x!r} {y}" for x, y in ((west, 0), (east, 0), (east, 9), (west, 9), (west, 0)))
+    with engine.begin() as connection:
+        connection.execute(text(f"UPDATE part SET geometry = {shape.format(ring)} WHERE part_id = {HOUSE}"))
+        box = f"SELECT xmin, xmax FROM idx_part_geometry WHERE pkid = {HOUSE}"
+        assert connection.execute(text(box)).one() == (120873.0, 120885.0)
+        assert not list(CHECKS["spatial index"](connection))
+
+
 def test_findings_are_sorted_and_name_their_check(sound: Engine) -> None:
     """The same damage is told in the same order."""
     plant(sound, CORRUPTIONS[0])

@@ -198,6 +198,10 @@ def _spatialite_index(connection: Connection, table: Table) -> Iterator[Finding]
         yield Finding("spatial index", table.name, keyed(table, [number]), "the index has a box without a row", "none")
 
 
+WRITTEN_M = 1e-6
+"""SpatiaLite hands a box to its index in 16 digits: the last one of a coordinate such as 120872.99999999999 is lost."""
+
+
 def _holds(own: NDArray[np.float64], entry: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return (N,) which index entries are the boxes of their geometries, up to single precision.
 
@@ -205,7 +209,8 @@ def _holds(own: NDArray[np.float64], entry: NDArray[np.float64]) -> NDArray[np.b
     """
     slack = 4 * np.spacing(np.abs(own).astype(np.float32)).astype(np.float64)
     outwards = np.array([[-1.0], [1.0], [-1.0], [1.0]]) * (entry - own)
-    right: NDArray[np.bool_] = np.all((outwards >= 0) & (outwards <= slack), axis=0) | np.isnan(own).any(axis=0)
+    contained = (outwards >= -WRITTEN_M) & (outwards <= slack)
+    right: NDArray[np.bool_] = np.all(contained, axis=0) | np.isnan(own).any(axis=0)
     return right
 
 
