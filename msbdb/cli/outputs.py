@@ -212,8 +212,8 @@ def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
 
     The ending of OUT decides the format. A GeoPackage (.gpkg) has the layers footprint, part, flat_region and
     candidate_region. A Shapefile (.shp) has the parts, under the paper's names of at most ten characters. GeoJSON
-    (.geojson) has the parts in longitude and latitude. Outlines are edges of roofs, not walls at the ground; a
-    GeoPackage and GeoJSON files state this in their description.
+    (.geojson) has the parts in longitude and latitude. Outlines are edges of roofs, not walls at the ground; GeoPackage
+    and GeoJSON files state this in their description.
 
     Without --survey, the footprints are those of the current inventory, with their parts. Without an inventory all
     surveys are written, the newest first, with the survey of each row. An empty database gives an empty file.

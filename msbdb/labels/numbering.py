@@ -108,7 +108,7 @@ def boxes(labels: Labels) -> dict[int, Box]:
 
 
 def widened(window: Box, margin: int) -> Box:
-    """Return a window with so many cells more on each side; beyond the lattice there are none.
+    """Return a window with so many cells more on each side, within the lattice.
 
     Examples
     --------

@@ -41,7 +41,7 @@ ATTEMPTS = 5
 def require_replaceable(
     db: str | Path, name: str, inputs: Inputs, methods: Sequence[str], *, replace: bool
 ) -> Former | None:
-    """Return the run that a build will replace, None where there is none; check before the work that it may.
+    """Return the run that a build will replace, None for a new survey; check before the work that it may.
 
     Raises
     ------

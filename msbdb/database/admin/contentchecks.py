@@ -96,7 +96,7 @@ def _rejections(connection: Connection) -> dict[int, dict[tuple[str, str], int]]
 
 
 def _rows_and_counts(connection: Connection) -> Iterator[Finding]:
-    """Yield kinds of dropped regions of which the ledger has more or fewer rows than it counts, without the small."""
+    """Yield kinds of dropped regions whose rows in the ledger are more or fewer than it counts, without the small."""
     row, count = REJECTION.c, REJECTION_COUNT.c
     there = select(row.run_id, row.method, row.stage, row.reason, func.count())
     rows = {tuple(key): number for *key, number in connection.execute(there.group_by(*there.selected_columns[:4]))}

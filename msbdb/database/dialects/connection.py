@@ -164,3 +164,16 @@ def opened(db: str | PathLike[str] | URL) -> Iterator[Engine]:
         yield engine
     finally:
         engine.dispose()
+
+
+@contextmanager
+def connected(target: str | PathLike[str] | URL) -> Iterator[Connection | None]:
+    """Connect to a database of any schema; None where the database is missing."""
+    url = database_url(target)
+    dialect = dialect_of(url)
+    with guarded(url):
+        if not dialect.exists(url, TIMEOUT_S):
+            yield None
+            return
+        with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
+            yield connection

@@ -25,8 +25,8 @@ from sqlalchemy import (
     union,
 )
 
-from msbdb.database.dialects.connection import TIMEOUT_S, snapshot
-from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
+from msbdb.database.dialects.connection import connected, snapshot
+from msbdb.database.dialects.dialect import dialect_of, guarded, shown
 from msbdb.database.runs.digests import COLUMN
 from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.sqlfiles import footprint_at_query
@@ -273,14 +273,11 @@ def read_fallback(target: str | PathLike[str] | URL) -> "Fallback | None":
     """Return the CRS of a database of any schema, for files that state none; None where there is no database."""
     from msbdb.io.crs import Fallback
 
-    url = database_url(target)
-    dialect = dialect_of(url)
-    with guarded(url):
-        if not dialect.exists(url, TIMEOUT_S):
+    with connected(target) as connection:
+        if connection is None:
             return None
-        with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
-            require_version(connection, shown(url))
-            return Fallback(database_crs(connection), "the database")
+        require_version(connection, shown(connection.engine.url))
+        return Fallback(database_crs(connection), "the database")
 
 
 def database_crs(connection: Connection) -> "CRS":

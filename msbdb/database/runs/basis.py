@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import URL, Connection, Engine, func, select
 
-from msbdb.database.dialects.connection import TIMEOUT_S
-from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
+from msbdb.database.dialects.connection import connected
+from msbdb.database.dialects.dialect import guarded, shown
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import InputError
 from msbdb.identity import text_id, to_json
@@ -41,6 +41,9 @@ SURVEY = SQL["survey"]
 COLUMNS = ("speindex", "label", "labelled_by", "source", "cells", "ndvi", "brightness", "roughness_m")
 """Columns that identify a class over several builds; every schema has them."""
 
+MOST = 5
+"""Names that a sentence lists."""
+
 
 def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> "pd.DataFrame":
     """Return the classes of a survey that an operator has labelled, from a database of any schema.
@@ -59,13 +62,8 @@ def read_labelled_classes(target: str | PathLike[str] | URL, survey: str) -> "pd
     """
     import pandas as pd
 
-    url = database_url(target)
-    dialect = dialect_of(url)
-    with guarded(url):
-        if dialect.exists(url, TIMEOUT_S):
-            with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
-                return labelled_classes(connection, survey)
-    return pd.DataFrame([], columns=list(COLUMNS))
+    with connected(target) as connection:
+        return pd.DataFrame([], columns=list(COLUMNS)) if connection is None else labelled_classes(connection, survey)
 
 
 def labelled_classes(connection: Connection, survey: str) -> "pd.DataFrame":
@@ -82,10 +80,6 @@ def labelled_classes(connection: Connection, survey: str) -> "pd.DataFrame":
     rows = [tuple(row) for row in connection.execute(query)]
     found = pd.DataFrame(rows, columns=list(COLUMNS))
     return found[found["labelled_by"] == "operator"].reset_index(drop=True)
-
-
-MOST = 5
-"""Names that a sentence lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,13 +172,8 @@ class Former:
 
 def read_former(target: str | PathLike[str] | URL, survey: str) -> Former | None:
     """Return what a database of any schema has of a survey; None where it has nothing."""
-    url = database_url(target)
-    dialect = dialect_of(url)
-    with guarded(url):
-        if not dialect.exists(url, TIMEOUT_S):
-            return None
-        with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
-            return _former(connection, survey)
+    with connected(target) as connection:
+        return None if connection is None else _former(connection, survey)
 
 
 def _former(connection: Connection, survey: str) -> Former | None:

@@ -216,7 +216,7 @@ def find_example(name: str) -> ExampleQuery:
     Raises
     ------
     ParameterError
-        With similar names, where there is none of this name.
+        For an unknown name, with similar ones.
     """
     names = sql_names("queries")
     if name in names:
