@@ -1,5 +1,6 @@
 """Layers and changes as files for other programs."""
 
-from msbdb.export.formats import FORMATS, export
+from msbdb.export.content import WHATS, Content
+from msbdb.export.formats import FORMATS, Format, check_options, export, find_format
 
-__all__ = ["FORMATS", "export"]
+__all__ = ["FORMATS", "WHATS", "Content", "Format", "check_options", "export", "find_format"]

@@ -59,6 +59,17 @@ class Layer:
         columns = {str(name): _column(frame[name]) for name in frame.columns if name != frame.geometry.name}
         return cls(columns, frame.geometry.to_numpy(), "" if frame.crs is None else crs_text(frame.crs))
 
+    def frame(self) -> "gpd.GeoDataFrame":
+        """Return the rows as a frame; masked whole numbers become ``Int64``."""
+        import geopandas as gpd
+        import pandas as pd
+
+        columns = {
+            name: pd.array(values.tolist(), dtype="Int64") if isinstance(values, np.ma.MaskedArray) else values
+            for name, values in self.columns.items()
+        }
+        return gpd.GeoDataFrame(columns, geometry=self.geometry, crs=self.crs)
+
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.geometry)

@@ -31,7 +31,7 @@ from msbdb.database import (
 )
 from msbdb.database.history.periods import read_period
 from msbdb.errors import DatabaseError, InputError, ParameterError, SchemaVersionError
-from msbdb.export.formats import CHANGE_FORMATS, write_changes
+from msbdb.export.changes import CHANGE_FORMATS, write_changes
 from msbdb.grid import Grid, lattice
 from msbdb.io.files import PICTURES, require_output
 from msbdb.io.vector import read_point_features, read_polygons

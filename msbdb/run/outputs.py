@@ -232,15 +232,17 @@ def _relief(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") -> "G
 
 def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
     """Write parts and footprints; see `msbdb.api.export`."""
-    from msbdb.export import export
-    from msbdb.export.formats import FORMATS
+    from msbdb.export import Content, export, find_format
     from msbdb.io.files import require_output
 
-    require_output(out, overwrite=overwrite, endings=tuple(FORMATS), sources=[db])
+    chosen = find_format(out)
+    require_output(out, overwrite=overwrite, sources=[db])
     with opened(db) as engine:
         choice = choose(engine, survey)
         layers = _survey_layers(engine, survey) if choice.is_one else _layers(engine, choice, out)
-    export(layers, out, overwrite=overwrite)
+        surveys = tuple(read_survey(engine, name) for name in choice.surveys)
+    content = Content("current" if choice.present else "survey", layers, surveys)
+    export(content.only("part") if chosen.single else content, out, overwrite=overwrite)
 
 
 def _layers(engine: Engine, choice: Choice, out: Path) -> "dict[str, Layer]":

@@ -182,7 +182,7 @@ def test_sql_of_the_docs_runs(page, tmp_path):
 
 def test_paper_names_of_the_glossary_are_those_of_the_export():
     """The glossary's columns and paper names are the ones that the Shapefile has."""
-    from msbdb.export.formats import FIELDS
+    from msbdb.export.shapefile import FIELDS
 
     text = read("docs/glossary.md")
     for column, name in FIELDS.items():

@@ -16,8 +16,9 @@ from pyproj import CRS
 
 from msbdb import tables
 from msbdb.errors import CRSError, FileError, InputError
-from msbdb.export import export as export_layers
-from msbdb.export.formats import ROOF_EDGES
+from msbdb.export import Content
+from msbdb.export import export as export_content
+from msbdb.export.geopackage import ROOF_EDGES
 from msbdb.io.layers import Layer, write_layers
 
 BIG = 2**59 - 1  # more than a float holds exactly
@@ -57,7 +58,8 @@ def scene():
 
 def export(frames, path, **options):
     """Export frames as the layers that they are."""
-    export_layers({name: Layer.of(frame) for name, frame in frames.items()}, path, **options)
+    content = Content("survey", {name: Layer.of(frame) for name, frame in frames.items()})
+    export_content(content if path.suffix == ".gpkg" else content.only("part"), path, **options)
 
 
 def ogrinfo(path, *layers):
@@ -192,7 +194,7 @@ def test_a_lone_sidecar_is_refused(scene, tmp_path):
 def test_unknown_suffixes_and_unwritable_places_are_errors(scene, tmp_path):
     """The message names the endings, or the path."""
     with pytest.raises(InputError, match=r"\.gpkg, \.shp, \.geojson"):
-        export(scene, tmp_path / "town.kml")
+        export(scene, tmp_path / "town.pdf")
     with pytest.raises(FileError, match=r"missing.town\.gpkg cannot be written: No such file"):
         export(scene, tmp_path / "missing" / "town.gpkg")
 
