@@ -1401,25 +1401,493 @@ COMMENT ON COLUMN part_flat_region.region_share IS 'share of the region''s area 
 
 COMMENT ON VIEW footprint IS 'The footprints: a row for each building, with its state, its probability, its heights and its outline of roof edges. Levels z_ are in the survey''s vertical reference; eaves and ridge are above z_ground.';
 
+COMMENT ON COLUMN footprint.building_id IS 'stable id of the building: the ID of its largest root';
+
+COMMENT ON COLUMN footprint.survey IS 'name of the survey';
+
+COMMENT ON COLUMN footprint.state IS 'confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors';
+
+COMMENT ON COLUMN footprint.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
+
+COMMENT ON COLUMN footprint.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+
+COMMENT ON COLUMN footprint.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
+
+COMMENT ON COLUMN footprint.storeys_max IS 'most storeys that the eaves can have, if storeys are low [storeys]';
+
+COMMENT ON COLUMN footprint.storeys_top IS 'storeys of the highest eaves of its roofs of weight, as of a tower on a podium [storeys]';
+
+COMMENT ON COLUMN footprint.z_ground IS 'median level of the ground around it, in the survey''s vertical reference; null where not known [m]';
+
+COMMENT ON COLUMN footprint.eaves IS 'z_eaves above z_ground [m]';
+
+COMMENT ON COLUMN footprint.ridge IS 'z_ridge above z_ground [m]';
+
+COMMENT ON COLUMN footprint.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+
+COMMENT ON COLUMN footprint.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
+
+COMMENT ON COLUMN footprint.speindex IS 'the spectral class of its largest root; 0 for none';
+
+COMMENT ON COLUMN footprint.area_m2 IS 'area of the footprint''s cells [m2]';
+
+COMMENT ON COLUMN footprint.h_max IS 'largest height above ground [m]';
+
+COMMENT ON COLUMN footprint.h_mean IS 'mean height above ground [m]';
+
+COMMENT ON COLUMN footprint.h_p50 IS 'median height above ground [m]';
+
+COMMENT ON COLUMN footprint.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN footprint.trees IS 'number of its trees of parts; one root each [count]';
+
+COMMENT ON COLUMN footprint.parts IS 'number of parts, the roots included [count]';
+
+COMMENT ON COLUMN footprint.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall; several with commas; empty for none';
+
+COMMENT ON COLUMN footprint.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
+
+COMMENT ON COLUMN footprint.xin IS 'easting of a point that lies on the building [m]';
+
+COMMENT ON COLUMN footprint.yin IS 'northing of a point that lies on the building [m]';
+
+COMMENT ON COLUMN footprint.geometry IS 'outline of the roof''s edges, in the database''s CRS';
+
 COMMENT ON VIEW part_tree IS 'The parts as trees: the depth below the root, and the path of ids from the root down.';
+
+COMMENT ON COLUMN part_tree.part_id IS 'ID: from survey, scale and absolute lattice position; above 0';
+
+COMMENT ON COLUMN part_tree.survey IS 'name of the survey';
+
+COMMENT ON COLUMN part_tree.building_id IS 'the building in which its tree stands';
+
+COMMENT ON COLUMN part_tree.root_id IS 'ID of the root of its tree';
+
+COMMENT ON COLUMN part_tree.supid IS 'SUPID: the father''s ID; 0 for a root';
+
+COMMENT ON COLUMN part_tree.supscale IS 'SUPSCALE: the father''s scale; 0 for a root';
+
+COMMENT ON COLUMN part_tree.scale IS 'SCALE: the scale on which the part exists, 1 = coarsest';
+
+COMMENT ON COLUMN part_tree.depth IS 'number of fathers above the part; 0 for a root';
+
+COMMENT ON COLUMN part_tree.path IS 'ids from the root down to the part, with / between them';
+
+COMMENT ON COLUMN part_tree.hindex IS 'H: storeys from h_p90, or with surface.storeys_from=zone the same as hzone (V18, V30) [storeys]';
+
+COMMENT ON COLUMN part_tree.speindex IS 'SPE: the most frequent spectral class inside; 0 for none';
+
+COMMENT ON COLUMN part_tree.area_m2 IS 'AREA: area of the cells [m2]';
+
+COMMENT ON COLUMN part_tree.stddis IS 'STDDIS: std of the children''s distances to the centre; null without children [m]';
+
+COMMENT ON COLUMN part_tree.h_max IS 'largest height above ground inside [m]';
+
+COMMENT ON COLUMN part_tree.h_p90 IS '90th percentile of the height above ground inside [m]';
+
+COMMENT ON COLUMN part_tree.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
+
+COMMENT ON COLUMN part_tree.geometry IS 'outline of the roof''s edges, in the database''s CRS';
 
 COMMENT ON VIEW building_summary IS 'One row for each building, for maps and tables: place, storeys, heights, volume, class, and how well it was seen. Levels z_ are in the vertical reference of the survey, vertical_crs where it is known. floor_area_m2 is an estimate: where a run of an older msbdb has none, each part counts its area once for every storey by which it rises above its father.';
 
+COMMENT ON COLUMN building_summary.building_id IS 'stable id of the building: the ID of its largest root';
+
+COMMENT ON COLUMN building_summary.survey IS 'name of the survey';
+
+COMMENT ON COLUMN building_summary.survey_date IS 'day of the survey, ISO 8601; empty where unknown';
+
+COMMENT ON COLUMN building_summary.state IS 'confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors';
+
+COMMENT ON COLUMN building_summary.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
+
+COMMENT ON COLUMN building_summary.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+
+COMMENT ON COLUMN building_summary.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
+
+COMMENT ON COLUMN building_summary.storeys_max IS 'most storeys that the eaves can have, if storeys are low [storeys]';
+
+COMMENT ON COLUMN building_summary.storeys_top IS 'storeys of the highest eaves of its roofs of weight, as of a tower on a podium [storeys]';
+
+COMMENT ON COLUMN building_summary.z_ground IS 'median level of the ground around it, in the survey''s vertical reference; null where not known [m]';
+
+COMMENT ON COLUMN building_summary.z_ground_min IS 'lowest level of the ground around it, but for a twentieth [m]';
+
+COMMENT ON COLUMN building_summary.z_ground_max IS 'highest level of the ground around it, but for a twentieth [m]';
+
+COMMENT ON COLUMN building_summary.eaves IS 'z_eaves above z_ground [m]';
+
+COMMENT ON COLUMN building_summary.ridge IS 'z_ridge above z_ground [m]';
+
+COMMENT ON COLUMN building_summary.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+
+COMMENT ON COLUMN building_summary.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
+
+COMMENT ON COLUMN building_summary.vertical_crs IS 'the vertical CRS; empty where unknown';
+
+COMMENT ON COLUMN building_summary.coverage IS 'share of the footprint''s cells with a measured height [1]';
+
+COMMENT ON COLUMN building_summary.nodata_share IS 'share of the footprint and the ring around it that has no height, as at water and at the survey''s border [1]';
+
+COMMENT ON COLUMN building_summary.density IS 'first echoes a square metre in it; null for rasters [1/m2]';
+
+COMMENT ON COLUMN building_summary.multiscale_share IS 'share of the footprint that regions of multiscale cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_summary.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_summary.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_summary.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_summary.h_max IS 'largest height above ground [m]';
+
+COMMENT ON COLUMN building_summary.h_mean IS 'mean height above ground [m]';
+
+COMMENT ON COLUMN building_summary.h_p50 IS 'median height above ground [m]';
+
+COMMENT ON COLUMN building_summary.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN building_summary.area_m2 IS 'area of the footprint''s cells [m2]';
+
+COMMENT ON COLUMN building_summary.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
+
+COMMENT ON COLUMN building_summary.floor_area_m2 IS 'estimate of the area of all storeys, by the eaves of each roof; null in runs of an older msbdb [m2]';
+
+COMMENT ON COLUMN building_summary.trees IS 'number of its trees of parts; one root each [count]';
+
+COMMENT ON COLUMN building_summary.parts IS 'number of parts, the roots included [count]';
+
+COMMENT ON COLUMN building_summary.scales IS 'number of scales on which it has parts [count]';
+
+COMMENT ON COLUMN building_summary.speindex IS 'the spectral class of its largest root; 0 for none';
+
+COMMENT ON COLUMN building_summary.class_label IS 'building, vegetation, shadow, water or other';
+
+COMMENT ON COLUMN building_summary.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall; several with commas; empty for none';
+
+COMMENT ON COLUMN building_summary.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
+
+COMMENT ON COLUMN building_summary.xcen IS 'easting of the centroid of its cells [m]';
+
+COMMENT ON COLUMN building_summary.ycen IS 'northing of the centroid of its cells [m]';
+
+COMMENT ON COLUMN building_summary.xin IS 'easting of a point that lies on the building [m]';
+
+COMMENT ON COLUMN building_summary.yin IS 'northing of a point that lies on the building [m]';
+
+COMMENT ON COLUMN building_summary.geometry IS 'outline of the roof''s edges, in the database''s CRS';
+
 COMMENT ON VIEW part_evidence IS 'The parts with evidence from other detectors: the share that flat regions, candidates of area3d and candidates of adaptive cover, and the number of these regions; null for a detector that was not run.';
+
+COMMENT ON COLUMN part_evidence.part_id IS 'ID: from survey, scale and absolute lattice position; above 0';
+
+COMMENT ON COLUMN part_evidence.survey IS 'name of the survey';
+
+COMMENT ON COLUMN part_evidence.building_id IS 'the building in which its tree stands';
+
+COMMENT ON COLUMN part_evidence.root_id IS 'ID of the root of its tree';
+
+COMMENT ON COLUMN part_evidence.supid IS 'SUPID: the father''s ID; 0 for a root';
+
+COMMENT ON COLUMN part_evidence.scale IS 'SCALE: the scale on which the part exists, 1 = coarsest';
+
+COMMENT ON COLUMN part_evidence.hindex IS 'H: storeys from h_p90, or with surface.storeys_from=zone the same as hzone (V18, V30) [storeys]';
+
+COMMENT ON COLUMN part_evidence.area_m2 IS 'AREA: area of the cells [m2]';
+
+COMMENT ON COLUMN part_evidence.building_share IS 'share of its cells whose class is a building class [1]';
+
+COMMENT ON COLUMN part_evidence.flat_share IS 'share of the part that regions of flatregions cover; null when it was not run [1]';
+
+COMMENT ON COLUMN part_evidence.flat_regions IS 'number of regions of flatregions that share cells with the part; null when it was not run [count]';
+
+COMMENT ON COLUMN part_evidence.area3d_share IS 'share of the part that regions of area3d cover; null when it was not run [1]';
+
+COMMENT ON COLUMN part_evidence.area3d_regions IS 'number of regions of area3d that share cells with the part; null when it was not run [count]';
+
+COMMENT ON COLUMN part_evidence.adaptive_share IS 'share of the part that regions of adaptive cover; null when it was not run [1]';
+
+COMMENT ON COLUMN part_evidence.adaptive_regions IS 'number of regions of adaptive that share cells with the part; null when it was not run [count]';
+
+COMMENT ON COLUMN part_evidence.geometry IS 'outline of the roof''s edges, in the database''s CRS';
 
 COMMENT ON VIEW unexplained_flat_region IS 'The flat regions that no part explains: root parts cover less than 0.5 of them; explained_share is that share.';
 
+COMMENT ON COLUMN unexplained_flat_region.region_id IS 'id of the flat region, from survey and absolute lattice position; above 0';
+
+COMMENT ON COLUMN unexplained_flat_region.survey IS 'name of the survey';
+
+COMMENT ON COLUMN unexplained_flat_region.zone IS 'i: attribute-zone of most of its cells; 0 where none has one (Mongus et al. 2013, Eq. 2)';
+
+COMMENT ON COLUMN unexplained_flat_region.lambda_low_m2 IS 'λ_{i-1}: lower threshold of the zone [m2]';
+
+COMMENT ON COLUMN unexplained_flat_region.lambda_m2 IS 'λ_i: upper threshold of the zone [m2]';
+
+COMMENT ON COLUMN unexplained_flat_region.gradient_sum IS 'Λ: sum of second-order gradients times cell area (Eq. 11) [m3]';
+
+COMMENT ON COLUMN unexplained_flat_region.mean_gradient IS 'mean second-order gradient of its cells, as summed [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.area_m2 IS 'area of its cells [m2]';
+
+COMMENT ON COLUMN unexplained_flat_region.perimeter_m IS 'P: corrected length of its outlines, holes included [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.compactness IS 'Ψ'' = P²/(4πA), 1 for a disc, larger for longer shapes (Eq. 15) [1]';
+
+COMMENT ON COLUMN unexplained_flat_region.h_max IS 'largest height above ground inside [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.h_mean IS 'mean height above ground inside [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.h_p50 IS 'median height above ground inside [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.h_p90 IS '90th percentile of the height above ground inside [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.h_std IS 'standard deviation of the heights inside [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.xcen IS 'easting of the centroid of its cells [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.ycen IS 'northing of the centroid of its cells [m]';
+
+COMMENT ON COLUMN unexplained_flat_region.explained_share IS 'share of the region that root parts cover; null when multiscale was not run [1]';
+
+COMMENT ON COLUMN unexplained_flat_region.geometry IS 'outline of the roof''s edges, in the database''s CRS';
+
 COMMENT ON VIEW candidate_evidence IS 'The candidate regions with evidence from other detectors: explained_share is the share that root parts cover, flat_share the share that flat regions cover; null for a detector that was not run.';
+
+COMMENT ON COLUMN candidate_evidence.candidate_id IS 'id of the region, from survey, method and absolute lattice position';
+
+COMMENT ON COLUMN candidate_evidence.survey IS 'name of the survey';
+
+COMMENT ON COLUMN candidate_evidence.method IS 'area3d (Cao & Wu) or adaptive (Bathurst slides)';
+
+COMMENT ON COLUMN candidate_evidence.rule IS 'the rule that accepted it: rule 1 or rule 2 (C18); clustering (S6)';
+
+COMMENT ON COLUMN candidate_evidence.height_scale_m IS 'h_j: lowest height above ground at which it was accepted (C14); null for the adaptive filter [m]';
+
+COMMENT ON COLUMN candidate_evidence.points IS 'number of its points (C3) [count]';
+
+COMMENT ON COLUMN candidate_evidence.area_m2 IS 'its points'' area: number over local density (A17) [m2]';
+
+COMMENT ON COLUMN candidate_evidence.rectangularity IS 'area over the area of the bounding rectangle (C17) [1]';
+
+COMMENT ON COLUMN candidate_evidence.compactness IS 'points over edge points (C17); null where edges were not computed [1]';
+
+COMMENT ON COLUMN candidate_evidence.linearity IS 'mean L(u) over its edge points (C11, C12); null where edges were not computed [1]';
+
+COMMENT ON COLUMN candidate_evidence.ndvi IS 'mean NDVI of its points; null without colours [1]';
+
+COMMENT ON COLUMN candidate_evidence.h_p50 IS 'median height above ground of its points [m]';
+
+COMMENT ON COLUMN candidate_evidence.h_p90 IS '90th percentile of the height above ground of its points [m]';
+
+COMMENT ON COLUMN candidate_evidence.h_std IS 'standard deviation of the heights of its points [m]';
+
+COMMENT ON COLUMN candidate_evidence.xcen IS 'easting of the centroid of its points [m]';
+
+COMMENT ON COLUMN candidate_evidence.ycen IS 'northing of the centroid of its points [m]';
+
+COMMENT ON COLUMN candidate_evidence.explained_share IS 'share of the region that root parts cover; null when multiscale was not run [1]';
+
+COMMENT ON COLUMN candidate_evidence.flat_share IS 'share of the region that flat regions cover; null when they were not looked for [1]';
+
+COMMENT ON COLUMN candidate_evidence.geometry IS 'outline of the roof''s edges, in the database''s CRS';
 
 COMMENT ON VIEW unexplained_candidate IS 'The candidate regions that no part explains: root parts cover less than 0.5 of them; explained_share is the share that they cover.';
 
+COMMENT ON COLUMN unexplained_candidate.candidate_id IS 'id of the region, from survey, method and absolute lattice position';
+
+COMMENT ON COLUMN unexplained_candidate.survey IS 'name of the survey';
+
+COMMENT ON COLUMN unexplained_candidate.method IS 'area3d (Cao & Wu) or adaptive (Bathurst slides)';
+
+COMMENT ON COLUMN unexplained_candidate.rule IS 'the rule that accepted it: rule 1 or rule 2 (C18); clustering (S6)';
+
+COMMENT ON COLUMN unexplained_candidate.height_scale_m IS 'h_j: lowest height above ground at which it was accepted (C14); null for the adaptive filter [m]';
+
+COMMENT ON COLUMN unexplained_candidate.points IS 'number of its points (C3) [count]';
+
+COMMENT ON COLUMN unexplained_candidate.area_m2 IS 'its points'' area: number over local density (A17) [m2]';
+
+COMMENT ON COLUMN unexplained_candidate.rectangularity IS 'area over the area of the bounding rectangle (C17) [1]';
+
+COMMENT ON COLUMN unexplained_candidate.compactness IS 'points over edge points (C17); null where edges were not computed [1]';
+
+COMMENT ON COLUMN unexplained_candidate.linearity IS 'mean L(u) over its edge points (C11, C12); null where edges were not computed [1]';
+
+COMMENT ON COLUMN unexplained_candidate.ndvi IS 'mean NDVI of its points; null without colours [1]';
+
+COMMENT ON COLUMN unexplained_candidate.h_max IS 'largest height above ground of its points [m]';
+
+COMMENT ON COLUMN unexplained_candidate.h_mean IS 'mean height above ground of its points [m]';
+
+COMMENT ON COLUMN unexplained_candidate.h_p50 IS 'median height above ground of its points [m]';
+
+COMMENT ON COLUMN unexplained_candidate.h_p90 IS '90th percentile of the height above ground of its points [m]';
+
+COMMENT ON COLUMN unexplained_candidate.h_std IS 'standard deviation of the heights of its points [m]';
+
+COMMENT ON COLUMN unexplained_candidate.xcen IS 'easting of the centroid of its points [m]';
+
+COMMENT ON COLUMN unexplained_candidate.ycen IS 'northing of the centroid of its points [m]';
+
+COMMENT ON COLUMN unexplained_candidate.explained_share IS 'share of the region that root parts cover; null when multiscale was not run [1]';
+
+COMMENT ON COLUMN unexplained_candidate.geometry IS 'outline of the roof''s edges, in the database''s CRS';
+
 COMMENT ON VIEW building_evidence IS 'The buildings with their evidence: whether the classes confirm each (1 or 0), how many other detectors were run, and how many of these confirm it by covering at least 0.1 of it.';
+
+COMMENT ON COLUMN building_evidence.building_id IS 'stable id of the building: the ID of its largest root';
+
+COMMENT ON COLUMN building_evidence.survey IS 'name of the survey';
+
+COMMENT ON COLUMN building_evidence.state IS 'confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors';
+
+COMMENT ON COLUMN building_evidence.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
+
+COMMENT ON COLUMN building_evidence.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+
+COMMENT ON COLUMN building_evidence.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN building_evidence.area_m2 IS 'area of the footprint''s cells [m2]';
+
+COMMENT ON COLUMN building_evidence.building_share IS 'share of its cells whose class is a building class [1]';
+
+COMMENT ON COLUMN building_evidence.multiscale_share IS 'share of the footprint that regions of multiscale cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_evidence.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_evidence.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_evidence.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN building_evidence.classes_for IS '1 where the classes of land cover confirm it, else 0 [count]';
+
+COMMENT ON COLUMN building_evidence.extractors_heard IS 'number of the other detectors that were run [count]';
+
+COMMENT ON COLUMN building_evidence.extractors_for IS 'number of these that confirm it [count]';
+
+COMMENT ON COLUMN building_evidence.geometry IS 'outline of the roof''s edges, in the database''s CRS';
 
 COMMENT ON VIEW footprint_current IS 'The present inventory: the current version of each building. An operator''s decision has priority over the detected state (found_state).';
 
+COMMENT ON COLUMN footprint_current.version_id IS 'from the building and the survey or import that made it';
+
+COMMENT ON COLUMN footprint_current.uid IS 'the building';
+
+COMMENT ON COLUMN footprint_current.valid_from IS 'first day on which it is valid, ISO 8601';
+
+COMMENT ON COLUMN footprint_current.valid_to IS 'first day on which it is no longer valid, ISO 8601; null for the current version';
+
+COMMENT ON COLUMN footprint_current.source IS 'what made it: survey or import';
+
+COMMENT ON COLUMN footprint_current.survey IS 'name of the survey';
+
+COMMENT ON COLUMN footprint_current.state IS 'confirmed, unsure or refuted: the operator''s decision, else found_state';
+
+COMMENT ON COLUMN footprint_current.found_state IS 'the state that the detectors found';
+
+COMMENT ON COLUMN footprint_current.operator IS 'who decided the state; null where the detectors did';
+
+COMMENT ON COLUMN footprint_current.note IS 'the operator''s reason; may be empty';
+
+COMMENT ON COLUMN footprint_current.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+
+COMMENT ON COLUMN footprint_current.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
+
+COMMENT ON COLUMN footprint_current.storeys_max IS 'most storeys that the eaves can have, if storeys are low [storeys]';
+
+COMMENT ON COLUMN footprint_current.storeys_top IS 'storeys of the highest eaves of its roofs of weight, as of a tower on a podium [storeys]';
+
+COMMENT ON COLUMN footprint_current.z_ground IS 'median level of the ground around it, in the survey''s vertical reference; null where not known [m]';
+
+COMMENT ON COLUMN footprint_current.eaves IS 'z_eaves above z_ground [m]';
+
+COMMENT ON COLUMN footprint_current.ridge IS 'z_ridge above z_ground [m]';
+
+COMMENT ON COLUMN footprint_current.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+
+COMMENT ON COLUMN footprint_current.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
+
+COMMENT ON COLUMN footprint_current.h_max IS 'largest height above ground [m]';
+
+COMMENT ON COLUMN footprint_current.h_mean IS 'mean height above ground [m]';
+
+COMMENT ON COLUMN footprint_current.h_p50 IS 'median height above ground [m]';
+
+COMMENT ON COLUMN footprint_current.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN footprint_current.area_m2 IS 'area of the footprint [m2]';
+
+COMMENT ON COLUMN footprint_current.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
+
+COMMENT ON COLUMN footprint_current.parts IS 'number of parts, the roots included [count]';
+
+COMMENT ON COLUMN footprint_current.flat_share IS 'share of the footprint that flat regions cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN footprint_current.area3d_share IS 'share of the footprint that candidates of area3d cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN footprint_current.adaptive_share IS 'share of the footprint that candidates of adaptive cover; null when this detector was not run [1]';
+
+COMMENT ON COLUMN footprint_current.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
+
+COMMENT ON COLUMN footprint_current.building_id IS 'the building of the survey''s run it was copied from, which a rebuild may replace';
+
+COMMENT ON COLUMN footprint_current.attributes IS 'attributes from an imported inventory, by the names of its columns';
+
+COMMENT ON COLUMN footprint_current.geometry IS 'outline of the roof''s edges, in the database''s CRS';
+
 COMMENT ON VIEW building_history IS 'All versions of the inventory''s buildings, with the change by which each began and ended.';
 
+COMMENT ON COLUMN building_history.version_id IS 'from the building and the survey or import that made it';
+
+COMMENT ON COLUMN building_history.uid IS 'the building';
+
+COMMENT ON COLUMN building_history.valid_from IS 'first day on which it is valid, ISO 8601';
+
+COMMENT ON COLUMN building_history.valid_to IS 'first day on which it is no longer valid, ISO 8601; null for the current version';
+
+COMMENT ON COLUMN building_history.source IS 'what made it: survey or import';
+
+COMMENT ON COLUMN building_history.survey IS 'name of the survey';
+
+COMMENT ON COLUMN building_history.began_as IS 'kind of the change by which it began: new, modified, …; or imported';
+
+COMMENT ON COLUMN building_history.ended_in IS 'name of the survey that ended it; null for the current version';
+
+COMMENT ON COLUMN building_history.ended_as IS 'kind of the change by which it ended: demolished, …';
+
+COMMENT ON COLUMN building_history.state IS 'confirmed, unsure or refuted: from the probability; where it is null, from the classes and the detectors';
+
+COMMENT ON COLUMN building_history.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
+
+COMMENT ON COLUMN building_history.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+
+COMMENT ON COLUMN building_history.eaves IS 'z_eaves above z_ground [m]';
+
+COMMENT ON COLUMN building_history.ridge IS 'z_ridge above z_ground [m]';
+
+COMMENT ON COLUMN building_history.z_ground IS 'median level of the ground around it, in the survey''s vertical reference; null where not known [m]';
+
+COMMENT ON COLUMN building_history.h_max IS 'largest height above ground [m]';
+
+COMMENT ON COLUMN building_history.h_p90 IS '90th percentile of the height above ground [m]';
+
+COMMENT ON COLUMN building_history.area_m2 IS 'area of the footprint [m2]';
+
+COMMENT ON COLUMN building_history.volume_m3 IS 'sum over the footprint''s cells of height times cell area [m3]';
+
+COMMENT ON COLUMN building_history.geometry IS 'outline of the roof''s edges, in the database''s CRS';
+
 COMMENT ON VIEW roof_material_by_class IS 'Cross table of roof materials and classes (V53): the number of samples on finest parts of each class, by survey; samples outside of all parts are not counted.';
+
+COMMENT ON COLUMN roof_material_by_class.survey IS 'name of the survey';
+
+COMMENT ON COLUMN roof_material_by_class.material IS 'the material';
+
+COMMENT ON COLUMN roof_material_by_class.speindex IS 'SPE: the most frequent spectral class inside; 0 for none';
+
+COMMENT ON COLUMN roof_material_by_class.class_label IS 'building, vegetation, shadow, water or other';
+
+COMMENT ON COLUMN roof_material_by_class.samples IS 'number of samples [count]';
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 

@@ -13,6 +13,7 @@ from msbdb.database import list_runs, open_database, read_build, write_build
 from msbdb.database.schema.ddl import statements
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
 from msbdb.database.schema.sqltables import METADATA
+from msbdb.tables.view_columns import VIEW_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[2]
 SQL = re.compile(
@@ -140,13 +141,22 @@ def test_the_generated_schema_comments_on_everything() -> None:
         assert f"COMMENT ON VIEW {view.name} IS '" in made
 
 
+def test_the_words_of_views_fit_their_columns(engine: Engine) -> None:
+    """The declared columns of each view are those that it has, in their order."""
+    with engine.connect() as connection:
+        for view in (*VIEWS, *TABLE_VIEWS):
+            names = list(connection.execute(text(f"SELECT * FROM {view.name} LIMIT 0")).keys())
+            declared = [column.name for column in VIEW_COLUMNS[view.name]]
+            assert names == [*declared, *(["geometry"] if view.base else [])], view.name
+
+
 @pytest.mark.postgis
 def test_the_server_explains_tables_and_columns(new_postgis) -> None:
     """What psql shows of tables, columns and views is empty for none of them."""
     engine = open_database(new_postgis(), create=True, srid=EPSG)
     query = """
     SELECT c.relname, a.attname FROM pg_class AS c
-    LEFT JOIN pg_attribute AS a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped AND c.relkind = 'r'
+    LEFT JOIN pg_attribute AS a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped
     WHERE c.relnamespace = 'public'::regnamespace AND c.relkind IN ('r', 'v')
       AND c.relname NOT IN ('spatial_ref_sys', 'geometry_columns', 'geography_columns', 'msbdb_schema_version')
       AND (COALESCE(obj_description(c.oid, 'pg_class'), '') = ''

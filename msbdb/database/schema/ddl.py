@@ -9,6 +9,7 @@ from msbdb.database.runs.digests import COLUMN, TABLES
 from msbdb.database.schema.migration import comment_ddl, head_version
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, example_queries
 from msbdb.database.schema.sqltables import METADATA, SPATIAL, VERSION_TABLE
+from msbdb.tables.view_columns import VIEW_COLUMNS
 
 _NOTE = "Written by scripts/generate_schema; change msbdb.tables and the migrations instead."
 
@@ -73,8 +74,11 @@ def dictionary() -> str:
     for table in sorted(METADATA.tables.values(), key=lambda t: t.name):
         lines += _table_entry(table)
     lines += ["", "# Views", ""]
-    lines += [f"- `{view.name}`, with the geometry of `{view.base}`: {view.doc}" for view in VIEWS]
-    lines += [f"- `{view.name}`, without geometry: {view.doc}" for view in TABLE_VIEWS]
+    lines += ["In a database of PostGIS `\\d+` shows the same words."]
+    for view in (*VIEWS, *TABLE_VIEWS):
+        geometry = f"With the geometry of `{view.base}`." if view.base else "Without geometry."
+        lines += ["", f"## {view.name}", "", f"{view.doc} {geometry}", "", "| Column | Meaning |", "| --- | --- |"]
+        lines += [f"| {column.name} | {column.comment} |" for column in VIEW_COLUMNS[view.name]]
     lines += ["", "On PostGIS also the function `footprint_at(date)`: the inventory as it was on a day."]
     lines += ["", "# Example queries", "", f"In `schema/queries/`. {_QUERIES}", ""]
     lines += [f"- `{query.name}`: {query.title}" for query in example_queries().values()]

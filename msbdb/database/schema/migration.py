@@ -13,6 +13,7 @@ from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, packaged
 from msbdb.database.schema.sqltables import METADATA, VERSION_TABLE
 from msbdb.database.schema.srid import crs_from, register
 from msbdb.errors import SchemaVersionError
+from msbdb.tables.view_columns import GEOMETRY, VIEW_COLUMNS
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -112,7 +113,7 @@ def older_versions(version: str) -> list[str]:
 
 
 def comment_ddl() -> list[str]:
-    """Return the statements that comment tables, columns and views, for dialects that keep comments."""
+    """Return the statements that comment tables, views and the columns of both, for dialects that keep comments."""
     statements = []
     for table in METADATA.sorted_tables:
         statements.append(f"COMMENT ON TABLE {table.name} IS {_quoted(table.comment or '')}")
@@ -122,6 +123,10 @@ def comment_ddl() -> list[str]:
         ]
     for view in (*VIEWS, *TABLE_VIEWS):
         statements.append(f"COMMENT ON VIEW {view.name} IS {_quoted(view.doc)}")
+        columns = [*VIEW_COLUMNS[view.name], *([GEOMETRY] if view.base else [])]
+        statements += [
+            f"COMMENT ON COLUMN {view.name}.{column.name} IS {_quoted(column.comment)}" for column in columns
+        ]
     return statements
 
 
