@@ -5,7 +5,7 @@ The modules here declare the public functions. Libraries that take time to load 
 
 from msbdb.api.build import build, classes, classify, relabel
 from msbdb.api.inventory import advance, changes, import_inventory, import_roof_samples, set_state, summary, update
-from msbdb.api.outputs import Inventory, evaluate, evaluate_points, export, info, open, queries, query, view, why
+from msbdb.api.outputs import Inventory, evaluate, evaluate_points, export, info, open, qgis, queries, query, view, why
 from msbdb.run.reports import AdvanceReport, BuildReport, Changes, ClassifyReport, ImportReport, UpdateReport
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "import_roof_samples",
     "info",
     "open",
+    "qgis",
     "queries",
     "query",
     "relabel",

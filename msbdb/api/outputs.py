@@ -1,6 +1,6 @@
 """What comes out of a database: data frames, plain values, maps, files, and the comparison with a reference."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -131,28 +131,110 @@ def view(
     draw(db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
 
-def export(db: str | Path, out: Path, *, survey: str | None = None, overwrite: bool = False) -> None:
-    """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending.
+def export(
+    db: str | Path,
+    out: str | Path,
+    *,
+    what: str | None = None,
+    survey: str | None = None,
+    layers: Sequence[str] | str = (),
+    crs: str | None = None,
+    aoi: str | Path | None = None,
+    at: str | None = None,
+    format: str | None = None,
+    options: Mapping[str, str] | None = None,
+    overwrite: bool = False,
+) -> dict[str, int]:
+    """Write layers to a file for other programs, as one committed state.
 
     Parameters
     ----------
     db : str or path
         The database.
-    out : path
-        The file.
+    out : str or path
+        The file. Its ending decides the format: .gpkg, .geojson, .fgb, .parquet, .shp, .csv, .kml, .dxf, and others.
+    what : {'current', 'survey', 'changes', 'parts', 'evidence'}, optional
+        The inventory with its parts and regions; what a survey found; the net changes since the first state of each
+        place; the parts alone; or buildings, parts and regions with what each detector found. By default 'survey'
+        where one is named, else 'current'; where there is no inventory, all surveys, the newest first.
     survey : str, optional
-        By default the footprints are those of the current inventory (the columns of ``footprint_current``), with their
-        parts. Without an inventory all surveys are written, the newest first, with a column ``survey``.
+        The survey, for 'survey', 'parts' and 'evidence'.
+    layers : sequence of str
+        Some of the layers. By default all, or the main one where the format holds one.
+    crs : str, optional
+        The CRS of the file, such as 'EPSG:4326'. By default that of the database; longitude and latitude for GeoJSON
+        and KML.
+    aoi : path, optional
+        A file of polygons: what meets them is written as a whole, and of buildings all parts.
+    at : str, optional
+        The inventory on this day, ISO 8601; with 'changes', the changes up to it.
+    format : str, optional
+        A format by its name, where others have the same ending; a key of `msbdb.export.FORMATS`.
+    options : mapping of str to str, optional
+        The format's own options.
     overwrite : bool
         Replace files that exist.
 
+    Returns
+    -------
+    dict
+        The number of rows of each layer that was written.
+
+    Raises
+    ------
+    InputError
+        For an unknown format, layer, survey or option, or options that contradict each other.
+    FileError
+        When the file exists already, or cannot be written.
+
     Notes
     -----
-    A notice reports what was taken where that is not one survey. An empty database gives an empty file.
+    Ids are texts in files. A notice reports what was taken where that is not one survey. An empty database gives an
+    empty file. docs/export.md has the fields.
     """
-    from msbdb.run.outputs import write_layers
+    from msbdb.run.export import export_database
 
-    write_layers(db, Path(out), survey=survey, overwrite=overwrite)
+    return export_database(
+        db,
+        Path(out),
+        what=what,
+        survey=survey,
+        layers=[layers] if isinstance(layers, str) else list(layers),
+        crs=crs,
+        aoi=None if aoi is None else Path(aoi),
+        at=at,
+        name=format,
+        options=options or {},
+        overwrite=overwrite,
+    )
+
+
+def qgis(db: str | Path, out: str | Path, *, overwrite: bool = False) -> list[str]:
+    """Write a project of QGIS whose layers are in the database: nothing is copied.
+
+    Parameters
+    ----------
+    db : str or path
+        The database. The project names a file by its relative path, and a server without the password.
+    out : str or path
+        Ends in .qgz.
+    overwrite : bool
+        Replace the file if it exists.
+
+    Returns
+    -------
+    list of str
+        The titles of the layers: buildings by height and by state, parts by scale, evidence by detector, and changes
+        where there is an inventory.
+
+    Raises
+    ------
+    FileError
+        When the file exists already, or cannot be written.
+    """
+    from msbdb.run.qgisproject import write_project
+
+    return write_project(db, Path(out), overwrite=overwrite)
 
 
 def evaluate(
@@ -323,9 +405,9 @@ class Inventory:
         """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""
         view(self.db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
-    def export(self, out: str | Path, survey: str | None = None, *, overwrite: bool = False) -> None:
-        """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
-        export(self.db, Path(out), survey=survey, overwrite=overwrite)
+    def export(self, out: str | Path, survey: str | None = None, **options: Any) -> dict[str, int]:  # noqa: ANN401
+        """Write layers to a file, in the format of its ending; the options are those of `msbdb.api.export`."""
+        return export(self.db, out, survey=survey, **options)
 
     def evaluate(self, reference: str | Path, survey: str | None = None, **options: Any) -> "Evaluation":  # noqa: ANN401
         """Compare the footprints with a reference; the options are those of ``msbdb evaluate``.

@@ -201,7 +201,9 @@ def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> 
 @click.option(
     "--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: buildings that meet them, those not surveyed included."
 )
-@click.option("--out", type=OUTPUT_FILE, metavar="FILE", help="Write all rows as .gpkg, .geojson or .csv.")
+@click.option(
+    "--out", type=OUTPUT_FILE, metavar="FILE", help="Write all rows, by the ending: .gpkg, .geojson, .csv, .parquet …"
+)
 @click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Draw the buildings coloured by kind of change.")
 @shared("overwrite", "json")
 def changes(

@@ -5,8 +5,9 @@ import click
 from msbdb.cli.build import build, classify
 from msbdb.cli.db import db
 from msbdb.cli.doctor import doctor
+from msbdb.cli.export import export, qgis
 from msbdb.cli.inventory import changes, import_, state, update
-from msbdb.cli.outputs import classes, evaluate, export, info, query, view, why
+from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params
 from msbdb.version import __version__
 
@@ -28,6 +29,7 @@ for _command in (
     classes,
     view,
     export,
+    qgis,
     evaluate,
     classify,
     update,

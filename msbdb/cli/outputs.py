@@ -1,4 +1,4 @@
-"""``msbdb info``, ``why``, ``view``, ``export``, ``classes`` and ``evaluate``: what a database holds, and how well."""
+"""``msbdb info``, ``why``, ``view``, ``classes`` and ``evaluate``: what a database holds, and how well."""
 
 from pathlib import Path
 from typing import Any
@@ -193,34 +193,6 @@ def view(*, db: str, out: Path, of: str, overwrite: bool, survey: str | None) ->
     from msbdb import api
 
     api.view(db, out, survey=survey, of=of, overwrite=overwrite)
-    click.echo(f"Wrote {out}.")
-
-
-@command(
-    "export",
-    examples=(
-        "msbdb export town.sqlite town.gpkg",
-        "msbdb export town.sqlite town.shp --overwrite",
-        "msbdb export town.sqlite town.geojson --survey spring",
-    ),
-)
-@shared("db")
-@click.argument("out", type=click.Path(path_type=Path), metavar="OUT")
-@shared("overwrite", "survey")
-def export(*, db: str, out: Path, overwrite: bool, survey: str | None) -> None:
-    """Write footprints and parts to a file.
-
-    The ending of OUT decides the format. A GeoPackage (.gpkg) has the layers footprint, part, flat_region and
-    candidate_region. A Shapefile (.shp) has the parts, under the paper's names of at most ten characters. GeoJSON
-    (.geojson) has the parts in longitude and latitude. Outlines are edges of roofs, not walls at the ground; GeoPackage
-    and GeoJSON files state this in their description.
-
-    Without --survey, the footprints are those of the current inventory, with their parts. Without an inventory all
-    surveys are written, the newest first, with the survey of each row. An empty database gives an empty file.
-    """
-    from msbdb import api
-
-    api.export(db, out, survey=survey, overwrite=overwrite)
     click.echo(f"Wrote {out}.")
 
 

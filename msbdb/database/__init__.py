@@ -9,6 +9,7 @@ from msbdb.database.admin.copying import canonical_dump, copy_database
 from msbdb.database.admin.findings import Finding
 from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_schema, upgrade_schema
 from msbdb.database.admin.soundness import CHECKS, check_database
+from msbdb.database.dialects.clientplace import ClientPlace, client_place
 from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
@@ -24,6 +25,7 @@ from msbdb.database.history.periods import (
     read_history,
     read_states,
 )
+from msbdb.database.history.shownlayers import ShownLayers, read_shown
 from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, write_advance
 from msbdb.database.runs.basis import (
@@ -67,6 +69,7 @@ __all__ = [
     "ROLES",
     "Advance",
     "BuildBasis",
+    "ClientPlace",
     "DetectorAnswer",
     "Engine",
     "ExampleQuery",
@@ -76,11 +79,13 @@ __all__ = [
     "OutdatedError",
     "Place",
     "RunSummary",
+    "ShownLayers",
     "Standing",
     "WriteReport",
     "canonical_dump",
     "check_database",
     "check_target",
+    "client_place",
     "copy_database",
     "create_database",
     "crs_of",
@@ -114,6 +119,7 @@ __all__ = [
     "read_rejections",
     "read_run",
     "read_scales",
+    "read_shown",
     "read_standing",
     "read_states",
     "read_survey",

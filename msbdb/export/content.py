@@ -5,11 +5,23 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 from msbdb.errors import InputError
-from msbdb.io.layers import Layer
+from msbdb.io.layers import Layer, texts
 from msbdb.tables import Survey
 
 if TYPE_CHECKING:
     import geopandas as gpd
+
+ROOF_EDGES = (
+    "Outlines are edges of roofs as seen from above, not walls at the ground: eaves are inside. 'fitted' outlines have "
+    "straight walls, 'traced' ones follow cells (outline_source)."
+)
+"""The description that files carry, where their format has one."""
+
+IDS = (
+    "part_id", "uid", "building_id", "supid", "root_id", "version_id", "region_id", "candidate_id", "change_id",
+    "uid_before", "uid_after", "version_before", "version_after",
+)  # fmt: skip
+"""Columns of ids. Files have them as text, because browsers and spreadsheets round numbers above 2^53."""
 
 WHATS = ("current", "survey", "changes", "parts", "evidence")
 """What may be exported: the inventory, a survey as it found the buildings, changes, parts, or evidence by detector."""
@@ -30,12 +42,15 @@ class Content:
         The surveys that the rows come from, the newest first; none for an empty database or imports alone.
     date : str
         The day of the inventory, ISO 8601; empty for its present state, and for surveys.
+    chosen_crs : bool
+        The user asked for the layers' CRS; otherwise it is the database's.
     """
 
     what: str
     layers: Mapping[str, Layer]
     surveys: tuple[Survey, ...] = ()
     date: str = ""
+    chosen_crs: bool = False
 
     @property
     def crs(self) -> str:
@@ -56,6 +71,12 @@ class Content:
     def frame(self, name: str) -> "gpd.GeoDataFrame":
         """Return a layer as a frame; whole numbers that may be null are ``Int64``, texts and None are objects."""
         return self.layers[name].frame()
+
+    def textual(self, name: str) -> Layer:
+        """Return a layer as files have it: ids as text."""
+        layer = self.layers[name]
+        columns = {own: texts(values) if own in IDS else values for own, values in layer.columns.items()}
+        return replace(layer, columns=columns)
 
     def only(self, *names: str) -> Self:
         """Return the content with these layers alone, in this order.

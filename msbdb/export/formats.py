@@ -1,6 +1,6 @@
 """The formats of exported files, by name and by the ending of the file; a new one is a function and a line here."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -10,6 +10,8 @@ from msbdb.errors import InputError
 from msbdb.export.content import Content
 from msbdb.export.geojson import write_geojson
 from msbdb.export.geopackage import write_geopackage
+from msbdb.export.parquet import write_parquet
+from msbdb.export.plainfiles import write_csv, write_dxf, write_flatgeobuf, write_kml
 from msbdb.export.shapefile import write_shapefile
 from msbdb.io.files import require_output
 
@@ -59,8 +61,13 @@ FORMATS: dict[str, Format] = {
     own.name: own
     for own in (
         Format("geopackage", "GeoPackage", (".gpkg",), write_geopackage),
-        Format("shapefile", "Shapefile", (".shp",), write_shapefile, single=True, needs=("part",)),
         Format("geojson", "GeoJSON", (".geojson", ".json"), write_geojson, single=True),
+        Format("flatgeobuf", "FlatGeobuf", (".fgb",), write_flatgeobuf, single=True),
+        Format("geoparquet", "GeoParquet", (".parquet", ".geoparquet"), write_parquet, single=True),
+        Format("shapefile", "Shapefile", (".shp",), write_shapefile, single=True, needs=("part",)),
+        Format("csv", "CSV", (".csv",), write_csv, single=True),
+        Format("kml", "KML", (".kml",), write_kml, single=True),
+        Format("dxf", "DXF", (".dxf",), write_dxf, single=True),
     )
 }
 """All formats by name. Of several with the same ending, the first is meant where no name is given."""
@@ -80,11 +87,44 @@ def find_format(path: Path, name: str | None = None) -> Format:
     known = [FORMATS[name]] if name is not None else list(FORMATS.values())
     endings = {suffix: own for own in reversed(known) for suffix in own.suffixes}
     fitting = [suffix for suffix in endings if path.name.lower().endswith(suffix)]
+    if not fitting and path.suffix.lower() in (".las", ".laz"):
+        msg = f"The database keeps no points, so '{path.name}' cannot be made of it. 'msbdb classify IN OUT' does it."
+        raise InputError(msg)
     if not fitting:
         words = ", ".join(suffix for own in known for suffix in own.suffixes)
         msg = f"Results are written as {words}, by the ending of the name; got '{path.name}'."
         raise InputError(msg)
     return endings[max(fitting, key=len)]
+
+
+def choose_layers(chosen: Format, there: Sequence[str], names: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the layers of a file in their order.
+
+    Parameters
+    ----------
+    chosen : Format
+        The format.
+    there : sequence of str
+        The layers that there are.
+    names : sequence of str
+        Those that the user asks for; by default all, or the first where the format holds one.
+
+    Raises
+    ------
+    InputError
+        When there is no such layer, or the format holds one layer alone, or needs others.
+    """
+    for name in (*names, *(chosen.needs if not chosen.single else ())):
+        if name not in there:
+            needed = f"{chosen.title} is made of it; choose another format." if name in chosen.needs else "Choose one."
+            msg = f"There is no layer '{name}'; the layers are {', '.join(there)}. {needed}"
+            raise InputError(msg)
+    if not chosen.single:
+        return tuple(dict.fromkeys((*chosen.needs, *names))) if chosen.needs or names else tuple(there)
+    if len(set(names)) > 1:
+        msg = f"A file of {chosen.title} holds one layer; got {', '.join(names)}. Give one --layer for each file."
+        raise InputError(msg)
+    return tuple(names[:1]) or next(((name,) for name in chosen.needs if name in there), (there[0],))
 
 
 def check_options(chosen: Format, options: Mapping[str, str]) -> None:

@@ -7,7 +7,7 @@ export of a town takes to write.
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -44,14 +44,17 @@ class Layer:
     columns : mapping of str to (N,) ndarray
         By name: numbers, where NaN is null; objects, which are texts or None; or a masked array, null where masked.
     geometry : (N,) ndarray of object
-        Multipolygons.
+        Geometries of one type.
     crs : str
         Their CRS as GDAL takes it, from `crs_text`; a layer without one cannot be written.
+    kind : str
+        The type of the geometries in GDAL's words.
     """
 
     columns: Mapping[str, NDArray[Any]]
     geometry: NDArray[np.object_]
     crs: str
+    kind: str = "MultiPolygon"
 
     @classmethod
     def of(cls, frame: "gpd.GeoDataFrame") -> Self:
@@ -109,9 +112,16 @@ def texts(values: NDArray[Any]) -> NDArray[np.object_]:
 
 
 def write_layers(
-    path: Path, layers: Mapping[str, Layer], driver: str, *, encoding: str | None = None, **options: str
+    path: Path,
+    layers: Mapping[str, Layer],
+    driver: str,
+    finish: Callable[[Path], None] | None = None,
+    /,
+    *,
+    encoding: str | None = None,
+    **options: str,
 ) -> None:
-    """Write layers of multipolygons into a new vector file, which replaces an old one.
+    """Write layers into a new vector file, which replaces an old one.
 
     Parameters
     ----------
@@ -121,6 +131,8 @@ def write_layers(
         By name; each with a CRS. Several only where the format holds several.
     driver : str
         OGR's name of the format, such as GPKG.
+    finish : callable, optional
+        Completes the written file, before it takes its place.
     encoding : str, optional
         Of texts, for drivers with a choice.
     **options
@@ -162,12 +174,14 @@ def write_layers(
                         [values.mask if isinstance(values, np.ma.MaskedArray) else None for values in columns],
                         layer=name,
                         driver=driver,
-                        geometry_type="MultiPolygon",
+                        geometry_type=layer.kind,
                         crs=layer.crs,
                         encoding=encoding,
                         append=written.exists(),
                         **options,
                     )
+            if finish is not None:
+                finish(written)
             _require_room(Path(folder))
             _replace(written, path)
     except refusals as error:

@@ -31,11 +31,12 @@ from msbdb.database import (
 )
 from msbdb.database.history.periods import read_period
 from msbdb.errors import DatabaseError, InputError, ParameterError, SchemaVersionError
-from msbdb.export.changes import CHANGE_FORMATS, write_changes
+from msbdb.export import choose_layers, export, find_format
 from msbdb.grid import Grid, lattice
 from msbdb.io.files import PICTURES, require_output
 from msbdb.io.vector import read_point_features, read_polygons
 from msbdb.kept import heights_of
+from msbdb.run.export import change_content
 from msbdb.run.reports import Changes, ImportReport
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS
 from msbdb.view.buildingmap import draw_changes
@@ -204,7 +205,9 @@ def changes_of(
     overwrite: bool,
 ) -> Changes:
     """List what changed in the inventory between two dates; see `msbdb.api.changes`."""
-    for path, endings in ((out, CHANGE_FORMATS), (figure, PICTURES)):
+    if out is not None:
+        choose_layers(find_format(Path(out)), ("change",))
+    for path, endings in ((out, ()), (figure, PICTURES)):
         if path is not None:
             require_output(path, overwrite=overwrite, endings=endings, sources=[db, *([aoi] if aoi else [])])
     with opened(db) as engine:
@@ -223,7 +226,7 @@ def changes_of(
             table = _with_unseen(table, footprint_at(engine, until or LAST_DAY), area)
         table = table.reset_index(drop=True)
         if out is not None:
-            write_changes(table, Path(out))
+            export(change_content(table), Path(out), overwrite=True)
         if figure is not None:
             _draw(engine, table, rows, Path(figure), _period(since, until, len(passing)))
     counts = table["kind"].value_counts()

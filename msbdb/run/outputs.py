@@ -1,6 +1,6 @@
-"""What a database holds, as plain values, as a map on a hillshade, and as layers for other programs.
+"""What a database holds, as plain values and as a map on a hillshade.
 
-Each function imports what it alone needs, so that a summary and an export are quick.
+Each function imports what it alone needs, so that a summary is quick.
 """
 
 import warnings
@@ -12,12 +12,10 @@ from msbdb.database import (
     LAST_DAY,
     Engine,
     RunSummary,
-    crs_of,
     database_crs_of,
     footprint_at,
     has_inventory,
     opened,
-    read_columns,
     read_rasters,
     read_scales,
     read_survey,
@@ -27,7 +25,6 @@ from msbdb.database import (
     summarise_run,
 )
 from msbdb.errors import PassingNotice, counted
-from msbdb.identity import to_json
 from msbdb.kept import heights_of
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
@@ -36,12 +33,11 @@ if TYPE_CHECKING:
     import geopandas as gpd
 
     from msbdb.grid import Grid
-    from msbdb.io.layers import Layer
 
 Bounds = tuple[float, float, float, float]
 
 LAYERS = {"footprint": BUILDING, "part": PART, "flat_region": FLAT_REGION, "candidate_region": CANDIDATE_REGION}
-"""The layers of an export and their tables."""
+"""The layers of a map and their tables."""
 
 EMPTY_MAP = (0.0, 0.0, 100.0, 100.0)
 """Extent of a map of nothing, metres."""
@@ -103,16 +99,21 @@ def choose(engine: Engine, survey: str | None) -> Choice:
         return Choice((survey,), present=False)
     heads = sorted(run_heads(engine), key=lambda head: str(head["date"]), reverse=True)
     choice = Choice(tuple(str(head["survey"]) for head in heads), present=has_inventory(engine))
-    several = f"{len(heads)} surveys: {', '.join(choice.surveys)}"
+    tell_choice(engine, choice)
+    return choice
+
+
+def tell_choice(engine: Engine, choice: Choice, *, named: bool = False) -> None:
+    """Give a notice of what an output is made of, where that is more or less than one survey and nobody named it."""
+    several = f"{len(choice.surveys)} surveys: {', '.join(choice.surveys)}"
     if choice.present:
         msg = "The buildings are those of the current inventory. --survey NAME takes those of one survey."
-    elif not heads:
+    elif not choice.surveys:
         msg = f"The database {shown(engine.url)} has no survey and no inventory yet; the output is empty."
     else:
         msg = f"The database has {several}. All are taken, the newest first; --survey NAME takes one."
-    if not choice.is_one:
-        warnings.warn(msg, PassingNotice, stacklevel=2)
-    return choice
+    if not choice.is_one and not named:
+        warnings.warn(msg, PassingNotice, stacklevel=3)
 
 
 def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
@@ -228,51 +229,3 @@ def _relief(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") -> "G
     bounds = tuple(buildings.total_bounds.tolist()) if len(buildings) else EMPTY_MAP
     spec = lattice(bounds, 1.0, buildings.crs)
     return Grid(np.zeros(spec.shape, dtype=np.float32), np.zeros(spec.shape, dtype=np.bool_), spec)
-
-
-def write_layers(db: str | Path, out: Path, *, survey: str | None, overwrite: bool) -> None:
-    """Write parts and footprints; see `msbdb.api.export`."""
-    from msbdb.export import Content, export, find_format
-    from msbdb.io.files import require_output
-
-    chosen = find_format(out)
-    require_output(out, overwrite=overwrite, sources=[db])
-    with opened(db) as engine:
-        choice = choose(engine, survey)
-        layers = _survey_layers(engine, survey) if choice.is_one else _layers(engine, choice, out)
-        surveys = tuple(read_survey(engine, name) for name in choice.surveys)
-    content = Content("current" if choice.present else "survey", layers, surveys)
-    export(content.only("part") if chosen.single else content, out, overwrite=overwrite)
-
-
-def _layers(engine: Engine, choice: Choice, out: Path) -> "dict[str, Layer]":
-    """Return the layers of several surveys, of none, or of the current inventory.
-
-    Gives a notice of buildings without parts where the file has parts alone.
-    """
-    from msbdb.io.layers import Layer
-
-    frames = _frames(engine, choice)
-    if choice.present:
-        without = int((~frames["footprint"]["building_id"].isin(frames["part"]["building_id"])).sum())
-        if without and out.suffix.lower() != ".gpkg":
-            some = "1 building of the inventory has" if without == 1 else f"{without} buildings of the inventory have"
-            msg = f"{some} no parts, so {out} has none of it. A GeoPackage has all buildings."
-            warnings.warn(msg, PassingNotice, stacklevel=2)
-        texts = [None if value is None else to_json(value) for value in frames["footprint"]["attributes"]]
-        frames["footprint"] = frames["footprint"].assign(attributes=texts)
-    return {name: Layer.of(frame) for name, frame in frames.items()}
-
-
-def _survey_layers(engine: Engine, survey: str | None) -> "dict[str, Layer]":
-    """Return the layers of one survey."""
-    from msbdb.io.layers import Layer, crs_text
-
-    read, found = read_columns(engine, tuple(LAYERS.values()), survey)
-    # A code needs no PROJ, which takes time to load.
-    crs = f"EPSG:{found.epsg}" if found.epsg else crs_text(crs_of(found))
-    layers = {}
-    for name, table in LAYERS.items():
-        columns = read[table.name]
-        layers[name] = Layer({own: columns[own] for own in table.names}, columns["geometry"], crs)
-    return layers

@@ -144,9 +144,31 @@ class FakeApi(types.ModuleType):
         self._note("why", db=db, x=x, y=y, survey=survey, crs=crs)
         return Place("town", x, y, Reason.LOW, None, 0.4, 2.0, "neither", "", ())
 
-    def export(self, db, out, *, survey=None, overwrite=False):
+    def export(
+        self,
+        db,
+        out,
+        *,
+        what=None,
+        survey=None,
+        layers=(),
+        crs=None,
+        aoi=None,
+        at=None,
+        format=None,
+        options=None,
+        overwrite=False,
+    ):
         """Write nothing."""
-        self._note("export", db=db, out=out, survey=survey, overwrite=overwrite)
+        given = {"what": what, "layers": layers, "crs": crs, "aoi": aoi, "at": at, "format": format}
+        given = {name: value for name, value in given.items() if value}
+        self._note("export", db=db, out=out, survey=survey, overwrite=overwrite, options=options, **given)
+        return {"footprint": 3}
+
+    def qgis(self, db, out, *, overwrite=False):
+        """Write no project."""
+        self._note("qgis", db=db, out=out, overwrite=overwrite)
+        return ["Buildings"]
 
     def evaluate(
         self,
@@ -328,7 +350,7 @@ def test_build_hands_everything_over(api):
     "name",
     [
         *("build", "info", "relabel", "classes", "query", "why", "view", "export", "evaluate", "evaluate_points"),
-        *("classify", "changes"),
+        *("classify", "changes", "qgis"),
     ],
 )
 def test_the_fake_is_called_as_the_api_is(name):
@@ -631,7 +653,8 @@ def test_export_view_and_evaluate_pass_their_options(api):
     assert run("view", "x", "--out", "f.png").exit_code == 0
     result = run("evaluate", "x", "--reference", "r.gpkg", "--layer", "b", "--overlap", "0.3", "--cell", "1")
     assert result.exit_code == 0
-    assert api.calls[0] == ("export", {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True})
+    plain = {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True, "options": {}}
+    assert api.calls[0] == ("export", plain)
     called = {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings", "overwrite": False}
     assert api.calls[1] == ("view", called)
     values = api.calls[2][1]

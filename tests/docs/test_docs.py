@@ -33,7 +33,7 @@ def commands_in(text: str) -> list[list[str]]:
 
 
 def test_generated_pages_are_current():
-    """docs/cli.md and docs/parameters.md are what scripts/generate_docs writes today."""
+    """docs/cli.md, docs/parameters.md and docs/fields.md are what scripts/generate_docs writes today."""
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts/generate_docs"), "--check"],
         capture_output=True,
@@ -182,10 +182,10 @@ def test_sql_of_the_docs_runs(page, tmp_path):
 
 def test_paper_names_of_the_glossary_are_those_of_the_export():
     """The glossary's columns and paper names are the ones that the Shapefile has."""
-    from msbdb.export.shapefile import FIELDS
+    from msbdb.export.fields import PAPER
 
     text = read("docs/glossary.md")
-    for column, name in FIELDS.items():
+    for column, name in PAPER.items():
         if column != "part_id":
             assert name in text
             assert f"`{column}`" in text

@@ -404,7 +404,7 @@ def test_an_empty_database_is_a_database(tmp_path):
 
 
 def test_views_and_exports_are_written(town, tmp_path):
-    """The map is a PNG, and the three formats hold the parts and footprints."""
+    """The map is a PNG, and the three formats hold parts or footprints."""
     with msbdb.open(town[0]) as opened:
         opened.view(tmp_path / "town.png")
         for name in ("town.gpkg", "town.shp", "town.geojson"):
@@ -412,10 +412,10 @@ def test_views_and_exports_are_written(town, tmp_path):
         parts, buildings = opened.parts(), opened.buildings()
     assert (tmp_path / "town.png").read_bytes().startswith(b"\x89PNG")
     assert len(gpd.read_file(tmp_path / "town.gpkg", layer="footprint")) == len(buildings)
-    for name, layer in (("town.gpkg", "part"), ("town.shp", None), ("town.geojson", None)):
-        read = gpd.read_file(tmp_path / name, **({"layer": layer} if layer else {}))
-        assert len(read) == len(parts)
-        assert read.to_crs(parts.crs).geometry.area.sum() == pytest.approx(parts.geometry.area.sum(), rel=1e-3)
+    for name, layer, rows in (("gpkg", "part", parts), ("shp", None, parts), ("geojson", None, buildings)):
+        read = gpd.read_file(tmp_path / f"town.{name}", **({"layer": layer} if layer else {}))
+        assert len(read) == len(rows)
+        assert read.to_crs(parts.crs).geometry.area.sum() == pytest.approx(rows.geometry.area.sum(), rel=1e-3)
 
 
 def test_nothing_is_written_when_inputs_cannot_be_used(tmp_path):

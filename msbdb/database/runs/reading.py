@@ -115,7 +115,7 @@ def read_columns(
     with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
         columns = {table.name: _columns_of(connection, table, run.run_id) for table in tables}
-        return columns, _survey_record(connection, run.survey_id)
+        return columns, survey_record(connection, run.survey_id)
 
 
 def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] = TABLES) -> RunContent:
@@ -125,7 +125,7 @@ def content_of(connection: Connection, survey: str | None, tables: Sequence[Tabl
     """
     run = _find_run(connection, survey, shown(connection.engine.url))
     return RunContent(
-        survey=_survey_record(connection, run.survey_id),
+        survey=survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
         columns={table.name: _columns_of(connection, table, run.run_id) for table in tables},
         rasters=_read_rasters(connection, run.run_id),
@@ -136,7 +136,7 @@ def read_survey(engine: Engine, survey: str | None = None) -> Survey:
     """Return the survey of a run, with its sources."""
     with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
-        return _survey_record(connection, run.survey_id)
+        return survey_record(connection, run.survey_id)
 
 
 def read_run(engine: Engine, survey: str | None = None) -> Run:
@@ -203,7 +203,7 @@ def summarise_run(engine: Engine, survey: str | None = None) -> RunSummary:
         dropped = connection.scalar(select(func.sum(lost.regions)).where(lost.run_id == row.run_id))
         scales = select(scale.threshold_m2).where(scale.run_id == row.run_id).order_by(scale.scale)
         return RunSummary(
-            survey=_survey_record(connection, row.survey_id),
+            survey=survey_record(connection, row.survey_id),
             run=run,
             rows={name: int(connection.scalar(query) or 0) for name, query in counted.items()},
             rejected=int(dropped or 0),
@@ -306,7 +306,8 @@ def _find_run(connection: Connection, survey: str | None, where: str) -> Any:  #
     raise InputError(msg)
 
 
-def _survey_record(connection: Connection, survey_id: int) -> Survey:
+def survey_record(connection: Connection, survey_id: int) -> Survey:
+    """Return a survey with its sources."""
     row = connection.execute(select(SURVEY).where(SURVEY.c.survey_id == survey_id)).one()
     sources = connection.execute(select(SOURCE).where(SOURCE.c.survey_id == survey_id).order_by(SOURCE.c.number))
     return Survey(

@@ -1,0 +1,87 @@
+"""Files of one layer that GDAL writes as they are: FlatGeobuf, CSV, KML and DXF."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.errors import InputError
+from msbdb.export.content import IDS, ROOF_EDGES, Content
+from msbdb.io.layers import Layer, write_layers
+from msbdb.tables.aliases import LAYER_WORDS
+
+
+def write_flatgeobuf(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
+    """Write the first layer with its spatial index; the file has its title and states what outlines are."""
+    name, layer = _first(content)
+    titles = {"TITLE": LAYER_WORDS[name], "DESCRIPTION": ROOF_EDGES}
+    write_layers(path, {path.stem: layer}, "FlatGeobuf", **titles)
+
+
+def write_csv(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
+    """Write the first layer as a table in UTF-8: the outline as WKT, and a point in it as easting and northing.
+
+    A file of the same name and the ending .csvt has the types of the columns, by which GDAL and QGIS read the ids as
+    text.
+    """
+    _, layer = _first(content)
+    inside = shapely.point_on_surface(layer.geometry)
+    columns = dict(layer.columns) | {"easting": shapely.get_x(inside), "northing": shapely.get_y(inside)}
+    settings = {"GEOMETRY": "AS_WKT", "CREATE_CSVT": "YES", "STRING_QUOTING": "IF_NEEDED"}
+    write_layers(path, {path.stem: replace(layer, columns=columns)}, "CSV", **settings)
+
+
+def write_kml(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
+    """Write the first layer as outlines on the ground, in longitude and latitude; the name of a placemark is its id.
+
+    Raises
+    ------
+    InputError
+        When the user asks for a CRS, as the format has one alone.
+    """
+    if content.chosen_crs and content.crs != "EPSG:4326":
+        msg = f"A KML file is in longitude and latitude, EPSG:4326; got --crs {content.crs}. Leave out --crs."
+        raise InputError(msg)
+    name, layer = _first(content)
+    key = next((own for own in IDS if own in layer.columns), None)
+    columns = {"Name": layer.columns[key]} if key is not None else {}
+    columns |= layer.columns
+    write_layers(path, {LAYER_WORDS[name]: replace(layer, columns=columns)}, "KML")
+
+
+def write_dxf(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
+    """Write the rings of the first layer as closed polylines, in layers by state, scale, kind or detector.
+
+    The elevation of a ring is the level of the ground where the layer has it; otherwise it is 0. The format has no CRS
+    and no attributes: coordinates are those of the layer's CRS.
+    """
+    name, layer = _first(content)
+    by = next((own for own in ("state", "scale", "kind", "method") if own in layer.columns), None)
+    words = np.full(len(layer), name.upper(), dtype=object)
+    if by is not None:
+        words = np.array([f"{name}_{value}".upper() for value in layer.columns[by].tolist()], dtype=object)
+    level = np.nan_to_num(np.asarray(layer.columns.get("z_ground", np.zeros(len(layer))), dtype=np.float64))
+    flat = shapely.get_parts(layer.geometry, return_index=True)
+    if layer.kind == "Point":
+        rings, owner, kind = flat[0], flat[1], "Point Z"
+    else:
+        found, ring_of = shapely.get_rings(flat[0], return_index=True)
+        rings, owner, kind = _as_lines(found), flat[1][ring_of], "LineString Z"
+    lifted = shapely.force_3d(rings, z=level[owner]) if len(rings) else rings
+    write_layers(path, {"entities": Layer({"Layer": words[owner]}, lifted, layer.crs, kind)}, "DXF")
+
+
+def _as_lines(rings: NDArray[np.object_]) -> NDArray[np.object_]:
+    """Return rings as lines, which DXF has in place of them."""
+    points, of_ring = shapely.get_coordinates(rings, return_index=True)
+    lines: NDArray[np.object_] = shapely.linestrings(points, indices=of_ring) if len(rings) else rings
+    return lines
+
+
+def _first(content: Content) -> tuple[str, Layer]:
+    """Return the name and the rows of the first layer, ids as text."""
+    name = next(iter(content.layers))
+    return name, content.textual(name)

@@ -1,0 +1,1 @@
+"""Styles, forms and projects for QGIS, written as its own XML."""

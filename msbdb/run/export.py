@@ -1,0 +1,190 @@
+"""From a database to a file: which layers, of which surveys or day, where, in which CRS."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from msbdb.database import Engine, ShownLayers, database_crs_of, opened, read_shown
+from msbdb.errors import InputError, PassingNotice
+from msbdb.export import Content, check_options, choose_layers, export, find_format
+from msbdb.identity import to_json
+from msbdb.io.files import require_input, require_output
+from msbdb.io.layers import Layer, crs_text
+from msbdb.run.outputs import Choice, tell_choice
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+_BUILDINGS = ("footprint", "part", "flat_region", "candidate_region")
+
+LAYERS_OF: Mapping[str, tuple[str, ...]] = {
+    "current": _BUILDINGS,
+    "survey": _BUILDINGS,
+    "changes": ("change",),
+    "parts": ("part",),
+    "evidence": ("building_evidence", "part_evidence", "flat_region", "candidate_evidence", "rejection"),
+}
+"""The layers of each choice of what is exported, the main one first."""
+
+PLACES = (("xo", "yo"), ("xcen", "ycen"), ("xin", "yin"))
+"""Columns with the coordinates of a place."""
+
+FIRST_OWN_SRID = 910_000
+
+
+def export_database(
+    db: str | Path,
+    out: Path,
+    *,
+    what: str | None,
+    survey: str | None,
+    layers: Sequence[str],
+    crs: str | None,
+    aoi: Path | None,
+    at: str | None,
+    name: str | None,
+    options: Mapping[str, str],
+    overwrite: bool,
+) -> dict[str, int]:
+    """Write layers to a file, and return their numbers of rows; see `msbdb.api.export`."""
+    chosen = find_format(out, name)
+    check_options(chosen, options)
+    what = _what(what, survey, at)
+    names = choose_layers(chosen, LAYERS_OF[what], layers)
+    require_output(out, overwrite=overwrite, sources=[db, *([aoi] if aoi else [])])
+    target = None if crs is None else _target(crs)
+    if aoi is not None:
+        require_input(aoi)
+    with opened(db) as engine:
+        content = _changes(db, at) if what == "changes" else read_content(engine, what, names, survey=survey, at=at)
+        if aoi is not None:
+            content = _within(content, aoi)
+    if target is not None:
+        content = _projected(content, target)
+    if what == "current" and names == ("part",):
+        _tell_lost(out, content)
+    export(content.only(*names), out, name=chosen.name, options=options, overwrite=overwrite)
+    return {own: len(content.layers[own]) for own in names}
+
+
+def read_content(
+    engine: Engine, what: str, names: Sequence[str], *, survey: str | None = None, at: str | None = None
+) -> Content:
+    """Read layers as one committed state, and give a notice of what was taken where that is not one survey.
+
+    ``footprint`` is read, too, where ``part`` is.
+    """
+    wanted = dict.fromkeys(("footprint", *names) if "part" in names else names)
+    found = read_shown(engine, tuple(wanted), survey=survey, inventory=what in ("current", "parts"), date=at)
+    tell_choice(
+        engine, Choice(tuple(own.name for own in found.surveys), present=found.present), named=survey is not None
+    )
+    crs = f"EPSG:{found.srid}" if found.srid < FIRST_OWN_SRID else crs_text(database_crs_of(engine))
+    layers = {name: _layer(found, name, crs) for name in wanted}
+    return Content("current" if found.present and what == "current" else what, layers, found.surveys, at or "")
+
+
+def change_content(table: "gpd.GeoDataFrame") -> Content:
+    """Return changes as the layer of a file; imported attributes are JSON."""
+    frame = table.copy()
+    for column in ("attributes_before", "attributes_after"):
+        words = np.empty(len(frame), dtype=object)
+        words[:] = [None if value is None else to_json(value) for value in frame[column]]
+        frame[column] = words
+    return Content("changes", {"change": Layer.of(frame)})
+
+
+def _changes(db: str | Path, until: str | None) -> Content:
+    """Return the net changes since the first state of each place."""
+    from msbdb.run.inventory import changes_of
+
+    found = changes_of(
+        db, since=None, until=until, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
+    )
+    return replace(change_content(found.table), date=until or "")
+
+
+def _what(what: str | None, survey: str | None, at: str | None) -> str:
+    """Return what is exported, and refuse options that contradict it."""
+    chosen = what or ("survey" if survey is not None else "current")
+    if chosen not in LAYERS_OF:
+        msg = f"There is no '{chosen}' to export; choose {', '.join(LAYERS_OF)}."
+        raise InputError(msg)
+    if survey is not None and chosen in ("current", "changes"):
+        msg = f"--survey names what one survey found; it has no meaning for --what {chosen}. Leave one of them out."
+        raise InputError(msg)
+    if at is not None and (survey is not None or chosen in ("survey", "evidence")):
+        msg = f"--at names a day of the inventory; it has no meaning for --what {chosen}. Leave one of them out."
+        raise InputError(msg)
+    return chosen
+
+
+def _layer(found: ShownLayers, name: str, crs: str) -> Layer:
+    """Return what was read as a layer of a file."""
+    columns = dict(found.layers[name])
+    geometry = columns.pop("geometry")
+    return Layer(columns, geometry, crs, "Point" if name == "rejection" else "MultiPolygon")
+
+
+def _rows(layer: Layer, kept: "np.ndarray[Any, np.dtype[np.bool_]]") -> Layer:
+    """Return some rows of a layer."""
+    return replace(
+        layer, columns={name: own[kept] for name, own in layer.columns.items()}, geometry=layer.geometry[kept]
+    )
+
+
+def _within(content: Content, aoi: Path) -> Content:
+    """Return what meets the polygons of a file; of parts, those of the buildings that meet them."""
+    import shapely
+    from pyproj import CRS
+
+    from msbdb.io.vector import read_polygons
+
+    area = read_polygons(aoi, to=CRS.from_user_input(content.crs)).union_all()
+    shapely.prepare(area)
+    layers = {name: _rows(layer, shapely.intersects(layer.geometry, area)) for name, layer in content.layers.items()}
+    if "part" in layers:
+        known = layers["footprint"].columns["building_id"]
+        buildings = np.ma.compressed(np.ma.asarray(known))
+        parts = content.layers["part"]
+        layers["part"] = _rows(parts, np.isin(parts.columns["building_id"], buildings))
+    return replace(content, layers=layers)
+
+
+def _target(crs: str) -> Any:  # noqa: ANN401  (pyproj is loaded late)
+    """Return the CRS that the user asks for."""
+    from msbdb.io.crs import parse_crs
+
+    return parse_crs(crs)
+
+
+def _projected(content: Content, target: Any) -> Content:  # noqa: ANN401  (pyproj is loaded late)
+    """Return the layers in another CRS, with the columns of places; lengths and areas stay in metres."""
+    import shapely
+    from pyproj import CRS, Transformer
+
+    transform = Transformer.from_crs(CRS.from_user_input(content.crs), target, always_xy=True).transform
+    words = crs_text(target)
+    layers = {}
+    for name, layer in content.layers.items():
+        columns = dict(layer.columns)
+        for x, y in PLACES:
+            if x in columns:
+                columns[x], columns[y] = transform(columns[x], columns[y])
+        geometry = shapely.transform(layer.geometry, transform, interleaved=False)
+        layers[name] = replace(layer, columns=columns, geometry=geometry, crs=words)
+    return replace(content, layers=layers, chosen_crs=True)
+
+
+def _tell_lost(out: Path, content: Content) -> None:
+    """Give a notice of buildings that a file of parts lacks, because they have none."""
+    known = np.ma.asarray(content.layers["footprint"].columns["building_id"]).filled(0)
+    without = int((~np.isin(known, content.layers["part"].columns["building_id"])).sum())
+    if without:
+        some = "1 building of the inventory has" if without == 1 else f"{without} buildings of the inventory have"
+        msg = f"{some} no parts, so {out} has none of it. --layer footprint writes all buildings."
+        warnings.warn(msg, PassingNotice, stacklevel=3)
