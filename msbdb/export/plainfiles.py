@@ -27,11 +27,15 @@ def write_csv(content: Content, path: Path, options: Mapping[str, str]) -> None:
     A file of the same name and the ending .csvt has the types of the columns, by which GDAL and QGIS read the ids as
     text.
     """
+
+    def without_prj(written: Path) -> None:
+        written.with_suffix(".prj").unlink(missing_ok=True)  # a Shapefile of the same name has its own
+
     _, layer = _first(content)
     inside = shapely.point_on_surface(layer.geometry)
     columns = dict(layer.columns) | {"easting": shapely.get_x(inside), "northing": shapely.get_y(inside)}
     settings = {"GEOMETRY": "AS_WKT", "CREATE_CSVT": "YES", "STRING_QUOTING": "IF_NEEDED"}
-    write_layers(path, {path.stem: replace(layer, columns=columns)}, "CSV", **settings)
+    write_layers(path, {path.stem: replace(layer, columns=columns)}, "CSV", without_prj, **settings)
 
 
 def write_kml(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)

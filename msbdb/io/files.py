@@ -95,8 +95,10 @@ def require_output(
 
 
 def existing_files(path: Path) -> list[Path]:
-    """Return the files that writing to the path would replace, the sidecars of a Shapefile included."""
+    """Return the files that writing to the path would replace, the sidecars of a Shapefile or CSV included."""
     candidates = [path]
+    if path.suffix.lower() == ".csv":
+        candidates.append(path.with_suffix(".csvt"))
     if path.suffix.lower() == ".shp":
         candidates += [path.with_suffix(suffix) for suffix in SIDECARS if suffix != path.suffix]
     return [candidate for candidate in candidates if candidate.exists()]
