@@ -1,4 +1,4 @@
--- The schema 0004 of msbdb for postgis.
+-- The schema 0005 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -728,7 +728,8 @@ CREATE VIEW footprint_current AS
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
        v.state AS found_state, o.operator, o.note, v.storeys, v.storeys_min, v.storeys_max, v.storeys_top, v.z_ground,
        v.eaves, v.ridge, v.z_eaves, v.z_ridge, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2, v.volume_m3,
-       v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id,
+       COALESCE(v.attributes, '{}') AS attributes,
        v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
@@ -774,7 +775,8 @@ LANGUAGE sql STABLE AS $$
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey, COALESCE(o.state, v.state) AS state,
        v.state AS found_state, o.operator, o.note, v.storeys, v.storeys_min, v.storeys_max, v.storeys_top, v.z_ground,
        v.eaves, v.ridge, v.z_eaves, v.z_ridge, v.h_max, v.h_mean, v.h_p50, v.h_p90, v.area_m2, v.volume_m3,
-       v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id, v.attributes,
+       v.parts, v.flat_share, v.area3d_share, v.adaptive_share, v.probability, v.building_id,
+       COALESCE(v.attributes, '{}') AS attributes,
        v.geometry
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
@@ -1831,7 +1833,7 @@ COMMENT ON COLUMN footprint_current.probability IS 'probability that it is a bui
 
 COMMENT ON COLUMN footprint_current.building_id IS 'the building of the survey''s run it was copied from, which a rebuild may replace';
 
-COMMENT ON COLUMN footprint_current.attributes IS 'attributes from an imported inventory, by the names of its columns';
+COMMENT ON COLUMN footprint_current.attributes IS 'attributes from an imported inventory, by the names of its columns; an empty object for none';
 
 COMMENT ON COLUMN footprint_current.geometry IS 'outline of the roof''s edges, in the database''s CRS';
 
@@ -1891,5 +1893,5 @@ COMMENT ON COLUMN roof_material_by_class.samples IS 'number of samples [count]';
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0004');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
 

@@ -119,13 +119,11 @@ def _write_relation(file: sqlite3.Connection, content: Content) -> None:
         return
     file.execute("CREATE UNIQUE INDEX ix_footprint_building_id ON footprint (building_id)")
     file.execute("CREATE INDEX ix_part_building_id ON part (building_id)")
-    [version] = file.execute("PRAGMA schema_version").fetchone()
     [text] = file.execute("SELECT sql FROM sqlite_master WHERE type = 'table' AND name = 'part'").fetchone()
     key = "FOREIGN KEY (building_id) REFERENCES footprint (building_id)"
     body = text.rstrip().removesuffix(")")
     file.execute("PRAGMA writable_schema = ON")
     file.execute("UPDATE sqlite_master SET sql = ? WHERE type = 'table' AND name = 'part'", (f"{body}, {key})",))
-    file.execute(f"PRAGMA schema_version = {version + 1}")
     file.execute("PRAGMA writable_schema = OFF")
 
 

@@ -117,6 +117,10 @@ _SHOWN: Mapping[str, tuple[str, tuple[Table, ...], tuple[Column, ...]]] = {
             replace(
                 OPERATOR_STATE["operator"], doc="who decided the state; null where the detectors did", nullable=True
             ),
+            replace(
+                BUILDING_VERSION["attributes"],
+                doc="attributes from an imported inventory, by the names of its columns; an empty object for none",
+            ),
             replace(OPERATOR_STATE["note"], doc="the operator's reason; may be empty", nullable=True),
         ),
     ),

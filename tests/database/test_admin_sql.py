@@ -31,6 +31,7 @@ ALLOWED = {
     "dialects/spatialite.py": OUR_NAMES,
     "dialects/sqliteconnection.py": "kinds of transactions and values of pragmas are ours",
     "history/periods.py": OUR_NAMES,
+    "history/shownlayers.py": OUR_NAMES,
     "runs/reading.py": OUR_NAMES,
     "schema/ddl.py": OUR_NAMES,
     "schema/migration.py": "comments of the declared tables, quoted; the table of the version",

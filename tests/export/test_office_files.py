@@ -18,6 +18,7 @@ import pytest
 import shapely
 from click.testing import CliRunner
 from support.offices import office
+from support.qgis import opened_by_qgis
 from support.towns import EPSG, UTM, footprints
 
 from msbdb import api
@@ -29,9 +30,6 @@ from msbdb.run.export import LAYERS_OF
 from msbdb.tables.aliases import COLUMN_WORDS, LAYER_WORDS, words_of
 
 needs_ogrinfo = pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="ogrinfo (gdal-bin) is not installed")
-
-QGIS_PYTHON = "/usr/bin/python3"
-"""The Python for which Debian installs the modules of QGIS."""
 
 
 @pytest.fixture(scope="module")
@@ -274,58 +272,10 @@ def test_a_project_shows_the_database(town: Path, tmp_path: Path) -> None:
     assert (tmp_path / "town.qgz").read_bytes() == before
 
 
-LOAD = """
-import sys
-from qgis.core import *
-from qgis.PyQt.QtCore import QSize
-app = QgsApplication([], False)
-app.initQgis()
-messages = []
-QgsApplication.messageLog().messageReceived.connect(lambda *words: messages.append(words))
-project = QgsProject.instance()
-assert project.read(sys.argv[1])
-assert project.crs().authid() == sys.argv[2], project.crs().authid()
-for layer in project.mapLayers().values():
-    assert layer.isValid(), layer.source()
-    for feature in layer.getFeatures():
-        pass
-    print(layer.id(), layer.featureCount())
-for relation in project.relationManager().relations().values():
-    assert relation.isValid(), relation.validationError()
-    rows = relation.referencedLayer().getFeatures()
-    print(relation.id(), sum(len(list(relation.getRelatedFeatures(row))) for row in rows))
-height = project.mapLayer("footprint_by_height")
-settings = QgsMapSettings()
-settings.setLayers([height])
-settings.setDestinationCrs(project.crs())
-settings.setExtent(height.extent())
-settings.setOutputSize(QSize(400, 300))
-job = QgsMapRendererParallelJob(settings)
-job.start()
-job.waitForFinished()
-image = job.renderedImage()
-colours = {image.pixelColor(x, y).name() for x in range(0, image.width(), 4) for y in range(0, image.height(), 4)}
-print("colours", len(colours))
-alias = {field.name(): field.alias() for field in height.fields()}
-print("alias", alias["ridge"])
-assert not messages, messages
-"""
-
-
-def has_qgis() -> bool:
-    """Return whether Debian's QGIS can be used from Python."""
-    if not Path(QGIS_PYTHON).exists():
-        return False
-    done = subprocess.run([QGIS_PYTHON, "-c", "import qgis.core"], capture_output=True, check=False)
-    return done.returncode == 0
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["project", "geopackage"])
 def test_qgis_opens_the_project_and_the_geopackage(town: Path, tmp_path: Path, kind: str) -> None:
     """All layers are valid and coloured, relations hold, aliases are there, and QGIS has nothing to say."""
-    if not has_qgis():
-        pytest.skip("QGIS is not installed; apt-get install qgis python3-qgis")
     shutil.copy(town, tmp_path / "town.sqlite")
     if kind == "project":
         source = tmp_path / "town.qgz"
@@ -333,11 +283,7 @@ def test_qgis_opens_the_project_and_the_geopackage(town: Path, tmp_path: Path, k
     else:
         run("export", town, tmp_path / "town.gpkg")
         source = f"geopackage:{tmp_path / 'town.gpkg'}?projectName=town"
-    environment = {"QT_QPA_PLATFORM": "offscreen", "HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
-    words = [QGIS_PYTHON, "-c", LOAD, str(source), f"EPSG:{EPSG}"]
-    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
-    assert done.returncode == 0, done.stderr
-    told = done.stdout
+    told = opened_by_qgis(source, EPSG)
     assert "footprint_by_height 4\n" in told
     assert "part_by_scale 3\n" in told
     assert "parts_of_building 3\n" in told

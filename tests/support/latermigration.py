@@ -21,10 +21,8 @@ from alembic import op
 revision = "9000"
 down_revision = "{today}"
 
-NEW_VIEW = """
-SELECT building_id, colour, geometry FROM building
-"""
 OLD_VIEW = """{footprint}"""
+NEW_VIEW = OLD_VIEW.replace("b.building_id,", "b.building_id, b.colour,", 1)
 
 
 def upgrade() -> None:

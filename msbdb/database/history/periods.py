@@ -354,7 +354,9 @@ def _typed(name: str, values: list[Any]) -> Any:  # noqa: ANN401  (a pandas arra
     import pandas as pd
 
     if name in _OBJECTS:
-        return pd.Series([json.loads(v) if isinstance(v, str) else v for v in values], dtype=object)
+        found = [json.loads(v) if isinstance(v, str) else v for v in values]
+        # A view shows an empty object where there is none.
+        return pd.Series([None if v == {} and name != "counts" else v for v in found], dtype=object)
     if name in _FLAGS or (values and isinstance(values[0], bool)):
         return pd.Series(values, dtype=bool)
     if name in _INTEGERS:

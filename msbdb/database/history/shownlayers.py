@@ -133,10 +133,10 @@ def _runs(connection: Connection, survey: str | None, where: str) -> list[Any]:
 
 def _inventory(connection: Connection, date: str | None) -> Columns:
     """Return the inventory on a day, in order of ``uid``."""
-    source = CURRENT if date is None else f"({footprint_at_query()})"
+    origin = CURRENT if date is None else f"({footprint_at_query()})"
     columns = VIEW_COLUMNS[CURRENT]
     values = {} if date is None else {"date": first_day(date)}
-    found = _read(connection, source, columns, "", values)
+    found = _read(connection, origin, columns, "", values)
     order = np.argsort(np.asarray(found["uid"]), kind="stable")
     return {name: own[order] for name, own in found.items()}
 
@@ -162,11 +162,11 @@ def _layer(connection: Connection, name: str, runs: Sequence[Any]) -> Columns:
 
 
 def _read(
-    connection: Connection, source: str, columns: Sequence[Column], where: str, values: Mapping[str, object]
+    connection: Connection, origin: str, columns: Sequence[Column], where: str, values: Mapping[str, object]
 ) -> Columns:
     """Return the rows of a table, view or query."""
     names = ", ".join(f"f.{column.name}" for column in columns)
-    query = f"SELECT {names}, ST_AsBinary(f.geometry) FROM {source} AS f {where}"  # noqa: S608  (our own names)
+    query = f"SELECT {names}, ST_AsBinary(f.geometry) FROM {origin} AS f {where}"  # noqa: S608  (our own names)
     return _arrays(columns, connection.execute(text(query), values).all())
 
 
@@ -193,8 +193,9 @@ def _array(values: Sequence[Any], dtype: str) -> NDArray[Any]:
 
 
 def _json(value: object) -> str | None:
-    """Return a JSON value, which only some drivers parse, as canonical text."""
-    return value if value is None or isinstance(value, str) else to_json(value)
+    """Return a JSON value, which only some drivers parse, as canonical text; None for an empty object."""
+    words = value if value is None or isinstance(value, str) else to_json(value)
+    return None if words == "{}" else words
 
 
 def _joined(pieces: Sequence[NDArray[Any]]) -> NDArray[Any]:
