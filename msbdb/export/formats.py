@@ -13,9 +13,13 @@ from msbdb.export.geopackage import write_geopackage
 from msbdb.export.parquet import write_parquet
 from msbdb.export.plainfiles import write_csv, write_dxf, write_flatgeobuf, write_kml
 from msbdb.export.shapefile import write_shapefile
+from msbdb.export.standards.cityjson import write_cityjson, write_cityjsonseq
 from msbdb.io.files import require_output
 
 NO_OPTIONS: Mapping[str, str] = MappingProxyType({})
+
+TOWN = ("footprint", "part")
+"""The layers of formats with buildings and their parts."""
 
 
 class Writer(Protocol):
@@ -68,6 +72,8 @@ FORMATS: dict[str, Format] = {
         Format("csv", "CSV", (".csv",), write_csv, single=True),
         Format("kml", "KML", (".kml",), write_kml, single=True),
         Format("dxf", "DXF", (".dxf",), write_dxf, single=True),
+        Format("cityjson", "CityJSON 2.0", (".city.json",), write_cityjson, needs=TOWN),
+        Format("cityjsonseq", "CityJSONSeq", (".city.jsonl",), write_cityjsonseq, needs=TOWN),
     )
 }
 """All formats by name. Of several with the same ending, the first is meant where no name is given."""

@@ -1,0 +1,1 @@
+"""Formats with a schema of their own: CityJSON, exposure of OpenQuake, Overture, INSPIRE."""
