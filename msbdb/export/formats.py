@@ -14,6 +14,8 @@ from msbdb.export.parquet import write_parquet
 from msbdb.export.plainfiles import write_csv, write_dxf, write_flatgeobuf, write_kml
 from msbdb.export.shapefile import write_shapefile
 from msbdb.export.standards.cityjson import write_cityjson, write_cityjsonseq
+from msbdb.export.standards.exposure import OPTIONS as EXPOSURE
+from msbdb.export.standards.exposure import write_exposure
 from msbdb.io.files import require_output
 
 NO_OPTIONS: Mapping[str, str] = MappingProxyType({})
@@ -74,6 +76,7 @@ FORMATS: dict[str, Format] = {
         Format("dxf", "DXF", (".dxf",), write_dxf, single=True),
         Format("cityjson", "CityJSON 2.0", (".city.json",), write_cityjson, needs=TOWN),
         Format("cityjsonseq", "CityJSONSeq", (".city.jsonl",), write_cityjsonseq, needs=TOWN),
+        Format("openquake", "OpenQuake exposure", (".xml", ".csv"), write_exposure, needs=TOWN, options=EXPOSURE),
     )
 }
 """All formats by name. Of several with the same ending, the first is meant where no name is given."""

@@ -95,10 +95,12 @@ def require_output(
 
 
 def existing_files(path: Path) -> list[Path]:
-    """Return the files that writing to the path would replace, the sidecars of a Shapefile or CSV included."""
+    """Return the files that writing to the path would replace, with the sidecars of a Shapefile, a CSV or an exposure."""
     candidates = [path]
     if path.suffix.lower() == ".csv":
         candidates.append(path.with_suffix(".csvt"))
+    if path.suffix.lower() == ".xml":
+        candidates.append(path.with_suffix(".csv"))
     if path.suffix.lower() == ".shp":
         candidates += [path.with_suffix(suffix) for suffix in SIDECARS if suffix != path.suffix]
     return [candidate for candidate in candidates if candidate.exists()]
