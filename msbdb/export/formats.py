@@ -16,6 +16,7 @@ from msbdb.export.shapefile import write_shapefile
 from msbdb.export.standards.cityjson import write_cityjson, write_cityjsonseq
 from msbdb.export.standards.exposure import OPTIONS as EXPOSURE
 from msbdb.export.standards.exposure import write_exposure
+from msbdb.export.standards.overture import write_overture_buildings, write_overture_parts
 from msbdb.io.files import require_output
 
 NO_OPTIONS: Mapping[str, str] = MappingProxyType({})
@@ -77,6 +78,8 @@ FORMATS: dict[str, Format] = {
         Format("cityjson", "CityJSON 2.0", (".city.json",), write_cityjson, needs=TOWN),
         Format("cityjsonseq", "CityJSONSeq", (".city.jsonl",), write_cityjsonseq, needs=TOWN),
         Format("openquake", "OpenQuake exposure", (".xml", ".csv"), write_exposure, needs=TOWN, options=EXPOSURE),
+        Format("overture", "Overture buildings", (".building.parquet",), write_overture_buildings, needs=TOWN),
+        Format("overture-parts", "Overture parts", (".building_part.parquet",), write_overture_parts, needs=TOWN),
     )
 }
 """All formats by name. Of several with the same ending, the first is meant where no name is given."""
