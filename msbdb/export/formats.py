@@ -16,7 +16,9 @@ from msbdb.export.shapefile import write_shapefile
 from msbdb.export.standards.cityjson import write_cityjson, write_cityjsonseq
 from msbdb.export.standards.exposure import OPTIONS as EXPOSURE
 from msbdb.export.standards.exposure import write_exposure
-from msbdb.export.standards.overture import write_overture_buildings, write_overture_parts
+from msbdb.export.standards.inspire import OPTIONS as INSPIRE
+from msbdb.export.standards.inspire import write_inspire
+from msbdb.export.standards.overture import write_overture, write_parts
 from msbdb.io.files import require_output
 
 NO_OPTIONS: Mapping[str, str] = MappingProxyType({})
@@ -75,11 +77,12 @@ FORMATS: dict[str, Format] = {
         Format("csv", "CSV", (".csv",), write_csv, single=True),
         Format("kml", "KML", (".kml",), write_kml, single=True),
         Format("dxf", "DXF", (".dxf",), write_dxf, single=True),
-        Format("cityjson", "CityJSON 2.0", (".city.json",), write_cityjson, needs=TOWN),
-        Format("cityjsonseq", "CityJSONSeq", (".city.jsonl",), write_cityjsonseq, needs=TOWN),
+        Format("cityjson", "CityJSON 2.0", (".city.json", ".json"), write_cityjson, needs=TOWN),
+        Format("cityjsonseq", "CityJSONSeq", (".city.jsonl", ".jsonl"), write_cityjsonseq, needs=TOWN),
         Format("openquake", "OpenQuake exposure", (".xml", ".csv"), write_exposure, needs=TOWN, options=EXPOSURE),
-        Format("overture", "Overture buildings", (".building.parquet",), write_overture_buildings, needs=TOWN),
-        Format("overture-parts", "Overture parts", (".building_part.parquet",), write_overture_parts, needs=TOWN),
+        Format("overture", "Overture buildings", (".building.parquet", ".parquet"), write_overture, needs=TOWN),
+        Format("overture-parts", "Overture parts", (".building_part.parquet", ".parquet"), write_parts, needs=TOWN),
+        Format("inspire", "INSPIRE Buildings", (".inspire.gpkg", ".gpkg"), write_inspire, needs=TOWN, options=INSPIRE),
     )
 }
 """All formats by name. Of several with the same ending, the first is meant where no name is given."""

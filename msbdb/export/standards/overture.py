@@ -12,8 +12,7 @@ import numpy as np
 import shapely
 
 from msbdb.export.content import Content
-from msbdb.export.standards.solids import outlines_of
-from msbdb.export.standards.town import Building, Part, Town
+from msbdb.export.standards.town import Building, Part, Town, side_by_side
 from msbdb.io.files import write_atomic
 
 if TYPE_CHECKING:
@@ -28,26 +27,19 @@ ROWS_A_GROUP = 10_000
 Row = dict[str, Any]
 
 
-def write_overture_buildings(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (none)
+def write_overture(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (none)
     """Write the buildings: a feature of the type ``building`` for each."""
     town = Town.of(content)
     rows = [_building_row(building, town) for building in town.buildings]
     _write(rows, [building.geometry for building in town.buildings], town, path, _building_fields())
 
 
-def write_overture_parts(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (none)
+def write_parts(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (none)
     """Write the parts of buildings that have several: features of the type ``building_part``, side by side."""
     town = Town.of(content)
-    pairs = [(building, part, own) for building in town.buildings for part, own in _parts_of(building)]
+    pairs = [(building, part, own) for building in town.buildings for part, own in side_by_side(building)]
     rows = [_part_row(building, part, town) for building, part, _ in pairs]
     _write(rows, [own for *_, own in pairs], town, path, _part_fields())
-
-
-def _parts_of(building: Building) -> list[tuple[Part, shapely.Geometry]]:
-    """Return the parts of a building with what no finer part covers, where there are several."""
-    found = [(part, shapely.multipolygons(outlines_of(part.own))) for part in building.parts]
-    found = [(part, own) for part, own in found if not own.is_empty]
-    return found if len(found) > 1 else []
 
 
 def _building_row(building: Building, town: Town) -> Row:
@@ -58,7 +50,7 @@ def _building_row(building: Building, town: Town) -> Row:
     height = record.get("h_p90") if ridge is None else ridge
     row |= {"height": height or None, "num_floors": record.get("storeys") or None}
     row |= {"roof_height": None if eaves is None or ridge is None else ridge - eaves}
-    return row | {"subtype": None, "class": None, "has_parts": bool(_parts_of(building))}
+    return row | {"subtype": None, "class": None, "has_parts": bool(side_by_side(building))}
 
 
 def _part_row(building: Building, part: Part, town: Town) -> Row:

@@ -7,7 +7,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from msbdb.errors import CRSError
 from msbdb.export.content import Content
+from msbdb.export.standards.solids import outlines_of
 from msbdb.io.layers import Layer
 
 ROOF_EDGE = "roofEdge"
@@ -101,7 +103,18 @@ class Town:
 
     @classmethod
     def of(cls, content: Content) -> Self:
-        """Return the buildings and parts of a content with the layers ``footprint`` and ``part``."""
+        """Return the buildings and parts of a content with the layers ``footprint`` and ``part``.
+
+        Raises
+        ------
+        CRSError
+            When the CRS is not in metres.
+        """
+        from pyproj import CRS
+
+        if CRS.from_user_input(content.crs).is_geographic:
+            msg = f"This format needs a CRS in metres; got {content.crs}. Leave out --crs, or name one in metres."
+            raise CRSError(msg)
         footprint, key = content.layers["footprint"], content.building_key
         parts: dict[int, list[Part]] = {}
         for found in _parts(content.layers["part"]):
@@ -114,6 +127,13 @@ class Town:
         date = content.date or max((survey.date for survey in content.surveys), default="")
         name = ", ".join(survey.name for survey in content.surveys) or "buildings"
         return cls(tuple(buildings), content.crs, content.vertical_crs, date, name)
+
+
+def side_by_side(building: Building) -> list[tuple[Part, shapely.Geometry]]:
+    """Return the parts of a building with what no finer part covers, where there are several; slivers are left out."""
+    found = [(part, shapely.multipolygons(outlines_of(part.own))) for part in building.parts]
+    found = [(part, own) for part, own in found if not own.is_empty]
+    return found if len(found) > 1 else []
 
 
 def records(layer: Layer) -> list[Record]:
