@@ -90,6 +90,10 @@ def export(
     (Shapefile), .csv, .kml or .dxf. A GeoPackage has all layers, with styles, names in words, and a project for QGIS;
     the other formats have one layer. docs/export.md has the fields of each.
 
+    Formats with a schema of their own have buildings with their parts: .city.json (CityJSON), .city.jsonl
+    (CityJSONSeq), .xml (exposure for OpenQuake), .building.parquet and .building_part.parquet (Overture), and
+    .inspire.gpkg (INSPIRE). docs/export-standards.md has their fields and options.
+
     By default the file has the current inventory: footprint and part, flat_region and candidate_region. Without an
     inventory all surveys are written, the newest first, with the survey of each row. An empty database gives an empty
     file. Outlines are edges of roofs, not walls at the ground. Ids are texts.

@@ -95,7 +95,7 @@ def require_output(
 
 
 def existing_files(path: Path) -> list[Path]:
-    """Return the files that writing to the path would replace, with the sidecars of a Shapefile, a CSV or an exposure."""
+    """Return the files that writing to the path would replace, sidecars of a Shapefile, CSV or exposure included."""
     candidates = [path]
     if path.suffix.lower() == ".csv":
         candidates.append(path.with_suffix(".csvt"))
