@@ -106,12 +106,12 @@ def test_changes_are_written_in_every_format(town: Path, tmp_path: Path) -> None
     now, uids = set(footprint_at(engine, "2021-05-01")["uid"]), set(read_changes(engine)["uid_after"].dropna())
     assert now < uids
     run("changes", town, "--out", tmp_path / "changes.gpkg")
-    assert len(gpd.read_file(tmp_path / "changes.gpkg")) == 9
+    assert len(gpd.read_file(tmp_path / "changes.gpkg", layer="change")) == 9
     run("changes", town, "--each", "--out", tmp_path / "changes.gpkg", "--overwrite")
-    layer = gpd.read_file(tmp_path / "changes.gpkg")
+    layer = gpd.read_file(tmp_path / "changes.gpkg", layer="change")
     assert len(layer) == 17
     with closing(sqlite3.connect(tmp_path / "changes.gpkg")) as file:
-        found = {uid for (uid,) in file.execute("SELECT uid_after FROM change WHERE uid_after IS NOT NULL")}
+        found = {int(uid) for (uid,) in file.execute("SELECT uid_after FROM change WHERE uid_after IS NOT NULL")}
     assert found == uids
     assert layer.crs == UTM
     run("changes", town, "--out", tmp_path / "changes.geojson")

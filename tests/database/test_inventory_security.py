@@ -60,7 +60,8 @@ def assert_told(target: str, folder: Path, name: str) -> None:
     for ending in ("gpkg", "geojson", "csv"):
         run("changes", target, "--out", folder / f"changes.{ending}")
         path = folder / f"changes.{ending}"
-        frame: Any = pd.read_csv(path) if ending == "csv" else gpd.read_file(path)
+        layer = {"layer": "change"} if ending == "gpkg" else {}
+        frame: Any = pd.read_csv(path) if ending == "csv" else gpd.read_file(path, **layer)
         assert set(frame["survey"]) == {name}
         [attributes] = frame.loc[frame["kind"] == "demolished", "attributes_before"]
         # GDAL reads JSON in GeoJSON as what it says.

@@ -111,7 +111,7 @@ def test_the_net_change_is_written_and_printed(engine: Engine, tmp_path: Path) -
     assert "new and demolished in between" in run("changes", db, *period)
     for ending in ("gpkg", "geojson", "csv"):
         run("changes", db, *period, "--out", tmp_path / f"net.{ending}")
-    assert len(gpd.read_file(tmp_path / "net.gpkg")) == len(pd.read_csv(tmp_path / "net.csv")) == 10
+    assert len(gpd.read_file(tmp_path / "net.gpkg", layer="change")) == len(pd.read_csv(tmp_path / "net.csv")) == 10
     web = json.loads((tmp_path / "net.geojson").read_text())["features"]
     assert {type(feature["properties"]["uid_before"]) for feature in web} == {str}
     run("changes", db, *period, "--figure", tmp_path / "net.png")
