@@ -122,7 +122,7 @@ def build(
     with stages.stage("write"):
         changed = store_survey(kept, db, labelled, replace=replace)
     passing = (*notices.passing, *(replaced(former, kept) if changed else ()))
-    return report_of(kept, stages, changed=changed, passing=passing)
+    return report_of(kept, stages, db, changed=changed, passing=passing)
 
 
 def classes(db: str | Path, survey: str | None = None) -> "pd.DataFrame":

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def info(db: str | Path) -> dict[str, Any]:
-    """Return what a database holds: a record a run, with its survey, counts and notices."""
+    """Return what a database holds: a record a run, with counts and notices, and the inventory in numbers."""
     from msbdb.run.outputs import info_of
 
     return info_of(db)

@@ -7,17 +7,16 @@ import datetime
 import logging
 import re
 import traceback
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from msbdb.cli.output import stderr_console
-from msbdb.errors import FileError, MsbdbError, MsbdbWarning
+from msbdb.cli.output import QUIET
+from msbdb.cli.progress import keep, reporting
+from msbdb.errors import FileError, MsbdbError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -40,8 +39,6 @@ INPUT_FILE = InputFile(exists=True, path_type=Path)
 
 OUTPUT_FILE = click.Path(path_type=Path)
 """A file to write; what it may be is checked where it is written, for users of Python too."""
-
-logger = logging.getLogger(__name__)
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells count it: 128 + SIGINT."""
@@ -190,7 +187,16 @@ SHARED: dict[str, Callable[[F], F]] = {
     "overwrite": click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     "survey": click.option("--survey", metavar="NAME", help="The survey to use, where the database holds several."),
     "json": click.option("as_json", "--json", is_flag=True, help="Print the result as JSON on the standard output."),
-    "verbose": click.option("-v", "--verbose", count=True, help="Print more: -v the stages, -vv the details."),
+    "verbose": click.option(
+        "-v", "--verbose", count=True, help="Print more: -v the steps and decisions, -vv all details."
+    ),
+    "quiet": click.option("-q", "--quiet", is_flag=True, help="Print only what was asked for, and errors."),
+    "log-file": click.option(
+        "--log-file",
+        type=OUTPUT_FILE,
+        metavar="FILE",
+        help="Add all steps, notices and errors with times to this file.",
+    ),
     "debug": click.option("--debug", is_flag=True, help="Show the traceback of an error."),
 }
 """Every option that more than one command takes, by name."""
@@ -237,15 +243,24 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401  (click's)
         """Run the command; report a failure in one line, with the traceback only under ``--debug``."""
         debug = bool(ctx.params.pop("debug", False))
-        with _reporting(ctx.params.pop("verbose", 0), ctx):
+        verbose, log = ctx.params.pop("verbose", 0), ctx.params.pop("log_file", None)
+        ctx.meta[QUIET] = bool(ctx.params.pop("quiet", False))
+        if ctx.meta[QUIET] and verbose:
+            msg = "--quiet and --verbose are opposites; give one of them."
+            raise click.UsageError(msg)
+        with reporting(verbose, ctx, log):
             failure: Exception
             try:
                 return super().invoke(ctx)
-            except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+            except click.ClickException as error:
+                keep(ctx, logging.ERROR, error.format_message())
+                raise
+            except (click.exceptions.Exit, click.Abort, BrokenPipeError):
                 raise
             except MsbdbError as error:
                 failure, message = error, str(error)
             except KeyboardInterrupt:
+                keep(ctx, logging.ERROR, "Interrupted.")
                 click.echo("\nInterrupted. A database keeps its last complete build; run the command again.", err=True)
                 raise click.exceptions.Exit(INTERRUPTED) from None
             except MemoryError as error:
@@ -262,15 +277,18 @@ class Command(click.Command):
                 )
             if debug:
                 click.echo("".join(traceback.format_exception(failure)), err=True)
+            keep(ctx, logging.ERROR, message, failure)
             raise click.ClickException(message)
 
 
 def command(name: str, *, examples: tuple[str, ...]) -> Callable[[Callable[..., Any]], Command]:
-    """Declare a command of this name; ``-v`` and ``--debug`` are added to its own options."""
+    """Declare a command of this name; ``-v``, ``--quiet``, ``--log-file`` and ``--debug`` are added to its options."""
 
     def decorate(function: Callable[..., Any]) -> Command:
         made = click.command(name, cls=Command, examples=examples)(function)
-        return shared("debug", "verbose")(made)  # a command takes more options at its end, the last one first
+        return shared("debug", "log-file", "quiet", "verbose")(
+            made
+        )  # a command takes more options at its end, the last one first
 
     return decorate
 
@@ -297,45 +315,3 @@ def spread(args: list[str], repeatable: set[str]) -> list[str]:
 def _repeats(param: click.Parameter) -> bool:
     """Whether a parameter is an option that may be given more than once."""
     return isinstance(param, click.Option) and param.multiple
-
-
-@contextmanager
-def _reporting(verbose: int, ctx: click.Context) -> Iterator[None]:
-    """Send log records and notices to the standard error while a command runs."""
-    handler = _ConsoleHandler()
-    package = logging.getLogger("msbdb")
-    level = package.level
-    package.addHandler(handler)
-    package.setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(verbose, 2)])
-    shown: set[str] = ctx.ensure_object(set)
-
-    def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-        if issubclass(category, MsbdbWarning):
-            notice(str(message), shown)
-        else:
-            logger.info("%s: %s", category.__name__, message)
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", MsbdbWarning)
-            warnings.showwarning = show
-            yield
-    finally:
-        package.removeHandler(handler)
-        package.setLevel(level)
-
-
-class _ConsoleHandler(logging.Handler):
-    """Writes log records above the progress bars, a line each."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Write one record."""
-        line = f"{record.levelname.lower()}: {self.format(record)}"
-        stderr_console().print(line, markup=False, highlight=False, soft_wrap=True, style="dim")
-
-
-def notice(message: str, shown: set[str]) -> None:
-    """Show the user a notice, once."""
-    if message not in shown:
-        shown.add(message)
-        stderr_console().print(f"Notice: {message}", markup=False, highlight=False, soft_wrap=True)

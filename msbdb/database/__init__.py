@@ -23,6 +23,7 @@ from msbdb.database.history.periods import (
     read_fallback,
     read_history,
     read_states,
+    summarise_inventory,
 )
 from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, write_advance
@@ -123,6 +124,7 @@ __all__ = [
     "shown",
     "srid_of",
     "store_build",
+    "summarise_inventory",
     "summarise_run",
     "survey_key",
     "upgrade_schema",

@@ -337,7 +337,8 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
         dtm, name = terrain(points, spec, params.ground)
     else:
         dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
-    logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)
+    surface_is = "The surface has %d x %d cells of %s m from %.1f points/m2. The ground is by the filter '%s'"
+    logger.info(surface_is, *spec.shape, cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
     return surface if given is None else note_offset(surface)
 
