@@ -227,9 +227,14 @@ class Command(click.Command):
         self.examples = examples
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Let an option that may be repeated take several values after one flag, as shells expand them."""
-        if not any(isinstance(param, click.Argument) for param in self.params):
-            args = spread(args, {opt for param in self.params if _repeats(param) for opt in param.opts})
+        """Let an option that may be repeated take several values after one flag, as shells expand them.
+
+        A command with arguments has them first for that, so that no value is taken for one.
+        """
+        arguments = sum(isinstance(param, click.Argument) for param in self.params)
+        if not any(word.startswith("-") for word in args[:arguments]):
+            repeatable = {opt for param in self.params if _repeats(param) for opt in param.opts}
+            args = args[:arguments] + spread(args[arguments:], repeatable)
         return super().parse_args(ctx, args)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

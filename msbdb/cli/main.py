@@ -6,6 +6,7 @@ from msbdb.cli.build import build, classify
 from msbdb.cli.db import db
 from msbdb.cli.doctor import doctor
 from msbdb.cli.inventory import changes, import_, state, update
+from msbdb.cli.measure import measure
 from msbdb.cli.outputs import classes, evaluate, export, info, query, view, why
 from msbdb.cli.params import params
 from msbdb.version import __version__
@@ -30,6 +31,7 @@ for _command in (
     export,
     evaluate,
     classify,
+    measure,
     update,
     changes,
     import_,

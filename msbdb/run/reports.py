@@ -261,6 +261,45 @@ class ImportReport:
         return asdict(self)
 
 
+@dataclass(frozen=True, slots=True)
+class MeasureReport:
+    """What measuring footprints on a survey did.
+
+    Attributes
+    ----------
+    survey, name : str
+        The survey, and the name that the footprints have in the inventory.
+    status : str
+        'created', or 'unchanged' where the same measures were there already.
+    footprints : int
+        Footprints of the file; each has its row.
+    states : dict of str to int
+        Footprints by state.
+    unseen : int
+        Those that the survey has too few heights on; they are unsure.
+    others : int
+        Detected buildings without a footprint.
+    database : str
+        The database.
+    build : BuildReport or None
+        The build of the survey; None where it was built already.
+    """
+
+    survey: str
+    name: str
+    status: str
+    footprints: int
+    states: dict[str, int]
+    unseen: int
+    others: int
+    database: str
+    build: BuildReport | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Changes:
     """Changes between two dates.

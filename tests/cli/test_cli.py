@@ -223,6 +223,13 @@ class FakeApi(types.ModuleType):
         inventory = types.SimpleNamespace(**told, notices=("Few pairs.",))
         return types.SimpleNamespace(build=FakeReport(), inventory=inventory, as_dict=lambda: {"inventory": told})
 
+    def measure(self, footprints, points=(), *, progress=None, **options):
+        """Return a report of three footprints."""
+        self._note("measure", footprints=footprints, points=points, progress=progress, **options)
+        told = {"survey": "spring", "name": "cadastre", "status": "created", "footprints": 3, "others": 1, "unseen": 0}
+        told |= {"states": {"confirmed": 2, "refuted": 1}, "database": "/data/town.sqlite"}
+        return types.SimpleNamespace(**told, build=FakeReport(), as_dict=lambda: told)
+
     def changes(
         self, db, *, since=None, until=None, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
     ):
@@ -425,6 +432,22 @@ def test_build_reports_and_draws(api):
     assert result.stderr.count("Notice: No imagery") == 1
     called = {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings", "overwrite": False}
     assert api.calls[1] == ("view", called)
+
+
+def test_measure_hands_everything_over_and_reports(api):
+    """Footprints first, then options of a build, with several values after a flag; the counts are printed."""
+    for name in ("c.gpkg", "a.laz", "b.laz"):
+        Path(name).touch()
+    words = ("measure", "c.gpkg", "--points", "a.laz", "b.laz", "--db", "x", "--id", "number", "--out", "m.csv")
+    result = run(*words, "--set", "surface.cell_m=0.5")
+    assert result.exit_code == 0, result.stderr
+    name, values = api.calls[0]
+    assert (name, values["footprints"], values["id_column"]) == ("measure", Path("c.gpkg"), "number")
+    assert (values["points"], values["out"]) == ((Path("a.laz"), Path("b.laz")), Path("m.csv"))
+    assert values["params"].surface.cell_m == 0.5
+    said = " ".join(result.stdout.split())
+    for expected in ("measured 3 footprints · confirmed 2 · refuted 1", "1 detected building", "written m.csv"):
+        assert expected in said
 
 
 def test_json_has_no_nan(api):

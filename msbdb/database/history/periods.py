@@ -117,6 +117,14 @@ def read_events(connection: Connection) -> "gpd.GeoDataFrame":
     return _frame(connection, query)
 
 
+def read_events_near(engine: Engine, area: shapely.Geometry) -> list[tuple[str, str]]:
+    """Return kind and name of the imports and updates whose area meets another one, in their order."""
+    with snapshot(engine) as connection:
+        events = read_events(connection)
+    near = events[events.intersects(area)]
+    return list(zip(near["kind"], near["name"], strict=True))
+
+
 def read_offsets(connection: Connection) -> "pd.DataFrame":
     """Return the offset of each survey: columns of ``survey_offset``."""
     return _plain(connection, select(*_columns_of(SURVEY_OFFSET)))
