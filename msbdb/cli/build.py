@@ -308,6 +308,7 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
         "msbdb classify town.laz classified.laz",
         "msbdb classify town.laz classified.las --extract multiscale --crs EPSG:28992 --overwrite",
         "msbdb classify town.copc.laz classified.laz --extract area3d,adaptive --ortho cir.tif --json",
+        "msbdb classify town.laz classified.laz --dtm terrain.tif",
     ),
 )
 @click.argument("source", type=INPUT_FILE, metavar="IN")
@@ -324,6 +325,9 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
 @click.option("--crs", type=crs_name, metavar="EPSG", help="The points' CRS where the file does not state it.")
 @click.option(
     "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE", help="An orthophoto of any bands and CRS; repeatable."
+)
+@click.option(
+    "--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster. [default: detected among the points]"
 )
 @click.option("--ortho-crs", type=crs_name, metavar="EPSG", help="The orthophotos' CRS where they do not state it.")
 @click.option(

@@ -199,6 +199,7 @@ class FakeApi(types.ModuleType):
         extract=("area3d",),
         crs=None,
         ortho=(),
+        dtm=None,
         ortho_crs=None,
         z_unit="auto",
         params=None,
