@@ -214,15 +214,15 @@ def emit_report(report: "BuildReport") -> None:
         return
     found, counts = report.overview, report.overview.counts
     states = ", ".join(f"{count:,} {state}" for state, count in found.states.items())
-    others = {"flat regions": report.flat_regions}
-    others |= {f"{name} regions": count for name, count in report.candidate_regions.items()}
+    others = {"flat region": report.flat_regions}
+    others |= {f"{name} region": count for name, count in report.candidate_regions.items()}
     pairs: dict[str, object] = {
         "survey": report.survey,
         "buildings": f"{report.buildings:,}: {states}" if states else "0",
         "parts": report.parts,
         "largest": _one(found.largest),
         "highest": _one(found.highest),
-        "evidence": ", ".join(f"{count:,} {name}" for name, count in others.items()),
+        "evidence": ", ".join(counted(count, name) for name, count in others.items()),
     }
     emit_pairs({name: value for name, value in pairs.items() if value})
     if found.refused_m2:
