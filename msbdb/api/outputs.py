@@ -327,7 +327,12 @@ class Inventory:
         """Write parts and footprints to a GeoPackage, Shapefile or GeoJSON, by the file's ending."""
         export(self.db, Path(out), survey=survey, overwrite=overwrite)
 
-    def evaluate(self, reference: str | Path, survey: str | None = None, **options: Any) -> "Evaluation":  # noqa: ANN401
+    def evaluate(
+        self,
+        reference: str | Path,
+        survey: str | None = None,
+        **options: Any,  # noqa: ANN401  (those of msbdb.api.evaluate)
+    ) -> "Evaluation":
         """Compare the footprints with a reference; the options are those of ``msbdb evaluate``.
 
         ``layer``, ``aoi``, ``crs``, ``height``, ``overlap``, ``cell_m`` and ``of``; see `msbdb.api.evaluate`.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msbdb.cli.command import (
+    DATABASE,
     INPUT_FILE,
     OUTPUT_FILE,
     F,
@@ -48,7 +49,9 @@ _HEIGHTS = (
         metavar="FILE",
         help="Polygons that divide touching houses: parcels, cadastre or footprints, of any vector format and CRS.",
     ),
-    click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."),
+    click.option(
+        "--db", type=DATABASE, required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."
+    ),
 )
 """Options of what a survey is made from."""
 

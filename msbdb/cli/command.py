@@ -5,6 +5,7 @@ An option that several commands have is spelled and explained in one place.
 
 import datetime
 import logging
+import os
 import re
 import traceback
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from msbdb.cli.output import QUIET
 from msbdb.cli.progress import keep, reporting
@@ -24,7 +26,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 class InputFile(click.Path):
     """A file that exists; a URL or a folder is refused with the next step."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+    def convert(
+        self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None
+    ) -> str | bytes | os.PathLike[str]:
         """Return the path."""
         from msbdb.io.files import require_input
 
@@ -36,6 +40,22 @@ class InputFile(click.Path):
 
 
 INPUT_FILE = InputFile(exists=True, path_type=Path)
+
+
+class DatabaseName(click.types.StringParamType):
+    """The path of a SpatiaLite file, which shells complete, or a URL."""
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002  (click's)
+        param: click.Parameter,  # noqa: ARG002  (click's)
+        incomplete: str,
+    ) -> list[CompletionItem]:
+        """Let the shell complete the names of files."""
+        return [CompletionItem(incomplete, type="file")]
+
+
+DATABASE = DatabaseName()
 
 OUTPUT_FILE = click.Path(path_type=Path)
 """A file to write; what it may be is checked where it is written, for users of Python too."""
@@ -183,7 +203,7 @@ def setting(text: str) -> tuple[str, str, object]:
 
 
 SHARED: dict[str, Callable[[F], F]] = {
-    "db": click.argument("db", metavar="DB"),
+    "db": click.argument("db", type=DATABASE, metavar="DB"),
     "overwrite": click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     "survey": click.option("--survey", metavar="NAME", help="The survey to use, where the database holds several."),
     "json": click.option("as_json", "--json", is_flag=True, help="Print the result as JSON on the standard output."),

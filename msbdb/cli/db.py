@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from msbdb.cli.command import OUTPUT_FILE, Command, command, crs_name, shared
+from msbdb.cli.command import DATABASE, OUTPUT_FILE, Command, command, crs_name, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, say
 from msbdb.cli.progress import progress_bar
 from msbdb.errors import counted
@@ -140,8 +140,8 @@ def dump(*, db: str, provenance: bool, out: Path | None, overwrite: bool) -> Non
 
 
 @command("copy", examples=("msbdb db copy town.sqlite postgresql://me@localhost/town",))
-@click.argument("source", metavar="FROM")
-@click.argument("target", metavar="TO")
+@click.argument("source", type=DATABASE, metavar="FROM")
+@click.argument("target", type=DATABASE, metavar="TO")
 @shared("json")
 def copy(*, source: str, target: str, as_json: bool) -> None:
     """Copy a database into another, of the same or the other kind.

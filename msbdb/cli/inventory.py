@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msbdb.cli.build import check_figure, check_inputs, emit_report, inputs, parameters, values, with_walls
-from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, shared
+from msbdb.cli.command import DATABASE, INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, is_quiet, say
 from msbdb.cli.progress import notice, progress_bar, stages_of
 from msbdb.errors import counted
@@ -102,7 +102,9 @@ def emit_advance(report: "AdvanceReport") -> None:
     required=True,
     help="Footprints that later surveys update, or points with the material of a roof.",
 )
-@click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL.")
+@click.option(
+    "--db", type=DATABASE, required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."
+)
 @click.option("--name", metavar="NAME", help="Name of the imported inventory. [default: the file's name]")
 @click.option("--layer", metavar="NAME", help="The layer to read, where the file has several.")
 @click.option("--date", type=iso_date, metavar="DATE", help="The day from which the footprints hold. [default: always]")

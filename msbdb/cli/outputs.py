@@ -8,6 +8,7 @@ from click.core import ParameterSource
 
 from msbdb.cli.build import emit_report
 from msbdb.cli.command import (
+    DATABASE,
     INPUT_FILE,
     OUTPUT_FILE,
     class_label,
@@ -118,7 +119,7 @@ def _parameters(ctx: click.Context, _param: click.Parameter, incomplete: str) ->
         "msbdb query town.sqlite storeys_histogram --param survey=spring --json",
     ),
 )
-@click.argument("db", metavar="DB", required=False)
+@click.argument("db", type=DATABASE, metavar="DB", required=False)
 @click.argument("name", metavar="NAME", required=False, shell_complete=_names)
 @click.option(
     "--param",
@@ -321,7 +322,7 @@ def classes(*, db: str, labels: tuple[tuple[int, str], ...], survey: str | None,
         "msbdb evaluate found.laz --reference classified.laz",
     ),
 )
-@click.argument("db", metavar="DB_OR_POINTS")
+@click.argument("db", type=DATABASE, metavar="DB_OR_POINTS")
 @click.option(
     "--reference",
     type=INPUT_FILE,

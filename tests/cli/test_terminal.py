@@ -2,13 +2,18 @@
 
 import json
 import logging
+import os
 import re
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import click
 import numba
 import pytest
 from click.testing import CliRunner
+from support.processes import ROOT, environment
 
 from msbdb.cli import output
 from msbdb.cli.command import command, shared
@@ -187,3 +192,28 @@ def test_a_log_file_is_no_other_file(tmp_path):
         assert "log file" in done.output
     assert data.read_bytes() == b"SQLite format 3\0"
     assert [path.name for path in tmp_path.iterdir()] == ["town.sqlite"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("msbdb meas", {"measure"}),
+        ("msbdb build --profile cao", {"cao-wu", "cao-wu-ss"}),
+        ("msbdb db ch", {"check"}),
+        ("msbdb info ", {"file"}),
+    ],
+)
+def test_a_user_presses_tab_in_bash(typed, offered):
+    """After the line of docs/cli.md; where a database is expected, bash completes names of files."""
+    line = next(line for line in (ROOT / "docs" / "cli.md").read_text().splitlines() if "bash_source" in line)
+    words = typed.split(" ")
+    script = f"""{line.partition("#")[0]}
+    compopt() {{ COMPREPLY=(file); }}  # bash has it only while Tab is pressed
+    COMP_WORDS=({typed}) COMP_CWORD={len(words) - 1}
+    _msbdb_completion msbdb
+    printf '%s\\n' "${{COMPREPLY[@]}}"
+    """
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    command = ["bash", "--norc", "-c", script]
+    done = subprocess.run(command, env=environment(PATH=path), capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == offered
