@@ -139,7 +139,8 @@ def measure(
         One of its kinds. A build that was written stays; repeating the command completes it.
     """
     from msbdb.io.files import require_output
-    from msbdb.run.measure import FORMATS, check_footprints, take_measures
+    from msbdb.run.footprintfile import FORMATS
+    from msbdb.run.measure import check_footprints, take_measures
     from msbdb.run.prepare import Inputs
     from msbdb.run.update import is_built
 

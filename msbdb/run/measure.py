@@ -37,20 +37,16 @@ from msbdb.errors import DatabaseError, InputError, PassingNotice
 from msbdb.fuse.buildings import covered_shares
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid
-from msbdb.io.files import write_atomic
-from msbdb.io.layers import Layer, texts, write_layers
 from msbdb.io.vector import read_polygons
 from msbdb.kept import heights_of
 from msbdb.labels import Labels, height_statistics, order_heights, sizes, sums
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, with_values
+from msbdb.run.footprintfile import write_footprints
 from msbdb.run.inventory import MEASURED, SINCE_EVER, as_versions, digest_of, keys_of
 from msbdb.run.reports import BuildReport, MeasureReport
 from msbdb.run.store import recall_elevations
 from msbdb.tables import CONFIRMING_COVER, EXTRACTOR_SHARES, HEIGHTS
-
-FORMATS = (".gpkg", ".geojson", ".csv")
-"""The endings of a file of measured footprints."""
 
 STANDS = 0.5
 """Ours, as for an evaluation: a building stands where at least this share of the footprint is detected as one."""
@@ -316,7 +312,7 @@ def take_measures(
         status, _ = write_import(engine, name, day, rows.to_crs(database_crs_of(engine)), digest=digest)
         where = shown(engine.url)
     if out is not None:
-        write_measured(found, frame, out)
+        write_footprints(found.footprints, found.others, frame, out)
     unseen = int((found.footprints["seen_share"] < SEEN).sum())
     if unseen:
         some = "1 footprint is" if unseen == 1 else f"{unseen} footprints are"
@@ -357,50 +353,3 @@ def _as_inventory(found: Measured, frame: gpd.GeoDataFrame, id_column: str | Non
 def _plain(values: Mapping[Any, Any]) -> dict[str, Any]:
     """Return measures as few digits as they deserve, for JSON."""
     return {str(name): round(value, 3) if isinstance(value, float) else value for name, value in values.items()}
-
-
-def write_measured(found: Measured, frame: gpd.GeoDataFrame, out: Path) -> None:
-    """Write the footprints with their own columns and their measures, and the buildings without one.
-
-    Parameters
-    ----------
-    found : Measured
-        The measures.
-    frame : GeoDataFrame
-        The footprints with their own columns; one with the name of a measure gets ``_given`` behind it.
-    out : path
-        A GeoPackage with the layers ``footprint`` and ``without_footprint``, or a GeoJSON or CSV with all of them; the
-        rows of buildings without a footprint have nulls in the office's columns, and ``has_footprint`` is false.
-    """
-    measures = found.footprints.drop(columns="geometry")
-    taken = {*measures.columns, "has_footprint", "easting", "northing"}
-    own = frame.drop(columns="geometry").rename(columns=lambda name: f"{name}_given" if name in taken else name)
-    footprints = gpd.GeoDataFrame(
-        pd.concat([own.reset_index(drop=True), measures], axis=1).assign(has_footprint=True),
-        geometry=[*frame.geometry], crs=frame.crs,
-    )  # fmt: skip
-    others = found.others.assign(has_footprint=False)
-    if out.suffix.lower() == ".gpkg":
-        layers = {"footprint": _layer(footprints), "without_footprint": _layer(others)}
-        write_layers(out, layers, "GPKG")
-        return
-    parts = [
-        part.astype({name: object for name in part.columns if name != "geometry"}) for part in (footprints, others)
-    ]
-    every = gpd.GeoDataFrame(pd.concat([part for part in parts if len(part)], ignore_index=True), crs=frame.crs)
-    every = gpd.GeoDataFrame(every.infer_objects(), geometry="geometry", crs=frame.crs)
-    if out.suffix.lower() == ".geojson":
-        write_layers(out, {out.stem: _layer(every)}, "GeoJSON", RFC7946="YES")
-        return
-    inside = every.geometry.representative_point()
-    with write_atomic(out) as temporary:
-        every.drop(columns="geometry").assign(easting=inside.x, northing=inside.y).to_csv(temporary, index=False)
-
-
-def _layer(frame: gpd.GeoDataFrame) -> Layer:
-    """Return rows as a layer of multipolygons, with the ids as texts, which browsers do not round."""
-    whole = [shape if shape.geom_type == "MultiPolygon" else shapely.MultiPolygon([shape]) for shape in frame.geometry]
-    made = frame.set_geometry(gpd.GeoSeries(whole, index=frame.index, crs=frame.crs))
-    layer = Layer.of(made)
-    ids = texts(np.asarray(made["building_id"].astype("Int64").astype(object).where(made["building_id"].notna(), None)))
-    return Layer({**layer.columns, "building_id": ids}, layer.geometry, layer.crs)

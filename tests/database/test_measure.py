@@ -20,6 +20,7 @@ from msbdb.api import advance
 from msbdb.cli.main import cli
 from msbdb.database import check_database, footprint_at, read_buildings, write_build
 from msbdb.errors import InputError, MsbdbWarning
+from msbdb.run.footprintfile import FORMATS, write_footprints
 from msbdb.run.measure import check_footprints, measure_footprints, take_measures
 
 README = Path(__file__).resolve().parents[2] / "README.md"
@@ -126,6 +127,20 @@ def test_all_of_the_survey_may_have_footprints(engine: Engine, tmp_path: Path) -
     footprints([AWAY]).assign(number=1).to_file(tmp_path / "away.gpkg")
     with pytest.raises(InputError, match="within the survey"):
         take(engine, tmp_path / "away.gpkg")
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_user_has_columns_of_the_same_names(tmp_path: Path, ending: str) -> None:
+    """Names of measures in any case, of the file itself, and those that stand in for them: each column is kept."""
+    given = footprints(ROW[:2]).assign(storeys=9, storeys_given=8, State="x", fid=[7, 7], geom="g", Number=["a", "b"])
+    measures = footprints(ROW[:2]).assign(state="refuted", storeys=2, ridge=6.49999, building_id=2**62)
+    write_footprints(measures, measures[:0], given, tmp_path / f"measured{ending}")
+    written = gpd.read_file(tmp_path / f"measured{ending}", **({"layer": "footprint"} if ending == ".gpkg" else {}))
+    own = {"storeys_given_given": 9, "storeys_given": 8, "State_given": "x", "fid_given": 7, "geom_given": "g"}
+    for name, value in {**own, "storeys": 2, "state": "refuted", "building_id": 2**62}.items():
+        assert set(written[name].astype(str)) == {str(value)}, name
+    assert written["Number"].tolist() == ["a", "b"]
+    assert set(written["ridge"].astype(float)) == {6.5}
 
 
 def test_the_command_of_the_readme_measures_a_cadastre(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
