@@ -1,9 +1,10 @@
 """Compiled kernels, and work on several cores with the same results as on one."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import ParamSpec, TypeVar, cast
+from contextlib import contextmanager
+from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -49,3 +50,25 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     import numba
 
     return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True))
+
+
+@contextmanager
+def when_compiling(tell: Callable[[bool], None]) -> Iterator[None]:
+    """Report each compilation of a kernel while the block runs; a kernel from the cache on disk is none.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with True when a compilation begins and with False when it ends, from any thread.
+    """
+    from numba.core import event
+
+    class Listener(event.Listener):
+        def on_start(self, event: Any) -> None:  # noqa: ANN401, ARG002  (numba's)
+            tell(True)
+
+        def on_end(self, event: Any) -> None:  # noqa: ANN401, ARG002  (numba's)
+            tell(False)
+
+    with event.install_listener("numba:compile", Listener()):
+        yield

@@ -1,12 +1,29 @@
-"""What users call: build, update, relabel, classify, evaluate, view, export, changes, imports, open, query, why.
+"""What users call: build, update, measure, classify, evaluate, view, export, changes, imports, open, query, why.
 
 The modules here declare the public functions. Libraries that take time to load are imported when they are used.
 """
 
 from msbdb.api.build import build, classes, classify, relabel
-from msbdb.api.inventory import advance, changes, import_inventory, import_roof_samples, set_state, summary, update
+from msbdb.api.inventory import (
+    advance,
+    changes,
+    import_inventory,
+    import_roof_samples,
+    measure,
+    set_state,
+    summary,
+    update,
+)
 from msbdb.api.outputs import Inventory, evaluate, evaluate_points, export, info, open, qgis, queries, query, view, why
-from msbdb.run.reports import AdvanceReport, BuildReport, Changes, ClassifyReport, ImportReport, UpdateReport
+from msbdb.run.reports import (
+    AdvanceReport,
+    BuildReport,
+    Changes,
+    ClassifyReport,
+    ImportReport,
+    MeasureReport,
+    UpdateReport,
+)
 
 __all__ = [
     "AdvanceReport",
@@ -15,6 +32,7 @@ __all__ = [
     "ClassifyReport",
     "ImportReport",
     "Inventory",
+    "MeasureReport",
     "UpdateReport",
     "advance",
     "build",
@@ -27,6 +45,7 @@ __all__ = [
     "import_inventory",
     "import_roof_samples",
     "info",
+    "measure",
     "open",
     "qgis",
     "queries",

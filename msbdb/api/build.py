@@ -114,6 +114,7 @@ def build(
     label = Label(survey or inputs.default_survey(), date or "")
     check_target(db)
     inputs = dataclasses.replace(inputs, fallback=read_fallback(db))
+    inputs.require_one_place()
     former = require_replaceable(db, label.name, inputs, methods, replace=replace)
     labelled = read_labelled_classes(db, label.name)
     label = dataclasses.replace(label, classes=labelled)
@@ -122,7 +123,7 @@ def build(
     with stages.stage("write"):
         changed = store_survey(kept, db, labelled, replace=replace)
     passing = (*notices.passing, *(replaced(former, kept) if changed else ()))
-    return report_of(kept, stages, changed=changed, passing=passing)
+    return report_of(kept, stages, db, changed=changed, passing=passing)
 
 
 def classes(db: str | Path, survey: str | None = None) -> "pd.DataFrame":
@@ -160,6 +161,7 @@ def classify(
     extract: str | Sequence[str] = ("area3d",),
     crs: str | None = None,
     ortho: Files = (),
+    dtm: File | None = None,
     ortho_crs: str | None = None,
     z_unit: str = "auto",
     params: Params | None = None,
@@ -184,6 +186,8 @@ def classify(
         CRS of points and orthophotos that state none.
     ortho : path or sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
+    dtm : path, optional
+        Raster of the ground's heights; without it the ground is detected among the points.
     z_unit : str
         Unit of the heights: ``auto``, ``m``, ``ft`` or ``us-ft``.
     params : Params, optional
@@ -209,7 +213,7 @@ def classify(
     from msbdb.run.classify import classify_points
     from msbdb.run.prepare import Inputs
 
-    inputs = Inputs.of(source, ortho, crs=crs, ortho_crs=ortho_crs, z_unit=z_unit)
+    inputs = Inputs.of(source, ortho, dtm=dtm, crs=crs, ortho_crs=ortho_crs, z_unit=z_unit)
     values = params or named_profile(profile)
     return classify_points(
         inputs, Path(out), extract=extract, params=values, keep=keep, overwrite=overwrite, progress=progress

@@ -7,7 +7,7 @@ from typing import Any
 
 from msbdb.api.build import Files, build
 from msbdb.errors import InputError
-from msbdb.run.reports import AdvanceReport, Changes, ImportReport, Progress, Stages, UpdateReport
+from msbdb.run.reports import AdvanceReport, Changes, ImportReport, MeasureReport, Progress, Stages, UpdateReport
 
 
 def update(
@@ -77,6 +77,97 @@ def update(
         )
     with stages.stage("inventory"):
         return UpdateReport(built, advance(db, survey, aoi=aoi))
+
+
+def measure(
+    footprints: str | Path,
+    points: Files = (),
+    *,
+    db: str | Path,
+    survey: str | None = None,
+    date: str | None = None,
+    name: str | None = None,
+    layer: str | None = None,
+    id_column: str | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    **options: Any,  # noqa: ANN401  (those of build)
+) -> MeasureReport:
+    """Measure footprints that you have on a survey: heights, storeys, parts, and whether a building stands there.
+
+    The survey is built by all detectors, with the footprints as its parcels. Each footprint keeps its outline and its
+    columns, and enters the inventory of the database with its measures. So do detected buildings without a footprint.
+
+    Parameters
+    ----------
+    footprints : path
+        Polygons in any vector format.
+    points : path or sequence of path
+        LAS, LAZ or COPC files; or give rasters among the options.
+    db : str or path
+        A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
+    survey : str, optional
+        Name of the survey; as for `msbdb.api.build`.
+    date : str, optional
+        When the data were taken, ISO 8601; the day from which the measures hold.
+    name : str, optional
+        Name of the footprints in the inventory; the file's by default.
+    layer : str, optional
+        Their layer, where the file has several.
+    id_column : str, optional
+        Column with an id for each footprint; by default their places serve. All columns are kept.
+    out : path, optional
+        Also write a GeoPackage, GeoJSON or CSV, by its ending, with the footprints' own columns and their measures.
+    overwrite : bool
+        Replace ``out`` if it exists.
+    progress : callable, optional
+        Called with stage, steps done and steps in all.
+    **options
+        All that `msbdb.api.build` takes. ``parcels`` are other polygons than the footprints that divide houses.
+
+    Returns
+    -------
+    MeasureReport
+
+    Raises
+    ------
+    InputError
+        When the inventory has other buildings in the place, the id column holds a value twice, or no footprint lies in
+        the survey.
+    MsbdbError
+        One of its kinds. A build that was written stays; repeating the command completes it.
+    """
+    from msbdb.io.files import require_output
+    from msbdb.run.footprintfile import FORMATS
+    from msbdb.run.measure import check_footprints, take_measures
+    from msbdb.run.prepare import Inputs
+    from msbdb.run.update import is_built
+
+    file, crs = Path(footprints), options.get("crs")
+    if out is not None:
+        require_output(out, overwrite=overwrite, endings=FORMATS, sources=[db, file])
+    chosen = name or file.stem
+    check_footprints(db, file, name=chosen, layer=layer, id_column=id_column, crs=crs)
+    if options.get("parcels") is None and layer is None:
+        options["parcels"] = file
+    given = {
+        key: options[key] for key in ("ortho", "dsm", "dtm", "ndsm", "crs", "ortho_crs", "z_unit") if key in options
+    }
+    label = survey or Inputs.of(points, **given).default_survey()
+    stages = Stages(progress)
+    built = None
+    if not is_built(points, db=db, survey=label, date=date or "", **_without(options, "replace")):
+        built = build(points, db=db, survey=label, date=date, overwrite=overwrite, progress=progress, **options)
+    with stages.stage("measure"):
+        return take_measures(
+            db, file, label, name=chosen, layer=layer, id_column=id_column, crs=crs, out=out, built=built
+        )
+
+
+def _without(options: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return options without one of them."""
+    return {key: value for key, value in options.items() if key != name}
 
 
 def advance(db: str | Path, survey: str, *, aoi: Path | None = None) -> AdvanceReport:

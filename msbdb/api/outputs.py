@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def info(db: str | Path) -> dict[str, Any]:
-    """Return what a database holds: a record a run, with its survey, counts and notices."""
+    """Return what a database holds: a record a run, with counts and notices, and the inventory in numbers."""
     from msbdb.run.outputs import info_of
 
     return info_of(db)
@@ -409,7 +409,12 @@ class Inventory:
         """Write layers to a file, in the format of its ending; the options are those of `msbdb.api.export`."""
         return export(self.db, out, survey=survey, **options)
 
-    def evaluate(self, reference: str | Path, survey: str | None = None, **options: Any) -> "Evaluation":  # noqa: ANN401
+    def evaluate(
+        self,
+        reference: str | Path,
+        survey: str | None = None,
+        **options: Any,  # noqa: ANN401  (those of msbdb.api.evaluate)
+    ) -> "Evaluation":
         """Compare the footprints with a reference; the options are those of ``msbdb evaluate``.
 
         ``layer``, ``aoi``, ``crs``, ``height``, ``overlap``, ``cell_m`` and ``of``; see `msbdb.api.evaluate`.

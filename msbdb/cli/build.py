@@ -1,12 +1,14 @@
 """``msbdb build`` and ``classify``: from points or rasters to a database, and to classes of the points themselves."""
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msbdb.cli.command import (
+    DATABASE,
     INPUT_FILE,
     OUTPUT_FILE,
     F,
@@ -14,12 +16,13 @@ from msbdb.cli.command import (
     crs_name,
     detectors,
     iso_date,
-    notice,
     scales_m2,
     setting,
     shared,
 )
-from msbdb.cli.output import emit_json, emit_pairs, progress_bars
+from msbdb.cli.output import emit_json, emit_pairs, is_quiet
+from msbdb.cli.progress import notice, progress_bar, stages_of
+from msbdb.errors import counted
 from msbdb.params import DETECTORS, PROFILES, Params
 
 if TYPE_CHECKING:
@@ -46,7 +49,9 @@ _HEIGHTS = (
         metavar="FILE",
         help="Polygons that divide touching houses: parcels, cadastre or footprints, of any vector format and CRS.",
     ),
-    click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."),
+    click.option(
+        "--db", type=DATABASE, required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."
+    ),
 )
 """Options of what a survey is made from."""
 
@@ -167,7 +172,7 @@ def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa:
     params = with_walls(params, given.pop("outline"))
     from msbdb import api
 
-    with progress_bars() as progress:
+    with progress_bar(stages_of(given["extract"])) as progress:
         report = api.build(given.pop("points"), **given, params=params, progress=progress)
     if figure is not None:
         api.view(given["db"], figure, survey=report.survey, overwrite=given["overwrite"])
@@ -204,21 +209,69 @@ def with_walls(params: Params, walls: str | None) -> Params:
 
 
 def emit_report(report: "BuildReport") -> None:
-    """Print what a build did; notices go to the standard error, each once."""
+    """Print what a build found, what it refused, and what to look at; notices go to the standard error, each once."""
     shown = click.get_current_context().ensure_object(set)
     for sentence in report.notices:
         notice(sentence, shown)
-    pairs = {
+    if is_quiet():
+        return
+    found, counts = report.overview, report.overview.counts
+    states = ", ".join(f"{count:,} {state}" for state, count in found.states.items())
+    others = {"flat region": report.flat_regions}
+    others |= {f"{name} region": count for name, count in report.candidate_regions.items()}
+    pairs: dict[str, object] = {
         "survey": report.survey,
-        "buildings": report.buildings,
+        "buildings": f"{report.buildings:,}: {states}" if states else "0",
         "parts": report.parts,
-        "flat regions": report.flat_regions,
-        **{f"{name} regions": count for name, count in report.candidate_regions.items()},
-        "rejected regions": report.rejected,
-        "database": "written" if report.changed else "unchanged: it has this build already",
-        "seconds": float(sum(report.timings.values())),
+        "largest": _one(found.largest),
+        "highest": _one(found.highest),
+        "evidence": ", ".join(counted(count, name) for name, count in others.items()),
     }
-    emit_pairs(pairs)
+    emit_pairs({name: value for name, value in pairs.items() if value})
+    if found.refused_m2:
+        emit_pairs(
+            {f"{area:,.0f} m²": why for why, area in found.refused_m2.items()},
+            "Refused: as high as a building, and none",
+        )
+        click.echo(f" The ledger has {counted(found.refused_regions, 'refused region')} as large as a building.")
+    look = {}
+    if counts["unsure"]:
+        what = counted(counts["unsure"], "unsure building")
+        look[what] = _some(found.unsure, counts["unsure"], "probability", "probability {:.2f}")
+    if counts["uneven"]:
+        what = f"{counted(counts['uneven'], 'building')} on unsure ground"
+        look[what] = _some(found.uneven, counts["uneven"], "ground_range_m", "ground differs by {:.1f} m")
+    if look:
+        emit_pairs(look, "Look at")
+    at = "X,Y" if not found.largest else f"{found.largest['easting']:.1f},{found.largest['northing']:.1f}"
+    emit_pairs(
+        {
+            "database": report.database,
+            "it is": "written" if report.changed else "unchanged: it has this build already",
+            "time": f"{sum(report.timings.values()):.0f} s",
+            "any place": f"msbdb why {shlex.quote(report.database)} --at {at}",
+        },
+        "Where it is",
+    )
+
+
+def _one(building: Mapping[str, Any]) -> str:
+    """Return a building in words: its area, ridge, place and id."""
+    if not building:
+        return ""
+    ridge = "" if building["ridge_m"] is None else f"ridge {building['ridge_m']:.1f} m, "
+    place = f"at {building['easting']:.1f},{building['northing']:.1f}"
+    return f"{building['area_m2']:,.0f} m², {ridge}{place}, id {building['building_id']}"
+
+
+def _some(buildings: Sequence[Mapping[str, Any]], count: int, name: str, words: str) -> str:
+    """Return the places of the first buildings of a kind with what is said of them."""
+    places = [
+        f"{building['easting']:.1f},{building['northing']:.1f}"
+        + ("" if building[name] is None else f" ({words.format(building[name])})")
+        for building in buildings
+    ]
+    return f"at {', '.join(places)}{' ...' if count > len(places) else ''}"
 
 
 def check_inputs(inputs: dict[str, Any]) -> None:
@@ -258,6 +311,7 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
         "msbdb classify town.laz classified.laz",
         "msbdb classify town.laz classified.las --extract multiscale --crs EPSG:28992 --overwrite",
         "msbdb classify town.copc.laz classified.laz --extract area3d,adaptive --ortho cir.tif --json",
+        "msbdb classify town.laz classified.laz --dtm terrain.tif",
     ),
 )
 @click.argument("source", type=INPUT_FILE, metavar="IN")
@@ -274,6 +328,9 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
 @click.option("--crs", type=crs_name, metavar="EPSG", help="The points' CRS where the file does not state it.")
 @click.option(
     "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE", help="An orthophoto of any bands and CRS; repeatable."
+)
+@click.option(
+    "--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster. [default: detected among the points]"
 )
 @click.option("--ortho-crs", type=crs_name, metavar="EPSG", help="The orthophotos' CRS where they do not state it.")
 @click.option(
@@ -307,7 +364,7 @@ def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:
     params = parameters(options["profile"], options.pop("params_file"), options.pop("settings"), None)
     from msbdb import api
 
-    with progress_bars() as progress:
+    with progress_bar(stages_of(options["extract"])) as progress:
         report = api.classify(source, out, **options, params=params, progress=progress)
     if as_json:
         emit_json(report.as_dict())
@@ -315,6 +372,8 @@ def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:
     shown = click.get_current_context().ensure_object(set)
     for sentence in report.notices:
         notice(sentence, shown)
+    if is_quiet():
+        return
     emit_pairs(
         {
             "points": report.points,
@@ -323,6 +382,6 @@ def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:
             "changed points": report.changed,
             "buildings before, not found": report.demoted,
             "written": str(out),
-            "seconds": float(sum(report.timings.values())),
+            "time": f"{sum(report.timings.values()):.0f} s",
         }
     )

@@ -5,19 +5,20 @@ An option that several commands have is spelled and explained in one place.
 
 import datetime
 import logging
+import os
 import re
 import traceback
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
-from msbdb.cli.output import stderr_console
-from msbdb.errors import FileError, MsbdbError, MsbdbWarning
+from msbdb.cli.output import QUIET
+from msbdb.cli.progress import keep, reporting
+from msbdb.errors import FileError, MsbdbError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -25,7 +26,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 class InputFile(click.Path):
     """A file that exists; a URL or a folder is refused with the next step."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+    def convert(
+        self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None
+    ) -> str | bytes | os.PathLike[str]:
         """Return the path."""
         from msbdb.io.files import require_input
 
@@ -38,10 +41,24 @@ class InputFile(click.Path):
 
 INPUT_FILE = InputFile(exists=True, path_type=Path)
 
+
+class DatabaseName(click.types.StringParamType):
+    """The path of a SpatiaLite file, which shells complete, or a URL."""
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002  (click's)
+        param: click.Parameter,  # noqa: ARG002  (click's)
+        incomplete: str,
+    ) -> list[CompletionItem]:
+        """Let the shell complete the names of files."""
+        return [CompletionItem(incomplete, type="file")]
+
+
+DATABASE = DatabaseName()
+
 OUTPUT_FILE = click.Path(path_type=Path)
 """A file to write; what it may be is checked where it is written, for users of Python too."""
-
-logger = logging.getLogger(__name__)
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells count it: 128 + SIGINT."""
@@ -186,11 +203,20 @@ def setting(text: str) -> tuple[str, str, object]:
 
 
 SHARED: dict[str, Callable[[F], F]] = {
-    "db": click.argument("db", metavar="DB"),
+    "db": click.argument("db", type=DATABASE, metavar="DB"),
     "overwrite": click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     "survey": click.option("--survey", metavar="NAME", help="The survey to use, where the database holds several."),
     "json": click.option("as_json", "--json", is_flag=True, help="Print the result as JSON on the standard output."),
-    "verbose": click.option("-v", "--verbose", count=True, help="Print more: -v the stages, -vv the details."),
+    "verbose": click.option(
+        "-v", "--verbose", count=True, help="Print more: -v the steps and decisions, -vv all details."
+    ),
+    "quiet": click.option("-q", "--quiet", is_flag=True, help="Print only what was asked for, and errors."),
+    "log-file": click.option(
+        "--log-file",
+        type=OUTPUT_FILE,
+        metavar="FILE",
+        help="Add all steps, notices and errors with times to this file.",
+    ),
     "debug": click.option("--debug", is_flag=True, help="Show the traceback of an error."),
 }
 """Every option that more than one command takes, by name."""
@@ -221,9 +247,14 @@ class Command(click.Command):
         self.examples = examples
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Let an option that may be repeated take several values after one flag, as shells expand them."""
-        if not any(isinstance(param, click.Argument) for param in self.params):
-            args = spread(args, {opt for param in self.params if _repeats(param) for opt in param.opts})
+        """Let an option that may be repeated take several values after one flag, as shells expand them.
+
+        A command with arguments has them first for that, so that no value is taken for one.
+        """
+        arguments = sum(isinstance(param, click.Argument) for param in self.params)
+        if not any(word.startswith("-") for word in args[:arguments]):
+            repeatable = {opt for param in self.params if _repeats(param) for opt in param.opts}
+            args = args[:arguments] + spread(args[arguments:], repeatable)
         return super().parse_args(ctx, args)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -237,15 +268,24 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401  (click's)
         """Run the command; report a failure in one line, with the traceback only under ``--debug``."""
         debug = bool(ctx.params.pop("debug", False))
-        with _reporting(ctx.params.pop("verbose", 0), ctx):
+        verbose, log = ctx.params.pop("verbose", 0), ctx.params.pop("log_file", None)
+        ctx.meta[QUIET] = bool(ctx.params.pop("quiet", False))
+        if ctx.meta[QUIET] and verbose:
+            msg = "--quiet and --verbose are opposites; give one of them."
+            raise click.UsageError(msg)
+        with reporting(verbose, ctx, log):
             failure: Exception
             try:
                 return super().invoke(ctx)
-            except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+            except click.ClickException as error:
+                keep(ctx, logging.ERROR, error.format_message())
+                raise
+            except (click.exceptions.Exit, click.Abort, BrokenPipeError):
                 raise
             except MsbdbError as error:
                 failure, message = error, str(error)
             except KeyboardInterrupt:
+                keep(ctx, logging.ERROR, "Interrupted.")
                 click.echo("\nInterrupted. A database keeps its last complete build; run the command again.", err=True)
                 raise click.exceptions.Exit(INTERRUPTED) from None
             except MemoryError as error:
@@ -262,15 +302,18 @@ class Command(click.Command):
                 )
             if debug:
                 click.echo("".join(traceback.format_exception(failure)), err=True)
+            keep(ctx, logging.ERROR, message, failure)
             raise click.ClickException(message)
 
 
 def command(name: str, *, examples: tuple[str, ...]) -> Callable[[Callable[..., Any]], Command]:
-    """Declare a command of this name; ``-v`` and ``--debug`` are added to its own options."""
+    """Declare a command of this name; ``-v``, ``--quiet``, ``--log-file`` and ``--debug`` are added to its options."""
 
     def decorate(function: Callable[..., Any]) -> Command:
         made = click.command(name, cls=Command, examples=examples)(function)
-        return shared("debug", "verbose")(made)  # a command takes more options at its end, the last one first
+        return shared("debug", "log-file", "quiet", "verbose")(
+            made
+        )  # a command takes more options at its end, the last one first
 
     return decorate
 
@@ -297,45 +340,3 @@ def spread(args: list[str], repeatable: set[str]) -> list[str]:
 def _repeats(param: click.Parameter) -> bool:
     """Whether a parameter is an option that may be given more than once."""
     return isinstance(param, click.Option) and param.multiple
-
-
-@contextmanager
-def _reporting(verbose: int, ctx: click.Context) -> Iterator[None]:
-    """Send log records and notices to the standard error while a command runs."""
-    handler = _ConsoleHandler()
-    package = logging.getLogger("msbdb")
-    level = package.level
-    package.addHandler(handler)
-    package.setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(verbose, 2)])
-    shown: set[str] = ctx.ensure_object(set)
-
-    def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-        if issubclass(category, MsbdbWarning):
-            notice(str(message), shown)
-        else:
-            logger.info("%s: %s", category.__name__, message)
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", MsbdbWarning)
-            warnings.showwarning = show
-            yield
-    finally:
-        package.removeHandler(handler)
-        package.setLevel(level)
-
-
-class _ConsoleHandler(logging.Handler):
-    """Writes log records above the progress bars, a line each."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Write one record."""
-        line = f"{record.levelname.lower()}: {self.format(record)}"
-        stderr_console().print(line, markup=False, highlight=False, soft_wrap=True, style="dim")
-
-
-def notice(message: str, shown: set[str]) -> None:
-    """Show the user a notice, once."""
-    if message not in shown:
-        shown.add(message)
-        stderr_console().print(f"Notice: {message}", markup=False, highlight=False, soft_wrap=True)

@@ -7,8 +7,9 @@ from typing import Any
 
 import click
 
-from msbdb.cli.command import OUTPUT_FILE, Command, command, crs_name, shared
-from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
+from msbdb.cli.command import DATABASE, OUTPUT_FILE, Command, command, crs_name, shared
+from msbdb.cli.output import emit_json, emit_pairs, emit_table, say
+from msbdb.cli.progress import progress_bar
 from msbdb.errors import counted
 
 UNSOUND = 1
@@ -52,7 +53,7 @@ def create(*, db: str, crs: str, as_json: bool) -> None:
     if as_json:
         emit_json({"database": _shown(db), "crs": crs, "created": made})
     else:
-        click.echo(f"{'Created' if made else 'It exists already, unchanged:'} {_shown(db)}.")
+        say(f"{'Created' if made else 'It exists already, unchanged:'} {_shown(db)}.")
 
 
 @command("upgrade", examples=("msbdb db upgrade town.sqlite",))
@@ -99,7 +100,7 @@ def check(*, db: str, as_json: bool) -> None:
     from msbdb.database import CHECKS, check_database, open_database
 
     engine = open_database(db)
-    with progress_bars() as progress:
+    with progress_bar() as progress:
         findings = check_database(engine, progress=progress)
     engine.dispose()
     if as_json:
@@ -135,12 +136,12 @@ def dump(*, db: str, provenance: bool, out: Path | None, overwrite: bool) -> Non
         return
     with write_atomic(out) as growing, growing.open("wb") as file:
         _write_lines(lines, file)
-    click.echo(f"Wrote {out}.")
+    say(f"Wrote {out}.")
 
 
 @command("copy", examples=("msbdb db copy town.sqlite postgresql://me@localhost/town",))
-@click.argument("source", metavar="FROM")
-@click.argument("target", metavar="TO")
+@click.argument("source", type=DATABASE, metavar="FROM")
+@click.argument("target", type=DATABASE, metavar="TO")
 @shared("json")
 def copy(*, source: str, target: str, as_json: bool) -> None:
     """Copy a database into another, of the same or the other kind.
@@ -149,7 +150,7 @@ def copy(*, source: str, target: str, as_json: bool) -> None:
     """
     from msbdb.database import copy_database
 
-    with progress_bars() as progress:
+    with progress_bar() as progress:
         rows = copy_database(source, target, progress=progress)
     if as_json:
         emit_json({"from": _shown(source), "to": _shown(target), "rows": rows})
@@ -176,7 +177,7 @@ def grant(*, db: str, role: str, user: str) -> None:
     engine = open_database(db)
     grant_role(engine, role, user)
     engine.dispose()
-    click.echo(f"The user {user} has the role {role} in {_shown(db)}.")
+    say(f"The user {user} has the role {role} in {_shown(db)}.")
 
 
 for _command in (create, upgrade, downgrade, check, dump, copy, grant):

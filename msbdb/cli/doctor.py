@@ -4,7 +4,7 @@ import sys
 
 import click
 
-from msbdb.cli.command import command, shared
+from msbdb.cli.command import DATABASE, command, shared
 from msbdb.cli.output import emit_json, emit_table
 
 INCOMPLETE = 1
@@ -12,7 +12,9 @@ INCOMPLETE = 1
 
 
 @command("doctor", examples=("msbdb doctor", "msbdb doctor --json"))
-@click.option("--db", metavar="FILE|URL", help="A database to look at too: its server, PostGIS and schema.")
+@click.option(
+    "--db", type=DATABASE, metavar="FILE|URL", help="A database to look at too: its server, PostGIS and schema."
+)
 @shared("json")
 def doctor(*, db: str | None, as_json: bool) -> None:
     """List what is installed, with versions, and what to do about what is missing.

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, command, crs_name, iso_date, parameter, shared
+from msbdb.cli.output import say
 
 WHATS = ("current", "survey", "changes", "parts", "evidence")
 """What may be exported; told again here, as the export's own room takes time to load."""
@@ -113,7 +114,7 @@ def export(
         options=dict(given),
         overwrite=overwrite,
     )
-    click.echo(f"Wrote {out}: {', '.join(f'{name} {count}' for name, count in rows.items())}.")
+    say(f"Wrote {out}: {', '.join(f'{name} {count}' for name, count in rows.items())}.")
 
 
 @command(
@@ -136,4 +137,4 @@ def qgis(*, db: str, out: Path, overwrite: bool) -> None:
     from msbdb import api
 
     titles = api.qgis(db, out, overwrite=overwrite)
-    click.echo(f"Wrote {out}: {', '.join(titles)}.")
+    say(f"Wrote {out}: {', '.join(titles)}.")

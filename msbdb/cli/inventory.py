@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msbdb.cli.build import check_figure, check_inputs, emit_report, inputs, parameters, values, with_walls
-from msbdb.cli.command import INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, notice, shared
-from msbdb.cli.output import emit_json, emit_pairs, emit_table, progress_bars
+from msbdb.cli.command import DATABASE, INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, shared
+from msbdb.cli.output import emit_json, emit_pairs, emit_table, is_quiet, say
+from msbdb.cli.progress import notice, progress_bar, stages_of
 from msbdb.errors import counted
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa
     params = with_walls(params, given.pop("outline"))
     from msbdb import api
 
-    with progress_bars() as progress:
+    with progress_bar(stages_of(given["extract"], "inventory")) as progress:
         report = api.update(given.pop("points"), **given, params=params, progress=progress)
     if figure is not None:
         api.changes(given["db"], survey=given["survey"], figure=figure, overwrite=given["overwrite"])
@@ -71,6 +72,8 @@ def emit_advance(report: "AdvanceReport") -> None:
     shown = click.get_current_context().ensure_object(set)
     for sentence in report.notices:
         notice(sentence, shown)
+    if is_quiet():
+        return
     counts = {kind: n for kind, n in report.counts.items() if kind != "versions"}
     offset = report.offset
     pairs: dict[str, object] = {
@@ -99,7 +102,9 @@ def emit_advance(report: "AdvanceReport") -> None:
     required=True,
     help="Footprints that later surveys update, or points with the material of a roof.",
 )
-@click.option("--db", required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL.")
+@click.option(
+    "--db", type=DATABASE, required=True, metavar="PATH_OR_URL", help="A SpatiaLite file or a postgresql:// URL."
+)
 @click.option("--name", metavar="NAME", help="Name of the imported inventory. [default: the file's name]")
 @click.option("--layer", metavar="NAME", help="The layer to read, where the file has several.")
 @click.option("--date", type=iso_date, metavar="DATE", help="The day from which the footprints hold. [default: always]")
@@ -150,6 +155,8 @@ def import_(
         emit_json(report.as_dict())
         return
     rows = "buildings" if what == "inventory" else "samples"
+    if is_quiet():
+        return
     emit_pairs({"import": report.name, "status": report.status, rows: report.rows})
 
 
@@ -176,10 +183,10 @@ def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> 
 
     decision = None if state == "auto" else state
     before = api.set_state(db, uid, decision, operator=operator or getpass.getuser(), note=note)
-    click.echo(f"Building {uid}: {decision or 'decided by the detectors'}.")
+    say(f"Building {uid}: {decision or 'decided by the detectors'}.")
     if before is not None:
         why = f" ({before['note']})" if before["note"] else ""
-        click.echo(f"Before: {before['state']} by {before['operator']}, {before['decided_at']}{why}.")
+        say(f"Before: {before['state']} by {before['operator']}, {before['decided_at']}{why}.")
 
 
 @command(

@@ -7,6 +7,7 @@ from msbdb.cli.db import db
 from msbdb.cli.doctor import doctor
 from msbdb.cli.export import export, qgis
 from msbdb.cli.inventory import changes, import_, state, update
+from msbdb.cli.measure import measure
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params
 from msbdb.version import __version__
@@ -32,6 +33,7 @@ for _command in (
     qgis,
     evaluate,
     classify,
+    measure,
     update,
     changes,
     import_,

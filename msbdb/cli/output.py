@@ -1,10 +1,12 @@
-"""Results on the standard output, as tables or JSON; progress on the standard error."""
+"""Results on the standard output, as lists and tables for people or as JSON for programs."""
 
 import json
 import math
+import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypeGuard
 
@@ -12,11 +14,12 @@ import click
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import TaskID
-    from rich.table import Table
 
-Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, the steps done and the steps in all."""
+QUIET = "msbdb.quiet"
+"""Where the context of a command keeps whether it is quiet."""
+
+SHORTEST = 28
+"""Characters beyond which a text of several words may continue on the next line, and the least room for it."""
 
 WIDEST = 12
 """Columns beyond which records are printed one below the other."""
@@ -80,35 +83,119 @@ def emit(result: Mapping[str, object], title: str = "") -> None:
 
 
 def emit_pairs(pairs: Mapping[str, object], title: str = "") -> None:
-    """Print names and values in two columns."""
-    table = _table(title)
-    table.show_header = False
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in pairs.items():
-        table.add_row(words(name), text(value))
-    _print(table)
+    """Print names and values in two columns; a long text continues below itself, and a word or id is never broken."""
+    _heading(title)
+    labels = [heading(name) for name in pairs]
+    indent = max(map(len, labels), default=0) + 4
+    for label, (name, value) in zip(labels, pairs.items(), strict=True):
+        shown = text(value, digits_of(name, [value]))
+        lines = [shown]
+        if _has_width() and " " in shown:
+            room = max(_width() - indent, SHORTEST)
+            lines = textwrap.wrap(shown, room, break_long_words=False, break_on_hyphens=False)
+        click.echo(f" {click.style(label, bold=True)}{' ' * (indent - 1 - len(label))}{lines[0]}")
+        for line in lines[1:]:
+            click.echo(" " * indent + line)
 
 
 def emit_table(records: Sequence[Mapping[str, object]], title: str = "") -> None:
-    """Print records as a table with a column a key; numbers are set flush right."""
-    table = _table(title)
-    for position, name in enumerate(records[0]):
-        numeric = all(isinstance(plain(record[name]), int | float | None) for record in records)
-        justify: Literal["right", "left"] = "right" if numeric else "left"
-        table.add_column(words(name), justify=justify, overflow="fold", no_wrap=position == 0)
-    for record in records:
-        table.add_row(*(text(value) for value in record.values()))
-    _print(table)
+    """Print records as a table with a column a key; numbers are set flush right.
+
+    Where the terminal is too narrow for all columns, they follow in groups below each other, with the numbers of the
+    rows. Only texts of several words are wrapped, so that ids stay whole.
+    """
+    columns = [_Column.of(name, [record[name] for record in records]) for name in records[0]]
+    groups = [columns]
+    if _has_width() and _table_width(columns) > _width():
+        number = _Column.of("#", list(range(1, len(records) + 1)))
+        groups = [[number]]
+        for column in columns:
+            if len(groups[-1]) > 1 and _table_width([*groups[-1], column]) > _width():
+                groups.append([number])
+            groups[-1].append(column)
+    _heading(title)
+    for position, group in enumerate(groups):
+        if position:
+            click.echo()
+        _print_table(group)
 
 
-def text(value: object) -> str:
-    """Return a value as people write it.
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A column of a table as it is shown."""
+
+    head: str
+    cells: tuple[str, ...]
+    is_number: bool
+
+    @classmethod
+    def of(cls, name: str, values: Sequence[object]) -> "_Column":
+        """Return the column of these values."""
+        own = [plain(value) for value in values]
+        is_number = all(value is None or (isinstance(value, int | float) and value is not True) for value in own)
+        digits = digits_of(name, own)
+        return cls(heading(name), tuple(text(value, digits) for value in own), is_number)
+
+    @property
+    def wraps(self) -> bool:
+        """Whether its cells are texts of several words, which may continue on the next line."""
+        return any(" " in cell and len(cell) > SHORTEST for cell in self.cells)
+
+    @property
+    def least(self) -> int:
+        """The width without which a word or a number would be broken."""
+        words = [word for cell in self.cells for word in (cell.split(" ") if self.wraps else [cell])]
+        longest = max(map(len, (*self.head.split(" "), *words)))
+        return max(longest, SHORTEST) if self.wraps else longest
+
+
+def _table_width(columns: Sequence[_Column]) -> int:
+    """Return the width of a table without which a word or number would be broken: of cells, padding and gaps."""
+    return sum(column.least + 3 for column in columns) - 1
+
+
+def _print_table(columns: Sequence[_Column]) -> None:
+    """Print a table; where the output is no terminal, as wide as it needs to be, so that no cell is cut.
+
+    Cells are data without markup: a survey may be called '[/red]'.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False)
+    for column in columns:
+        justify: Literal["right", "left"] = "right" if column.is_number else "left"
+        table.add_column(
+            column.head, justify=justify, overflow="fold", min_width=column.least, no_wrap=not column.wraps
+        )
+    for row in zip(*(column.cells for column in columns), strict=True):
+        table.add_row(*row)
+    if _has_width():
+        console = Console(markup=False, emoji=False, width=max(_width(), _table_width(columns)))
+    else:
+        wide = Console(width=10_000, markup=False, emoji=False)
+        console = Console(width=wide.measure(table).maximum, no_color=True, markup=False, emoji=False)
+    console.print(table)
+
+
+def _has_width() -> bool:
+    """Return whether the standard output is a terminal, which has an end of the line."""
+    return sys.stdout is not None and sys.stdout.isatty()
+
+
+def _width() -> int:
+    """Return the characters of a line of the terminal."""
+    return shutil.get_terminal_size().columns
+
+
+def text(value: object, digits: int | None = None) -> str:
+    """Return a value as people write it; a fraction with so many digits, by default those that it needs.
 
     Examples
     --------
-    >>> text(1234567), text(0.87654), text(None), text(("a", "b"))
-    ('1234567', '0.877', '-', 'a, b')
+    >>> text(1234567), text(0.87654), text(None), text(("a", "b")), text(2.0, 1)
+    ('1234567', '0.877', '-', 'a, b', '2.0')
     """
     value = plain(value)
     if value in (None, "", []):
@@ -116,11 +203,75 @@ def text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
+        if digits is not None:
+            return f"{value:.{digits}f}"
         digits = 3 if abs(value) < 100 else 1
         return f"{value:.{digits}f}".rstrip("0").rstrip(".")
     if isinstance(value, list):
-        return ", ".join(text(item) for item in value)
+        return ", ".join(text(item, digits) for item in value)
     return str(value)
+
+
+UNITS = {"_m2": "m²", "_m3": "m³", "_m": "m", "_s": "s"}
+"""Units by the end of a name."""
+
+DECLARED = {"m": "m", "m2": "m²", "m3": "m³", "1/m2": "1/m²"}
+"""Units of declared columns that are shown."""
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a column: by the end of its name, or as it is declared.
+
+    Examples
+    --------
+    >>> unit_of("area_m2"), unit_of("ridge"), unit_of("density"), unit_of("storeys")
+    ('m²', 'm', '1/m²', '')
+    """
+    ends = [unit for end, unit in UNITS.items() if name.endswith(end)]
+    return ends[0] if ends else _declared_units().get(name, "")
+
+
+@cache
+def _declared_units() -> dict[str, str]:
+    """Return the units of the columns of all tables."""
+    from msbdb.tables import INVENTORY_TABLES, SURVEY, TABLES
+
+    columns = [column for table in (*TABLES, *INVENTORY_TABLES, SURVEY) for column in table.columns]
+    return {column.name: DECLARED[column.unit] for column in columns if column.unit in DECLARED}
+
+
+def heading(name: str) -> str:
+    """Return a key as words, with its unit.
+
+    Examples
+    --------
+    >>> heading("area_m2"), heading("ridge"), heading("h_p90"), heading("building_id")
+    ('area, m²', 'ridge, m', 'h p90, m', 'building id')
+    """
+    unit = unit_of(name)
+    end = next((end for end in UNITS if name.endswith(end)), "")
+    return f"{words(name.removesuffix(end))}, {unit}" if unit else words(name)
+
+
+def digits_of(name: str, values: Sequence[object]) -> int | None:
+    """Return the digits behind the point that values of a column deserve; None for as many as each needs.
+
+    Lengths are true to a decimetre and small ones to a centimetre, areas and volumes to a unit, shares to a per cent.
+
+    Examples
+    --------
+    >>> digits_of("ridge", [28.7]), digits_of("roughness_m", [0.008]), digits_of("area_m2", [528.12])
+    (1, 2, 0)
+    """
+    unit = unit_of(name)
+    if unit == "m":
+        known = [abs(value) for value in values if isinstance(value, float) and math.isfinite(value)]
+        return 2 if max(known, default=0.0) < 10 else 1
+    if unit in ("m²", "m³"):
+        return 0
+    if unit == "1/m²":
+        return 1
+    return 2 if name in ("probability", "share") or name.endswith("_share") else None
 
 
 def words(name: str) -> str:
@@ -134,25 +285,16 @@ def on_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-@contextmanager
-def progress_bars() -> Iterator[Progress | None]:
-    """Give a callback that draws a bar a stage on the standard error; None where that is no terminal."""
-    if not on_terminal():
-        yield None
-        return
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
+def is_quiet() -> bool:
+    """Return whether the command that runs was told to be quiet."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(QUIET))
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    tasks: dict[str, TaskID] = {}
-    with Bars(*columns, console=stderr_console(), transient=True) as bars:
 
-        def advance(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
-
-        yield advance
+def say(sentence: str = "") -> None:
+    """Print what a person reads and a program does not need; nothing under ``--quiet``."""
+    if not is_quiet():
+        click.echo(sentence)
 
 
 def _is_records(value: object) -> TypeGuard[Sequence[Mapping[str, object]]]:
@@ -167,30 +309,7 @@ def _is_table(value: object) -> TypeGuard[Sequence[Mapping[str, object]]]:
     return not any(isinstance(cell, Mapping) or _is_records(cell) for item in value for cell in item.values())
 
 
-def _table(title: str) -> "Table":
-    """Return an empty table, and print its title."""
-    from rich import box
-    from rich.table import Table
-
-    _heading(title)
-    return Table(box=box.SIMPLE_HEAD, show_edge=False)
-
-
 def _heading(title: str) -> None:
     """Print a title with a line of space before it."""
     if title:
         click.secho(f"\n{title}", bold=True)
-
-
-def _print(table: "Table") -> None:
-    """Print a table; where the output is no terminal, as wide as it needs to be, so that no cell is cut.
-
-    Cells are data without markup: a survey may be called '[/red]'.
-    """
-    from rich.console import Console
-
-    console = Console(markup=False, emoji=False)
-    if not console.is_terminal:
-        wide = Console(width=10_000, markup=False, emoji=False)
-        console = Console(width=wide.measure(table).maximum, no_color=True, markup=False, emoji=False)
-    console.print(table)

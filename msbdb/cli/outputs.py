@@ -1,13 +1,14 @@
 """``msbdb info``, ``why``, ``view``, ``classes`` and ``evaluate``: what a database holds, and how well."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from msbdb.cli.build import emit_report
 from msbdb.cli.command import (
+    DATABASE,
     INPUT_FILE,
     OUTPUT_FILE,
     class_label,
@@ -18,8 +19,12 @@ from msbdb.cli.command import (
     place,
     shared,
 )
-from msbdb.cli.output import emit, emit_json, emit_table, progress_bars
+from msbdb.cli.output import emit, emit_json, emit_pairs, emit_table, say
+from msbdb.cli.progress import progress_bar, stages_of
 from msbdb.params import REGION_DETECTORS, EvaluateParams
+
+if TYPE_CHECKING:
+    from msbdb.evaluate import Evaluation, PointEvaluation
 
 BY_AREA = ("layer", "aoi", "height", "overlap", "cell_m")
 """Options without effect by point."""
@@ -33,18 +38,59 @@ BY_DATABASE = ("of", "survey")
 def info(*, db: str, as_json: bool) -> None:
     """Show what a database holds.
 
-    The surveys with their sources, the runs with their counts, and the version of the schema. With --json also what
-    each run decided itself: the ground filter, the scales, the scaling of the bands and the centres of the classes.
+    The inventory comes first: its current buildings, and what each survey changed. The surveys follow with their runs
+    and counts. With --json also what each run decided itself: the ground filter, the scales, the scaling of the bands
+    and the centres of the classes.
     """
     from msbdb import api
 
     result = api.info(db)
     if as_json:
         emit_json(result)
-    else:
-        for run in result.get("runs", []):
-            run["ground_filter"] = run.pop("chosen").get("ground_filter")
-        emit(result)
+        return
+    runs, inventory = result.pop("runs", []), result.pop("inventory", {})
+    emit(result)
+    if inventory:
+        _emit_inventory(inventory)
+    elif runs:
+        click.echo("\nNo inventory yet: 'msbdb update' and 'msbdb import' begin one.")
+    for run in runs:
+        _emit_run(run)
+    if not runs:
+        click.echo("No survey yet: 'msbdb build' adds one.")
+
+
+def _emit_inventory(inventory: dict[str, Any]) -> None:
+    """Print the inventory: buildings by state, and a line for each import and update."""
+    states = {name: count for name, count in inventory["buildings"].items() if name != "all"}
+    words = ", ".join(f"{count:,} {state}" for state, count in states.items())
+    current = f"{inventory['buildings']['all']:,}{f': {words}' if words else ''}"
+    emit_pairs({"current buildings": current, "decided by operators": inventory["decided"]}, "Inventory")
+    kinds = list(dict.fromkeys(kind for event in inventory["events"] for kind in event["counts"] if kind != "versions"))
+    rows = [
+        {"date": event["date"], "name": event["name"], "kind": event["kind"]}
+        | {kind: event["counts"].get(kind, 0 if event["kind"] == "update" else None) for kind in kinds}
+        | {"new versions": event["counts"].get("versions", 0)}
+        for event in inventory["events"]
+    ]
+    emit_table(rows, "Inventory · imports and updates")
+
+
+def _emit_run(run: dict[str, Any]) -> None:
+    """Print a survey and its run."""
+    record, chosen = run.pop("survey_record", {}), run.pop("chosen", {})
+    sources, notices = record.get("sources", ()), run.pop("notices", ())
+    name, regions = run.pop("survey", "?"), run.pop("candidate_regions", {})
+    west, south, east, north = record.get("bounds", [float("nan")] * 4)
+    run |= {f"{method}_regions": count for method, count in regions.items()}
+    run |= {"ground_filter": chosen.get("ground_filter"), "vertical_crs": record.get("vertical_crs")}
+    run["extent"] = f"east {west:.1f} to {east:.1f}, north {south:.1f} to {north:.1f}"
+    emit_pairs({name_: value for name_, value in run.items() if value not in (None, "")}, f"Survey {name}")
+    if sources:
+        short = [{**source, "sha256": f"{source['sha256'][:12]}..."} for source in sources]
+        emit_table(short, f"Survey {name} · files")
+    for sentence in notices:
+        click.echo(f"Notice: {sentence}")
 
 
 def _names(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
@@ -73,7 +119,7 @@ def _parameters(ctx: click.Context, _param: click.Parameter, incomplete: str) ->
         "msbdb query town.sqlite storeys_histogram --param survey=spring --json",
     ),
 )
-@click.argument("db", metavar="DB", required=False)
+@click.argument("db", type=DATABASE, metavar="DB", required=False)
 @click.argument("name", metavar="NAME", required=False, shell_complete=_names)
 @click.option(
     "--param",
@@ -193,7 +239,7 @@ def view(*, db: str, out: Path, of: str, overwrite: bool, survey: str | None) ->
     from msbdb import api
 
     api.view(db, out, survey=survey, of=of, overwrite=overwrite)
-    click.echo(f"Wrote {out}.")
+    say(f"Wrote {out}.")
 
 
 @command(
@@ -224,7 +270,7 @@ def classes(*, db: str, labels: tuple[tuple[int, str], ...], survey: str | None,
     result: dict[str, Any] = {}
     report = None
     if labels:
-        with progress_bars() as progress:
+        with progress_bar(stages_of(["multiscale", *REGION_DETECTORS])) as progress:
             report = api.relabel(db, dict(labels), survey=survey, progress=progress)
         result["build"] = report.as_dict()
     result["classes"] = api.classes(db, survey=survey).to_dict(orient="records")
@@ -248,7 +294,7 @@ def classes(*, db: str, labels: tuple[tuple[int, str], ...], survey: str | None,
         "msbdb evaluate found.laz --reference classified.laz",
     ),
 )
-@click.argument("db", metavar="DB_OR_POINTS")
+@click.argument("db", type=DATABASE, metavar="DB_OR_POINTS")
 @click.option(
     "--reference",
     type=INPUT_FILE,
@@ -293,12 +339,14 @@ def classes(*, db: str, labels: tuple[tuple[int, str], ...], survey: str | None,
 def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **options: Any) -> None:  # noqa: ANN401  (options)
     """Compare the footprints of a database, or the class 6 of a point file, with a reference.
 
-    The report counts by area, by object (all, and those over 50 m2), by shape and by height, as the papers do. By
-    point, it counts points. A point file is compared with a classified one of the same points.
+    Three lines say how good it is. The report that follows counts by area, by object (all, and those over 50 m2), by
+    shape and by height, as the papers do. By point, it counts points. A point file is compared with a classified one of
+    the same points.
     """
     from msbdb import api
 
     is_file = Path(db).suffix.lower() in (".las", ".laz")
+    found: Evaluation | PointEvaluation
     if is_file or by == "point":
         _refuse(BY_AREA, "a comparison by point")
         if is_file:
@@ -307,13 +355,15 @@ def evaluate(*, db: str, reference: Path, by: str | None, as_json: bool, **optio
             msg = f"A file of points is compared by point, {db}; leave out --by area, or name a database."
             raise click.UsageError(msg)
         how = {name: value for name, value in options.items() if name not in BY_AREA}
-        result = api.evaluate_points(db, reference, **how).as_dict()
+        found = api.evaluate_points(db, reference, **how)
     else:
-        result = api.evaluate(db, reference, **options).as_dict()
+        found = api.evaluate(db, reference, **options)
     if as_json:
-        emit_json(result)
-    else:
-        emit(result)
+        emit_json(found.as_dict())
+        return
+    for sentence in found.sentences:
+        click.echo(sentence)
+    emit(found.as_dict())
 
 
 def _refuse(names: tuple[str, ...], what: str) -> None:

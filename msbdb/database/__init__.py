@@ -21,9 +21,11 @@ from msbdb.database.history.periods import (
     footprint_at,
     has_inventory,
     read_changes,
+    read_events_near,
     read_fallback,
     read_history,
     read_states,
+    summarise_inventory,
 )
 from msbdb.database.history.shownlayers import ShownLayers, read_shown
 from msbdb.database.history.standing import Standing, read_standing, survey_key
@@ -108,6 +110,7 @@ __all__ = [
     "read_classes",
     "read_columns",
     "read_digest",
+    "read_events_near",
     "read_fallback",
     "read_flat_regions",
     "read_former",
@@ -129,6 +132,7 @@ __all__ = [
     "shown",
     "srid_of",
     "store_build",
+    "summarise_inventory",
     "summarise_run",
     "survey_key",
     "upgrade_schema",

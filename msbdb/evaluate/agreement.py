@@ -202,6 +202,22 @@ class PointScores:
         return cls(tp, fp, fn, tn, usual, printed)
 
 
+def percent(share: float) -> str:
+    """Return a share in per cent for people; one that is not all of it is never rounded up to 100.
+
+    Examples
+    --------
+    >>> percent(0.832), percent(0.9996), percent(1.0), percent(float("nan"))
+    ('83 %', '99.9 %', '100 %', 'unknown')
+    """
+    if math.isnan(share):
+        return "unknown"
+    whole = round(100 * share)
+    if whole in (0, 100) and share not in (0.0, 1.0):
+        return f"{min(max(100 * share, 0.1), 99.9):.1f} %"
+    return f"{whole} %"
+
+
 @dataclass(frozen=True, slots=True)
 class PointEvaluation:
     """A comparison by point.
@@ -221,6 +237,19 @@ class PointEvaluation:
         """Return the measures as nested plain values for JSON; None where a measure is not defined."""
         values: dict[str, Any] = plain(asdict(self))
         return values
+
+    @property
+    def sentences(self) -> tuple[str, str, str]:
+        """How good it is, for people: all points, those of the reference, and those found."""
+        found, rates = self.points, self.points.rates
+        every = found.tp + found.fp + found.fn + found.tn
+        wrong = found.fp + found.fn
+        return (
+            f"Points: {percent(rates.quality)} quality. {percent(1 - wrong / every if every else math.nan)} of "
+            f"{every:,} points have the right class.",
+            f"Of {found.tp + found.fn:,} building points {percent(rates.completeness)} are found.",
+            f"Of {found.tp + found.fp:,} points found {percent(rates.correctness)} are buildings.",
+        )
 
     def rows(self) -> list[tuple[str, str, float | None]]:
         """Return (section, measure, value) of every measure, in order, for tables."""

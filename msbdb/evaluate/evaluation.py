@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from scipy import ndimage
 
-from msbdb.errors import CRSError, InputError, NodataError
-from msbdb.evaluate.agreement import AreaScore, flat, plain, score_area
+from msbdb.errors import CRSError, InputError, NodataError, counted
+from msbdb.evaluate.agreement import AreaScore, flat, percent, plain, score_area
 from msbdb.evaluate.byobject import (
     BoundaryScore,
     HeightScore,
@@ -79,6 +79,32 @@ class Evaluation:
         """Return the measures as nested plain values for JSON; None where a measure is not defined."""
         values: dict[str, Any] = plain(asdict(self))
         return values
+
+    @property
+    def sentences(self) -> tuple[str, str, str]:
+        """How good it is, for people: by area, by building, and how true outlines and heights are."""
+        area, found = self.area.rates, self.objects
+        shape = "Outlines: no building of both sides is alike enough to compare outlines."
+        if self.shape.buildings:
+            far, cap_m = percent(self.boundary.left_out), self.params.cap_m
+            shape = (
+                f"Outlines: {self.boundary.rms_m.micro:.1f} m off (RMS); {far} of them are farther than {cap_m:g} m."
+            )
+        if self.heights is not None and self.heights.objects:
+            bias_m = self.heights.bias_m
+            way = "above" if bias_m >= 0 else "below"
+            shape += f" Heights: RMSE {self.heights.rmse_m:.1f} m, on average {abs(bias_m):.1f} m {way} the reference."
+        several = (
+            f"; {counted(found.fused, 'object')} hold{'s' if found.fused == 1 else ''} several" if found.fused else ""
+        )
+        return (
+            f"Area: {percent(area.quality)} quality. {percent(area.completeness)} of the reference is found, and "
+            f"{percent(area.correctness)} of what is found is in the reference.",
+            f"Buildings: {found.found:,} of {found.found + found.missed:,} are found, "
+            f"{percent(found.rates.completeness)}. {found.false:,} of {found.true + found.false:,} found objects are "
+            f"none{several}.",
+            shape,
+        )
 
     def rows(self) -> list[tuple[str, str, float | None]]:
         """Return (section, measure, value) of every measure, in order, for tables; the names end in their unit."""

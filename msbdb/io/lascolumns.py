@@ -117,7 +117,8 @@ def as_cloud(
         colours=colours if kept else None,
         colour_names=tuple(columns.colour_names[i] for i in kept),
     )
-    logger.info("read %d points, dropped %s", len(cloud), dict(columns.dropped))
+    dropped = ", ".join(f"{count} {why}" for why, count in columns.dropped.items() if count)
+    logger.info("Read %d points; dropped are %s", len(cloud), dropped or "none")
     if not lone.any():
         return cloud, index
     return cloud.take(~lone), index[~lone] if columns.indexed else index

@@ -118,7 +118,7 @@ def read_bands(
     names = tuple(sorted(mosaic, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name)))
     values = np.stack([mosaic[name] for name in names])
     valid: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=0))
-    logger.info("read the bands %s, %.1f %% valid", ", ".join(names), 100 * valid.mean())
+    logger.info("Read the bands %s; %.1f %% have a value", ", ".join(names), 100 * valid.mean())
     return Bands(np.where(valid, values, np.float32(0)), names, valid, spec)
 
 

@@ -105,7 +105,7 @@ def read_grid(
         msg = f"The {role} {name} has no valid cell. Check its nodata value."
         raise NodataError(msg)
     heights = values if how.z_factor == 1.0 else (values * how.z_factor).astype(np.float32)
-    logger.info("read %s: %s cells, %.1f %% valid", name, shape, 100 * valid.mean())
+    logger.info("Read %s of %s cells; %.1f %% have a value", name, shape, 100 * valid.mean())
     return Grid(heights, valid, GridSpec(shape, metric, how.crs))
 
 

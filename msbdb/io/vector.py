@@ -78,7 +78,7 @@ def read_polygons(
         raise NodataError(msg)
     frame = frame.set_geometry(gpd.GeoSeries(geometry, index=frame.index, crs=frame.crs))
     frame = frame[kept].reset_index(drop=True)
-    logger.info("read %d polygons from %s", len(frame), path)
+    logger.info("Read %d polygons from %s", len(frame), path)
     return frame if to is None else frame.to_crs(parse_crs(to))
 
 

@@ -120,7 +120,7 @@ def extract_parts(
         ndsm, classes, colours or classes, scales, survey, params.surface, params.scale.connectivity, houses
     )
     forest = grow_forest(clusters, context, ledger)
-    logger.info("Parts: %d, rejected regions: %d", len(forest.parts), len(forest.rejections))
+    logger.info("The tree has %d parts; %d regions were rejected", len(forest.parts), len(forest.rejections))
     return forest
 
 

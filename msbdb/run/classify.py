@@ -39,6 +39,7 @@ def classify_points(
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)
         inputs.require_files()
+        inputs.require_one_place()
         with stages.stage("read"):
             cloud, index = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
         scene, params = prepare(inputs, cloud, params, stages, Label(inputs.default_survey()))

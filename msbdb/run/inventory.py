@@ -73,9 +73,9 @@ def take_inventory(
     engine = _opened_or_created(db, frame)
     try:
         frame = frame.to_crs(database_crs_of(engine))
-        rows = _as_versions(frame, dict(mapping), id_column)
+        rows = as_versions(frame, dict(mapping), id_column)
         chosen, day = name or file.stem, first_day(date) if date else SINCE_EVER
-        status, count = write_import(engine, chosen, day, rows, digest=_digest(chosen, day, rows))
+        status, count = write_import(engine, chosen, day, rows, digest=digest_of(chosen, day, rows))
     finally:
         engine.dispose()
     return ImportReport(chosen, day, status, count)
@@ -113,10 +113,18 @@ def _opened_or_created(db: str | Path, frame: gpd.GeoDataFrame) -> Engine:
         return open_database(db, create=True, srid=frame.crs.to_epsg() or 0, crs_wkt=frame.crs.to_wkt())
 
 
-def _as_versions(frame: gpd.GeoDataFrame, mapping: dict[str, str], id_column: str | None) -> gpd.GeoDataFrame:
-    """Return footprints with the columns of a version, and a key each."""
-    _require_columns(frame, mapping | ({"id": id_column} if id_column else {}))
-    rows = gpd.GeoDataFrame({"key": _keys(frame, id_column)}, geometry=frame.geometry.to_numpy(), crs=frame.crs)
+def as_versions(frame: gpd.GeoDataFrame, mapping: dict[str, str], id_column: str | None) -> gpd.GeoDataFrame:
+    """Return footprints with the columns of a version, and a key each.
+
+    Raises
+    ------
+    ParameterError
+        When a column does not exist, or a measure is no number.
+    InputError
+        When the id column holds a value twice, or none.
+    """
+    _require_columns(frame, mapping)
+    rows = gpd.GeoDataFrame({"key": keys_of(frame, id_column)}, geometry=frame.geometry.to_numpy(), crs=frame.crs)
     rows = rows.assign(state="unsure", area_m2=frame.area.to_numpy(), **dict.fromkeys(MEASURED, None))
     if "height" in mapping:
         height = _numbers(frame, mapping.pop("height"))
@@ -127,9 +135,18 @@ def _as_versions(frame: gpd.GeoDataFrame, mapping: dict[str, str], id_column: st
     return rows.assign(attributes=_attributes(frame.drop(columns="geometry"), names))
 
 
-def _keys(frame: gpd.GeoDataFrame, id_column: str | None) -> list[str]:
-    """Return a unique key for each footprint: the file's own ids, or the places."""
+def keys_of(frame: gpd.GeoDataFrame, id_column: str | None) -> list[str]:
+    """Return a unique key for each footprint: the file's own ids, or the places.
+
+    Raises
+    ------
+    ParameterError
+        When the id column does not exist.
+    InputError
+        When it holds a value twice, or none.
+    """
     if id_column is not None:
+        _require_columns(frame, {"id": id_column})
         ids = frame[id_column].astype("string")
         twice = ids[ids.duplicated() | ids.isna()]
         if len(twice):
@@ -171,10 +188,10 @@ def _attributes(frame: pd.DataFrame, names: Mapping[str, str]) -> "pd.Series[Any
     return pd.Series([record or None for record in records], dtype=object)
 
 
-def _digest(name: str, date: str, rows: gpd.GeoDataFrame) -> str:
-    """Return the digest of all that an import writes."""
+def digest_of(name: str, date: str, rows: gpd.GeoDataFrame, more: Sequence[str] = ()) -> str:
+    """Return the digest of all that an import writes; ``more`` names the further columns that it has."""
     digest = hashlib.sha256(f"import\0{name}\0{date}\0".encode())
-    for column in ("key", "h_p90", "storeys", "attributes"):
+    for column in ("key", "h_p90", "storeys", "attributes", *more):
         digest.update(repr(rows[column].tolist()).encode())
     digest.update(b"".join(shapely.to_wkb(shapely.normalize(rows.geometry.to_numpy()), byte_order=1)))
     return digest.hexdigest()

@@ -22,6 +22,7 @@ from msbdb.database import (
     read_tables,
     run_heads,
     shown,
+    summarise_inventory,
     summarise_run,
 )
 from msbdb.errors import PassingNotice, counted
@@ -53,7 +54,8 @@ def info_of(db: str | Path) -> dict[str, Any]:
             survey = asdict(summary.survey)
             survey.pop("crs_wkt")
             found.append({**head, **_counts(summary), "survey_record": survey, "notices": list(summary.run.notices)})
-    return {"database": where, "runs": found}
+        inventory = summarise_inventory(engine)
+    return {"database": where, "runs": found, "inventory": inventory}
 
 
 def _counts(summary: RunSummary) -> dict[str, Any]:

@@ -22,6 +22,13 @@ from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.crs import CrsLike, Fallback
+from msbdb.io.extents import (
+    extent_of_points,
+    extent_of_polygons,
+    extent_of_raster,
+    require_common_place,
+    require_other_points,
+)
 from msbdb.io.files import describe_source, require_input
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
@@ -115,6 +122,32 @@ class Inputs:
             elif role != "points":
                 with open_raster(path):
                     pass
+
+    def require_one_place(self) -> None:
+        """Refuse files that cannot be of one survey by what their headers say, before the points are read.
+
+        Raises
+        ------
+        GridMismatchError
+            For a DTM, orthophotos or parcels that lie apart from the heights.
+        InputError
+            For the same points in two files, such as a LAZ and the COPC made from it.
+        """
+        require_other_points(self.points)
+        rasters = [(path, role) for path, role in ((self.dsm, "DSM"), (self.ndsm, "nDSM")) if path is not None]
+        first = (
+            extent_of_raster(rasters[0][0], self.any_crs, rasters[0][1])
+            if rasters
+            else extent_of_points(self.points, self.any_crs)
+        )
+        if first is None:
+            return
+        if self.dtm is not None:
+            crs = None if states_crs(self.dtm) else self.any_crs
+            require_common_place(first, [extent_of_raster(self.dtm, crs, "DTM")])
+        require_common_place(first, [extent_of_raster(path, self.any_ortho_crs, "image") for path in self.ortho])
+        parcels = None if self.parcels is None else extent_of_polygons(self.parcels)
+        require_common_place(first, [] if parcels is None else [parcels])
 
     def files(self) -> Iterator[tuple[Path, str]]:
         """Yield each file with its role."""
@@ -337,7 +370,8 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
         dtm, name = terrain(points, spec, params.ground)
     else:
         dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
-    logger.info("surface: %d x %d cells of %s m, %.2f points/m2, ground by %s", *spec.shape, cell_m, points_m2, name)
+    surface_is = "The surface has %d x %d cells of %s m from %.1f points/m2. The ground is by the filter '%s'"
+    logger.info(surface_is, *spec.shape, cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
     return surface if given is None else note_offset(surface)
 

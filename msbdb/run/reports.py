@@ -19,23 +19,31 @@ logger = logging.getLogger(__name__)
 Progress = Callable[[str, int, int], None]
 """Called with the stage's name, the steps done and the steps in all."""
 
-STAGES = (
-    "read",
-    "surface",
-    "cover",
-    "bands",
-    "classes",
-    "adaptive",
-    "area3d",
-    "flatregions",
-    "multiscale",
-    "fusion",
-    "houses",
-    "parts",
-    "outlines",
-    "write",
-)
-"""The stages of a build in their order; those of the detectors have the detectors' names."""
+STAGES = {
+    "read": "Reading the files",
+    "surface": "Surface and ground",
+    "cover": "Roofs and vegetation",
+    "bands": "Colours",
+    "classes": "Land-cover classes",
+    "adaptive": "Detector adaptive",
+    "area3d": "Detector area3d",
+    "flatregions": "Detector flatregions",
+    "multiscale": "Detector multiscale",
+    "fusion": "All detectors together",
+    "houses": "Dividing houses",
+    "parts": "Trees of parts",
+    "outlines": "Outlines and heights",
+    "write": "Writing",
+}
+"""The stages of a build in their order, in words; those of the detectors have the detectors' names."""
+
+WORDS = STAGES | {
+    "inventory": "Updating the inventory",
+    "measure": "Measuring the footprints",
+    "check": "Checking",
+    "copy": "Copying",
+}
+"""All stages that a progress may name, in words."""
 
 
 class Stages:
@@ -60,7 +68,7 @@ class Stages:
         seconds = time.perf_counter() - begin
         self.timings[name] = self.timings.get(name, 0.0) + seconds
         self._report(name, 1)
-        logger.info("%s: %.2f s", name, seconds)
+        logger.info("%s: %.1f s", WORDS.get(name, name), seconds)
 
     def rounded(self) -> dict[str, float]:
         """Return the timings for a report, seconds."""
@@ -110,8 +118,49 @@ def collect_notices(notices: Notices) -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True)
+class Overview:
+    """What a person wants to know of a build first.
+
+    Attributes
+    ----------
+    states : dict of str to int
+        Buildings by state.
+    largest, highest : dict
+        The building of the largest area, and that of the highest ridge: ``building_id``, ``easting``, ``northing``,
+        ``area_m2`` and ``ridge_m``. Empty without buildings.
+    refused_m2 : dict of str to float
+        Area that is as high as a building and is none, by the decisive reason in words, the largest first.
+    refused_regions : int
+        Refused regions as large as a building: the rows of the ledger.
+    unsure : tuple of dict
+        The largest unsure buildings, at most `FIRST`, with the values of ``largest`` and ``probability``.
+    uneven : tuple of dict
+        Buildings whose ground is unsure, by `GROUND_RANGE_M`, at most `FIRST`, with the values of ``largest`` and
+        ``ground_range_m``.
+    counts : dict of str to int
+        Of ``unsure`` and ``uneven``, all of them.
+    """
+
+    states: dict[str, int]
+    largest: dict[str, float | int]
+    highest: dict[str, float | int]
+    refused_m2: dict[str, float]
+    refused_regions: int
+    unsure: tuple[dict[str, float | int | None], ...]
+    uneven: tuple[dict[str, float | int | None], ...]
+    counts: dict[str, int]
+
+
+FIRST = 3
+"""Buildings of a kind that an overview names."""
+
+GROUND_RANGE_M = 3.0
+"""Ours: where the ground around a building differs by more than a storey, its height depends on the side."""
+
+
+@dataclass(frozen=True, slots=True)
 class BuildReport:
-    """What a build did: counts, notices, seconds a stage, and whether the database changed."""
+    """What a build did: counts, an overview, notices, seconds a stage, and whether the database changed."""
 
     survey: str
     buildings: int
@@ -122,6 +171,8 @@ class BuildReport:
     notices: tuple[str, ...]
     timings: dict[str, float]
     changed: bool
+    database: str
+    overview: Overview
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -204,6 +255,45 @@ class ImportReport:
     date: str
     status: str
     rows: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureReport:
+    """What measuring footprints on a survey did.
+
+    Attributes
+    ----------
+    survey, name : str
+        The survey, and the name that the footprints have in the inventory.
+    status : str
+        'created', or 'unchanged' where the same measures were there already.
+    footprints : int
+        Footprints of the file; each has its row.
+    states : dict of str to int
+        Footprints by state.
+    unseen : int
+        Those that the survey has too few heights on; they are unsure.
+    others : int
+        Detected buildings without a footprint.
+    database : str
+        The database.
+    build : BuildReport or None
+        The build of the survey; None where it was built already.
+    """
+
+    survey: str
+    name: str
+    status: str
+    footprints: int
+    states: dict[str, int]
+    unseen: int
+    others: int
+    database: str
+    build: BuildReport | None
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

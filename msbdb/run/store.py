@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
+import numpy as np
 import pandas as pd
 
 from msbdb.database import (
@@ -18,8 +19,10 @@ from msbdb.database import (
     read_digest,
     read_former,
     read_survey,
+    shown,
     store_build,
 )
+from msbdb.database.dialects.dialect import database_url
 from msbdb.detect.scene import Elevations, Evidence, Regions, Scene
 from msbdb.errors import DatabaseError
 from msbdb.grid import GridSpec
@@ -28,9 +31,10 @@ from msbdb.landcover import ClassMap
 from msbdb.params import POINT_DETECTORS
 from msbdb.run.compose import relabelled
 from msbdb.run.prepare import Inputs
-from msbdb.run.reports import BuildReport, Progress, Stages
+from msbdb.run.reports import FIRST, GROUND_RANGE_M, BuildReport, Overview, Progress, Stages
 from msbdb.spectral.coverclasses import Cover
-from msbdb.tables import REJECTION, Survey
+from msbdb.tables import REASONS, REJECTION, Reason, Survey
+from msbdb.tables.building_tables import BUILDING_STATES
 
 logger = logging.getLogger(__name__)
 
@@ -103,9 +107,9 @@ def relabel_survey(
                 basis = BuildBasis(content_sha256=digest)
                 changed = store_build(db, kept, basis=basis, timeout_s=PATIENCE_S).status != "unchanged"
             except OutdatedError:
-                logger.info("The survey %s changed meanwhile; labelling again", old.survey.name)
+                logger.info("The survey %s changed meanwhile; it is labelled again", old.survey.name)
                 continue
-        return report_of(kept, stages, changed=changed)
+        return report_of(kept, stages, db, changed=changed)
     msg = (
         f"Others changed the survey '{old.survey.name}' meanwhile. No label was written. List its classes with "
         "'msbdb classes', and try again."
@@ -113,7 +117,9 @@ def relabel_survey(
     raise DatabaseError(msg)
 
 
-def report_of(kept: KeptRun, stages: Stages, *, changed: bool, passing: Sequence[str] = ()) -> BuildReport:
+def report_of(
+    kept: KeptRun, stages: Stages, db: str | Path, *, changed: bool, passing: Sequence[str] = ()
+) -> BuildReport:
     """Sum up a run; ``passing`` are notices that it does not keep."""
     return BuildReport(
         survey=kept.survey.name,
@@ -125,7 +131,59 @@ def report_of(kept: KeptRun, stages: Stages, *, changed: bool, passing: Sequence
         notices=(*kept.run.notices, *passing),
         timings=stages.rounded(),
         changed=changed,
+        database=shown(database_url(db)),
+        overview=overview_of(kept),
     )
+
+
+def overview_of(kept: KeptRun) -> Overview:
+    """Return what a person wants to know of a run first."""
+    buildings = pd.DataFrame(kept.frames["building"].drop(columns="geometry"))
+    by_area = buildings.sort_values(["area_m2", "building_id"], ascending=[False, True])
+    by_ridge = buildings.sort_values(["ridge", "building_id"], ascending=[False, True])
+    states = {state: int((buildings["state"] == state).sum()) for state in BUILDING_STATES}
+    range_m = (by_area["z_ground_max"] - by_area["z_ground_min"]).astype("float64").fillna(0.0)
+    unsure = by_area[by_area["state"] == "unsure"]
+    uneven = by_area.assign(ground_range_m=range_m.round(1))[range_m > GROUND_RANGE_M]
+    uneven = uneven.sort_values(["ground_range_m", "building_id"], ascending=[False, True])
+    return Overview(
+        states={state: count for state, count in states.items() if count},
+        largest=next(iter(_named(by_area)), {}),
+        highest=next(iter(_named(by_ridge[by_ridge["ridge"].notna()])), {}),
+        refused_m2=_refused_m2(kept),
+        refused_regions=len(kept.frames["rejection"]),
+        unsure=tuple(_named(unsure, "probability")),
+        uneven=tuple(_named(uneven, "ground_range_m")),
+        counts={"unsure": len(unsure), "uneven": len(uneven)},
+    )
+
+
+def _named(buildings: pd.DataFrame, *more: str) -> list[dict[str, Any]]:
+    """Return the first buildings with their places and measures as plain values."""
+    names = {
+        "building_id": "building_id",
+        "xin": "easting",
+        "yin": "northing",
+        "area_m2": "area_m2",
+        "ridge": "ridge_m",
+    }
+    rows = buildings[[*names, *more]].rename(columns=names).head(FIRST).astype(object)
+    return [
+        {str(name): value for name, value in row.items()} for row in rows.where(rows.notna(), None).to_dict("records")
+    ]
+
+
+def _refused_m2(kept: KeptRun) -> dict[str, float]:
+    """Return the area that is as high as a building and is none, by reason, the largest first."""
+    if kept.rasters.reason is None:
+        return {}
+    cells = np.bincount(kept.rasters.reason.ravel(), minlength=len(Reason))
+    area_m2 = {REASONS[why]: float(cells[why] * kept.heights.spec.cell_area_m2) for why in Reason if why not in AS_IS}
+    return {why: round(found, 1) for why, found in sorted(area_m2.items(), key=lambda item: -item[1]) if found}
+
+
+AS_IS = (Reason.NO_DATA, Reason.BUILDING, Reason.LOW)
+"""Reasons by which nothing that may be a building is refused."""
 
 
 def recall_scene(kept: KeptRun) -> Scene:

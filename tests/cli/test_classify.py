@@ -11,11 +11,12 @@ import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from simulated.files import write_points
+from simulated.files import write_heights, write_points
 from simulated.scenes import SCENES
 from support.processes import environment
 
 from msbdb.cli.main import cli
+from msbdb.grid import Grid
 
 GROUND, UNCLASSIFIED, BUILDING, NOISE = 2, 1, 6, 7
 
@@ -131,6 +132,23 @@ def test_former_buildings_are_demoted_or_kept(folder, tmp_path):
     assert report["demoted"] == np.count_nonzero((before == BUILDING) & rest) > 500
     assert report["changed"] == np.count_nonzero(before != after)
     assert (kept["demoted"], kept["changed"]) == (0, np.count_nonzero(before != with_keep))
+
+
+def test_a_user_classifies_with_a_terrain_of_his_own(folder, tmp_path):
+    """Above the true ground the same roofs are found; above a ground higher than the roofs none is."""
+    scene = SCENES["under_trees"]()
+    truth = scene.ground(*np.broadcast_arrays(*scene.spec.centres())).astype(np.float32)
+    for name, ground in (("true", truth), ("high", truth + 50)):
+        terrain = write_heights(tmp_path / f"{name}.tif", Grid(ground, np.ones(ground.shape, bool), scene.spec))
+        args = (folder / "plain.laz", tmp_path / f"{name}.laz", "--dtm", terrain, "--extract", "multiscale")
+        report = classified(*args)
+        if name == "high":
+            assert report["building_points"] == 0
+            assert any("below the given DTM" in notice for notice in report["notices"])
+        else:
+            alike = classes_of(tmp_path / "true.laz") == classes_of(folder / "found.laz")
+            assert alike.mean() > 0.99
+            assert report["building_points"] > 100
 
 
 def test_refusals_come_before_the_work(folder, tmp_path):

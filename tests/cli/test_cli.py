@@ -24,12 +24,13 @@ from rich.console import Console
 
 import msbdb
 from msbdb import params as declared
-from msbdb.cli import command, output
+from msbdb.cli import output
 from msbdb.cli.main import cli
 from msbdb.cli.output import emit, text
 from msbdb.database import example_queries
 from msbdb.database.runs.places import Place
 from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
+from msbdb.run.reports import Overview
 from msbdb.tables import Reason
 
 COMMANDS: dict[str, click.Command] = {
@@ -57,6 +58,19 @@ class FakeReport:
     notices: tuple[str, ...] = ("No imagery: classes come from height texture.",)
     timings: dict[str, float] = field(default_factory=lambda: {"read": 0.5, "surface": 0.25})
     changed: bool = True
+    database: str = "/data/town.sqlite"
+    overview: Overview = field(
+        default_factory=lambda: Overview(
+            states={"confirmed": 2, "unsure": 1},
+            largest={"building_id": 2**62 + 1, "easting": 10.0, "northing": 20.0, "area_m2": 1234.0, "ridge_m": 12.34},
+            highest={"building_id": 7, "easting": 1.0, "northing": 2.0, "area_m2": 50.0, "ridge_m": 30.0},
+            refused_m2={"vegetation by colour": 4321.0},
+            refused_regions=9,
+            unsure=({"building_id": 7, "easting": 1.0, "northing": 2.0, "area_m2": 50.0, "probability": 0.5},),
+            uneven=(),
+            counts={"unsure": 1, "uneven": 0},
+        )
+    )
 
     def as_dict(self) -> dict[str, Any]:
         """Return what --json prints."""
@@ -187,13 +201,17 @@ class FakeApi(types.ModuleType):
         """Return nested scores."""
         values = {name: value for name, value in locals().items() if name != "self"}
         self._note("evaluate", **values)
-        return types.SimpleNamespace(as_dict=lambda: {"area": {"quality": 0.91234}, "objects": {"all": {"found": 3}}})
+        said = ("Area: 91 % quality.", "Buildings: 3 are found.", "Outlines: 0.5 m off.")
+        return types.SimpleNamespace(
+            sentences=said, as_dict=lambda: {"area": {"quality": 0.91234}, "objects": {"all": {"found": 3}}}
+        )
 
     def evaluate_points(self, found, reference, *, crs=None, survey=None, of="buildings"):
         """Return counts."""
         values = {name: value for name, value in locals().items() if name != "self"}
         self._note("evaluate_points", **values)
-        return types.SimpleNamespace(as_dict=lambda: {"matched": "order", "points": {"tp": 5, "fp": 0}})
+        said = ("Points: 100 % quality.", "All are found.", "All are true.")
+        return types.SimpleNamespace(sentences=said, as_dict=lambda: {"matched": "order", "points": {"tp": 5, "fp": 0}})
 
     def classify(
         self,
@@ -203,6 +221,7 @@ class FakeApi(types.ModuleType):
         extract=("area3d",),
         crs=None,
         ortho=(),
+        dtm=None,
         ortho_crs=None,
         z_unit="auto",
         params=None,
@@ -226,6 +245,13 @@ class FakeApi(types.ModuleType):
         told = {"survey": "spring", "date": "2024-04-20", "status": "created", "counts": counts, "offset": offset}
         inventory = types.SimpleNamespace(**told, notices=("Few pairs.",))
         return types.SimpleNamespace(build=FakeReport(), inventory=inventory, as_dict=lambda: {"inventory": told})
+
+    def measure(self, footprints, points=(), *, progress=None, **options):
+        """Return a report of three footprints."""
+        self._note("measure", footprints=footprints, points=points, progress=progress, **options)
+        told = {"survey": "spring", "name": "cadastre", "status": "created", "footprints": 3, "others": 1, "unseen": 0}
+        told |= {"states": {"confirmed": 2, "refuted": 1}, "database": "/data/town.sqlite"}
+        return types.SimpleNamespace(**told, build=FakeReport(), as_dict=lambda: told)
 
     def changes(
         self, db, *, since=None, until=None, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
@@ -418,11 +444,33 @@ def test_build_reports_and_draws(api):
     """The summary goes to the standard output, notices to the standard error, and the figure is drawn once."""
     Path("a.laz").touch()
     result = run("build", "--points", "a.laz", "--db", "x", "--figure", "f.png")
-    assert "spring" in result.stdout
+    said = " ".join(result.stdout.split())
+    for expected in (
+        "spring", "3: 2 confirmed, 1 unsure", f"1,234 m², ridge 12.3 m, at 10.0,20.0, id {2**62 + 1}",
+        "4,321 m² vegetation by colour", "9 refused regions", "1 unsure building at 1.0,2.0 (probability 0.50)",
+        "/data/town.sqlite", "msbdb why /data/town.sqlite --at 10.0,20.0",
+    ):  # fmt: skip
+        assert expected in said
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
     called = {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings", "overwrite": False}
     assert api.calls[1] == ("view", called)
+
+
+def test_measure_hands_everything_over_and_reports(api):
+    """Footprints first, then options of a build, with several values after a flag; the counts are printed."""
+    for name in ("c.gpkg", "a.laz", "b.laz"):
+        Path(name).touch()
+    words = ("measure", "c.gpkg", "--points", "a.laz", "b.laz", "--db", "x", "--id", "number", "--out", "m.csv")
+    result = run(*words, "--set", "surface.cell_m=0.5")
+    assert result.exit_code == 0, result.stderr
+    name, values = api.calls[0]
+    assert (name, values["footprints"], values["id_column"]) == ("measure", Path("c.gpkg"), "number")
+    assert (values["points"], values["out"]) == ((Path("a.laz"), Path("b.laz")), Path("m.csv"))
+    assert values["params"].surface.cell_m == 0.5
+    said = " ".join(result.stdout.split())
+    for expected in ("measured 3 footprints · confirmed 2 · refuted 1", "1 detected building", "written m.csv"):
+        assert expected in said
 
 
 def test_json_has_no_nan(api):
@@ -545,13 +593,12 @@ def test_progress_is_drawn_on_terminals(api, monkeypatch):
     console = Console(file=screen, force_terminal=True, width=100)
     monkeypatch.setattr(output, "stderr_console", lambda: console)
     monkeypatch.setattr(output, "on_terminal", lambda: True)
-    monkeypatch.setattr(command, "stderr_console", lambda: console)
     Path("a.laz").touch()
     result = run("build", "--points", "a.laz", "--db", "x")
     assert result.exit_code == 0
     assert api.calls[0][1]["progress"] is not None
-    assert "surface" in screen.getvalue()
-    assert "surface" not in result.stdout
+    assert "Surface and ground" in screen.getvalue()
+    assert "Surface and ground" not in result.stdout
 
 
 def test_start_up_is_quick():
@@ -660,6 +707,7 @@ def test_export_view_and_evaluate_pass_their_options(api):
     values = api.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
     assert "0.912" in result.stdout
+    assert result.stdout.startswith("Area: 91 % quality.\nBuildings: 3 are found.\nOutlines: 0.5 m off.\n")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The commands of the living inventory from end to end, on a small town of rasters."""
 
 import json
+import re
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -52,7 +53,10 @@ def town(rasters: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def test_an_inventory_is_imported_updated_and_told(town: Path) -> None:
-    """The office's numbers live on, and the changes are those of the town."""
+    """The office's numbers live on, the changes are those of the town, and 'info' has both."""
+    said = [" ".join(line.split()) for line in run("info", town).splitlines()]
+    assert any(line.startswith("current buildings 8: ") for line in said)
+    assert any(re.match(r"2021-05-01 second update .*", line) for line in said)
     engine = open_database(town)
     now = footprint_at(engine, "2021-05-01")
     attributes = [value for value in now["attributes"] if value is not None]

@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import Engine, text
 from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
-from msbdb.api import advance
+from msbdb.api import advance, info
 from msbdb.database import (
     canonical_dump,
     check_database,
@@ -93,6 +93,15 @@ def test_the_first_survey_brings_all_buildings_and_the_second_its_changes(engine
     assert longer["area_m2"].tolist() == pytest.approx([144, 216])
     gone = history[history["valid_to"].notna() & ~history["uid"].duplicated(keep=False)]
     assert gone["h_p90"].tolist() == pytest.approx([6.0])
+    inventory = info(engine.url)["inventory"]
+    assert inventory["buildings"]["all"] == 8
+    assert sum(inventory["buildings"].values()) == 16
+    assert inventory["decided"] == 0
+    assert [(event["kind"], event["name"], event["date"]) for event in inventory["events"]] == [
+        ("update", "s1", "2020-01-01"),
+        ("update", "s2", "2021-05-01"),
+    ]
+    assert inventory["events"][1]["counts"]["demolished"] == 1
 
 
 def test_the_views_show_the_present_and_the_past(engine: Engine) -> None:

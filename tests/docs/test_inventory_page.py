@@ -44,7 +44,7 @@ def test_the_page_runs_from_top_to_bottom(folder: Path) -> None:
         if "UID" in words:
             uid = footprint_at(open_database("town.sqlite"), "2024-05-02")["uid"].min()
             words[words.index("UID")] = str(uid)
-        if words[0] == "update":
+        if words[0] in ("update", "measure"):
             words += ["--extract", "multiscale"]
         done = CliRunner().invoke(cli, words)
         assert done.exit_code == 0, f"{line}: {done.output}"

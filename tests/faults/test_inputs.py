@@ -357,6 +357,48 @@ def test_real_hostile_files_end_well(tmp_path, path, crs):
     assert parts.geometry.is_valid.all()
 
 
+def test_a_user_gives_files_of_another_place(tmp_path, tile, podium, monkeypatch):
+    """A DTM, an image or parcels that lie apart are refused by the headers, before any point is read."""
+    spec, db = podium.spec, tmp_path / "town.sqlite"
+    write_raster(tmp_path / "far.tif", np.zeros(spec.shape), moved(spec, 0.0, 9e3))
+    write_raster(tmp_path / "near.tif", np.zeros(spec.shape), spec)
+    west, south = spec.bounds[:2]
+    gpd.GeoDataFrame(geometry=[shapely.box(west, south + 9e3, west + 9, south + 9.1e3)], crs=spec.crs).to_crs(
+        4326
+    ).to_file(tmp_path / "far.gpkg")
+    monkeypatch.setattr("msbdb.io.las._read", lambda *_, **__: pytest.fail("points were read"))
+    for option, name in (("--dtm", "far.tif"), ("--ortho", "far.tif"), ("--parcels", "far.gpkg")):
+        args = ["build", "--points", tile, option, tmp_path / name, "--db", db]
+        refuses(tmp_path, args, name, "not of the same place", "has (", "the points have")
+    out = tmp_path / "out.laz"
+    refuses(tmp_path, ["classify", tile, out, "--dtm", tmp_path / "far.tif"], "far.tif", "not of the same place")
+    Inputs.of(tile, dtm=tmp_path / "near.tif", ortho=[tmp_path / "near.tif", tmp_path / "far.tif"]).require_one_place()
+
+
+def test_a_wrong_header_refuses_no_terrain(tmp_path, tile, podium):
+    """Bounds that do not hold the first points of the file are not believed."""
+    terrain = write_raster(tmp_path / "dtm.tif", np.zeros(podium.spec.shape), podium.spec)
+    data = bytearray(tile.read_bytes())
+    bounds = struct.unpack_from("<4d", data, 179)
+    struct.pack_into("<4d", data, 179, *(value + 9e3 for value in bounds))
+    tile.write_bytes(data)
+    Inputs.of(tile, dtm=terrain).require_one_place()
+
+
+def test_a_user_gives_the_same_points_in_another_order(tmp_path, tile, podium):
+    """A tile and the COPC made from it have other bytes; their headers show it. Halves of a tile are no such files."""
+    points = podium.points
+    order = np.random.default_rng(1).permutation(len(points))
+    other = write_points(tmp_path / "tile.copc.laz", points.take(order), crs=points.crs)
+    args = ["build", "--points", tile, other, "--db", tmp_path / "town.sqlite"]
+    refuses(tmp_path, args, "same points", "tile.copc.laz", f"{len(points)} points", "Leave one out")
+    half = np.arange(len(points)) < len(points) // 2
+    parts = [points.take(half), points.take(np.roll(half, len(points) // 2))]
+    assert len(parts[0]) == len(parts[1])
+    halves = [write_points(tmp_path / f"{n}.laz", part, crs=points.crs) for n, part in enumerate(parts)]
+    Inputs.of(halves).require_one_place()
+
+
 def test_a_user_gives_the_same_file_twice(tmp_path, tile, heights):
     """By another path, as a copy, or as surface and ground: refused before any work; a user of Python, too."""
     (tmp_path / "copy.laz").write_bytes(tile.read_bytes())
@@ -397,7 +439,12 @@ def test_a_user_gives_a_dtm_from_elsewhere(tmp_path, podium, tile, heights):
     dsm, _, values = heights
     far = write_raster(tmp_path / "far.tif", values, moved(podium.spec, 1e5, 0))
     for other in (["--points", tile], ["--dsm", dsm]):
-        refuses(tmp_path, ["build", *other, "--dtm", far, "--db", tmp_path / "town.sqlite"], "DTM of the same place")
+        refuses(
+            tmp_path,
+            ["build", *other, "--dtm", far, "--db", tmp_path / "town.sqlite"],
+            "of the same place",
+            "the DTM far.tif",
+        )
     high = write_raster(tmp_path / "high.tif", values + np.float32(50), podium.spec)
     with pytest.warns(MsbdbWarning, match="5 % are 50 m or more below the given DTM"):
         make_surface(Inputs(dsm=dsm, dtm=high), None, msbdb.Params())

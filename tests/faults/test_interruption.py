@@ -158,7 +158,7 @@ def check_and_complete(tile, place, *, written=False):
 @pytest.mark.parametrize(("stage", "done", "start"), sample(STAGE_EDGES, 7))
 def test_ctrl_c_at_any_stage_ends_in_one_line(tile, place, monkeypatch, stage, done):
     """Exit code 130, no file beside the database, no database where there was none."""
-    monkeypatch.setattr(build_module, "progress_bars", build_module.progress_bars)
+    monkeypatch.setattr(build_module, "progress_bar", build_module.progress_bar)
     stop_at(stage, done, signal.SIGINT)
     db, before, _ = place
     result = run(*build(tile, db))

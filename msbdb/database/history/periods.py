@@ -117,6 +117,14 @@ def read_events(connection: Connection) -> "gpd.GeoDataFrame":
     return _frame(connection, query)
 
 
+def read_events_near(engine: Engine, area: shapely.Geometry) -> list[tuple[str, str]]:
+    """Return kind and name of the imports and updates whose area meets another one, in their order."""
+    with snapshot(engine) as connection:
+        events = read_events(connection)
+    near = events[events.intersects(area)]
+    return list(zip(near["kind"], near["name"], strict=True))
+
+
 def read_offsets(connection: Connection) -> "pd.DataFrame":
     """Return the offset of each survey: columns of ``survey_offset``."""
     return _plain(connection, select(*_columns_of(SURVEY_OFFSET)))
@@ -256,6 +264,31 @@ def has_inventory(engine: Engine) -> bool:
     """Return whether anything was imported into the inventory, or updated it."""
     with guarded(engine.url), engine.connect() as connection:
         return bool(connection.scalar(select(func.count()).select_from(INVENTORY_EVENT)))
+
+
+def summarise_inventory(engine: Engine) -> dict[str, Any]:
+    """Return the inventory in numbers, of one committed state.
+
+    Returns
+    -------
+    dict
+        ``buildings``, the current ones by state, operators' decisions included, and all; ``decided``, those that an
+        operator decided; ``events``, a record for each import and update in their order, with its ``kind``, ``name``,
+        ``date`` and ``counts``. Empty where nothing was imported and no survey was applied.
+    """
+    with snapshot(engine) as connection:
+        columns = (INVENTORY_EVENT.c.kind, INVENTORY_EVENT.c.name, INVENTORY_EVENT.c.date, INVENTORY_EVENT.c.counts)
+        rows = connection.execute(select(*columns).order_by(INVENTORY_EVENT.c.number)).all()
+        if not rows:
+            return {}
+        found = connection.execute(text("SELECT state, COUNT(*) FROM footprint_current GROUP BY state ORDER BY state"))
+        states = {str(state): int(count) for state, count in found}
+        decided = int(connection.scalar(select(func.count()).select_from(OPERATOR_STATE)) or 0)
+    events = [
+        {"kind": kind, "name": name, "date": date, "counts": json.loads(counts) if isinstance(counts, str) else counts}
+        for kind, name, date, counts in rows
+    ]
+    return {"buildings": {"all": sum(states.values()), **states}, "decided": decided, "events": events}
 
 
 def has_building(connection: Connection, uid: int) -> bool:

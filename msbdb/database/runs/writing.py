@@ -189,7 +189,8 @@ def _array(column: "pd.Series") -> NDArray[Any]:
 
 def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:
     """Sum up a load."""
-    logger.info("Survey %s, methods %s: %s, %s", build.survey.name, ", ".join(build.run.methods), status, rows.counts)
+    logger.info("The survey %s by %s is %s", build.survey.name, ", ".join(build.run.methods), status)
+    logger.debug("Rows by table: %s", rows.counts)
     return WriteReport(build.survey.name, build.run.methods, *_keys(build), status, rows.counts)
 
 

@@ -148,7 +148,12 @@ def extract_adaptive(
         labels, count = _tightened(points, found, (labels, count), (number, step), ledger)
     labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
     regions = describe(points, labels, count, placed)
-    logger.info("Adaptive: %d regions of %d off-ground points, spacing %.2f m", count, len(points), points.spacing_m)
+    logger.info(
+        "adaptive found %d regions among %d points above ground; they are %.2f m apart",
+        count,
+        len(points),
+        points.spacing_m,
+    )
     return in_order_of_ids(labels, regions, points.index, len(cloud), ledger)
 
 

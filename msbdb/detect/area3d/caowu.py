@@ -122,7 +122,8 @@ def extract_area3d(
         **scene.shapes(accepted.labels, len(accepted.rule)).columns(),
     }
     regions = describe_candidates(placed, accepted.labels, scene.cloud.heights, scene.cloud.ndvi, shape, method=METHOD)
-    logger.info("area3d: %d regions at the heights %s m", len(regions), scales)
+    from_m = ", ".join(f"{each:.1f}" for each in scales)
+    logger.info("area3d found %d regions from the heights %s m on", len(regions), from_m)
     return in_order_of_ids(accepted.labels, regions, order, len(cloud), ledger)
 
 

@@ -127,7 +127,11 @@ def denoise(g: Grid, params: FlatRegionParams) -> Denoised:
         none = np.zeros(g.spec.shape, dtype=np.bool_)
         return Denoised(g, none, none.copy())
     values = fill_by_idw(np.asarray(g.values, dtype=np.float64), known, outliers)
-    logger.info("Denoising: %d cells of peaks, %d of valleys", np.count_nonzero(peaks), np.count_nonzero(valleys))
+    logger.info(
+        "The denoising removed peaks of %d cells and valleys of %d cells",
+        np.count_nonzero(peaks),
+        np.count_nonzero(valleys),
+    )
     return Denoised(g.with_values(values.astype(np.float32)), peaks, valleys)
 
 

@@ -184,7 +184,7 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     ledger.count("ratio", candidates + rough, candidates, rough)
     labels = recognise(found, candidates, heights, params, ledger)
     regions = describe(labels, found, heights, survey)
-    logger.info("Flat regions: %d of %d candidates", len(regions), candidates)
+    logger.info("flatregions found %d regions, of %d candidates", len(regions), candidates)
     return FlatRegions(
         labels,
         regions,

@@ -72,10 +72,10 @@ def stop_at(stage: str, done: int, number: int) -> None:
             signal.raise_signal(number)
 
     @contextlib.contextmanager
-    def bars() -> Iterator[Callable[[str, int, int], None]]:
+    def bars(*_: object) -> Iterator[Callable[[str, int, int], None]]:
         yield progress
 
-    build.progress_bars = bars
+    build.progress_bar = bars
 
 
 def stop_in(place: str, nth: int, number: int, *, after: bool = False) -> None:
