@@ -331,9 +331,14 @@ class Links:
         return self.epochs.rise.spec
 
     def is_surveyed(self, i: int) -> bool:
-        """Return whether most of a building's whole footprint lies in the surveyed area."""
-        whole = float(shapely.area(self.shifted[i - 1]))
-        return bool(self.seen[i - 1] * self.spec.cell_area_m2 >= self.params.surveyed_share * whole > 0)
+        """Return whether a building can be judged: most of it is in the surveyed area, or the border cuts it.
+
+        Of a building that the border cuts, a part as large as a change is judged, and the rest stays as it is.
+        """
+        shape = self.shifted[i - 1]
+        seen = self.seen[i - 1] * self.spec.cell_area_m2
+        is_cut = not shapely.box(*self.spec.bounds).contains(shape)
+        return bool(seen >= self.params.surveyed_share * shape.area > 0 or (is_cut and seen >= self.params.least_m2))
 
     def _linked(self) -> dict[int, list[int]]:
         """Return the survey's footprints of each building, the one with the largest share first."""

@@ -24,8 +24,9 @@ from msbdb.database.history.periods import (
     read_history,
     read_states,
 )
+from msbdb.database.history.seams import ACROSS, Seams
 from msbdb.database.history.standing import Standing, read_standing, survey_key
-from msbdb.database.history.versions import Advance, write_advance
+from msbdb.database.history.versions import Advance, identities, write_advance
 from msbdb.database.runs.basis import (
     BuildBasis,
     Former,
@@ -61,6 +62,7 @@ from msbdb.database.schema.sqlfiles import ExampleQuery, example_queries, find_e
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [
+    "ACROSS",
     "CHECKS",
     "LAST_DAY",
     "PATIENCE_S",
@@ -76,6 +78,7 @@ __all__ = [
     "OutdatedError",
     "Place",
     "RunSummary",
+    "Seams",
     "Standing",
     "WriteReport",
     "canonical_dump",
@@ -93,6 +96,7 @@ __all__ = [
     "footprint_at",
     "grant_role",
     "has_inventory",
+    "identities",
     "list_runs",
     "open_database",
     "opened",
