@@ -27,6 +27,9 @@ NEAR_M = 25.0
 OVERLAP_M2 = 1e-4
 """Smaller overlaps of two outlines are rounding of their coordinates."""
 
+LOOSE_M2 = 1.0
+"""Smaller loose pieces of an outline go: they are what is left of a cell at a border."""
+
 NO_OFFSET = Offset(0.0, 0.0, 0.0, 0, float("nan"))
 
 
@@ -122,9 +125,9 @@ def find_links(
       building, and no reason divides them there.
 
     The reasons are those that divide touching houses within a survey (`msbdb.fuse.touching.divide`), looked for on the
-    heights of both surveys together. The ground beneath a building is interpolated, and two surveys do so apart; two
-    flights may count their levels from different zeros. So a reason counts where heights above ground and
-    levels above sea both show it, if both are known.
+    heights of both surveys together. The ground beneath a building is interpolated in each survey apart, and two
+    flights may count their levels from different zeros. So a reason counts where heights above ground and levels above
+    sea both show it, if both are known.
     """
     shapes = pieces.geometry.to_numpy()
     owners = pieces["survey_id"].to_numpy()
@@ -194,12 +197,10 @@ def _is_one(
 def _goes_on(sides: Labels, houses: Labels) -> bool:
     """Return whether most neighbouring cells of both sides are of one house; without such cells they do not meet."""
     same = apart = 0
-    for one, other in (
-        ((slice(1, None),), (slice(None, -1),)),
-        ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
-    ):
-        meet = (sides[one] != sides[other]) & (houses[one] > 0) & (houses[other] > 0)
-        equal = int(np.count_nonzero(meet & (houses[one] == houses[other])))
+    for axis in (0, 1):
+        one, other = (np.moveaxis(labels, axis, 0) for labels in (sides, houses))
+        meet = (one[1:] != one[:-1]) & (other[1:] > 0) & (other[:-1] > 0)
+        equal = int(np.count_nonzero(meet & (other[1:] == other[:-1])))
         same, apart = same + equal, apart + int(np.count_nonzero(meet)) - equal
     return same > 0 and same >= apart
 
@@ -317,6 +318,7 @@ def _polygons(shape: shapely.Geometry) -> shapely.Geometry | None:
     parts = [each for part in parts for each in shapely.get_parts(part) if each.area > OVERLAP_M2]
     if not parts:
         return None
+    parts = [part for part in parts if part.area >= LOOSE_M2] or parts
     whole: shapely.Geometry = shapely.normalize(shapely.union_all(np.array(parts, dtype=object)))
     return whole
 

@@ -13,6 +13,7 @@ from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_da
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.entries import write_import, write_samples, write_state
+from msbdb.database.history.joins import Seams, current_pieces
 from msbdb.database.history.periods import (
     LAST_DAY,
     database_crs_of,
@@ -24,7 +25,6 @@ from msbdb.database.history.periods import (
     read_history,
     read_states,
 )
-from msbdb.database.history.seams import ACROSS, Seams
 from msbdb.database.history.standing import Standing, read_standing, survey_key
 from msbdb.database.history.versions import Advance, identities, write_advance
 from msbdb.database.runs.basis import (
@@ -62,7 +62,6 @@ from msbdb.database.schema.sqlfiles import ExampleQuery, example_queries, find_e
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [
-    "ACROSS",
     "CHECKS",
     "LAST_DAY",
     "PATIENCE_S",
@@ -87,6 +86,7 @@ __all__ = [
     "copy_database",
     "create_database",
     "crs_of",
+    "current_pieces",
     "database_crs_of",
     "downgrade_schema",
     "example_queries",

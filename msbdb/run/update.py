@@ -41,10 +41,10 @@ from msbdb.kept import PER_METRE, heights_of
 from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
+from msbdb.run.borders import combined, make_seams, near_pieces, pieces_of
 from msbdb.run.compose import choose_detectors
 from msbdb.run.prepare import Inputs, Label, Paths
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
-from msbdb.run.seams import combined, make_seams, near_pieces, pieces_of
 from msbdb.run.store import recall_elevations
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey
 from msbdb.version import __version__
@@ -160,7 +160,7 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
     if standing.applied is not None:
         own = standing.offsets[standing.offsets["survey_id"] == survey_key(record.name)]
         offset = {str(name): value for name, value in own.drop(columns="survey_id").iloc[0].items()}
-        return _report(record, date, "unchanged", standing.applied, offset)
+        return _report(record, date, "unchanged", standing.applied, offset, is_compared=len(standing.before) > 0)
     before, (heights, levels) = standing.before, _heights(engine, record)
     inside = None
     if not area.equals(shapely.box(*record.bounds)):
@@ -182,7 +182,8 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
         states=states,
     )  # fmt: skip
     made = replace(made, seams=_seams(engine, standing, made, record))
-    return _report(record, date, write_advance(engine, made), made.counts, made.offset)
+    status = write_advance(engine, made)
+    return _report(record, date, status, made.counts, made.offset, is_compared=len(before) > 0)
 
 
 def _seams(engine: Engine, standing: Standing, made: Advance, record: Survey) -> Seams:
@@ -347,10 +348,17 @@ def _with_unseen(
     return states
 
 
-def _report(record: Survey, date: str, status: str, counts: dict[str, int], offset: dict[str, Any]) -> AdvanceReport:
+def _report(
+    record: Survey, date: str, status: str, counts: dict[str, int], offset: dict[str, Any], *, is_compared: bool
+) -> AdvanceReport:
     """Sum up an update, without its notices."""
-    if not int(offset["pairs"]) and set(counts) - {"new", "versions"}:
-        msg = "Too few buildings are alike in the survey and the inventory. The offset between them is not measured."
+    # Without a spread nothing was measured.
+    if is_compared and pd.isna(offset["spread_m"]) and set(counts) - {"new", "versions"}:
+        pairs = int(offset["pairs"])
+        msg = (
+            f"Too few buildings are alike in the survey and the inventory ({pairs}). The offset between them is not "
+            "measured, and taken as 0."
+        )
         warnings.warn(msg, MsbdbWarning, stacklevel=2)
     plain = {name: None if pd.isna(value) else float(value) for name, value in offset.items()}
     plain["pairs"] = int(offset["pairs"])

@@ -27,7 +27,7 @@ from sqlalchemy import (
 
 from msbdb.database.dialects.connection import connected, snapshot
 from msbdb.database.dialects.dialect import dialect_of, guarded, shown
-from msbdb.database.history.seams import batches
+from msbdb.database.history.joins import batches
 from msbdb.database.runs.digests import COLUMN
 from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.sqlfiles import footprint_at_query

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Engine, func, or_, select
 
 from msbdb.database.dialects.connection import snapshot
+from msbdb.database.history.joins import joined_by, leaves_of, read_members
 from msbdb.database.history.periods import (
     read_before,
     read_began,
@@ -19,10 +20,10 @@ from msbdb.database.history.periods import (
     read_offsets,
     read_versions,
 )
-from msbdb.database.history.seams import ACROSS, joined_by, leaves_of, read_members
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import InputError
 from msbdb.identity import text_id
+from msbdb.tables import ACROSS
 
 if TYPE_CHECKING:
     import geopandas as gpd

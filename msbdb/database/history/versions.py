@@ -14,13 +14,13 @@ import shapely
 from sqlalchemy import Connection, Engine, delete, exists, func, select, update
 
 from msbdb.database.dialects.dialect import Dialect, dialect_of, guarded
-from msbdb.database.history.seams import ACROSS, Seams, batches, count_again, release, write_seams
+from msbdb.database.history.joins import Seams, batches, count_again, release, write_seams
 from msbdb.database.history.standing import Basis, basis_of, require_begun
 from msbdb.database.runs.basis import OutdatedError
 from msbdb.database.runs.digests import digest_again, insert_digested
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import plain, text_id, to_json
-from msbdb.tables import HEIGHTS
+from msbdb.tables import ACROSS, HEIGHTS
 
 if TYPE_CHECKING:
     import geopandas as gpd

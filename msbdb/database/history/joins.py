@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import shapely
-from sqlalchemy import Connection, delete, func, select, update
+from sqlalchemy import Connection, Engine, delete, func, select, update
 
-from msbdb.database.dialects.dialect import Dialect
+from msbdb.database.dialects.dialect import Dialect, guarded
 from msbdb.database.runs.digests import digest_again, insert_digested
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import plain, text_id, to_json
+from msbdb.tables import ACROSS
 
 BUILDING_CHANGE = SQL["building_change"]
 
@@ -19,8 +20,9 @@ BUILDING_VERSION = SQL["building_version"]
 
 INVENTORY_EVENT = SQL["inventory_event"]
 
-ACROSS = "across a border: "
-"""How the notes of the changes begin that make such versions."""
+SURVEY = SQL["survey"]
+
+_IS_CURRENT = BUILDING_VERSION.c.valid_to.is_(None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +134,26 @@ def write_seams(
         cells = sorted(tuple(row[name] for name in names) for row in changes)
         insert_digested(connection, dialect, "building_change", names, cells, srid=srid)
     return {int(row["survey_id"]) for row in (*seams.versions, *seams.changes)}
+
+
+def current_pieces(engine: Engine) -> list[tuple[str, int]]:
+    """Return the survey and the building of its run from which each current version is, or each piece of it."""
+    with guarded(engine.url), engine.connect() as connection:
+        return _pieces(connection)
+
+
+def _pieces(connection: Connection) -> list[tuple[str, int]]:
+    """Return what `current_pieces` does."""
+    current = [int(key) for key in connection.scalars(select(BUILDING_VERSION.c.version_id).where(_IS_CURRENT))]
+    members = read_members(connection, current)
+    leaves = [leaf for version in current for leaf in leaves_of(members, version)]
+    columns = (SURVEY.c.name, BUILDING_VERSION.c.building_id)
+    query = select(*columns).join_from(BUILDING_VERSION, SURVEY, BUILDING_VERSION.c.survey_id == SURVEY.c.survey_id)
+    found: list[tuple[str, int]] = []
+    for some in batches(leaves):
+        rows = connection.execute(query.where(BUILDING_VERSION.c.version_id.in_(some)))
+        found += [(str(name), int(building)) for name, building in rows if building is not None]
+    return found
 
 
 def count_again(connection: Connection, surveys: Iterable[int]) -> None:

@@ -11,10 +11,10 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.change.seams import REACH_CELLS, Surveyed, Whole, find_links, whole_buildings
-from msbdb.database import ACROSS, Advance, Seams, Standing, identities
+from msbdb.database import Advance, Seams, Standing, identities
 from msbdb.identity import text_id
 from msbdb.params import ChangeParams, FuseParams, TouchingParams
-from msbdb.tables import EXTRACTOR_SHARES
+from msbdb.tables import ACROSS, EXTRACTOR_SHARES
 
 ONE = ACROSS + "one building in the surveys {}; its heights are means by area, its ridge the highest"
 

@@ -2,24 +2,31 @@
 
 import itertools
 import json
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 from sqlalchemy import Engine
+from support.sizes import sample
 from support.towns import EPSG, SOUTH, WEST, House, town_build
 
-from msbdb.api import advance
+from msbdb.api import advance, changes
 from msbdb.database import (
     canonical_dump,
     check_database,
+    current_pieces,
     footprint_at,
     open_database,
     read_changes,
     read_history,
+    read_parts,
     write_build,
 )
+from msbdb.errors import PassingNotice
+from msbdb.run.outputs import _frames, choose
 
 Box = tuple[float, float, float, float]
 
@@ -29,11 +36,33 @@ TOWN: list[House] = [(30, 10, 60, 24, 8), (10, 40, 24, 52, 6), (70, 40, 84, 60, 
 WEST_TILE, EAST_TILE = (0.0, 0.0, 45.0, 120.0), (45.0, 0.0, 100.0, 120.0)
 
 
-@pytest.fixture
-def new(tmp_path: object) -> Callable[[], Engine]:
-    """Return what makes an empty database."""
-    numbers = itertools.count()
-    return lambda: open_database(f"{tmp_path}/{next(numbers)}.sqlite", create=True, srid=EPSG)
+TILES = {"west": WEST_TILE, "east": EAST_TILE}
+
+
+@pytest.fixture(scope="module")
+def srid() -> int:
+    """Return the SRID of ``engine``."""
+    return EPSG
+
+
+@pytest.fixture(scope="module")
+def new(tmp_path_factory: pytest.TempPathFactory, empty_file: Callable[[int], Path]) -> Callable[[], Engine]:
+    """Return what makes an empty file."""
+    folder, numbers = tmp_path_factory.mktemp("towns"), itertools.count()
+    return lambda: open_database(shutil.copy(empty_file(EPSG), folder / f"{next(numbers)}.sqlite"))
+
+
+@pytest.fixture(scope="module")
+def two_days(new: Callable[[], Engine]) -> Engine:
+    """Return the town from two tiles, the eastern one a year later."""
+    return town_of(new(), ("west", "2020-01-01"), ("east", "2021-03-01"))
+
+
+def town_of(engine: Engine, *tiles: tuple[str, str], houses: list[House] = TOWN) -> Engine:
+    """Return a database with tiles of these names and days."""
+    for name, day in tiles:
+        update(engine, name, houses, TILES[name], day)
+    return engine
 
 
 def update(engine: Engine, name: str, houses: list[House], bounds: Box, date: str = "2020-01-01", **more: str) -> str:
@@ -67,25 +96,25 @@ def boxes(houses: list[House]) -> list[Box]:
     return sorted(tuple(int(value) for value in house[:4]) for house in houses)
 
 
-def test_a_building_cut_by_a_border_is_one_in_any_order(new: Callable[[], Engine]) -> None:
-    """Its outline, height and area are those of the whole, and the order of the tiles leaves no trace."""
+def test_a_building_cut_by_a_border_is_one_in_any_order(engine: Engine, new: Callable[[], Engine]) -> None:
+    """Its outline, height and area are those of the whole, in each dialect with the same content."""
     found = []
-    for order in itertools.permutations([("west", WEST_TILE), ("east", EAST_TILE)]):
-        engine = new()
-        for name, tile in order:
-            assert update(engine, name, TOWN, tile) == "created"
-        assert outlines(engine) == boxes(TOWN)
-        now = footprint_at(engine, "2020-01-01")
+    for place, order in ((new(), ("west", "east")), (engine, ("east", "west"))):
+        for name in order:
+            assert update(place, name, TOWN, TILES[name]) == "created"
+        assert outlines(place) == boxes(TOWN)
+        now = footprint_at(place, "2020-01-01")
         assert now["area_m2"].sum() == pytest.approx(sum((h[2] - h[0]) * (h[3] - h[1]) for h in TOWN))
         assert sorted(now["h_max"].round(6)) == [6, 8, 9, 12]
-        assert check_database(engine) == []
-        before = content(engine)
-        assert [advance(engine.url, name).status for name, _ in order] == ["unchanged"] * 2
-        assert content(engine) == before
+        assert check_database(place) == []
+        before = content(place)
+        assert [advance(place.url, name).status for name in order] == ["unchanged"] * 2
+        assert content(place) == before
         found.append(before)
     assert found[0] == found[1]
 
 
+@pytest.mark.long
 def test_four_tiles_with_a_building_on_their_corner(new: Callable[[], Engine]) -> None:
     """It is one building after all four, whichever comes first, also when their days differ."""
     town = [*TOWN, (35.0, 94.0, 57.0, 110.0, 7.0)]
@@ -105,6 +134,7 @@ def test_four_tiles_with_a_building_on_their_corner(new: Callable[[], Engine]) -
     assert found[0] == found[1] == found[2]
 
 
+@pytest.mark.long
 def test_a_later_survey_of_the_whole_finds_no_change(new: Callable[[], Engine]) -> None:
     """Neither one that sees all at once, nor tiles that are cut elsewhere; nothing is new or demolished."""
     engine = new()
@@ -121,6 +151,7 @@ def test_a_later_survey_of_the_whole_finds_no_change(new: Callable[[], Engine]) 
     assert check_database(engine) == []
 
 
+@pytest.mark.long
 def test_a_change_beyond_the_border_leaves_the_other_side(new: Callable[[], Engine]) -> None:
     """A tile that sees a part of a building changes this part alone."""
     engine = new()
@@ -138,27 +169,18 @@ def test_a_change_beyond_the_border_leaves_the_other_side(new: Callable[[], Engi
     assert (45, 10, 72, 24) in outlines(engine)
 
 
-def test_houses_that_a_step_divides_at_the_border_stay_two(new: Callable[[], Engine]) -> None:
-    """They touch along all of the border, and one is a storey higher; a level roof beside them is one."""
-    pair: list[House] = [(30, 10, 45, 24, 6), (45, 10, 60, 24, 9.5), (30, 40, 60, 54, 7)]
-    engine = new()
-    for name, tile in (("west", WEST_TILE), ("east", EAST_TILE)):
-        update(engine, name, pair, tile)
-    assert outlines(engine) == boxes(pair)
+def test_houses_that_a_step_or_a_lane_divides_at_the_border_stay_two(new: Callable[[], Engine]) -> None:
+    """One is a storey higher, or they face each other over a metre of ground; a level roof beside them is one."""
+    lane: list[House] = [(30, 80, 44.5, 94, 8), (45.5, 80, 60, 94, 8)]
+    step: list[House] = [(30, 10, 45, 24, 6), (45, 10, 60, 24, 9.5), (30, 40, 60, 54, 7)]
+    engine = town_of(new(), ("west", "2020-01-01"), ("east", "2020-01-01"), houses=step + lane)
+    found = outlines(engine)
+    assert len(found) == 5
+    assert set(boxes(step)) < set(found)
     assert check_database(engine) == []
 
 
-def test_a_lane_along_the_border_parts_houses(new: Callable[[], Engine]) -> None:
-    """Two houses that face each other over a metre of ground are no building."""
-    pair: list[House] = [(30, 10, 44.5, 24, 8), (45.5, 10, 60, 24, 8)]
-    engine = new()
-    for name, tile in (("west", WEST_TILE), ("east", EAST_TILE)):
-        update(engine, name, pair, tile)
-    assert len(footprint_at(engine, "2020-01-01")) == 2
-
-
-@pytest.mark.parametrize("cut", [33.0, 47.5, 51.0])
-@pytest.mark.parametrize("overlap", [0.5, 6.0])
+@pytest.mark.parametrize(("overlap", "cut"), sample(itertools.product((0.5, 6.0), (47.5, 33.0, 51.0)), 6))
 def test_tiles_that_overlap_give_the_same_buildings(new: Callable[[], Engine], cut: float, overlap: float) -> None:
     """The strip that both have seen is in one building, and no ground is in two."""
     engine = new()
@@ -168,6 +190,7 @@ def test_tiles_that_overlap_give_the_same_buildings(new: Callable[[], Engine], c
     assert check_database(engine) == []
 
 
+@pytest.mark.long
 def test_a_tile_built_again_is_joined_again(new: Callable[[], Engine]) -> None:
     """The buildings are those of tiles that were like this from the beginning, and what stays keeps its identity."""
     engine, fresh = new(), new()
@@ -186,17 +209,44 @@ def test_a_tile_built_again_is_joined_again(new: Callable[[], Engine]) -> None:
     assert check_database(engine) == []
 
 
-def test_the_history_of_a_joined_building_has_its_pieces(new: Callable[[], Engine]) -> None:
+def test_the_history_of_a_joined_building_has_its_pieces(two_days: Engine) -> None:
     """Pieces of two days: one alone until the second day, then both as one, and its note has the surveys."""
-    engine = new()
-    update(engine, "east", TOWN[:1], EAST_TILE, "2021-06-01")
-    update(engine, "west", TOWN[:1], WEST_TILE, "2020-01-01")
-    [now] = footprint_at(engine, "2021-06-01").itertuples()
-    history = read_history(engine, int(now.uid))
-    assert history["valid_from"].tolist() == ["2020-01-01", "2021-06-01"]
-    assert history["valid_to"].tolist() == ["2021-06-01", None]
+    now = footprint_at(two_days, "2021-06-01")
+    uid = int(now.loc[now["h_max"] == TOWN[0][4], "uid"].iloc[0])
+    history = read_history(two_days, uid)
+    assert history["valid_from"].tolist() == ["2020-01-01", "2021-03-01"]
+    assert history["valid_to"].tolist() == ["2021-03-01", None]
     assert [round(area) for area in history["area_m2"]] == [15 * 14, 30 * 14]
-    notes = read_changes(engine).query("note.str.contains('border')", engine="python")["note"]
+    assert shapely.is_valid(history.geometry).all()
+    changed = read_changes(two_days)
+    notes = changed.loc[(changed["uid_after"] == uid) & changed["note"].str.contains("border"), "note"]
     assert len(notes) == 2
     assert notes.str.contains("'east' and 'west'").all()
-    assert shapely.is_valid(history.geometry).all()
+
+
+def test_pieces_that_are_joined_are_no_change(two_days: Engine) -> None:
+    """Each building is there from the beginning, new once where nothing was there, and none is gone."""
+    require_no_change(two_days, later={"unchanged": 3})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("west", "later"), [("2021-03-01", {}), ("2022-03-01", {"unchanged": 3})])
+def test_pieces_of_other_days_are_no_change(new: Callable[[], Engine], west: str, later: dict[str, int]) -> None:
+    """As well where both tiles are of one day, or the eastern one is older."""
+    require_no_change(town_of(new(), ("west", west), ("east", "2021-03-01")), later=later, day="2021-06-01")
+
+
+def require_no_change(engine: Engine, *, later: dict[str, int], day: str = "2020-06-01") -> None:
+    """Require that a town has four buildings from its beginning, and these changes after a day."""
+    db = str(engine.url.database)
+    assert changes(db).counts == {"unchanged": 4}
+    assert changes(db, since="2019-01-01").counts == {"new": 4}
+    assert changes(db, since=day).counts == later
+
+
+def test_an_export_has_the_parts_of_all_pieces(two_days: Engine) -> None:
+    """The current inventory of two tiles has the parts of both."""
+    parts = sum(len(read_parts(two_days, name)) for name in TILES)
+    assert len(current_pieces(two_days)) == 6
+    with pytest.warns(PassingNotice, match="the current inventory"):
+        assert len(_frames(two_days, choose(two_days, None))["part"]) == parts
