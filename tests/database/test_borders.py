@@ -15,6 +15,7 @@ from support.towns import EPSG, SOUTH, WEST, House, town_build
 
 from msbdb.api import advance, changes
 from msbdb.database import (
+    Seams,
     canonical_dump,
     check_database,
     current_pieces,
@@ -242,6 +243,18 @@ def require_no_change(engine: Engine, *, later: dict[str, int], day: str = "2020
     assert changes(db).counts == {"unchanged": 4}
     assert changes(db, since="2019-01-01").counts == {"new": 4}
     assert changes(db, since=day).counts == later
+
+
+def test_two_buildings_on_the_same_ground_are_found(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As older versions left them: the area is named, and the two buildings."""
+    monkeypatch.setattr("msbdb.run.update._seams", lambda *_: Seams())
+    update(engine, "west", TOWN, (0.0, 0.0, 47.0, 120.0))
+    update(engine, "east", TOWN, EAST_TILE)
+    found = check_database(engine)
+    assert [finding.check for finding in found] == ["overlaps"] * 2
+    assert {finding.what.split(" m2")[0].split("covers ")[1] for finding in found} == {"28.00", "48.00"}
+    uids = set(footprint_at(engine, "2020-01-01")["uid"].astype(str))
+    assert all(sum(uid in finding.what for uid in uids) == 2 for finding in found)
 
 
 def test_an_export_has_the_parts_of_all_pieces(two_days: Engine) -> None:
