@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import psycopg
@@ -28,6 +28,7 @@ from sqlalchemy.dialects.postgresql.base import ischema_names
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
+from msbdb.database.dialects import setkeys
 from msbdb.database.schema.sqlfiles import read_sql
 from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
@@ -232,6 +233,11 @@ def writing(engine: Engine) -> Iterator[Connection]:
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
         connection.execute(text(_COMPRESSION))
         yield connection
+
+
+def keys_in_sets(connection: Connection, tables: Sequence[str], run_id: int) -> AbstractContextManager[None]:
+    """Check the keys of a run's rows by one query each, where the user may leave out the triggers."""
+    return setkeys.keys_in_sets(connection, tables, run_id)
 
 
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
