@@ -110,6 +110,12 @@ WHERE name = 'default_toast_compression' AND 'lz4' = ANY(enumvals)
 """
 """Large outlines are compressed by LZ4 where the server supports it: a third of the default's time, some more space."""
 
+_SAMPLE = """
+SELECT set_config('default_statistics_target', '30', true) FROM pg_settings
+WHERE name = 'default_statistics_target' AND CAST(setting AS integer) > 30
+"""
+"""Statistics from 9000 rows in place of 30 000: a third of the time. The server refines them in the background."""
+
 WORTH = 1000
 """Rows from which it is quicker to make indexes and keys after the load."""
 
@@ -289,7 +295,10 @@ def after_load(connection: Connection) -> None:
     Only of tables in which most rows changed: sampling a large table takes longer than loading a survey. The server's
     autovacuum handles tables that changed by a tenth.
     """
-    for table in connection.scalars(text(_OUTDATED), {"tables": list(_CONTENT)}).all():
+    tables = connection.scalars(text(_OUTDATED), {"tables": list(_CONTENT)}).all()
+    if tables:
+        connection.execute(text(_SAMPLE))
+    for table in tables:
         connection.execute(text(f"ANALYZE {table}"))
 
 
