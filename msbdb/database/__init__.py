@@ -13,7 +13,7 @@ from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_da
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.entries import write_import, write_samples, write_state
-from msbdb.database.history.joins import Seams, current_pieces
+from msbdb.database.history.joins import Seams, current_pieces, version_pieces
 from msbdb.database.history.periods import (
     LAST_DAY,
     database_crs_of,
@@ -130,6 +130,7 @@ __all__ = [
     "summarise_run",
     "survey_key",
     "upgrade_schema",
+    "version_pieces",
     "write_advance",
     "write_build",
     "write_import",

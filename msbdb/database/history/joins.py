@@ -139,21 +139,26 @@ def write_seams(
 def current_pieces(engine: Engine) -> list[tuple[str, int]]:
     """Return the survey and the building of its run from which each current version is, or each piece of it."""
     with guarded(engine.url), engine.connect() as connection:
-        return _pieces(connection)
+        current = connection.scalars(select(BUILDING_VERSION.c.version_id).where(_IS_CURRENT))
+        found = version_pieces(connection, [int(version) for version in current])
+    return [piece for pieces in found.values() for piece in pieces]
 
 
-def _pieces(connection: Connection) -> list[tuple[str, int]]:
-    """Return what `current_pieces` does."""
-    current = [int(key) for key in connection.scalars(select(BUILDING_VERSION.c.version_id).where(_IS_CURRENT))]
-    members = read_members(connection, current)
-    leaves = [leaf for version in current for leaf in leaves_of(members, version)]
-    columns = (SURVEY.c.name, BUILDING_VERSION.c.building_id)
+def version_pieces(connection: Connection, versions: Iterable[int]) -> dict[int, list[tuple[str, int]]]:
+    """Return the pieces of each version: survey, and building of its run; none where no survey measured it.
+
+    A version of a single survey is one piece. A joined one has those of all surveys that see a part of it.
+    """
+    wanted = sorted(set(versions))
+    members = read_members(connection, wanted)
+    leaves = {version: leaves_of(members, version) for version in wanted}
+    columns = (BUILDING_VERSION.c.version_id, SURVEY.c.name, BUILDING_VERSION.c.building_id)
     query = select(*columns).join_from(BUILDING_VERSION, SURVEY, BUILDING_VERSION.c.survey_id == SURVEY.c.survey_id)
-    found: list[tuple[str, int]] = []
-    for some in batches(leaves):
+    origin: dict[int, tuple[str, int]] = {}
+    for some in batches(sorted({leaf for own in leaves.values() for leaf in own})):
         rows = connection.execute(query.where(BUILDING_VERSION.c.version_id.in_(some)))
-        found += [(str(name), int(building)) for name, building in rows if building is not None]
-    return found
+        origin |= {int(leaf): (str(name), int(building)) for leaf, name, building in rows if building is not None}
+    return {version: [origin[leaf] for leaf in own if leaf in origin] for version, own in leaves.items()}
 
 
 def count_again(connection: Connection, surveys: Iterable[int]) -> None:
