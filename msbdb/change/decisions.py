@@ -124,7 +124,11 @@ class Decisions:
         gone = np.count_nonzero((self.pieces.loss[box] if own else self.pieces.fallen[box])[stood])
         lost = self._own(self.pieces.loss, i)
         if gone >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1):
-            self._note("demolished", i, 0)
+            unseen = self._unseen((i,))
+            if unseen is None:
+                self._note("demolished", i, 0)
+            else:
+                self._note("modified", i, 0, version=self._enter(i, 0, unseen, adopted=False), outline=True)
             return
         self.used.update(own)
         parted = [a for a in own if any(a in self.links.loss_by[piece] for piece in lost)]
@@ -228,7 +232,8 @@ class Decisions:
         height = self._lifted(i) > 0
         for n, a in enumerate(parted):
             # Each part takes the survey's own outline, because the old one holds them all.
-            version = self._enter(i if n == 0 else 0, a, self.after.geometry.iloc[a - 1], adopted=True)
+            shape, adopted = self._with_unseen((i,) if n == 0 else (), self.after.geometry.iloc[a - 1], adopted=True)
+            version = self._enter(i if n == 0 else 0, a, shape, adopted=adopted)
             self._note("split", i, a, version=version, outline=True, height=height)
 
     def _rose_by_attributes(self, i: int, a: int) -> bool:
@@ -280,12 +285,26 @@ class Decisions:
         """Return the buildings' new outline: the survey's where it covers only them, else the old with the change."""
         sharing = {i for i, own in self.links.own.items() if a in own}
         if sharing == set(group) and all(len(self.links.own[i]) == 1 for i in group):
-            return self.after.geometry.iloc[a - 1], True
+            return self._with_unseen(group, self.after.geometry.iloc[a - 1], adopted=True)
         gains = [piece for i in group for piece in self.links.gains.get(i, ())]
         box = _around([self.box_before[i] for i in group] + [self.box_gain[piece] for piece in gains])
         kept = np.isin(self.epochs.before[box], group) & (self.pieces.loss[box] == 0)
         cells = without_slivers(kept | np.isin(self.pieces.gain[box], gains or [-1]), self.spec, self.params)
-        return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
+        return self._with_unseen(group, polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], adopted=False)
+
+    def _with_unseen(
+        self, group: tuple[int, ...], shape: shapely.Geometry, *, adopted: bool
+    ) -> tuple[shapely.Geometry, bool]:
+        """Return an outline with what of the buildings lies beyond the survey, and whether it is adopted as it was."""
+        unseen = self._unseen(group)
+        return (shape, adopted) if unseen is None else (shapely.union(shape, unseen), False)
+
+    def _unseen(self, group: tuple[int, ...]) -> shapely.Geometry | None:
+        """Return the part of buildings that lies beyond the survey's lattice; None where no disc fits into it."""
+        shapes = shapely.union_all(self.links.shifted[[i - 1 for i in group]])
+        unseen = shapely.difference(shapes, shapely.box(*self.spec.bounds))
+        parts = [part for part in shapely.get_parts(unseen) if not part.buffer(-self.params.thickness_m).is_empty]
+        return shapely.union_all(parts) if parts else None
 
     def _enter(self, i: int, a: int, shape: shapely.Geometry, *, adopted: bool) -> int:
         """Write a new state and return its row number; 0 is a building that begins with it."""

@@ -1,5 +1,6 @@
 """What differs between two surveys: their offset, the pieces built or gone, and the links between footprints."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from skimage.morphology import isotropic_dilation, isotropic_opening
 
+from msbdb.errors import PassingNotice
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import Labels, boxes, chosen_cells, label_zones, renumber, shared_cells, sizes
 from msbdb.params import ChangeParams
@@ -113,8 +115,8 @@ def estimate_offset(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, *, least_
     shift of all walls, weighted by their length: the place from which the pairs lose as much shared area by a step of a
     metre forth as by one back. Walls that moved farther count as a metre.
 
-    Heights change by whole storeys, and half of a few buildings may have risen. So the
-    vertical offset is the difference on which most pairs agree.
+    Heights change by whole storeys. So the vertical offset is the difference on which most pairs agree. It is 0, with a
+    notice, where fewer than ``least_pairs`` agree, and fewer than half of all.
 
     Examples
     --------
@@ -139,7 +141,7 @@ def estimate_offset(before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, *, least_
     dx, dy = _aligned(before.geometry.to_numpy()[pairs[0]], after.geometry.to_numpy()[pairs[1]], (dx, dy))
     rise = after["h_p90"].to_numpy(dtype=np.float64)[pairs[1]] - before["h_p90"].to_numpy(dtype=np.float64)[pairs[0]]
     known = rise[np.isfinite(rise)]
-    dz = _agreed(known) if len(known) >= least_pairs else 0.0
+    dz = _agreed(known, least_pairs) if len(known) >= least_pairs else 0.0
     spread = MEDIAN_FACTOR * float(np.median(np.abs(shift - (dx, dy))))
     return Offset(dx, dy, dz, pairs.shape[1], spread)
 
@@ -163,10 +165,18 @@ def _aligned(before: Shapes, after: Shapes, start: tuple[float, float]) -> tuple
     return float(place[0]), float(place[1])
 
 
-def _agreed(rise: NDArray[np.float64]) -> float:
-    """Return the median of the largest group of differences that lie close together, of equal groups the lowest."""
+def _agreed(rise: NDArray[np.float64], least_pairs: int) -> float:
+    """Return the median of the largest group of like differences, of equal groups the lowest; 0 for a small group."""
     near = np.abs(rise[:, None] - rise[None, :]) <= AGREEMENT_M
     first = np.lexsort((np.abs(rise), -near.sum(axis=1)))[0]
+    count = int(near[first].sum())
+    if count < least_pairs and 2 * count < len(rise):
+        msg = (
+            f"The heights of the survey and of the inventory agree on no offset: of {len(rise)} buildings that are "
+            f"alike, {count} differ by the same. The offset of heights is not measured, and taken as 0."
+        )
+        warnings.warn(msg, PassingNotice, stacklevel=2)
+        return 0.0
     return float(np.median(rise[near[first]]))
 
 
@@ -331,9 +341,14 @@ class Links:
         return self.epochs.rise.spec
 
     def is_surveyed(self, i: int) -> bool:
-        """Return whether most of a building's whole footprint lies in the surveyed area."""
-        whole = float(shapely.area(self.shifted[i - 1]))
-        return bool(self.seen[i - 1] * self.spec.cell_area_m2 >= self.params.surveyed_share * whole > 0)
+        """Return whether a building can be judged: most of it is in the surveyed area, or the border cuts it.
+
+        Of a building that the border cuts, a part as large as a change is judged, and the rest stays as it is.
+        """
+        shape = self.shifted[i - 1]
+        seen = self.seen[i - 1] * self.spec.cell_area_m2
+        is_cut = not shapely.box(*self.spec.bounds).contains(shape)
+        return bool(seen >= self.params.surveyed_share * shape.area > 0 or (is_cut and seen >= self.params.least_m2))
 
     def _linked(self) -> dict[int, list[int]]:
         """Return the survey's footprints of each building, the one with the largest share first."""

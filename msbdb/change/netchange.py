@@ -12,6 +12,7 @@ import shapely
 
 from msbdb.change.decisions import FIRST_SURVEY
 from msbdb.change.differences import moved
+from msbdb.tables import ACROSS
 
 RELATED_SHARE = 0.3
 """Buildings that were merged or split on the way are related at the end when they share this much of the smaller; a
@@ -117,6 +118,10 @@ class _Chains:
             self.current[after] = row["version_after"]
             arrived.setdefault(after, {}).update(origins)
             fresh.setdefault(after, trail)
+        for uid, origins in arrived.items():
+            # A piece beyond the border of an earlier survey may arrive in a building that stands.
+            if uid in self.standing and uid not in left:
+                arrived[uid] = self.standing[uid] | origins
         for uid in left:
             self.standing.pop(uid, None)
             self.born.pop(uid, None)
@@ -199,6 +204,7 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
     chains = _Chains()
     plain = pd.DataFrame(rows).drop(columns="geometry", errors="ignore").astype(object)
     records: list[dict[str, Any]] = plain.where(plain.notna(), None).to_dict(orient="records")  # type: ignore[assignment]  # names are str
+    records = _joined(records)
     for _, group in groupby(records, key=lambda row: (row["date"], row["survey"])):
         chains.follow(list(group))
     known = _Versions(versions, offsets)
@@ -208,6 +214,24 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
     table = gpd.GeoDataFrame(_typed(frame), geometry=shapes, crs=versions.crs)
     passing = versions[versions["version_id"].isin(chains.passing)]
     return Net(table, passing.sort_values("version_id", ignore_index=True))
+
+
+def _joined(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows of changes with whole buildings in place of pieces that were joined across a border.
+
+    A piece that begins in the period begins as the building of which it is a part.
+    """
+    joins = {row["version_before"]: row for row in records if (row["note"] or "").startswith(ACROSS)}
+    made = {row["version_after"] for row in records if row["version_after"] != row["version_before"]}
+    found = []
+    for row in records:
+        if joins.get(row["version_before"]) is row and row["version_before"] in made:
+            continue
+        whole = row
+        while whole["version_after"] in joins:
+            whole = joins[whole["version_after"]]
+        found.append(row | {name: whole[name] for name in ("uid_after", "version_after")})
+    return found
 
 
 def _rows(chains: _Chains, known: "_Versions") -> Iterator[dict[str, Any]]:

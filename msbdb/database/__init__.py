@@ -14,6 +14,7 @@ from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_da
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.entries import write_import, write_samples, write_state
+from msbdb.database.history.joins import Seams, current_pieces, version_pieces
 from msbdb.database.history.periods import (
     LAST_DAY,
     database_crs_of,
@@ -29,7 +30,7 @@ from msbdb.database.history.periods import (
 )
 from msbdb.database.history.shownlayers import ShownLayers, read_shown
 from msbdb.database.history.standing import Standing, read_standing, survey_key
-from msbdb.database.history.versions import Advance, write_advance
+from msbdb.database.history.versions import Advance, identities, write_advance
 from msbdb.database.runs.basis import (
     BuildBasis,
     Former,
@@ -81,6 +82,7 @@ __all__ = [
     "OutdatedError",
     "Place",
     "RunSummary",
+    "Seams",
     "ShownLayers",
     "Standing",
     "WriteReport",
@@ -91,6 +93,7 @@ __all__ = [
     "copy_database",
     "create_database",
     "crs_of",
+    "current_pieces",
     "database_crs_of",
     "downgrade_schema",
     "example_queries",
@@ -100,6 +103,7 @@ __all__ = [
     "footprint_at",
     "grant_role",
     "has_inventory",
+    "identities",
     "list_runs",
     "open_database",
     "opened",
@@ -136,6 +140,7 @@ __all__ = [
     "summarise_run",
     "survey_key",
     "upgrade_schema",
+    "version_pieces",
     "write_advance",
     "write_build",
     "write_import",

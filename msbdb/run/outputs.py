@@ -12,6 +12,7 @@ from msbdb.database import (
     LAST_DAY,
     Engine,
     RunSummary,
+    current_pieces,
     database_crs_of,
     footprint_at,
     has_inventory,
@@ -188,6 +189,7 @@ def _frames(engine: Engine, choice: Choice) -> "dict[str, gpd.GeoDataFrame]":
     import pandas as pd
 
     present = footprint_at(engine, LAST_DAY) if choice.present else None
+    pieces = current_pieces(engine) if choice.present else []
     crs = database_crs_of(engine)
     read: dict[str, list[gpd.GeoDataFrame]] = {name: [] for name in LAYERS}
     for survey in choice.surveys:
@@ -195,7 +197,7 @@ def _frames(engine: Engine, choice: Choice) -> "dict[str, gpd.GeoDataFrame]":
         for name, table in LAYERS.items():
             frame = gpd.GeoDataFrame(tables[table.name])
             if present is not None and name == "part":
-                own = present.loc[present["survey"] == survey, "building_id"].dropna().astype("int64")
+                own = [building for its, building in pieces if its == survey]
                 frame = frame[frame["building_id"].isin(own)]
             read[name].append(frame)
     found = {}

@@ -14,11 +14,13 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.change.comparison import Comparison, compare, measure, measure_roofs
+from msbdb.change.seams import Surveyed
 from msbdb.database import (
     PATIENCE_S,
     Advance,
     Engine,
     OutdatedError,
+    Seams,
     Standing,
     first_day,
     open_database,
@@ -37,8 +39,9 @@ from msbdb.identity import to_json
 from msbdb.io.vector import read_polygons
 from msbdb.kept import PER_METRE, heights_of
 from msbdb.outline.polygons import rasterise
-from msbdb.params import DETECTORS, ChangeParams, Params, as_dict, with_values
+from msbdb.params import DETECTORS, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
+from msbdb.run.borders import combined, make_seams, near_pieces, pieces_of
 from msbdb.run.compose import choose_detectors
 from msbdb.run.prepare import Inputs, Label, Paths
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
@@ -52,6 +55,9 @@ ATTEMPTS = 5
 """Attempts to compute an update, when others change the same place of the inventory at the same time."""
 
 MEASURED_FIRST = "its heights are known for the first time"
+
+SEAM_M = 3.0
+"""Pieces of a building that a border cuts lie this near: a few cells."""
 
 SAME_M2 = 1e-3
 """Outlines that differ by less in area are one outline, moved by the offset of the survey."""
@@ -154,7 +160,7 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
     if standing.applied is not None:
         own = standing.offsets[standing.offsets["survey_id"] == survey_key(record.name)]
         offset = {str(name): value for name, value in own.drop(columns="survey_id").iloc[0].items()}
-        return _report(record, date, "unchanged", standing.applied, offset)
+        return _report(record, date, "unchanged", standing.applied, offset, is_compared=len(standing.before) > 0)
     before, (heights, levels) = standing.before, _heights(engine, record)
     inside = None
     if not area.equals(shapely.box(*record.bounds)):
@@ -164,23 +170,40 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
     earlier, earlier_levels = _earlier(engine, standing)
     found = compare(
         before, after, heights=heights, levels=levels, earlier=earlier, earlier_levels=earlier_levels,
-        surveyed=inside, params=params,
+        surveyed=inside, params=params.change,
     )  # fmt: skip
     found, states = _states(found, before, after, heights)
     states = _with_roofs(states, found, engine, record, heights)
     states = _with_parts(states, found, engine, record.name)
+    states = _with_unseen(states, found, before, record)
     made = Advance(
         survey=record.name, survey_id=survey_key(record.name), date=date, area=area, digest=standing.digest,
         basis=standing.basis, before=before, born=standing.born, offset=asdict(found.offset), changes=found.changes,
         states=states,
     )  # fmt: skip
-    return _report(record, date, write_advance(engine, made), made.counts, made.offset)
+    made = replace(made, seams=_seams(engine, standing, made, record))
+    status = write_advance(engine, made)
+    return _report(record, date, status, made.counts, made.offset, is_compared=len(before) > 0)
 
 
-def _params(engine: Engine, survey: str) -> ChangeParams:
-    """Return what counts as change, as the survey's run has it."""
+def _seams(engine: Engine, standing: Standing, made: Advance, record: Survey) -> Seams:
+    """Return the buildings that the border to surveys beside this one cuts, made whole."""
+    pieces, loose = pieces_of(standing, made)
+    near = near_pieces(pieces, loose, SEAM_M)
+    pieces, loose = pieces[near].reset_index(drop=True), loose[near]
+    surveys = {}
+    for name in sorted(set(pieces["survey"])):
+        other = record if name == record.name else read_survey(engine, name)
+        heights, levels = _heights(engine, other)
+        surveys[survey_key(name)] = Surveyed(shapely.box(*other.bounds), heights, levels, other.density)
+    params = _params(engine, record.name)
+    return make_seams(pieces, loose, surveys, standing, params=params.change, touching=params.touching)
+
+
+def _params(engine: Engine, survey: str) -> Params:
+    """Return what counts as change, and what divides touching houses, as the survey's run has it."""
     values: Any = read_run(engine, survey).parameters
-    return with_values(Params(), {"change": values.get("change", {})}).change
+    return with_values(Params(), {name: values.get(name, {}) for name in ("change", "touching")})
 
 
 def _heights(engine: Engine, record: Survey) -> tuple[Grid, Grid | None]:
@@ -301,10 +324,41 @@ def _with_parts(states: gpd.GeoDataFrame, found: Comparison, engine: Engine, sur
     return states
 
 
-def _report(record: Survey, date: str, status: str, counts: dict[str, int], offset: dict[str, Any]) -> AdvanceReport:
+def _with_unseen(
+    states: gpd.GeoDataFrame, found: Comparison, before: gpd.GeoDataFrame, record: Survey
+) -> gpd.GeoDataFrame:
+    """Give versions that reach beyond the survey the measures of both sides: beyond it those of the version before."""
+    box = shapely.box(*record.bounds)
+    names = {*FROM_SURVEY, *HEIGHTS, *CELL_HEIGHTS, "area_m2", "volume_m3"} - {"parts"}
+    for row in np.flatnonzero(~found.versions["adopted"].to_numpy()).tolist():
+        at, shape = int(found.versions["before"].iloc[row]), states.geometry.iloc[row]
+        inside, beyond = shapely.intersection(shape, box), shapely.difference(shape, box)
+        if at < 0 or beyond.area < max(record.cell_m**2, SAME_M2) or pd.isna(before["h_p90"].iloc[at]):
+            continue
+        kept = before.iloc[[at]]
+        share = beyond.area / kept.geometry.iloc[0].area
+        kept = kept.assign(area_m2=kept["area_m2"] * share, volume_m3=kept["volume_m3"] * share, geometry=[beyond])
+        pieces = [kept]
+        if inside.area > 0 and pd.notna(states["h_p90"].iloc[row]):
+            pieces.append(states.iloc[[row]].assign(area_m2=inside.area, geometry=[inside]))
+        both = pd.DataFrame(pd.concat([pd.DataFrame(piece).astype(object) for piece in pieces], ignore_index=True))
+        for name, value in combined(both, shape).items():
+            if name in names or (name == "parts" and len(pieces) == 1):
+                states.loc[states.index[row], name] = value
+    return states
+
+
+def _report(
+    record: Survey, date: str, status: str, counts: dict[str, int], offset: dict[str, Any], *, is_compared: bool
+) -> AdvanceReport:
     """Sum up an update, without its notices."""
-    if not int(offset["pairs"]) and set(counts) - {"new", "versions"}:
-        msg = "Too few buildings are alike in the survey and the inventory. The offset between them is not measured."
+    # Without a spread nothing was measured.
+    if is_compared and pd.isna(offset["spread_m"]) and set(counts) - {"new", "versions"}:
+        pairs = int(offset["pairs"])
+        msg = (
+            f"Too few buildings are alike in the survey and the inventory ({pairs}). The offset between them is not "
+            "measured, and taken as 0."
+        )
         warnings.warn(msg, MsbdbWarning, stacklevel=2)
     plain = {name: None if pd.isna(value) else float(value) for name, value in offset.items()}
     plain["pairs"] = int(offset["pairs"])

@@ -12,6 +12,7 @@ from msbdb.tables.building_tables import (
 )
 from msbdb.tables.declaration import Check, Column, Index, KeyReference, Table, Unique, validate
 from msbdb.tables.inventory_tables import (
+    ACROSS,
     BUILDING_CHANGE,
     BUILDING_VERSION,
     INVENTORY_BUILDING,
@@ -86,6 +87,7 @@ DATABASE_TABLES = (*RUN_TABLES, *INVENTORY_TABLES)
 """All tables of the database."""
 
 __all__ = [
+    "ACROSS",
     "BUILDING",
     "BUILDING_CHANGE",
     "BUILDING_VERSION",

@@ -13,6 +13,9 @@ from msbdb.tables.declaration import Check, Column, Index, Table, one_of, only_s
 CHANGE_KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
 """The change of a building in a survey; a building outside the surveyed area has no row."""
 
+ACROSS = "across a border: "
+"""How the notes of changes begin that join the pieces of a building, which the border of surveys cuts."""
+
 VERSION_SOURCES = ("survey", "import")
 MANUAL_STATES = ("confirmed", "refuted")
 EVENT_KINDS = ("import", "update")

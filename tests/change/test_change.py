@@ -12,6 +12,7 @@ from msbdb.change.comparison import Comparison, compare, measure_roofs
 from msbdb.change.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.change.differences import estimate_offset, without_slivers
 from msbdb.detect.scene import Elevations
+from msbdb.errors import PassingNotice
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
@@ -451,3 +452,20 @@ def test_an_outline_of_the_inventory_has_the_heights_of_a_building() -> None:
         assert found == pytest.approx(own.loc[row, list(HEIGHTS)].to_dict())
         assert (found["z_ground"], found["eaves"]) == (12.34, ROW[row][4])
     assert measure_roofs(translate(shapes[0], 5000), heights, terrain, params) == {}
+
+
+@pytest.mark.parametrize(
+    ("rises", "expected"),
+    [((0.2, 0.3, 0.2, 3.1, 3.0), 0.2), ((0.2, 3.0, 3.1, 6.2, -3.0), None), ((0.4,) * 5 + (3.2,) * 6, 3.2)],
+)
+def test_a_vertical_offset_needs_buildings_that_agree(rises: tuple[float, ...], expected: float | None) -> None:
+    """Most of a few, or as many as a shift needs; otherwise it is 0, and a notice reports it."""
+    shapes = [box(20 * n, 0, 20 * n + 12, 12) for n in range(len(rises))]
+    before = gpd.GeoDataFrame({"h_p90": [6.0] * len(rises)}, geometry=shapes, crs=UTM)
+    after = before.assign(h_p90=6.0 + np.array(rises))
+    if expected is None:
+        with pytest.warns(PassingNotice, match="of 5 buildings that are alike, 2 differ by the same"):
+            found = estimate_offset(before, after, least_pairs=5)
+        assert (found.dz_m, found.pairs) == (0.0, 5)
+    else:
+        assert estimate_offset(before, after, least_pairs=5).dz_m == pytest.approx(expected)

@@ -1,5 +1,7 @@
 """Parcels of the user divide touching houses: in a build, after labels by hand, and in an update."""
 
+import shutil
+
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -87,3 +89,14 @@ def test_parcels_elsewhere_are_refused(town, tmp_path):
     away.to_file(tmp_path / "away.gpkg")
     with pytest.raises(InputError, match="No parcel of"):
         msbdb.build([points], db=tmp_path / "town.sqlite", parcels=tmp_path / "away.gpkg")
+
+
+def test_parcels_that_a_survey_did_not_have_are_named_as_a_change_of_its_houses(town, tmp_path):
+    """The build is refused before the work, and the message names what changes and the option."""
+    folder, points, _ = town
+    db = tmp_path / "town.sqlite"
+    shutil.copy(folder / "plain.sqlite", db)
+    before = db.read_bytes()
+    with pytest.raises(InputError, match=r"adds parcels.geojson. Parcels divide touching houses.*--replace"):
+        msbdb.build([points], db=db, survey="town", date="2020-01-01", parcels=folder / "parcels.geojson")
+    assert db.read_bytes() == before

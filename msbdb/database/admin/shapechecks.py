@@ -20,8 +20,18 @@ RUN = SQL["run"]
 
 SURVEY = SQL["survey"]
 
+OFFSET = SQL["survey_offset"]
+
+VERSION = SQL["building_version"]
+
 SLACK_CELLS = 2.0
 """Cells by which an outline may reach beyond its survey's edge: smoothing and buffering move outlines."""
+
+OVERLAP_M2 = 1.0
+"""Less common ground is no overlap: fitted walls of two surveys differ by centimetres over some metres."""
+
+STRIP_M = 1.0
+"""Outlines of two days overlap where a disc of this radius fits: those of one roof differ by less to each side."""
 
 _BATCH = 5000
 
@@ -41,6 +51,42 @@ def check_geometries(connection: Connection) -> Iterator[Finding]:
         result = connection.execute(query, execution_options={"yield_per": _BATCH})
         for rows in result.partitions():
             yield from _wrong_shapes(table, rows, srid, bounds)
+
+
+def check_overlaps(connection: Connection) -> Iterator[Finding]:
+    """Yield current buildings of the inventory that cover the same ground, each pair once.
+
+    Outlines are compared where they are without their surveys' offsets. Those of one day have no ground in common but
+    for fitted walls that differ by centimetres. Outlines of two days differ by less than a metre to each side, so a
+    strip along a wall is none. Two outlines of imports are as the office drew them.
+    """
+    version, shift = VERSION.c, OFFSET.c
+    query = (
+        select(version.version_id, version.uid, version.valid_from, version.source, shift.dx_m, shift.dy_m, _WKB)
+        .select_from(VERSION.outerjoin(OFFSET, shift.survey_id == version.survey_id))
+        .where(version.valid_to.is_(None))
+        .order_by(version.version_id)
+    )
+    rows = connection.execute(query).all()
+    if not rows:
+        return
+    shapes = shapely.from_wkb(np.array([bytes(row[-1]) for row in rows], dtype=object))
+    moves = np.array([[row.dx_m or 0.0, row.dy_m or 0.0] for row in rows])
+    counts = shapely.get_num_coordinates(shapes)
+    shapely.set_coordinates(shapes, shapely.get_coordinates(shapes) - np.repeat(moves, counts, axis=0))
+    one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+    pairs = np.stack([one, other])[:, one < other]
+    shared = shapely.intersection(shapes[pairs[0]], shapes[pairs[1]])
+    area_m2 = shapely.area(shared)
+    for at in np.flatnonzero(area_m2 >= OVERLAP_M2).tolist():
+        a, b = (rows[row] for row in pairs[:, at].tolist())
+        if a.source == b.source == "import":
+            continue
+        if a.valid_from != b.valid_from and shapely.buffer(shared[at], -STRIP_M).is_empty:
+            continue
+        what = f"building {a.uid} covers {area_m2[at]:.2f} m2 of the ground of building {b.uid}"
+        expected = f"less than {OVERLAP_M2:g} m2, or outlines of two days that differ by a strip along a wall"
+        yield Finding("overlaps", "building_version", keyed(VERSION, [a.version_id]), what, expected)
 
 
 def check_registers(connection: Connection) -> Iterator[Finding]:

@@ -25,7 +25,7 @@ from msbdb.database.admin.declarationchecks import (
     missing_tables,
 )
 from msbdb.database.admin.findings import Finding
-from msbdb.database.admin.shapechecks import check_geometries, check_registers, check_spatial_index
+from msbdb.database.admin.shapechecks import check_geometries, check_overlaps, check_registers, check_spatial_index
 from msbdb.database.dialects.connection import snapshot
 from msbdb.errors import MsbdbError
 
@@ -47,6 +47,7 @@ CHECKS: dict[str, Callable[[Connection], Iterator[Finding]]] = {
     "rasters": check_rasters,
     "content": check_content,
     "intervals": check_intervals,
+    "overlaps": check_overlaps,
     "events": check_events,
     "digests": check_digests,
     "orphans": check_orphans,

@@ -56,6 +56,9 @@ class Dialect(Protocol):
     def in_bulk(self, connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:
         """Prepare each table for this number of new rows, and restore indexes and keys afterwards."""
 
+    def keys_in_sets(self, connection: Connection, tables: Sequence[str], run_id: int) -> AbstractContextManager[None]:
+        """Check the keys of a run's rows in these tables for all rows at once, where this is quicker."""
+
     def encode(self, geometries: NDArray[Any], srid: int) -> list[Any]:
         """Return geometries as ``insert_rows`` takes them."""
 

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import psycopg
@@ -28,6 +28,7 @@ from sqlalchemy.dialects.postgresql.base import ischema_names
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
+from msbdb.database.dialects import setkeys
 from msbdb.database.schema.sqlfiles import read_sql
 from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
@@ -108,6 +109,12 @@ SELECT set_config('default_toast_compression', 'lz4', true) FROM pg_settings
 WHERE name = 'default_toast_compression' AND 'lz4' = ANY(enumvals)
 """
 """Large outlines are compressed by LZ4 where the server supports it: a third of the default's time, some more space."""
+
+_SAMPLE = """
+SELECT set_config('default_statistics_target', '30', true) FROM pg_settings
+WHERE name = 'default_statistics_target' AND CAST(setting AS integer) > 30
+"""
+"""Statistics from 9000 rows in place of 30 000: a third of the time. The server refines them in the background."""
 
 WORTH = 1000
 """Rows from which it is quicker to make indexes and keys after the load."""
@@ -234,6 +241,11 @@ def writing(engine: Engine) -> Iterator[Connection]:
         yield connection
 
 
+def keys_in_sets(connection: Connection, tables: Sequence[str], run_id: int) -> AbstractContextManager[None]:
+    """Check the keys of a run's rows by one query each, where the user may leave out the triggers."""
+    return setkeys.keys_in_sets(connection, tables, run_id)
+
+
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
     """Return extended WKB, which contains the SRID."""
     number = srid.to_bytes(4, "little")
@@ -283,7 +295,10 @@ def after_load(connection: Connection) -> None:
     Only of tables in which most rows changed: sampling a large table takes longer than loading a survey. The server's
     autovacuum handles tables that changed by a tenth.
     """
-    for table in connection.scalars(text(_OUTDATED), {"tables": list(_CONTENT)}).all():
+    tables = connection.scalars(text(_OUTDATED), {"tables": list(_CONTENT)}).all()
+    if tables:
+        connection.execute(text(_SAMPLE))
+    for table in tables:
         connection.execute(text(f"ANALYZE {table}"))
 
 

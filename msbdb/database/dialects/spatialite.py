@@ -3,7 +3,7 @@
 import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -199,6 +199,11 @@ def writing(engine: Engine) -> Iterator[Connection]:
 def in_bulk(connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:
     """Drop the triggers of geometry columns while rows change, and do their work at the end."""
     return bulk.in_bulk(connection, coming)
+
+
+def keys_in_sets(connection: Connection, tables: Sequence[str], run_id: int) -> AbstractContextManager[None]:  # noqa: ARG001  (PostGIS needs them)
+    """Do nothing: SQLite looks up a key in the time of a row."""
+    return nullcontext()
 
 
 def encode(geometries: NDArray[Any], srid: int) -> list[Any]:  # noqa: ARG001  (PostGIS needs the SRID here)

@@ -7,8 +7,9 @@ import shapely
 from sqlalchemy import Column, Connection, Engine, delete, select
 
 from msbdb.database.dialects.dialect import dialect_of, guarded
+from msbdb.database.history.joins import batches
 from msbdb.database.history.periods import has_building, read_events
-from msbdb.database.history.versions import batches, write_event, write_versions
+from msbdb.database.history.versions import write_event, write_versions
 from msbdb.database.runs.digests import insert_digested
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import InputError

@@ -27,6 +27,7 @@ from sqlalchemy import (
 
 from msbdb.database.dialects.connection import connected, snapshot
 from msbdb.database.dialects.dialect import dialect_of, guarded, shown
+from msbdb.database.history.joins import batches
 from msbdb.database.runs.digests import COLUMN
 from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.sqlfiles import footprint_at_query
@@ -151,6 +152,34 @@ def read_before(connection: Connection, bounds: Bounds, survey_id: int) -> "gpd.
     current = or_(and_(BUILDING_VERSION.c.valid_to.is_(None), others), BUILDING_VERSION.c.closed_by == survey_id)
     query = select(*_version_columns()).where(current, window(connection, bounds)).order_by(BUILDING_VERSION.c.uid)
     return _frame(connection, query)
+
+
+def read_versions(connection: Connection, versions: list[int]) -> "gpd.GeoDataFrame":
+    """Return versions by their keys: columns of ``building_version``."""
+    import geopandas as gpd
+    import pandas as pd
+
+    found = [
+        _frame(connection, select(*_version_columns()).where(BUILDING_VERSION.c.version_id.in_(some)))
+        for some in batches(versions) or [[]]
+    ]
+    return gpd.GeoDataFrame(pd.concat(found, ignore_index=True), geometry="geometry", crs=found[0].crs)
+
+
+def read_began(connection: Connection, uids: list[int]) -> dict[int, str]:
+    """Return the first day of each building."""
+    found: dict[int, str] = {}
+    for some in batches(sorted({int(uid) for uid in uids})):
+        query = select(BUILDING_VERSION.c.uid, func.min(BUILDING_VERSION.c.valid_from))
+        rows = connection.execute(query.where(BUILDING_VERSION.c.uid.in_(some)).group_by(BUILDING_VERSION.c.uid))
+        found |= {int(uid): str(day) for uid, day in rows}
+    return found
+
+
+def read_decided(connection: Connection, uids: list[int]) -> frozenset[int]:
+    """Return which buildings an operator decided on."""
+    wanted = {int(uid) for uid in uids}
+    return frozenset(int(uid) for uid in connection.scalars(select(OPERATOR_STATE.c.uid)) if int(uid) in wanted)
 
 
 def read_born(connection: Connection, survey_id: int) -> "gpd.GeoDataFrame":

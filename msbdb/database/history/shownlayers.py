@@ -11,6 +11,7 @@ from sqlalchemy import Connection, Engine, func, select, text
 
 from msbdb.database.dialects.connection import snapshot
 from msbdb.database.dialects.dialect import dialect_of, shown
+from msbdb.database.history.joins import version_pieces
 from msbdb.database.history.periods import INVENTORY_EVENT, first_day
 from msbdb.database.runs.reading import RUN, SURVEY, survey_record
 from msbdb.database.schema.sqlfiles import footprint_at_query
@@ -111,7 +112,7 @@ def read_shown(
                 continue
             found = _layer(connection, name, runs)
             if buildings is not None and name == "part":
-                found = _of_buildings(found, buildings)
+                found = _of_buildings(connection, found, buildings)
             layers[name] = found
         surveys = tuple(survey_record(connection, run.survey_id) for run in runs)
         return ShownLayers(layers, surveys, present, dialect_of(engine.url).database_srid(connection))
@@ -206,10 +207,15 @@ def _joined(pieces: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return np.concatenate(pieces)
 
 
-def _of_buildings(parts: Columns, buildings: Columns) -> Columns:
-    """Return the parts of the inventory's buildings, each in the survey that its building was copied from."""
-    known = ~np.ma.getmaskarray(buildings["building_id"])
-    wanted = set(zip(buildings["survey"][known], np.asarray(buildings["building_id"])[known].tolist(), strict=True))
-    keys = zip(parts["survey"], parts["building_id"].tolist(), strict=True)
-    kept = np.array([key in wanted for key in keys], dtype=np.bool_)
-    return {name: values[kept] for name, values in parts.items()}
+def _of_buildings(connection: Connection, parts: Columns, buildings: Columns) -> Columns:
+    """Return the parts of the inventory's buildings, each in the survey that its building was copied from.
+
+    A building that the border of surveys cuts has parts of several: ``building_id`` is that of the whole building.
+    """
+    versions = np.asarray(buildings["version_id"]).tolist()
+    pieces = version_pieces(connection, versions)
+    row_of = {piece: row for row, version in enumerate(versions) for piece in pieces[version]}
+    keys = zip(parts["survey"], np.asarray(parts["building_id"]).tolist(), strict=True)
+    rows = np.array([row_of.get(key, -1) for key in keys], dtype=np.int64)
+    found = {name: values[rows >= 0] for name, values in parts.items()}
+    return found | {"building_id": np.asarray(buildings["building_id"])[rows[rows >= 0]]}

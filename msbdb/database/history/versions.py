@@ -6,7 +6,7 @@ checks that the inventory has not changed since it was read (`Basis`).
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,12 +14,13 @@ import shapely
 from sqlalchemy import Connection, Engine, delete, exists, func, select, update
 
 from msbdb.database.dialects.dialect import Dialect, dialect_of, guarded
+from msbdb.database.history.joins import Seams, batches, count_again, release, write_seams
 from msbdb.database.history.standing import Basis, basis_of, require_begun
 from msbdb.database.runs.basis import OutdatedError
 from msbdb.database.runs.digests import digest_again, insert_digested
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import plain, text_id, to_json
-from msbdb.tables import HEIGHTS
+from msbdb.tables import ACROSS, HEIGHTS
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -72,6 +73,8 @@ class Advance:
         attributes of the pair.
     states : GeoDataFrame
         The new versions: ``before`` (row whose identity it continues, or -1), ``building_id``, ``MEASURES``, geometry.
+    seams : Seams
+        The buildings that a border cuts, made whole.
     """
 
     survey: str
@@ -85,12 +88,17 @@ class Advance:
     offset: dict[str, Any]
     changes: "pd.DataFrame"
     states: "gpd.GeoDataFrame"
+    seams: Seams = field(default_factory=Seams)
 
     @property
     def counts(self) -> dict[str, int]:
         """Rows by kind of change, and versions."""
-        kinds = self.changes["kind"].value_counts()
-        return {str(kind): int(n) for kind, n in sorted(kinds.items())} | {"versions": len(self.states)}
+        kinds = [*self.changes["kind"], *(row["kind"] for row in self.seams.changes if self._is_own(row))]
+        versions = len(self.states) + sum(self._is_own(row) for row in self.seams.versions)
+        return {kind: kinds.count(kind) for kind in sorted(set(kinds))} | {"versions": versions}
+
+    def _is_own(self, row: dict[str, Any]) -> bool:
+        return bool(row["survey_id"] == self.survey_id)
 
 
 def write_advance(engine: Engine, advance: Advance) -> str:
@@ -113,8 +121,10 @@ def write_advance(engine: Engine, advance: Advance) -> str:
         if basis_of(connection, advance.survey_id, advance.area) != advance.basis:
             raise OutdatedError
         srid = dialect.database_srid(connection)
+        _require_current(connection, advance.seams)
+        others = release(connection, advance.seams.released)
         number = _take_back(connection, advance.survey_id)
-        after = [(uid, text_id("version", "survey", advance.survey, uid)) for uid in _uids(advance)]
+        after = identities(advance)
         begins = advance.states["before"].to_numpy() < 0
         _close(connection, advance)
         born = [(uid, advance.survey) for (uid, _), is_new in zip(after, begins, strict=True) if is_new]
@@ -126,8 +136,36 @@ def write_advance(engine: Engine, advance: Advance) -> str:
         event = {"kind": "update", "name": advance.survey, "date": advance.date, "survey_id": advance.survey_id}
         event |= {"number": number, "counts": advance.counts, "content_sha256": advance.digest}
         write_event(connection, dialect, event, advance.area)
+        others |= write_seams(connection, dialect, advance.seams, MEASURES, srid)
+        count_again(connection, others)
         dialect.after_load(connection)
     return "replaced" if number else "created"
+
+
+def identities(advance: Advance) -> list[tuple[int, int]]:
+    """Return the building and the key of each new version."""
+    return [(uid, text_id("version", "survey", advance.survey, uid)) for uid in _uids(advance)]
+
+
+def _require_current(connection: Connection, seams: Seams) -> None:
+    """Refuse to join what others joined or ended meanwhile; surveys two borders away are no part of the basis.
+
+    Raises
+    ------
+    OutdatedError
+        When a version to be released or ended is not as it was read.
+    """
+    for some in batches(seams.released):
+        query = select(func.count()).where(BUILDING_VERSION.c.version_id.in_(some))
+        if connection.scalar(query) != len(some):
+            raise OutdatedError
+    replaced = set(seams.released)
+    for some in batches(key for key, _, _ in seams.ends):
+        query = select(BUILDING_CHANGE.c.version_after).where(
+            BUILDING_CHANGE.c.version_before.in_(some), BUILDING_CHANGE.c.note.startswith(ACROSS, autoescape=True)
+        )
+        if not replaced.issuperset(int(key) for key in connection.scalars(query)):
+            raise OutdatedError
 
 
 def _take_back(connection: Connection, survey_id: int) -> int:
@@ -272,8 +310,3 @@ def _values(column: "pd.Series") -> list[Any]:
 def _multi(shapes: Any) -> Any:  # noqa: ANN401  (arrays of geometries)
     """Return polygons as multipolygons."""
     return np.array([s if s.geom_type == "MultiPolygon" else shapely.multipolygons([s]) for s in shapes], dtype=object)
-
-
-def batches(keys: list[int], size: int = 500) -> list[list[int]]:
-    """Return keys in lists that are short enough for one statement in every dialect."""
-    return [keys[at : at + size] for at in range(0, len(keys), size)]

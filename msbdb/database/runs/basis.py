@@ -123,6 +123,13 @@ class Former:
         words = f"it has {without}, and this build {more}{' with another content' if more == without else ''}"
         if not without or not more:
             words = f"this build adds {more}" if more else f"this build lacks {without}"
+        if {role for role, _ in old ^ new} == {"parcels"}:
+            msg = (
+                f"The survey '{self.name}' of the database {self.where} was built with other parcels: {words}. Parcels "
+                "divide touching houses, so its buildings and their ids would change. Nothing was changed. Add "
+                "--replace to divide them anew; buildings of the inventory stay as they are until they change."
+            )
+            raise InputError(msg)
         msg = (
             f"The survey '{self.name}' of the database {self.where} is of other files: {words}. Nothing was changed. "
             f"Give this build another name by --survey {suggested}, or replace the survey by --replace."

@@ -82,6 +82,8 @@ def _check_numbers(frame: "pd.DataFrame", table: Table) -> None:
     for column in table.columns:
         values = frame[column.name]
         what = f"{column.name} is missing or infinite"
+        if values.dtype.kind in "iub":
+            continue
         if not column.nullable:
             _require(values.notna(), frame, table, what)
         if column.dtype == "float64":

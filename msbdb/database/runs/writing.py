@@ -207,8 +207,9 @@ def _fill(
         methods = [{"run_id": run_id, "method": method} for method in run.pop("methods")]
         connection.execute(insert(RUN), [plain(run)])
         connection.execute(insert(RUN_METHOD), methods)
-        for name in _LOADED:
-            _write_frame(connection, dialect, build, name, rows.frames[name], run_id=run_id, srid=srid)
+        with dialect.keys_in_sets(connection, _LOADED, run_id):
+            for name in _LOADED:
+                _write_frame(connection, dialect, build, name, rows.frames[name], run_id=run_id, srid=srid)
     for raster in rasters:
         connection.execute(insert(RUN_STATE), [{"run_id": run_id, **raster}])
     dialect.after_load(connection)
@@ -292,6 +293,8 @@ def _write_frame(
 def _values(values: "pd.Series") -> list[Any]:
     """Return a column's values as plain Python values, None where missing."""
     plain_values = values.tolist()
+    if values.dtype.kind in "iub":
+        return plain_values
     missing = np.flatnonzero(values.isna())
     for place in missing.tolist():
         plain_values[place] = None

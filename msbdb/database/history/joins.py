@@ -1,0 +1,187 @@
+"""Buildings that the borders of surveys cut: versions that several surveys make together, and their withdrawal."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from sqlalchemy import Connection, Engine, delete, func, select, update
+
+from msbdb.database.dialects.dialect import Dialect, guarded
+from msbdb.database.runs.digests import digest_again, insert_digested
+from msbdb.database.schema.sqltables import SQL
+from msbdb.identity import plain, text_id, to_json
+from msbdb.tables import ACROSS
+
+BUILDING_CHANGE = SQL["building_change"]
+
+BUILDING_VERSION = SQL["building_version"]
+
+INVENTORY_EVENT = SQL["inventory_event"]
+
+SURVEY = SQL["survey"]
+
+_IS_CURRENT = BUILDING_VERSION.c.valid_to.is_(None)
+
+
+@dataclass(frozen=True, slots=True)
+class Seams:
+    """The versions that an update joins across borders, and what they replace.
+
+    Parameters
+    ----------
+    released : tuple of int
+        Earlier versions of this kind, which are made anew.
+    versions : tuple of dict
+        The columns of ``building_version``, with ``geometry``.
+    changes : tuple of dict
+        The columns of ``building_change``, without the key.
+    ends : tuple of (int, str, int)
+        Versions of single surveys that end: key, day, and the survey that ends them.
+    """
+
+    released: tuple[int, ...] = ()
+    versions: tuple[dict[str, Any], ...] = ()
+    changes: tuple[dict[str, Any], ...] = ()
+    ends: tuple[tuple[int, str, int], ...] = ()
+
+
+def batches(keys: Iterable[int], size: int = 500) -> list[list[int]]:
+    """Return keys in lists that are short enough for one statement in every dialect."""
+    every = list(keys)
+    return [every[at : at + size] for at in range(0, len(every), size)]
+
+
+def read_members(connection: Connection, versions: Iterable[int]) -> dict[int, list[int]]:
+    """Return the versions before each joined version; versions of another kind are left out.
+
+    A joined version may follow another one. Then that one is in the result, too.
+    """
+    found: dict[int, list[int]] = {}
+    waiting = sorted(set(versions))
+    while waiting:
+        rows: list[tuple[int, int]] = []
+        for some in batches(waiting):
+            query = select(BUILDING_CHANGE.c.version_after, BUILDING_CHANGE.c.version_before).where(
+                BUILDING_CHANGE.c.version_after.in_(some), BUILDING_CHANGE.c.note.startswith(ACROSS, autoescape=True)
+            )
+            rows += [(int(after), int(before)) for after, before in connection.execute(query)]
+        for after, before in sorted(rows):
+            found.setdefault(after, []).append(before)
+        waiting = sorted({before for _, before in rows} - set(found))
+    return found
+
+
+def leaves_of(members: dict[int, list[int]], version: int) -> list[int]:
+    """Return the versions of single surveys that are in a joined version, and the version itself where it is none."""
+    if version not in members:
+        return [version]
+    return sorted({leaf for member in members[version] for leaf in leaves_of(members, member)})
+
+
+def joined_by(members: dict[int, list[int]], version: int) -> list[int]:
+    """Return a joined version and the joined ones before it."""
+    if version not in members:
+        return []
+    return sorted({version, *(each for member in members[version] for each in joined_by(members, member))})
+
+
+def release(connection: Connection, released: Iterable[int]) -> set[int]:
+    """Delete joined versions and reopen those before them; return the surveys whose rows are fewer now."""
+    surveys: set[int] = set()
+    keys = sorted(released)
+    opened: list[int] = []
+    for some in batches(keys):
+        rows = BUILDING_CHANGE.c.version_after.in_(some)
+        query = select(BUILDING_CHANGE.c.survey_id, BUILDING_CHANGE.c.version_before).where(rows)
+        for survey_id, before in connection.execute(query):
+            surveys.add(int(survey_id))
+            opened.append(int(before))
+        connection.execute(delete(BUILDING_CHANGE).where(rows))
+    for some in batches(keys):
+        connection.execute(delete(BUILDING_VERSION).where(BUILDING_VERSION.c.version_id.in_(some)))
+    for some in batches(sorted(set(opened) - set(keys))):
+        own = BUILDING_VERSION.c.version_id.in_(some)
+        connection.execute(update(BUILDING_VERSION).where(own).values(valid_to=None, closed_by=None))
+        digest_again(connection, BUILDING_VERSION, own)
+    return surveys
+
+
+def write_seams(
+    connection: Connection, dialect: Dialect, seams: Seams, measures: tuple[str, ...], srid: int
+) -> set[int]:
+    """Write joined versions, their changes, and the ends of the versions before them; return the surveys of the rows.
+
+    The versions before them exist.
+    """
+    for version, day, survey_id in seams.ends:
+        own = BUILDING_VERSION.c.version_id == version
+        connection.execute(update(BUILDING_VERSION).where(own).values(valid_to=day, closed_by=survey_id))
+        digest_again(connection, BUILDING_VERSION, own)
+    columns = ["version_id", "uid", "valid_from", "valid_to", "survey_id", "closed_by", "building_id", *measures]
+    rows = [
+        (*(plain(row[name]) for name in columns), "survey", to_json(row["attributes"]) if row["attributes"] else None)
+        for row in seams.versions
+    ]
+    shapes = np.array([_multi(row["geometry"]) for row in seams.versions], dtype=object)
+    if rows:
+        names = [*columns, "source", "attributes"]
+        insert_digested(connection, dialect, "building_version", names, rows, srid=srid, shapes=shapes)
+    changes = [{"change_id": _change_key(row), **row} for row in seams.changes]
+    if changes:
+        names = list(changes[0])
+        cells = sorted(tuple(row[name] for name in names) for row in changes)
+        insert_digested(connection, dialect, "building_change", names, cells, srid=srid)
+    return {int(row["survey_id"]) for row in (*seams.versions, *seams.changes)}
+
+
+def current_pieces(engine: Engine) -> list[tuple[str, int]]:
+    """Return the survey and the building of its run from which each current version is, or each piece of it."""
+    with guarded(engine.url), engine.connect() as connection:
+        current = connection.scalars(select(BUILDING_VERSION.c.version_id).where(_IS_CURRENT))
+        found = version_pieces(connection, [int(version) for version in current])
+    return [piece for pieces in found.values() for piece in pieces]
+
+
+def version_pieces(connection: Connection, versions: Iterable[int]) -> dict[int, list[tuple[str, int]]]:
+    """Return the pieces of each version: survey, and building of its run; none where no survey measured it.
+
+    A version of a single survey is one piece. A joined one has those of all surveys that see a part of it.
+    """
+    wanted = sorted(set(versions))
+    members = read_members(connection, wanted)
+    leaves = {version: leaves_of(members, version) for version in wanted}
+    columns = (BUILDING_VERSION.c.version_id, SURVEY.c.name, BUILDING_VERSION.c.building_id)
+    query = select(*columns).join_from(BUILDING_VERSION, SURVEY, BUILDING_VERSION.c.survey_id == SURVEY.c.survey_id)
+    origin: dict[int, tuple[str, int]] = {}
+    for some in batches(sorted({leaf for own in leaves.values() for leaf in own})):
+        rows = connection.execute(query.where(BUILDING_VERSION.c.version_id.in_(some)))
+        origin |= {int(leaf): (str(name), int(building)) for leaf, name, building in rows if building is not None}
+    return {version: [origin[leaf] for leaf in own if leaf in origin] for version, own in leaves.items()}
+
+
+def count_again(connection: Connection, surveys: Iterable[int]) -> None:
+    """Write the number of rows that updates made, after rows of theirs were joined or released by another one."""
+    for survey_id in sorted(surveys):
+        own = INVENTORY_EVENT.c.survey_id == survey_id
+        connection.execute(update(INVENTORY_EVENT).where(own).values(counts=counts_of(connection, survey_id)))
+        digest_again(connection, INVENTORY_EVENT, own)
+
+
+def counts_of(connection: Connection, survey_id: int) -> dict[str, int]:
+    """Return the rows of an update: changes by kind, and versions."""
+    kinds = select(BUILDING_CHANGE.c.kind, func.count()).where(BUILDING_CHANGE.c.survey_id == survey_id)
+    found = {str(kind): int(n) for kind, n in sorted(connection.execute(kinds.group_by(BUILDING_CHANGE.c.kind)).all())}
+    versions = select(func.count()).where(BUILDING_VERSION.c.survey_id == survey_id)
+    return found | {"versions": int(connection.scalar(versions) or 0)}
+
+
+def _change_key(row: dict[str, Any]) -> int:
+    """Return the key of a change across a border."""
+    return text_id("change", "across", row["version_before"], row["version_after"])
+
+
+def _multi(shape: shapely.Geometry) -> shapely.Geometry:
+    """Return a polygon as a multipolygon."""
+    return shape if shape.geom_type == "MultiPolygon" else shapely.multipolygons([shape])
