@@ -56,8 +56,8 @@ def update(
     -----
     A survey that was built from the same files with the same values by the same msbdb is not built again.
     """
+    from msbdb.run.inventory.update import is_built, require_date
     from msbdb.run.prepare import require_polygons
-    from msbdb.run.update import is_built, require_date
 
     require_date(survey, date)
     if aoi is not None:
@@ -139,10 +139,10 @@ def measure(
         One of its kinds. A build that was written stays; repeating the command completes it.
     """
     from msbdb.io.files import require_output
-    from msbdb.run.footprintfile import FORMATS
-    from msbdb.run.measure import check_footprints, take_measures
+    from msbdb.run.inventory.footprintfile import FORMATS
+    from msbdb.run.inventory.measure import check_footprints, take_measures
+    from msbdb.run.inventory.update import is_built
     from msbdb.run.prepare import Inputs
-    from msbdb.run.update import is_built
 
     file, crs = Path(footprints), options.get("crs")
     if out is not None:
@@ -199,7 +199,7 @@ def advance(db: str | Path, survey: str, *, aoi: Path | None = None) -> AdvanceR
     leaves the inventory unchanged. The comparison is computed before the transaction. The transaction first checks that
     its basis is unchanged; if not, the comparison is computed again, at most `ATTEMPTS` times.
     """
-    from msbdb.run.update import advance_inventory
+    from msbdb.run.inventory.update import advance_inventory
 
     return advance_inventory(db, survey, aoi=aoi)
 
@@ -248,7 +248,7 @@ def import_inventory(
     ParameterError
         When a column does not exist, or a measure is no number.
     """
-    from msbdb.run.inventory import take_inventory
+    from msbdb.run.inventory.records import take_inventory
 
     return take_inventory(
         db, Path(file), name=name, layer=layer, date=date, mapping=mapping or {}, id_column=id_column, crs=crs
@@ -289,7 +289,7 @@ def import_roof_samples(
     InputError
         When a material is missing.
     """
-    from msbdb.run.inventory import take_samples
+    from msbdb.run.inventory.records import take_samples
 
     return take_samples(db, Path(file), layer=layer, mapping=mapping or {}, crs=crs)
 
@@ -379,7 +379,7 @@ def changes(
     FileError
         When a file cannot be written, or exists already. This is checked first.
     """
-    from msbdb.run.inventory import changes_of
+    from msbdb.run.inventory.records import changes_of
 
     return changes_of(
         db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure, overwrite=overwrite
@@ -388,6 +388,6 @@ def changes(
 
 def summary(found: Changes) -> dict[str, Any]:
     """Return the changes as plain values for JSON: counts, and a record for each row that is not 'unchanged'."""
-    from msbdb.run.inventory import records_of
+    from msbdb.run.inventory.records import records_of
 
     return {"counts": found.counts, "in_between": found.in_between, "changes": records_of(found)}

@@ -246,7 +246,7 @@ def require_no_change(engine: Engine, *, later: dict[str, int], day: str = "2020
 
 def test_two_buildings_on_the_same_ground_are_found(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     """As older versions left them: the area is named, and the two buildings."""
-    monkeypatch.setattr("msbdb.run.update._seams", lambda *_: Seams())
+    monkeypatch.setattr("msbdb.run.inventory.update._seams", lambda *_: Seams())
     update(engine, "west", TOWN, (0.0, 0.0, 47.0, 120.0))
     update(engine, "east", TOWN, EAST_TILE)
     found = check_database(engine)

@@ -32,7 +32,7 @@ from msbdb.database.history.versions import MEASURES
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import InputError, LoadError
 from msbdb.kept import KeptRun
-from msbdb.run.update import MEASURED_FIRST
+from msbdb.run.inventory.update import MEASURED_FIRST
 
 LATER: list[House] = [*ROW[1:7], (150, 10, 162, 28, 13), (60, 60, 75, 75, 9)]
 """The first house of the row is gone, the last one is longer, and a new one stands apart."""

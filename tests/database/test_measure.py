@@ -20,8 +20,8 @@ from msbdb.api import advance
 from msbdb.cli.main import cli
 from msbdb.database import check_database, footprint_at, read_buildings, write_build
 from msbdb.errors import InputError, MsbdbWarning
-from msbdb.run.footprintfile import FORMATS, write_footprints
-from msbdb.run.measure import check_footprints, measure_footprints, take_measures
+from msbdb.run.inventory.footprintfile import FORMATS, write_footprints
+from msbdb.run.inventory.measure import check_footprints, measure_footprints, take_measures
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 

@@ -41,8 +41,8 @@ from msbdb.kept import PER_METRE, heights_of
 from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
-from msbdb.run.borders import combined, make_seams, near_pieces, pieces_of
 from msbdb.run.compose import choose_detectors
+from msbdb.run.inventory.borders import combined, make_seams, near_pieces, pieces_of
 from msbdb.run.prepare import Inputs, Label, Paths
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
 from msbdb.run.store import recall_elevations

@@ -1,0 +1,1 @@
+"""An inventory over surveys: imported, measured, updated survey by survey, and one building across their borders."""
