@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from msbdb.detect.scene import Elevations
 from msbdb.errors import GridMismatchError, TableError
+from msbdb.fuse.probability import building_probability, states_of
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid
 from msbdb.labels import Labels, height_statistics, order_heights, shared_cells, sizes, sums
@@ -149,8 +149,8 @@ def with_support(
 ) -> pd.DataFrame:
     """Return buildings with the support of the detectors: the share that each covers, the probability, and the state.
 
-    Where the detectors decide together, their mean share s gives the log-odds of a building, k (s - s₀), and so its
-    probability. It is 'confirmed' from the probability p₁ on, 'refuted' up to 1 - p₁, and 'unsure' between.
+    Where the detectors decide together, their mean share and the area give the probability of a building
+    (`msbdb.fuse.probability`), and this the state.
 
     Otherwise a detector supports a building when it covers at least ``CONFIRMING_COVER`` of the footprint. A building
     that the classes confirm stays confirmed when at least half of the detectors besides ``multiscale`` support it. It
@@ -159,18 +159,18 @@ def with_support(
     Parameters
     ----------
     buildings : DataFrame
-        ``tables.BUILDING``.
+        ``tables.BUILDING``; where the detectors decide together its areas count.
     shares : mapping of str to (N,) ndarray of float64
         By detector (``tables.DETECTOR_SHARES``), only those that were run: the share of each footprint that its
         regions cover.
     params : FuseParams, optional
-        ``support_slope`` k, ``support_even`` s₀ and ``sure`` p₁. None where the detectors do not decide together.
+        As `building_probability` and `states_of` take them. None where the detectors do not decide together.
 
     Examples
     --------
     The second building has no support:
 
-    >>> buildings = pd.DataFrame({"state": ["confirmed", "confirmed", "unsure"]})
+    >>> buildings = pd.DataFrame({"state": ["confirmed", "confirmed", "unsure"], "area_m2": [90.0, 30.0, 60.0]})
     >>> with_support(buildings, {"flatregions": np.array([0.9, 0.0, 1.0])})["state"].tolist()
     ['confirmed', 'unsure', 'unsure']
 
@@ -184,12 +184,9 @@ def with_support(
     """
     columns = {DETECTOR_SHARES[name]: covered for name, covered in shares.items()}
     if params is not None:
-        support = np.mean(list(shares.values()), axis=0)
-        probability = expit(params.support_slope * (support - params.support_even))
-        state = np.select(
-            [probability >= params.sure, probability <= 1 - params.sure], ["confirmed", "refuted"], "unsure"
-        )
-        return buildings.assign(**columns, probability=probability, state=state)
+        area_m2 = buildings["area_m2"].to_numpy(dtype=np.float64)
+        probability = building_probability(np.mean(list(shares.values()), axis=0), area_m2, params)
+        return buildings.assign(**columns, probability=probability, state=states_of(probability, params))
     others = [covered >= CONFIRMING_COVER for name, covered in shares.items() if name != "multiscale"]
     supports = np.sum(others, axis=0)
     confirmed = (buildings["state"] == "confirmed") & (2 * supports >= len(others))

@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
+from msbdb.ground.trend import known_trend
 from msbdb.labels import sizes
 from msbdb.morphology.windows import erosion
 from msbdb.params import GroundParams
@@ -40,8 +41,9 @@ def interpolate_ground(
 
     Notes
     -----
-    A gap takes the nearest ground, which means over windows of 65, 33, 17, 9, 5 and 3 cells then smooth; ground cells
-    keep their heights.
+    The trend of the ground is subtracted (`msbdb.ground.trend.known_trend`), so that a slope goes on under a block that
+    the border cuts. Of the rest, a gap takes the nearest ground, which means over windows of 65, 33, 17, 9, 5 and 3
+    cells then smooth. Ground cells keep their heights, and no other cell is above the highest or below the lowest.
 
     Examples
     --------
@@ -60,8 +62,12 @@ def interpolate_ground(
     known = np.asarray(values, dtype=np.float32)
     if not ground.all():
         distance, (rows, cols) = distance_transform_edt(~ground, return_indices=True)
-        filled = known[rows, cols]
-        known = filled if nearest else _relax(filled, distance)
+        if nearest:
+            known = known[rows, cols]
+        else:
+            trend = known_trend(known, ground)
+            smooth = trend + _relax((known - trend)[rows, cols], distance)
+            known = np.where(ground, known, np.clip(smooth, known[ground].min(), known[ground].max()))
     return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
 
 

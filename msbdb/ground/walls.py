@@ -5,13 +5,15 @@ The progressive filter is sure of some ground. What else is ground follows from 
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from msbdb.grid import Grid
+from msbdb.ground.interpolation import interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
-from msbdb.labels import Pairs, chosen_cells, label_zones, minimum_cut, neighbours, sizes
+from msbdb.labels import Pairs, chosen_cells, label_zones, minimum_cut, neighbours, sizes, sums
 from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import GroundParams
 
@@ -49,6 +51,8 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
        terrace or a ramp. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell. It begins
        on even ground, so not on a slope where a level roof touches the terrain; nor is the rear of such a roof its
        beginning, which may count as ground.
+    7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. Without a cell that is
+       sure it is a well in a roof, unless it lies on the terrain of the other ground.
 
     So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
     all regions of a place are decided together: terraces one above the other, roofs beside higher roofs.
@@ -96,7 +100,7 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
     reached: Mask = ground | _reached(heights, ground, cell_m, params)
-    return reached
+    return reached & ~_wells(surface, reached, sure, params)
 
 
 def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:
@@ -166,6 +170,22 @@ def _reached(heights: Heights, ground: Mask, cell_m: float, params: GroundParams
     large = cells * cell_m**2 >= LEAST_M2
     terrain: Mask = ~ground & (large & (of_them >= params.reached_share * cells))[regions]
     return terrain
+
+
+def _wells(surface: Grid, ground: Mask, sure: Mask, params: GroundParams) -> Mask:
+    """Return the regions of ground without a sure cell that lie above the terrain of the other ground.
+
+    The terrain may rise towards them as towards an object in the progressive filter, by ``height_m`` and ``slope``.
+    """
+    regions, count = label_zones(ground)
+    doubtful = sizes(regions[sure], count) == 0
+    others = ground & ~chosen_cells(regions, doubtful)
+    if not doubtful.any() or not others.any():
+        return np.zeros_like(ground)
+    terrain = np.asarray(interpolate_ground(surface.values, others, surface.spec).values)
+    most_m = params.height_m + params.slope * surface.spec.cell_m * distance_transform_edt(~others)
+    rises = np.asarray(surface.values) - terrain - most_m
+    return chosen_cells(regions, doubtful & (sums(regions, rises, count) > 0))
 
 
 def _joined(heights: Heights, among: Mask, step_m: float) -> tuple[NDArray[np.int32], int]:

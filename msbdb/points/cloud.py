@@ -23,6 +23,9 @@ FIRST_CELL_M = 2.0
 LEAST_A_CELL = 4.0
 """With fewer points a cell on average, cells without any would be many by chance: they are taken larger."""
 
+BLOCK_CELLS = 5
+"""Cells to the side of a block, whose density is counted: ten metres are less than the width of a strip's overlap."""
+
 LARGEST_CELL_M = 100.0
 """Beyond it there is no survey, but single points."""
 
@@ -125,10 +128,14 @@ class Density:
         Mean spacing of the points in plan, 1/sqrt(density).
     area_m2 : (N,) ndarray of float64
         Area of each point: one over the local density (A17).
+    typical_m : float
+        Median of the spacing over the covered ground. Where strips of a flight overlap, or one is denser, more than
+        half of the ground may be sparser than the mean says.
     """
 
     spacing_m: float
     area_m2: NDArray[np.float64]
+    typical_m: float
 
 
 def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_]) -> Density:
@@ -165,7 +172,7 @@ def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: 
     array([0.8, 1. , 0.8])
     """
     if not len(x):
-        return Density(1.0, np.zeros(0))
+        return Density(1.0, np.zeros(0), 1.0)
     chosen = first_echo if first_echo.any() else np.ones(len(x), dtype=np.bool_)
     east, north = x[chosen], y[chosen]
     cell_m = FIRST_CELL_M
@@ -174,7 +181,18 @@ def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: 
         cell_m *= 1.5
         cells = index_cells(east, north, cell_m)
     spacing_m = cell_m * math.sqrt(cells.keys.size / cells.order.size)
-    return Density(spacing_m, _areas(index_cells(x, y, 2 * spacing_m)))
+    return Density(spacing_m, _areas(index_cells(x, y, 2 * spacing_m)), _typical_spacing(cells))
+
+
+def _typical_spacing(cells: CellIndex) -> float:
+    """Return the median of the spacing over the covered cells, each as dense as its block."""
+    row, col = np.divmod(cells.keys, cells.shape[1])
+    columns = cells.shape[1] // BLOCK_CELLS + 1
+    _, block, covered = np.unique(
+        row // BLOCK_CELLS * columns + col // BLOCK_CELLS, return_inverse=True, return_counts=True
+    )
+    points = np.bincount(block, np.diff(cells.starts))
+    return float(np.median(cells.cell_m * np.sqrt(covered / points)[block]))
 
 
 def _areas(cells: CellIndex) -> NDArray[np.float64]:

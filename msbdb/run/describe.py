@@ -14,6 +14,7 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.buildings import buildings_from_parts, covered_shares, label_buildings, link_labels, with_support
 from msbdb.fuse.cellreasons import explain_cells, support_of
 from msbdb.fuse.cells import is_fused
+from msbdb.fuse.probability import refuse
 from msbdb.fuse.touching import Division
 from msbdb.grid import Grid, GridSpec
 from msbdb.kept import Rasters
@@ -88,6 +89,12 @@ def describe(
     parts = outline_parts(forest, scene.heights, params.vector)
     # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
     counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
+    if built is not None:
+        refused, stages = refuse(
+            scene.heights, regions, built, params.fuse, mask_m=params.surface.mask_m, survey=scene.survey.name
+        )
+        counts["multiscale"] = stages | forest.counts
+        forest = replace(forest, rejections=_joined(refused, [forest.rejections]))
     some = {name: stages for name, stages in counts.items() if stages}
     frames = make_frames(scene, regions, forest, parts, params, division=division)
     reason = explain_cells(scene, regions, built, forest, params)

@@ -100,13 +100,20 @@ def test_islands_are_true_where_the_reference_has_them(judged):
     rows, cols = np.indices(onto_own.shape)
     east, north = onto_own.xy(rows.ravel(), cols.ravel())
     built = spec.sample(case.reference.built, east, north, outside=False).reshape(onto_own.shape)
-    found = islands_of(built, case.own, case.reference)
-    assert found.true.all()
-    assert len(found.true) > 0
+    params = FuseParams()
+    found = islands_of(built, case.own, case.reference, params)
+    assert found.true[found.kept].all()
+    assert np.count_nonzero(found.kept) > 0
+    assert not found.true[~found.kept].any()
     assert ((found.support >= 0) & (found.support <= 1)).all()
-    assert not islands_of(~built, case.own, case.reference).true.any()
+    none = islands_of(~built, case.own, case.reference, params)
+    assert not none.true[none.kept].any()
+    # Where nothing is taken, the houses are refused, and true.
+    refused = islands_of(np.zeros_like(built), case.own, case.reference, params)
+    assert not refused.kept.any()
+    assert refused.true.any()
     unscored = replace(case.reference, scored=np.zeros_like(case.reference.scored))
-    assert len(islands_of(built, case.own, unscored).true) == 0
+    assert len(islands_of(built, case.own, unscored, params).true) == 0
 
 
 def test_the_fit_finds_the_odds_that_objects_were_drawn_from(heldout):
@@ -115,13 +122,16 @@ def test_the_fit_finds_the_odds_that_objects_were_drawn_from(heldout):
     islands = []
     for place, count in (("a", 6000), ("b", 1500), ("c", 1500)):
         support = rng.random(count)
-        true = rng.random(count) < heldout.Odds(0.6, 15).probability(support)
-        islands.append((place, Islands(support, true, rng.uniform(10, 90, count))))
+        drawn = Islands(np.ones(count, dtype=bool), support, support > 0, rng.uniform(10, 900, count))
+        true = rng.random(count) < heldout.Odds(0.6, 15, 0.7).probability(drawn)
+        islands.append((place, replace(drawn, true=true)))
     odds = heldout.fitted(islands)
     assert odds.even == pytest.approx(0.6, abs=0.02)
     assert odds.slope == pytest.approx(15, abs=2)
+    assert odds.area == pytest.approx(0.7, abs=0.2)
     # Objects of a place whose detectors take everything count as one place of three.
-    loud = ("c", Islands(np.ones(90_000), np.ones(90_000, dtype=bool), np.ones(90_000)))
+    taken = np.ones(90_000, dtype=bool)
+    loud = ("c", Islands(taken, np.ones(90_000), taken, np.full(90_000, 50.0)))
     assert heldout.fitted([*islands[:2], loud]).even == pytest.approx(0.6, abs=0.05)
 
 
@@ -131,11 +141,14 @@ def test_the_reliability_counts_each_object_once(heldout, tmp_path):
     islands = []
     for place in ("a", "b", "c"):
         support = rng.random(400)
-        islands.append((place, Islands(support, support > 0.6 + 0.1 * rng.standard_normal(400), np.full(400, 60.0))))
+        true = support > 0.6 + 0.1 * rng.standard_normal(400)
+        islands.append((place, Islands(support > 0.5, support, true, np.full(400, 60.0))))
     text = heldout.reliability(islands, tmp_path / "plot.png")
     rows = [line.split(" | ") for line in text.splitlines() if " to " in line and line.startswith("| 0")]
     assert len(rows) == len(heldout.BINS) - 1
     assert sum(int(row[1]) for row in rows) == sum(int(row[4]) for row in rows) == 1200
+    states = [line.split(" | ") for line in text.splitlines() if line.startswith(("| conf", "| ref", "| uns"))]
+    assert sum(float(row[1]) for row in states) == pytest.approx(100, abs=0.2)
     assert (tmp_path / "plot.png").stat().st_size > 1000
 
 

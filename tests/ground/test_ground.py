@@ -17,6 +17,7 @@ from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import FILTERS, POINT_FILTERS, lowest_surface, terrain
 from msbdb.ground.interpolation import interpolate_ground, refine
 from msbdb.ground.progressive import window_radii
+from msbdb.ground.trend import known_trend
 from msbdb.ground.wavelet import smooth_b3, two_means
 from msbdb.io.las import read_points
 from msbdb.params import GroundParams, Params
@@ -264,6 +265,28 @@ def test_interpolation_keeps_the_ground_and_bridges_a_slope():
     filled = np.asarray(interpolate_ground(np.where(ground, values, 99), ground, spec).values)
     np.testing.assert_array_equal(filled[ground], values[ground])
     assert np.abs(filled - values).max() < 0.5
+
+
+def test_a_slope_goes_on_where_the_border_cuts_a_block():
+    """A corner of a slope of 1 in 4 is hidden, on flat land too; the terrain leaves the ground's range nowhere."""
+    rows, cols = np.indices((96, 80))
+    slope = (0.2 * rows - 0.15 * cols).astype(np.float32)
+    hidden = (rows < 40) & (cols < 50)
+    spec = lattice((0, 0, 79, 95), 1.0, CRS_M)
+    for heights, most_m in ((slope, 0.7), (0 * slope, 1e-4)):
+        found = np.asarray(interpolate_ground(heights, ~hidden, spec).values)
+        inside = np.clip(heights, heights[~hidden].min(), heights[~hidden].max())
+        assert np.abs(found - inside).max() < most_m
+        assert np.array_equal(found[~hidden], heights[~hidden])
+
+
+def test_a_single_street_does_not_tilt_the_land_beside_it():
+    """Kerbs and noise across eight metres say nothing about the terrain sixty metres off."""
+    rows, cols = np.indices((128, 128))
+    street = (cols >= 60) & (cols < 68)
+    noise = 0.03 * ((7 * rows + 13 * cols) % 5 - 2)
+    heights = (0.02 * np.abs(cols - 62) + noise).astype(np.float32)
+    assert np.abs(known_trend(heights, street)).max() < 0.4
 
 
 def test_refining_a_plane_gives_the_plane():

@@ -140,3 +140,18 @@ def test_a_level_roof_into_which_a_bank_runs_is_a_building():
     assert not ground[60:72, 49:71].any()
     assert ground[80:].all()
     assert ground[:45].all()
+
+
+@pytest.mark.parametrize(("floor", "is_ground"), [(0.0, True), (9.0, False)])
+def test_a_well_in_a_roof_is_ground_only_where_it_reaches_down_to_the_terrain(floor, is_ground):
+    """A block of 14 m on a slope, with a well of five metres; the walls around it look the same in both."""
+    slope = 0.15 * np.indices((160, 160))[1]
+    heights = slope.copy()
+    block = np.s_[40:120, 50:130]
+    heights[block] += 14
+    heights[78:83, 90:95] = slope[78:83, 90:95] + floor
+    ground = walled_ground(grid(heights), PARAMS)
+    assert ground[80, 92] == is_ground
+    ground[78:83, 90:95] = False
+    assert not ground[block].any()
+    assert ground[:30].mean() > 0.98

@@ -111,8 +111,8 @@ def test_every_pair_of_witnesses_is_linked():
     assert buildings["area3d_share"].tolist() == [1, 0.5, 0]
     assert buildings["adaptive_share"].tolist() == [0, 0, 1]
     assert buildings["multiscale_share"].tolist() == [1, 1, 1]
-    # Mean shares of 0.75, 0.375 and 0.5.
-    assert buildings["probability"].tolist() == pytest.approx([0.96, 0.15, 0.47], abs=0.01)
+    # Mean shares of 0.75, 0.375 and 0.5, of 100 m² each.
+    assert buildings["probability"].tolist() == pytest.approx([0.94, 0.31, 0.60], abs=0.01)
     assert set(buildings["state"]) == {"unsure"}
     links = found["part_candidate"].set_index("candidate_id")
     assert links["overlap_m2"].to_dict() == {2000: 100, 1000: 100, 1001: 50}

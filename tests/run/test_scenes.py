@@ -217,7 +217,11 @@ def test_trees_are_cut_off_a_house_and_are_none(built, profile_name, stage):
     assert outcome.report.buildings == 1
     crowns = (outcome.scene.cover == scenes.VEGETATION).sum() * outcome.scene.spec.cell_area_m2
     assert outcome.lost(stage) == pytest.approx(crowns, rel=0.15)
-    assert set(outcome.rejections["stage"]) == {stage}
+    refused = outcome.rejections["stage"] == "fusion"
+    assert set(outcome.rejections.loc[~refused, "stage"]) == {stage}
+    # Where the detectors decide together, the grove is an object that they refuse.
+    assert refused.any() == (profile_name == "default")
+    assert set(outcome.rejections.loc[refused, "reason"]) <= {"refuted"}
 
 
 @pytest.mark.parametrize(("profile_name", "least"), sample([("default", 0.8), ("vu2009", 0.8)], 2))

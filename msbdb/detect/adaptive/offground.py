@@ -29,6 +29,9 @@ KIND = "\0adaptive"
 LEAST_POINTS = 5
 """A plane always fits fewer points, or nearly."""
 
+PLANE_POINTS = 7
+"""On the typical ground a sphere holds so many other points of a level surface on average: nine of ten hold a plane."""
+
 SPLITS = 2
 """Cells to the radius of a sphere: finer ones than the radius let the window fit the disc better."""
 
@@ -66,6 +69,8 @@ class OffGround:
         Row-major number of the point's cell on the lattice.
     spacing_m : float
         Mean spacing of the first echoes, 1/sqrt(density).
+    typical_m : float
+        Median of their spacing over the covered ground.
     """
 
     index: NDArray[np.int64]
@@ -79,6 +84,7 @@ class OffGround:
     ndvi: NDArray[np.float32] | None
     place: NDArray[np.int64]
     spacing_m: float
+    typical_m: float
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -144,6 +150,7 @@ def off_ground(
         ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
         place=places(spec, cloud.x[chosen], cloud.y[chosen]),
         spacing_m=density.spacing_m,
+        typical_m=density.typical_m,
     )
 
 
@@ -160,10 +167,12 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
     """Measure planes in a small sphere around each point, then the means of planes and echoes in a wider disc.
 
     Points with too few neighbours for a plane do not count in the mean of the planes: strips of a scanner leave gaps.
+    The sphere is wide enough for planes on most of the ground, also where a dense strip raises the mean density.
     Split echoes count in full up to ``leaf_level``, and not at all from ``glass_level`` on: such planes are glass or
     nets. Among points more than 1 m apart a sphere spans several planes of a roof, so that ``level_m`` grows with them.
     """
-    small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m)
+    enough_m = math.sqrt(PLANE_POINTS / math.pi) * points.typical_m
+    small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m, enough_m)
     wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
     residuals = plane_residuals(points.x, points.y, points.z, small_m)
     values = np.zeros((len(points), 3), dtype=np.float32)

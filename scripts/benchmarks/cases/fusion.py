@@ -2,7 +2,7 @@
 
 import pickle
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,9 @@ from cases.labelled import Reference
 from cases.measures import Case, detected
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.cells import fuse_cells
+from msbdb.fuse.probability import mean_support, refused_objects
 from msbdb.grid import Grid
-from msbdb.labels import label_zones, sizes
+from msbdb.labels import Labels, label_zones, sizes
 from msbdb.params import FuseParams
 
 Mask = NDArray[np.bool_]
@@ -41,10 +42,12 @@ class Seen:
 
 @dataclass(frozen=True)
 class Islands:
-    """The islands of fused cells that are scored.
+    """The islands of fused cells that are scored, and the refused objects that are.
 
     Parameters
     ----------
+    kept : (N,) ndarray of bool
+        Whether it is an island of fused cells; the others are refused objects.
     support : (N,) ndarray of float64
         Mean share that the detectors cover.
     true : (N,) ndarray of bool
@@ -53,6 +56,7 @@ class Islands:
         Of all cells.
     """
 
+    kept: Mask
     support: NDArray[np.float64]
     true: Mask
     area_m2: NDArray[np.float64]
@@ -73,14 +77,21 @@ def seen(case: Case, ground: str, folder: Path | None) -> Seen:
     return found
 
 
-def islands_of(fused: Mask, found: Seen, reference: Reference) -> Islands:
-    """Return the islands of which at least half is scored, with their support and their truth."""
+def islands_of(fused: Mask, found: Seen, reference: Reference, params: FuseParams) -> Islands:
+    """Return the islands and the refused objects of which half is scored, with their support and their truth."""
+    kept = _judged(*label_zones(fused), True, found, reference)
+    refused = refused_objects(found.heights, fused, params, mask_m=found.mask_m)
+    both = kept, _judged(*refused, False, found, reference)
+    return Islands(*(np.concatenate([getattr(one, each.name) for one in both]) for each in fields(Islands)))
+
+
+def _judged(labels: Labels, count: int, kept: bool, found: Seen, reference: Reference) -> Islands:
+    """Judge labelled objects."""
     spec = found.heights.spec
-    labels, count = label_zones(fused)
     cells = sizes(labels, count)
-    support = np.mean([sizes(labels[covered], count) / cells for covered in found.covered.values()], axis=0)
+    support = mean_support(labels, count, found.covered.values())
     there = reference.sampled(labels, spec)
     scored, built = sizes(there[reference.scored], count), sizes(there[reference.scored & reference.built], count)
     area_m2 = cells * spec.cell_area_m2
     judged = (2 * scored * reference.spec.cell_area_m2 >= area_m2) & (scored > 0)
-    return Islands(support[judged], (2 * built >= scored)[judged], area_m2[judged])
+    return Islands(np.full(count, kept)[judged], support[judged], (2 * built >= scored)[judged], area_m2[judged])

@@ -62,16 +62,20 @@ def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
 
 def over_hills(data: Path, names: set[str]) -> Iterator[Case]:
     """Yield towns that are laid over other relief."""
-    reliefs = {name: relief for name, relief in RELIEFS.items() if name != "waves"}
-    reliefs["knolls"] = knolls(data)
+    hills = reliefs(data)
     for name in LIFTED:
         if name in names:
             place = NAMED[name]
             clouds = [south_west(cloud, WINDOW_M) for cloud in place.read(data)]
             reference = reference_of(place, clouds, data, cell_for(first_density(clouds)))
-            for kind, relief in reliefs.items():
+            for kind, relief in hills.items():
                 laid = [laid_over(cloud, relief) for cloud in clouds]
                 yield Case(f"{name}, {kind}", place.crs, laid, reference, {})
+
+
+def reliefs(data: Path) -> dict[str, Relief]:
+    """Return the reliefs that towns are laid over."""
+    return {name: relief for name, relief in RELIEFS.items() if name != "waves"} | {"knolls": knolls(data)}
 
 
 def knolls(data: Path) -> Relief:

@@ -160,12 +160,14 @@ def test_a_tree_is_no_region_but_a_row_of_the_ledger(echoes):
     assert near["stage"].isin(list(found.counts)).all()
 
 
-def off_ground_points(points, split, spacing_m=SPACING):
+def off_ground_points(points, split, spacing_m=SPACING, typical_m=0.0):
     """Return (N, 3) points as off-ground points."""
     x, y, z = points.T
     some = np.zeros(len(x), dtype=np.int64)
     area = np.full(len(x), spacing_m**2)
-    return OffGround(some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), None, some, spacing_m)
+    return OffGround(
+        some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), None, some, spacing_m, typical_m or spacing_m
+    )
 
 
 def test_split_echoes_count_on_rough_surfaces_alone():
@@ -190,6 +192,16 @@ def test_a_gable_of_sparse_points_is_level_and_a_crown_of_them_is_not():
         levels.append(structure(points, params).level.mean())
     assert levels[0] > 0.7
     assert levels[1] < 0.2
+
+
+def test_a_roof_in_the_sparse_part_of_a_survey_is_level():
+    """A dense strip elsewhere halves the mean spacing: spheres of it hold too few points for a plane."""
+    x, y = (place.ravel() for place in np.meshgrid(np.arange(0.0, 20, 2), np.arange(0.0, 20, 2)))
+    roof = np.column_stack((x, y, np.full(x.size, 6.0)))
+    params = Params().adaptive
+    lost, found = (off_ground_points(roof, split=False, spacing_m=1.0, typical_m=spacing) for spacing in (1.0, 2.0))
+    assert structure(lost, params).level.max() == 0
+    assert structure(found, params).level.min() == 1
 
 
 def test_points_without_a_plane_are_not_rough():

@@ -341,6 +341,18 @@ def test_a_strip_scanned_twice_has_the_same_area():
     assert twice.area_m2.sum() == pytest.approx(once, rel=0.06)
 
 
+@pytest.mark.parametrize(("dense", "spacing"), [(0.25, 1.0), (0.75, 0.5)])
+def test_the_typical_spacing_is_that_of_most_of_the_ground(dense, spacing):
+    """A strip with four times the points moves the mean, and the median only where it is most of the ground."""
+    x, y = lattice_points(100, 40, 1.0)
+    x2, y2 = lattice_points(100, 40, 0.5)
+    west = x2 < 100 * dense
+    x, y = np.concatenate([x[x >= 100 * dense], x2[west]]), np.concatenate([y[x >= 100 * dense], y2[west]])
+    found = measure_density(x + 1e-3, y + 1e-3, np.ones(len(x), dtype=bool))
+    assert found.typical_m == pytest.approx(spacing, rel=0.07)
+    assert 0.5 < found.spacing_m < 1.0
+
+
 ROOF = [[0, 0, 6], [1, 0, 6], [10, 0, 9]]
 """Points of two regions, 1, 1 and 2."""
 
