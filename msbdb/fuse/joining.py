@@ -74,10 +74,10 @@ class Joining:
             for other in beside:
                 if one < other:
                     self._wait(one, other)
-        while self.waiting:
-            _, one, other, *versions = heapq.heappop(self.waiting)
-            if [self.version[one], self.version[other]] == versions:
-                self._join(one, other)
+        self._join_waiting()
+        while (pair := self._two_on_one()) is not None:
+            self._join(*pair)
+            self._join_waiting()
         while (self.into != self.into[self.into]).any():
             self.into = self.into[self.into]
         return self.into
@@ -113,6 +113,25 @@ class Joining:
         cost -= 1e-6 * counts[PAIRS]
         one, other = min(one, other), max(one, other)
         heapq.heappush(self.waiting, (cost, one, other, self.version[one], self.version[other]))
+
+    def _join_waiting(self) -> None:
+        """Join the nodes that wait, the weakest border first."""
+        while self.waiting:
+            _, one, other, *versions = heapq.heappop(self.waiting)
+            if [self.version[one], self.version[other]] == versions:
+                self._join(one, other)
+
+    def _two_on_one(self) -> tuple[int, int] | None:
+        """Return two nodes beside each other that a third one encloses together, as halves of a tower on a podium."""
+        for one, beside in enumerate(self.beside):
+            for other in sorted(node for node in beside if node > one):
+                outline = self.around[one] + self.around[other] - 2 * beside[other][PAIRS]
+                for third in sorted(beside.keys() & self.beside[other].keys()):
+                    shared = beside[third][PAIRS] + self.beside[other][third][PAIRS]
+                    owners = {self.owners[node] for node in (one, other, third)} - {0}
+                    if shared >= self.params.enclosed_share * outline and len(owners) <= 1:
+                        return one, other
+        return None
 
     def _join(self, one: int, other: int) -> None:
         """Join two nodes: the larger one goes on, of equal ones the first."""

@@ -214,6 +214,18 @@ def test_a_tower_that_stands_on_one_roof_is_no_house_of_its_own():
     assert division(tower_on_podium(), off).houses.max() == 2
 
 
+def test_two_halves_of_a_tower_stand_on_one_roof():
+    """Less than three quarters of the outline of each half are beside the podium; parcels divide them all the same."""
+    heights = scene()
+    put(heights, 5, 5, flat(40, 28, 5))
+    put(heights, 14, 13, flat(10, 12, 25))
+    put(heights, 24, 13, flat(10, 12, 31))
+    assert division(heights).houses.max() == 1
+    assert division(heights, TouchingParams(enclosed_share=1.1)).houses.max() == 3
+    of_halves = np.where(np.arange(heights.shape[1]) < 48, 1, 2) * np.ones(heights.shape, dtype=np.int32)
+    assert reasons(division(heights, parcels=of_halves.astype(np.int32))) == {"parcel"}
+
+
 def terrace(bend_deg: float, *, slope: float = 0.0, turn_deg: float = 0.0) -> np.ndarray:
     """Return a row of two legs, 25 m by 10 m, whose roofs meet at a bend; ``slope`` is that of its gables."""
     heights = scene(70, 70)
