@@ -1283,7 +1283,7 @@ COMMENT ON COLUMN building.nodata_share IS 'share of the footprint and the ring 
 
 COMMENT ON COLUMN building.density IS 'first echoes a square metre in it; null for rasters [1/m2]';
 
-COMMENT ON COLUMN building.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall; several with commas; empty for none';
+COMMENT ON COLUMN building.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall, direction; several with commas; empty for none';
 
 COMMENT ON COLUMN building.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
 

@@ -1,14 +1,17 @@
 """Pieces of roofs joined again, the weakest border first, until each border that is left has a reason."""
 
 import heapq
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.fuse.roofdirections import CLEAR
 from msbdb.fuse.roofpieces import KINDS, RoofPieces, Touches, spread
 from msbdb.params import TouchingParams
 
 PARCEL = "parcel"
+*ROOFS, DIRECTION = KINDS
 REASONS = (PARCEL, *KINDS)
 """Why touching houses are divided."""
 
@@ -24,7 +27,7 @@ DEVIATIONS = 0.5
 LATE = 3.0
 """Pieces of one parcel are joined after all slivers have found their roof."""
 
-PAIRS, SHOWN, FIRST_KIND, DIFFER, LOWEST, SQUARED, MOMENTS = 0, 1, 2, 5, 6, 7, 8
+PAIRS, SHOWN, FIRST_KIND, DIFFER, LOWEST, SQUARED, MOMENTS = 0, 1, 2, 6, 7, 8, 9
 """The columns of ``Touches.counts``."""
 
 Floats = NDArray[np.float64]
@@ -51,6 +54,7 @@ class Joining:
             values.tolist() for values in (pieces.cells, pieces.heights, pieces.tops)
         )
         self.moments = list(pieces.moments)
+        self.directions = list(pieces.directions)
         self.owners = pieces.owners.tolist()
         self.small = [self._is_small(node) for node in range(len(self.cells))]
         self.beside: list[dict[int, Floats]] = [{} for _ in self.cells]
@@ -70,10 +74,10 @@ class Joining:
             for other in beside:
                 if one < other:
                     self._wait(one, other)
-        while self.waiting:
-            _, one, other, *versions = heapq.heappop(self.waiting)
-            if [self.version[one], self.version[other]] == versions:
-                self._join(one, other)
+        self._join_waiting()
+        while (pair := self._two_on_one()) is not None:
+            self._join(*pair)
+            self._join_waiting()
         while (self.into != self.into[self.into]).any():
             self.into = self.into[self.into]
         return self.into
@@ -110,6 +114,25 @@ class Joining:
         one, other = min(one, other), max(one, other)
         heapq.heappush(self.waiting, (cost, one, other, self.version[one], self.version[other]))
 
+    def _join_waiting(self) -> None:
+        """Join the nodes that wait, the weakest border first."""
+        while self.waiting:
+            _, one, other, *versions = heapq.heappop(self.waiting)
+            if [self.version[one], self.version[other]] == versions:
+                self._join(one, other)
+
+    def _two_on_one(self) -> tuple[int, int] | None:
+        """Return two nodes beside each other that a third one encloses together, as halves of a tower on a podium."""
+        for one, beside in enumerate(self.beside):
+            for other in sorted(node for node in beside if node > one):
+                outline = self.around[one] + self.around[other] - 2 * beside[other][PAIRS]
+                for third in sorted(beside.keys() & self.beside[other].keys()):
+                    shared = beside[third][PAIRS] + self.beside[other][third][PAIRS]
+                    owners = {self.owners[node] for node in (one, other, third)} - {0}
+                    if shared >= self.params.enclosed_share * outline and len(owners) <= 1:
+                        return one, other
+        return None
+
     def _join(self, one: int, other: int) -> None:
         """Join two nodes: the larger one goes on, of equal ones the first."""
         if self.cells[other] > self.cells[one]:
@@ -123,6 +146,7 @@ class Joining:
         self.cells[one] += self.cells[other]
         self.heights[one] += self.heights[other]
         self.moments[one] = self.moments[one] + self.moments[other]
+        self.directions[one] = self.directions[one] + self.directions[other]
         if not self.small[other]:
             self.owners[one] = self.owners[one] or self.owners[other]
         self.small[one] = self._is_small(one)
@@ -140,25 +164,41 @@ class Joining:
         if all(owners) and owners[0] != owners[1]:
             return PARCEL
         counts = self.beside[one][other]
-        if counts[SHOWN] < self.params.share * counts[PAIRS]:
-            return None
         if counts[PAIRS] >= self.params.enclosed_share * min(self.around[one], self.around[other]):
+            return None
+        return self._reason_of_roofs(one, other, counts) or self._reason_of_directions(one, other, counts)
+
+    def _reason_of_roofs(self, one: int, other: int, counts: Floats) -> str | None:
+        """Return which step, valley or wall divides two nodes; None for none."""
+        if counts[SHOWN] < self.params.share * counts[PAIRS]:
             return None
         levels = self.heights[one] / self.cells[one], self.heights[other] / self.cells[other]
         mean_m, square_m2 = counts[LOWEST] / counts[PAIRS], counts[SQUARED] / counts[PAIRS]
         # The upper end of the border: a valley that climbs to a ridge has a high one.
         upper_m = mean_m + DEVIATIONS * np.sqrt(max(square_m2 - mean_m**2, 0))
         rise = min(self.tops[one], self.tops[other]) - upper_m
-        kinds = counts[FIRST_KIND : FIRST_KIND + len(KINDS)]
+        kinds = counts[FIRST_KIND : FIRST_KIND + len(ROOFS)]
         holds = {
             "step": abs(levels[0] - levels[1]) >= self.params.level_m,
             "valley": rise >= self.params.rise_m and self._is_straight(counts),
             "wall": True,
         }
         for kind in np.argsort(-kinds, kind="stable").tolist():
-            if 2 * kinds[kind] >= self.params.share * counts[PAIRS] and holds[KINDS[kind]]:
-                return KINDS[kind]
+            if 2 * kinds[kind] >= self.params.share * counts[PAIRS] and holds[ROOFS[kind]]:
+                return str(ROOFS[kind])
         return None
+
+    def _reason_of_directions(self, one: int, other: int, counts: Floats) -> str | None:
+        """Return DIRECTION where two nodes bend along their whole border, and each has one direction."""
+        if counts[FIRST_KIND + len(ROOFS)] < self.params.share * counts[PAIRS]:
+            return None
+        angles = []
+        for cosine, sine, weight in (self.directions[one], self.directions[other]):
+            if math.hypot(cosine, sine) < CLEAR * weight:
+                return None
+            angles.append(math.degrees(math.atan2(sine, cosine)) / 4)
+        differ = abs((angles[0] - angles[1] + 45) % 90 - 45)
+        return DIRECTION if differ >= self.params.turn_deg else None
 
     def _is_straight(self, counts: Floats) -> bool:
         """Return whether a border runs along one line: the two valleys beside a wing do not."""

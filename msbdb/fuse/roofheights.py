@@ -150,9 +150,9 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     in its line that go the same way by ``wall_m``: steep roofs of large cells have large steps, too, one after the
     other. A gap of a cell in a line of walls joins no roofs.
 
-    A roof's rim are its cells beside no building, and those beside a wall that goes down. The level at the edge of such
-    a cell is half a step of the roof lower than at its centre. A roof without a rim, as in a court or between higher
-    neighbours, takes all its cells.
+    A roof's rim are its cells at the outline of its building, and those beside a wall that goes down. So a house has
+    the same eaves alone and in a row. The level at the edge of such a cell is half a step of the roof lower than at its
+    centre. A roof without a rim, as between higher roofs of its building, takes all its cells.
 
     Examples
     --------
@@ -236,8 +236,8 @@ def _along_rows(
     edge = np.full(heights.shape, np.inf)
     for here, there, inner in ((np.s_[:, :-1], np.s_[:, 1:], 1), (np.s_[:, 1:], np.s_[:, :-1], -1)):
         ends = inside[here] & ~joined
-        # What lies beside is no building, or lower by a wall.
-        ends &= (labels[there] == 0) | (inside[there] & (heights[here] - heights[there] > params.wall_m))
+        # What lies beside is not this building, or lower by a wall: a gutter between two houses is the eaves of both.
+        ends &= (labels[there] != labels[here]) | (inside[there] & (heights[here] - heights[there] > params.wall_m))
         # The step from the neighbour on the other side, where it is of the same roof.
         rise = np.zeros(heights.shape)
         behind = np.s_[:, 1:] if inner == 1 else np.s_[:, :-1]

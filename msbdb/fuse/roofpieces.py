@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from msbdb.fuse.roofborders import RoofBorders
+from msbdb.fuse.roofdirections import RoofDirections
 from msbdb.labels import Labels, around, boxes, label_zones, sums, widened
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-KINDS = ("step", "valley", "wall")
+KINDS = ("step", "valley", "wall", "direction")
 """The kinds of evidence, in the order of the columns of `Touch`."""
 
 SMOOTH_M = 0.4
@@ -46,6 +46,8 @@ class RoofPieces:
         The parcel of each piece; 0 for none.
     rims : (N,) ndarray of float64
         Pairs of a cell of the piece and a neighbour that is in no piece; what lies beyond the lattice counts as such.
+    directions : (N, 3) ndarray of float64
+        Sums of the cosines, the sines and the weights of `RoofDirections`.
     """
 
     labels: Labels
@@ -55,6 +57,7 @@ class RoofPieces:
     moments: Floats
     owners: NDArray[np.int64]
     rims: Floats
+    directions: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,10 +68,10 @@ class Touches:
     ----------
     one, other : (B,) ndarray of int64
         Row numbers of the pieces; ``one`` is smaller.
-    counts : (B, 13) ndarray of float64
-        Pairs of neighbouring cells; those with evidence; those with each of `KINDS`; sum of their differences of
-        height, metres; sums of their lowest heights, and of the squares; sums of row, column, row², column² and row
-        times column.
+    counts : (B, 14) ndarray of float64
+        Pairs of neighbouring cells; those with a step, valley or wall; those with each of `KINDS`; sum of their
+        differences of height, metres; sums of their lowest heights, and of the squares; sums of row, column, row²,
+        column² and row times column.
     """
 
     one: NDArray[np.int64]
@@ -132,6 +135,33 @@ def cut_pieces(
     return label_zones(both, connectivity=4)[0]
 
 
+def cut_bends(labels: Labels, turn_deg: NDArray[np.float32], least_deg: float) -> Labels:
+    """Cut pieces also along the lines where directions turn most.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        The pieces; 0 for none.
+    turn_deg : (H, W) ndarray of float32
+        How far directions turn at each cell, degrees.
+    least_deg : float
+        Cells that turn less are of one direction where they are connected.
+
+    Examples
+    --------
+    >>> turn = np.array([[0, 0, 10, 30, 20, 0, 0]], dtype=np.float32)
+    >>> cut_bends(np.ones((1, 7), dtype=np.int32), turn, 15.0).tolist()
+    [[1, 1, 1, 1, 2, 2, 2]]
+    """
+    built = labels > 0
+    if not (turn_deg >= least_deg).any():
+        return labels
+    seeds, _ = label_zones(built & (turn_deg < least_deg))
+    sides = _flooded(turn_deg, seeds, built)
+    both = np.where(built, labels.astype(np.int64) * (int(sides.max()) + 1) + sides, 0)
+    return label_zones(both, connectivity=4)[0]
+
+
 def _marks(
     heights: NDArray[np.float32], built: Mask, strength: NDArray[np.float32], *, cell_m: float, core_m: float
 ) -> tuple[Mask, Mask, NDArray[np.float32], NDArray[np.float32]]:
@@ -154,7 +184,12 @@ def _flooded(relief: NDArray[np.float32], seeds: Labels, built: Mask) -> Labels:
     return found
 
 
-def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels | None) -> RoofPieces:
+def measure_pieces(
+    labels: Labels,
+    heights: NDArray[np.float32],
+    parcels: Labels | None = None,
+    directions: RoofDirections | None = None,
+) -> RoofPieces:
     """Sum up the cells of pieces; each piece lies in one parcel at most."""
     count = int(labels.max(initial=0))
     cells = np.flatnonzero(labels)
@@ -173,7 +208,11 @@ def measure_pieces(labels: Labels, heights: NDArray[np.float32], parcels: Labels
     framed = np.pad(labels, 1)
     outside = (around(framed, np.flatnonzero(framed)) == 0).sum(axis=1).astype(np.float64)
     rims = sums(member, outside, count)
-    return RoofPieces(labels, area, total, tops, np.stack(moments, axis=1), owners, rims)
+    found = np.zeros((count, 3))
+    if directions is not None:
+        fields = (directions.cosine, directions.sine, directions.weight)
+        found = np.stack([sums(member, field.ravel()[cells].astype(np.float64), count) for field in fields], axis=1)
+    return RoofPieces(labels, area, total, tops, np.stack(moments, axis=1), owners, rims, found)
 
 
 def _moments(row: Floats, col: Floats) -> tuple[Floats, ...]:
@@ -201,7 +240,7 @@ def spread(count: float, moments: Floats) -> tuple[float, float]:
 
 
 def measure_touches(
-    labels: Labels, heights: NDArray[np.float32], borders: RoofBorders, least_m: tuple[float, float, float]
+    labels: Labels, heights: NDArray[np.float32], evidence: tuple[NDArray[np.float32], ...], least: tuple[float, ...]
 ) -> Touches:
     """Count the pairs of neighbouring cells of two pieces, and the evidence along them.
 
@@ -211,16 +250,17 @@ def measure_touches(
         The pieces.
     heights : (H, W) ndarray of float32, metres
         Their heights.
-    borders : RoofBorders
-        Evidence of each cell. A pair has what the cells around either of its two have.
-    least_m : tuple of float
-        From which step, valley and wall on there is evidence, metres.
+    evidence : tuple of (H, W) ndarray of float32
+        Of each cell, in the order of `KINDS`: metres, and degrees. A pair has what the cells around either of its two
+        have.
+    least : tuple of float
+        From which value on each is evidence.
     """
     count = int(labels.max(initial=0))
     framed = np.pad(labels, 1)
     height = np.pad(heights, 1)
     below = np.where(framed > 0, height, np.float32(np.inf))
-    strengths = [np.pad(strength, 1) for strength in (borders.step_m, borders.valley_m, borders.wall_m)]
+    strengths = [np.pad(strength, 1) for strength in evidence]
     cells, width = np.flatnonzero(framed), framed.shape[1]
     keys, columns = [], []
     # To the right, down, and down along both diagonals; the frame is in no piece.
@@ -232,14 +272,14 @@ def measure_touches(
         here = cells[pair]
         there = here + step
         found = [
-            (around(strength, here).max(axis=1) >= least) | (around(strength, there).max(axis=1) >= least)
-            for strength, least in zip(strengths, least_m, strict=True)
+            (around(strength, here).max(axis=1) >= limit) | (around(strength, there).max(axis=1) >= limit)
+            for strength, limit in zip(strengths, least, strict=True)
         ]
-        evidence = (found[0] | found[1] | found[2], *found)
+        shown = (found[0] | found[1] | found[2], *found)
         low = np.minimum(around(below, here).min(axis=1), around(below, there).min(axis=1)).astype(np.float64)
         places = (place.astype(np.float64) - 1 for place in np.divmod(here, width))
         differ = np.abs(height.ravel()[here] - height.ravel()[there]).astype(np.float64)
-        columns.append(np.stack([np.ones(low.size), *evidence, differ, low, low * low, *_moments(*places)], axis=1))
+        columns.append(np.stack([np.ones(low.size), *shown, differ, low, low * low, *_moments(*places)], axis=1))
     touch, member = np.unique(np.concatenate(keys), return_inverse=True)
     table = np.concatenate(columns)
     counts = np.stack([sums(member + 1, column, touch.size) for column in table.T], axis=1)

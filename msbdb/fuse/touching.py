@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, median_filter
+from scipy.ndimage import binary_fill_holes, distance_transform_edt, median_filter
 
 from msbdb.fuse.joining import REASONS, Joining
-from msbdb.fuse.roofborders import RoofBorders, find_roof_borders, reach_m
-from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_pieces, measure_pieces, measure_touches
+from msbdb.fuse.roofborders import find_roof_borders, reach_m
+from msbdb.fuse.roofdirections import find_directions
+from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_bends, cut_pieces, measure_pieces, measure_touches
 from msbdb.grid import Grid
 from msbdb.labels import Labels, boxes, label_zones, touching_pairs, widened
 from msbdb.params import TouchingParams
@@ -88,10 +89,16 @@ def divide(
     - *step*, *valley* or *wall*: at least ``share`` of the border has evidence, and most of it of this kind. Beside a
       step the two roofs differ by ``level_m`` in their mean heights; so the teeth of a saw-tooth roof stay together. On
       both sides of a valley the roofs rise ``rise_m`` above the upper end of the border, which runs along one line:
-      wings that meet at a ridge stay together.
+      wings that meet at a ridge stay together;
+    - *direction*: along ``share`` of the border the directions of roofs and walls turn by ``turn_deg`` within a few
+      metres, and so do the mean directions of the pieces. Right angles are no turn, as wings of one house have them.
+
+    An island that has ``round_share`` in common with an ellipse, without its courts, is one structure: nothing but
+    parcels divides an arena or a tank.
 
     A piece that shares ``enclosed_share`` or more of its outline with one other piece lies on it or in it. It is no
-    house of its own, unless the two lie in two parcels. So a tower and its podium stay together.
+    house of its own, unless the two lie in two parcels. The same holds for two pieces beside each other and their common
+    outline. So a tower and its podium stay together, also where the tower is cut beside its plant room.
 
     A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house; in a parcel, the limits are
     ``parcel_m2`` and ``parcel_width_m``. It is joined with the neighbour behind its weakest border. Its width is
@@ -108,21 +115,26 @@ def divide(
         return Division(islands, {})
     cell_m = heights.spec.cell_m
     smooth = _without_outliers(np.asarray(heights.values, dtype=np.float32), islands, cell_m, spacing_m)
-    least_m = (params.step_m, params.valley_m, params.wall_m)
+    least = (params.step_m, params.valley_m, params.wall_m, params.turn_deg)
+    directions = None
+    evidence: tuple[NDArray[np.float32], ...]
     if params.divide:
-        borders = find_roof_borders(smooth, built, cell_m=cell_m, spacing_m=spacing_m)
-        strength = np.maximum(borders.step_m / least_m[0], borders.valley_m / least_m[1])
-        strength = np.maximum(strength, borders.wall_m / least_m[2])
+        # A round structure, such as an arena, is one: its tiers and stairs are no houses.
+        divisible = built & ~_round(islands, params.round_share)
+        borders = find_roof_borders(smooth, divisible, cell_m=cell_m, spacing_m=spacing_m)
+        directions = find_directions(smooth, np.where(divisible, islands, 0), cell_m=cell_m)
+        evidence = (borders.step_m, borders.valley_m, borders.wall_m, directions.turn_deg)
+        strength = np.maximum.reduce([found / limit for found, limit in zip(evidence[:3], least, strict=False)])
         labels = cut_pieces(smooth, built, strength, cell_m=cell_m, core_m=params.core_m)
+        labels = cut_bends(labels, directions.turn_deg, params.turn_deg)
     else:
-        none = np.zeros_like(smooth)
-        borders, labels = RoofBorders(none, none, none), islands
+        evidence, labels = (np.zeros_like(smooth),) * len(least), islands
     if parcels is not None:
         parcels = _with_strips(parcels, islands, params.width_m / cell_m)
         both = labels.astype(np.int64) * (int(parcels.max()) + 1) + parcels
         labels, _ = label_zones(np.where(built, both, 0), connectivity=4)
-    pieces = measure_pieces(labels, smooth, parcels)
-    touches = measure_touches(labels, smooth, borders, least_m)
+    pieces = measure_pieces(labels, smooth, parcels, directions)
+    touches = measure_touches(labels, smooth, evidence, least)
     joining = Joining(pieces, touches, params, cell_m)
     into = joining.run()
     houses, _ = label_zones(np.concatenate([[0], into + 1])[labels])
@@ -149,6 +161,27 @@ def _without_outliers(
         inside = smooth[near]
         inside[...] = found[rows, cols][: inside.shape[0], : inside.shape[1]]
     return smooth
+
+
+def _round(islands: Labels, share: float) -> NDArray[np.bool_]:
+    """Return the cells of islands that, without their courts, have this share in common with an ellipse.
+
+    The ellipse has the second moments of the island. A square has 0.83 in common with it, a hexagon
+    0.92, an octagon 0.96; so has whatever an affine map makes of them.
+    """
+    found = np.zeros(islands.shape, dtype=np.bool_)
+    for number, window in boxes(islands).items():
+        own = islands[window] == number
+        filled = binary_fill_holes(own)
+        places = np.stack([place.astype(np.float64) for place in np.nonzero(filled)])
+        places -= places.mean(axis=1, keepdims=True)
+        # A cell itself has the variance 1/12.
+        moments = places @ places.T / places.shape[1] + np.eye(2) / 12
+        ellipse = 4 * math.pi * math.sqrt(np.linalg.det(moments))
+        common = np.count_nonzero((np.linalg.solve(moments, places) * places).sum(axis=0) <= 4)
+        if common >= share * (places.shape[1] + ellipse - common):
+            found[window] |= own
+    return found
 
 
 def _with_strips(parcels: Labels, islands: Labels, width: float) -> Labels:

@@ -147,6 +147,11 @@ class TouchingParams:
         ours="half a storey; the teeth of a saw-tooth roof have none", low=0, high=50)
     rise_m: float = param(0.3, "m", "Height by which both roofs rise above the upper end of the valley between them.",
         ours="wings that meet at a ridge do not", low=0, high=50)
+    turn_deg: float = param(20.0, "deg", "Angle by which the directions of two houses differ, up to right angles.",
+        ours="walls of one house are at right angles within a few degrees; 45 divides at no bend", low=1, high=45)
+    round_share: float = param(0.92, "1",
+        "An island that has this share in common with an ellipse is one round structure, which no evidence divides.",
+        ours="as a regular hexagon; a rectangle has 0.83, an octagon 0.96; 1.1 divides all", low=0.5, high=1.1)
     enclosed_share: float = param(0.75, "1",
         "A piece with this share of its outline beside one other stands on it or in it, and is no house of its own.",
         ours="stairs, towers and tiers; a house in a row has half at most", low=0.1, high=1.1)

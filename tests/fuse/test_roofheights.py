@@ -131,15 +131,23 @@ def test_a_roof_between_higher_neighbours_has_its_own_level() -> None:
     assert heights_of(surface, labels)["eaves"].tolist() == [9.5, 12.5, 4.0]
 
 
-def test_houses_of_a_row_are_measured_by_their_free_sides() -> None:
-    """The gables between them are no rim, so that one eave at the street is enough."""
+@pytest.mark.parametrize("along", [True, False])
+@pytest.mark.parametrize("width", [10, 12, 20])
+def test_a_house_has_the_same_eaves_alone_and_in_a_row(width: int, along: bool) -> None:
+    """With ridges along the street, and with gables to it, where the eaves are the gutters between the houses."""
     labels = np.zeros((60, 90), dtype=np.int32)
     for number in range(3):
-        labels[20:40, 15 + 20 * number : 35 + 20 * number] = number + 1
-    surface = np.where(labels > 0, 5.5 + np.minimum(np.arange(60) - 20, 39 - np.arange(60))[:, None] * 0.4, 0.0)
-    found = heights_of(surface, labels)
-    assert found["eaves"].to_numpy() == pytest.approx(5.5, abs=0.25)
-    assert found["storeys"].tolist() == [2, 2, 2]
+        labels[20:40, 15 + width * number : 15 + width * (number + 1)] = number + 1
+    across = (np.arange(90) - 15) % width
+    from_gutter = (
+        np.minimum(np.arange(60) - 20, 39 - np.arange(60))[:, None] if along else np.minimum(across, width - 1 - across)
+    )
+    level = np.array([0, 5.5, 6.0, 5.5])[labels]
+    surface = np.where(labels > 0, level + 0.2 + from_gutter * 0.4, 0.0)
+    row = heights_of(surface, labels)["eaves"].to_numpy()
+    alone = [heights_of(np.where(labels == one, surface, 0), (labels == one) * 1)["eaves"][0] for one in (1, 2, 3)]
+    assert row == pytest.approx([5.5, 6.0, 5.5], abs=0.05)
+    assert row.tolist() == alone
 
 
 def test_a_steep_roof_of_large_cells_is_one_roof() -> None:

@@ -214,6 +214,77 @@ def test_a_tower_that_stands_on_one_roof_is_no_house_of_its_own():
     assert division(tower_on_podium(), off).houses.max() == 2
 
 
+def test_two_halves_of_a_tower_stand_on_one_roof():
+    """Less than three quarters of the outline of each half are beside the podium; parcels divide them all the same."""
+    heights = scene()
+    put(heights, 5, 5, flat(40, 28, 5))
+    put(heights, 14, 13, flat(10, 12, 25))
+    put(heights, 24, 13, flat(10, 12, 31))
+    assert division(heights).houses.max() == 1
+    assert division(heights, TouchingParams(enclosed_share=1.1)).houses.max() == 3
+    of_halves = np.where(np.arange(heights.shape[1]) < 48, 1, 2) * np.ones(heights.shape, dtype=np.int32)
+    assert reasons(division(heights, parcels=of_halves.astype(np.int32))) == {"parcel"}
+
+
+def terrace(bend_deg: float, *, slope: float = 0.0, turn_deg: float = 0.0) -> np.ndarray:
+    """Return a row of two legs, 25 m by 10 m, whose roofs meet at a bend; ``slope`` is that of its gables."""
+    heights = scene(70, 70)
+    row, col = np.indices(heights.shape)
+    x, y = (col + 0.5) * CELL_M - 35, (row + 0.5) * CELL_M - 35
+    # The legs are mitred: each has the cells that are nearer to its own axis.
+    across = np.full(heights.shape, np.inf)
+    for angle in np.radians([180 + turn_deg, bend_deg + turn_deg]):
+        along = x * np.cos(angle) + y * np.sin(angle)
+        own = (along <= 25) & (along >= -5 * np.tan(np.radians(bend_deg / 2)))
+        across = np.minimum(across, np.where(own, np.abs(y * np.cos(angle) - x * np.sin(angle)), np.inf))
+    return np.where(across <= 5, 7 + slope * (5 - np.minimum(across, 5)), 0).astype(np.float32)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.8])
+@pytest.mark.parametrize("turn_deg", [0.0, 17.0])
+def test_a_row_is_divided_where_it_bends(slope: float, turn_deg: float):
+    """Level or gabled; not where it hardly bends, and not where the rule is off."""
+    found = division(terrace(35, slope=slope, turn_deg=turn_deg))
+    assert areas_m2(found) == pytest.approx([250, 250], abs=12)
+    assert reasons(found) == {"direction"}
+    assert division(terrace(15, slope=slope, turn_deg=turn_deg)).houses.max() == 1
+    off = TouchingParams(turn_deg=45)
+    assert division(terrace(35, slope=slope, turn_deg=turn_deg), off).houses.max() == 1
+
+
+def test_a_row_along_a_curve_has_no_bend():
+    """A level crescent turns by 120 degrees in all, and nowhere by much within a house's width."""
+    heights = scene(110, 110)
+    row, col = np.indices(heights.shape)
+    radius = np.hypot(row, col) * CELL_M
+    heights[(radius > 80) & (radius < 90) & (col > row / 4)] = 9
+    assert division(heights).houses.max() == 1
+
+
+def arena() -> np.ndarray:
+    """Return tiers around a floor, with walls of stairs across them."""
+    heights = scene(100, 80)
+    row, col = np.indices(heights.shape)
+    x, y = col * CELL_M - 50, row * CELL_M - 40
+    radius = np.hypot(x / 45, y / 33)
+    for inner, level in ((0.5, 5), (0.65, 9), (0.82, 15)):
+        heights[(radius >= inner) & (radius <= 1)] = level
+    heights[(radius >= 0.5) & (radius <= 1) & (np.minimum(np.abs(x - y), np.abs(x + y)) < 0.8)] += 1
+    return heights
+
+
+def test_a_round_structure_is_one():
+    """Its tiers would be houses without the rule; parcels divide it all the same."""
+    heights = arena()
+    found = division(heights)
+    assert found.houses.max() == 1
+    assert division(heights, TouchingParams(round_share=1.1)).houses.max() > 4
+    halves = np.where(np.arange(heights.shape[1]) < 100, 1, 2) * np.ones(heights.shape, dtype=np.int32)
+    given = division(heights, parcels=halves.astype(np.int32))
+    assert areas_m2(given) == pytest.approx([areas_m2(found)[0] / 2] * 2, rel=0.05)
+    assert reasons(given) == {"parcel"}
+
+
 def parcels_of(shape: tuple[int, ...], shift_m: float, width_m: float) -> np.ndarray:
     """Return parcels side by side from x = 10 on, over all of y, shifted to the right and down."""
     found = np.zeros(shape, dtype=np.int32)

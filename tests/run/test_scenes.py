@@ -141,6 +141,13 @@ def test_footprints_storeys_and_heights_are_the_true_ones(built, name, profile_n
         assert building["state"] == "confirmed"
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("density", [1.0, 2.0])
+def test_a_tower_stands_on_its_podium_at_few_points(built, density):
+    """The tower is cut beside its plant room there, and both halves stand on the podium."""
+    assert built("podium_tower", density=density).report.buildings == 1
+
+
 def test_a_tower_on_a_podium_is_a_tree_of_three_levels(built):
     """Plant room, tower and podium are parts of one building, each the child of the one below."""
     outcome = built("podium_tower")
