@@ -138,6 +138,7 @@ def measure(
     MsbdbError
         One of its kinds. A build that was written stays; repeating the command completes it.
     """
+    from msbdb.database import read_fallback
     from msbdb.io.files import require_output
     from msbdb.run.inventory.footprintfile import FORMATS
     from msbdb.run.inventory.measure import check_footprints, take_measures
@@ -147,14 +148,14 @@ def measure(
     file, crs = Path(footprints), options.get("crs")
     if out is not None:
         require_output(out, overwrite=overwrite, endings=FORMATS, sources=[db, file])
-    chosen = name or file.stem
-    check_footprints(db, file, name=chosen, layer=layer, id_column=id_column, crs=crs)
-    if options.get("parcels") is None and layer is None:
-        options["parcels"] = file
     given = {
         key: options[key] for key in ("ortho", "dsm", "dtm", "ndsm", "crs", "ortho_crs", "z_unit") if key in options
     }
-    label = survey or Inputs.of(points, **given).default_survey()
+    inputs = Inputs.of(points, **given, fallback=read_fallback(db))
+    chosen, label = name or file.stem, survey or inputs.default_survey()
+    check_footprints(db, file, name=chosen, layer=layer, id_column=id_column, crs=crs, place=inputs.extent())
+    if options.get("parcels") is None and layer is None:
+        options["parcels"] = file
     stages = Stages(progress)
     built = None
     if not is_built(points, db=db, survey=label, date=date or "", **_without(options, "replace")):

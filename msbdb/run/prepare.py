@@ -23,6 +23,7 @@ from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.crs import CrsLike, Fallback
 from msbdb.io.extents import (
+    Extent,
     extent_of_points,
     extent_of_polygons,
     extent_of_raster,
@@ -134,12 +135,7 @@ class Inputs:
             For the same points in two files, such as a LAZ and the COPC made from it.
         """
         require_other_points(self.points)
-        rasters = [(path, role) for path, role in ((self.dsm, "DSM"), (self.ndsm, "nDSM")) if path is not None]
-        first = (
-            extent_of_raster(rasters[0][0], self.any_crs, rasters[0][1])
-            if rasters
-            else extent_of_points(self.points, self.any_crs)
-        )
+        first = self.extent()
         if first is None:
             return
         if self.dtm is not None:
@@ -148,6 +144,13 @@ class Inputs:
         require_common_place(first, [extent_of_raster(path, self.any_ortho_crs, "image") for path in self.ortho])
         parcels = None if self.parcels is None else extent_of_polygons(self.parcels)
         require_common_place(first, [] if parcels is None else [parcels])
+
+    def extent(self) -> Extent | None:
+        """Return what the heights cover by their headers; None where these are wrong."""
+        for path, role in ((self.dsm, "DSM"), (self.ndsm, "nDSM")):
+            if path is not None:
+                return extent_of_raster(path, self.any_crs, role)
+        return extent_of_points(self.points, self.any_crs)
 
     def files(self) -> Iterator[tuple[Path, str]]:
         """Yield each file with its role."""

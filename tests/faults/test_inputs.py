@@ -370,6 +370,8 @@ def test_a_user_gives_files_of_another_place(tmp_path, tile, podium, monkeypatch
     for option, name in (("--dtm", "far.tif"), ("--ortho", "far.tif"), ("--parcels", "far.gpkg")):
         args = ["build", "--points", tile, option, tmp_path / name, "--db", db]
         refuses(tmp_path, args, name, "not of the same place", "has (", "the points have")
+    args = ["measure", tmp_path / "far.gpkg", "--layer", "far", "--points", tile, "--db", db]
+    refuses(tmp_path, args, "far.gpkg", "not of the same place")
     out = tmp_path / "out.laz"
     refuses(tmp_path, ["classify", tile, out, "--dtm", tmp_path / "far.tif"], "far.tif", "not of the same place")
     Inputs.of(tile, dtm=tmp_path / "near.tif", ortho=[tmp_path / "near.tif", tmp_path / "far.tif"]).require_one_place()

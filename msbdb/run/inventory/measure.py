@@ -37,6 +37,7 @@ from msbdb.errors import DatabaseError, InputError, PassingNotice
 from msbdb.fuse.buildings import covered_shares
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid
+from msbdb.io.extents import Extent, require_common_place
 from msbdb.io.vector import read_polygons
 from msbdb.kept import heights_of
 from msbdb.labels import Labels, height_statistics, order_heights, sizes, sums
@@ -260,18 +261,29 @@ def _without_footprint(
 
 
 def check_footprints(
-    db: str | Path, file: Path, *, name: str, layer: str | None, id_column: str | None, crs: str | None
+    db: str | Path,
+    file: Path,
+    *,
+    name: str,
+    layer: str | None,
+    id_column: str | None,
+    crs: str | None,
+    place: Extent | None = None,
 ) -> None:
-    """Refuse what cannot be measured, before the survey is built.
+    """Refuse what cannot be measured, before the survey is built; ``place`` is what its files cover.
 
     Raises
     ------
+    GridMismatchError
+        When no footprint lies in the place.
     ParameterError, InputError
         For an id column that is none, and where the inventory knows the place from another import or from an update.
     """
     with warnings.catch_warnings(action="ignore"):
         frame = read_polygons(file, layer=layer, crs=crs or read_fallback(db))
     keys_of(frame, id_column)
+    if place is not None:
+        require_common_place(place, [Extent(tuple(frame.total_bounds.tolist()), frame.crs, f"{file.name} has")])
     try:
         with opened(db) as engine:
             area = shapely.box(*frame.to_crs(database_crs_of(engine)).total_bounds)
