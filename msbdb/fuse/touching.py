@@ -97,8 +97,8 @@ def divide(
     parcels divides an arena or a tank.
 
     A piece that shares ``enclosed_share`` or more of its outline with one other piece lies on it or in it. It is no
-    house of its own, unless the two lie in two parcels. The same holds for two pieces beside each other and their common
-    outline. So a tower and its podium stay together, also where the tower is cut beside its plant room.
+    house of its own, unless the two lie in two parcels. The same holds for two pieces beside each other and their
+    common outline. So a tower and its podium stay together, also where the tower is cut beside its plant room.
 
     A piece smaller than ``house_m2``, or narrower than ``width_m``, is no house; in a parcel, the limits are
     ``parcel_m2`` and ``parcel_width_m``. It is joined with the neighbour behind its weakest border. Its width is
