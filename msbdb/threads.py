@@ -1,9 +1,11 @@
 """Compiled kernels, and work on several cores with the same results as on one."""
 
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from threading import current_thread, main_thread
 from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
@@ -12,6 +14,9 @@ R = TypeVar("R")
 
 MOST = 4
 """Most threads at a time: each holds temporary arrays of the whole lattice, and the memory's speed is shared."""
+
+HIDDEN = "Dataset has no geotransform"
+"""rasterio hides this warning of its own by filters that all threads share, so another thread may bring it back."""
 
 
 def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
@@ -30,8 +35,20 @@ def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
     threads = min(len(tasks), cores(), MOST)
     if threads < 2:
         return [work(item) for item in tasks]
-    with ThreadPoolExecutor(threads) as pool:
+    with _hidden_warnings(), ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, tasks))
+
+
+def _hidden_warnings() -> AbstractContextManager[None]:
+    """Return the filters of warnings for a pool: set and put back by the main thread alone."""
+    return _without_hidden() if current_thread() is main_thread() else nullcontext()
+
+
+@contextmanager
+def _without_hidden() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=HIDDEN)
+        yield
 
 
 def cores() -> int:

@@ -99,25 +99,33 @@ class Estimate:
         self._now = now
         self._begin = self._since = now()
         self._stage, self._share, self._reached = "", 0.0, 0.0
+        self._running: list[str] = []
         self._before, self._size, self._paused = 0.0, 1.0, 0.0
         self._held: float | None = None
         self._lock = Lock()
 
     def advance(self, stage: str, done: int, total: int) -> None:
-        """Take what a command tells of a stage."""
+        """Take what a command tells of a stage; of stages side by side, the one that began first is shown."""
         with self._lock:
             now = self._now()
             if not self._stage or stage not in self._plan:
                 self._begin, self._paused, self._reached = now, 0.0, 0.0
             if stage not in self._plan:
-                self._plan, self._size = {stage: 1.0}, 1.0
-            if stage != self._stage:
-                self._stage, self._since = stage, now
-                names = list(self._plan)
-                self._before = sum(self._plan[name] for name in names[: names.index(stage)])
+                self._plan, self._size, self._running = {stage: 1.0}, 1.0, []
             if stage == "read" and total > 1:
                 self._size = total / 1e6
-            self._share = done / total if total else 1.0
+            if done >= total:
+                self._running = [name for name in self._running if name != stage]
+            elif stage not in self._running:
+                self._running.append(stage)
+            shown = self._running[0] if self._running else stage
+            if shown != self._stage:
+                self._stage, self._since, self._share = shown, now, 0.0
+                names = list(self._plan)
+                over = [name for name in names[: names.index(shown)] if name not in self._running]
+                self._before = sum(self._plan[name] for name in over)
+            if shown == stage:
+                self._share = done / total if total else 1.0
 
     def hold(self) -> None:
         """Begin a time that says nothing about the pace."""

@@ -39,6 +39,7 @@ from msbdb.tables import (
     validate,
     validate_parts,
 )
+from msbdb.threads import in_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,15 +109,15 @@ def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDa
     """
     spec = ndsm.spec
     outlines, fitted = np.empty(len(forest.parts), dtype=object), np.zeros(len(forest.parts), dtype=np.bool_)
-    offset = 0
-    for labels in forest.labels:
-        count = int(labels.max(initial=0)) - offset
-        if count <= 0:
-            continue
-        local = np.where(labels > 0, labels - offset, 0).astype(np.int32)
-        found = slice(offset, offset + count)
-        outlines[found], fitted[found] = outline_labels(local, count, spec, params)
-        offset += count
+    ends = np.maximum.accumulate([0, *(int(labels.max(initial=0)) for labels in forest.labels)])
+
+    def outline(scale: int) -> None:
+        first, stop = int(ends[scale]), int(ends[scale + 1])
+        labels = forest.labels[scale]
+        local = np.where(labels > 0, labels - first, 0).astype(np.int32)
+        outlines[first:stop], fitted[first:stop] = outline_labels(local, stop - first, spec, params)
+
+    in_threads(outline, [scale for scale in range(len(forest.labels)) if ends[scale] < ends[scale + 1]])
     parts = _outlined(forest.parts, outlines, fitted, spec)
     validate_parts(parts)
     return parts

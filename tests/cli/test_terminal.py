@@ -116,6 +116,21 @@ def test_the_time_left_follows_the_pace():
     assert 800 < left[10.0] <= 1000
 
 
+def test_detectors_side_by_side_move_the_bar():
+    """The first that began is named until it ends, and a later one that ends first is not yet counted."""
+    now = [0.0]
+    estimate = Estimate({"adaptive": 30.0, "area3d": 50.0, "parts": 20.0}, now=lambda: now[0])
+    told = []
+    for stage, done in (("adaptive", 0), ("area3d", 0), ("area3d", 1), ("adaptive", 1), ("parts", 0), ("parts", 1)):
+        now[0] += 10.0
+        estimate.advance(stage, done, 1)
+        told.append((estimate.words, estimate.state()[0]))
+    assert [words for words, _ in told] == [WORDS[name] for name in ("adaptive",) * 4 + ("parts",) * 2]
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[2] < 0.3 <= shares[3] <= 0.8 <= shares[4] < shares[5] == pytest.approx(1)
+
+
 def test_fewer_detectors_have_fewer_stages():
     """The bar of a build counts only what it does."""
     assert not {"adaptive", "area3d", "flatregions", "houses"} & set(stages_of(["multiscale"]))
