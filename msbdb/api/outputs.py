@@ -405,7 +405,12 @@ class Inventory:
         """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""
         view(self.db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
-    def export(self, out: str | Path, survey: str | None = None, **options: Any) -> dict[str, int]:  # noqa: ANN401
+    def export(
+        self,
+        out: str | Path,
+        survey: str | None = None,
+        **options: Any,  # noqa: ANN401  (those of msbdb.api.export)
+    ) -> dict[str, int]:
         """Write layers to a file, in the format of its ending; the options are those of `msbdb.api.export`."""
         return export(self.db, out, survey=survey, **options)
 

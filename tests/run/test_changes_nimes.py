@@ -21,6 +21,7 @@ SHIFT_M = 0.5
 OPTIONS = {"crs": "EPSG:2154"}
 
 
+@pytest.mark.long
 def test_edits_of_the_points_are_found_and_nothing_else(tmp_path: Path) -> None:
     """Every kind of edit, under a shift of half a metre, thinner points and other noise."""
     if not TILE.is_file():
