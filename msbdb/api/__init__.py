@@ -14,7 +14,8 @@ from msbdb.api.inventory import (
     summary,
     update,
 )
-from msbdb.api.outputs import Inventory, evaluate, evaluate_points, export, info, open, qgis, queries, query, view, why
+from msbdb.api.opened import Inventory, open
+from msbdb.api.outputs import evaluate, evaluate_points, export, info, qgis, queries, query, view, why
 from msbdb.run.reports import (
     AdvanceReport,
     BuildReport,

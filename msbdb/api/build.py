@@ -96,7 +96,8 @@ def build(
     from msbdb.database import check_target, read_fallback, read_labelled_classes
     from msbdb.io.files import PICTURES, require_output
     from msbdb.run.compose import Job, choose_detectors, run_survey
-    from msbdb.run.prepare import Inputs, Label
+    from msbdb.run.inputs import Inputs
+    from msbdb.run.prepare import Label
     from msbdb.run.reports import collect_notices
     from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
@@ -211,7 +212,7 @@ def classify(
         One of its kinds, when the file cannot be used or written. No file is written then.
     """
     from msbdb.run.classify import classify_points
-    from msbdb.run.prepare import Inputs
+    from msbdb.run.inputs import Inputs
 
     inputs = Inputs.of(source, ortho, dtm=dtm, crs=crs, ortho_crs=ortho_crs, z_unit=z_unit)
     values = params or named_profile(profile)

@@ -56,8 +56,8 @@ def update(
     -----
     A survey that was built from the same files with the same values by the same msbdb is not built again.
     """
+    from msbdb.run.inputs import require_polygons
     from msbdb.run.inventory.update import is_built, require_date
-    from msbdb.run.prepare import require_polygons
 
     require_date(survey, date)
     if aoi is not None:
@@ -140,10 +140,10 @@ def measure(
     """
     from msbdb.database import read_fallback
     from msbdb.io.files import require_output
+    from msbdb.run.inputs import Inputs
     from msbdb.run.inventory.footprintfile import FORMATS
     from msbdb.run.inventory.measure import check_footprints, take_measures
     from msbdb.run.inventory.update import is_built
-    from msbdb.run.prepare import Inputs
 
     file, crs = Path(footprints), options.get("crs")
     if out is not None:
@@ -249,7 +249,7 @@ def import_inventory(
     ParameterError
         When a column does not exist, or a measure is no number.
     """
-    from msbdb.run.inventory.records import take_inventory
+    from msbdb.run.inventory.imported import take_inventory
 
     return take_inventory(
         db, Path(file), name=name, layer=layer, date=date, mapping=mapping or {}, id_column=id_column, crs=crs
@@ -290,7 +290,7 @@ def import_roof_samples(
     InputError
         When a material is missing.
     """
-    from msbdb.run.inventory.records import take_samples
+    from msbdb.run.inventory.imported import take_samples
 
     return take_samples(db, Path(file), layer=layer, mapping=mapping or {}, crs=crs)
 
@@ -380,7 +380,7 @@ def changes(
     FileError
         When a file cannot be written, or exists already. This is checked first.
     """
-    from msbdb.run.inventory.records import changes_of
+    from msbdb.run.inventory.changed import changes_of
 
     return changes_of(
         db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure, overwrite=overwrite
@@ -389,6 +389,6 @@ def changes(
 
 def summary(found: Changes) -> dict[str, Any]:
     """Return the changes as plain values for JSON: counts, and a record for each row that is not 'unchanged'."""
-    from msbdb.run.inventory.records import records_of
+    from msbdb.run.inventory.changed import records_of
 
     return {"counts": found.counts, "in_between": found.in_between, "changes": records_of(found)}

@@ -11,19 +11,18 @@ from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_sche
 from msbdb.database.admin.soundness import CHECKS, check_database
 from msbdb.database.dialects.clientplace import ClientPlace, client_place
 from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened
+from msbdb.database.dialects.databasecrs import database_crs_of, read_fallback
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.joins import Seams, current_pieces, version_pieces
 from msbdb.database.history.periods import (
     LAST_DAY,
-    database_crs_of,
     first_day,
     footprint_at,
     has_inventory,
     read_changes,
     read_events_near,
-    read_fallback,
     read_history,
     read_states,
     summarise_inventory,

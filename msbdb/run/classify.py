@@ -15,7 +15,8 @@ from msbdb.io.laswrite import check_output, write_classes
 from msbdb.params import Params
 from msbdb.points.cloud import BUILDING_CLASS, UNCLASSIFIED_CLASS, PointCloud
 from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
-from msbdb.run.prepare import Inputs, Label, prepare
+from msbdb.run.inputs import Inputs
+from msbdb.run.prepare import Label, prepare
 from msbdb.run.reports import ClassifyReport, Notices, Progress, Stages, collect_notices
 from msbdb.surface import heights_above
 

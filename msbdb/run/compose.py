@@ -26,7 +26,8 @@ from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.run.describe import Description, count_cells, describe, describe_choices
-from msbdb.run.prepare import Inputs, Label, note_missing_sources, prepare, read_cloud
+from msbdb.run.inputs import Inputs
+from msbdb.run.prepare import Label, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.tables import Counts, Run
 from msbdb.threads import in_threads

@@ -100,7 +100,7 @@ def change_content(table: "gpd.GeoDataFrame") -> Content:
 
 def _changes(db: str | Path, until: str | None) -> Content:
     """Return the net changes since the first state of each place."""
-    from msbdb.run.inventory.records import changes_of
+    from msbdb.run.inventory.changed import changes_of
 
     found = changes_of(
         db, since=None, until=until, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False

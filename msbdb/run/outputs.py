@@ -227,7 +227,7 @@ def _relief(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") -> "G
         [name] = choice.surveys
         return heights_of(read_survey(engine, name), read_rasters(engine, name))
     if choice.surveys:
-        from msbdb.run.inventory.records import relief_of
+        from msbdb.run.inventory.changed import relief_of
 
         return relief_of(engine, choice.surveys)
     bounds = tuple(buildings.total_bounds.tolist()) if len(buildings) else EMPTY_MAP

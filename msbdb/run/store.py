@@ -30,7 +30,7 @@ from msbdb.kept import KeptRun, Rasters, lattice_of
 from msbdb.landcover import ClassMap
 from msbdb.params import POINT_DETECTORS
 from msbdb.run.compose import relabelled
-from msbdb.run.prepare import Inputs
+from msbdb.run.inputs import Inputs
 from msbdb.run.reports import FIRST, GROUND_RANGE_M, BuildReport, Overview, Progress, Stages
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import REASONS, REJECTION, Reason, Survey

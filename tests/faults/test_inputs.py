@@ -26,7 +26,8 @@ from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import lattice
 from msbdb.io.las import read_points
 from msbdb.io.raster import align_grid, read_grid
-from msbdb.run.prepare import Inputs, Label, make_surface
+from msbdb.run.inputs import Inputs
+from msbdb.run.prepare import Label, make_surface
 
 SECONDS = 10.0
 OREGON_M, OREGON_FT = CRS.from_epsg(2993), CRS.from_epsg(2994)

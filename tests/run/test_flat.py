@@ -14,7 +14,8 @@ from msbdb.detect.flatregions.mongus2013 import detect_flat_regions
 from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
 from msbdb.points.cloud import PointCloud
-from msbdb.run.prepare import Inputs, Label, prepare
+from msbdb.run.inputs import Inputs
+from msbdb.run.prepare import Label, prepare
 from msbdb.run.reports import Stages
 from msbdb.tables import EXTRACTOR_SHARES, PART_FLAT_REGION
 

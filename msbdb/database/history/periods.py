@@ -2,13 +2,11 @@
 
 import json
 from dataclasses import dataclass
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from sqlalchemy import (
-    URL,
     Column,
     ColumnElement,
     Connection,
@@ -25,21 +23,18 @@ from sqlalchemy import (
     union,
 )
 
-from msbdb.database.dialects.connection import connected, snapshot
-from msbdb.database.dialects.dialect import dialect_of, guarded, shown
+from msbdb.database.dialects.connection import snapshot
+from msbdb.database.dialects.databasecrs import database_crs
+from msbdb.database.dialects.dialect import dialect_of, guarded
 from msbdb.database.history.joins import batches
 from msbdb.database.runs.digests import COLUMN
-from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.sqlfiles import footprint_at_query
 from msbdb.database.schema.sqltables import SQL
-from msbdb.database.schema.srid import FIRST_OWN_SRID
 
 if TYPE_CHECKING:
     import geopandas as gpd
     import pandas as pd
-    from pyproj import CRS
 
-    from msbdb.io.crs import Fallback
 
 BUILDING_CHANGE = SQL["building_change"]
 
@@ -323,34 +318,6 @@ def summarise_inventory(engine: Engine) -> dict[str, Any]:
 def has_building(connection: Connection, uid: int) -> bool:
     """Return whether the inventory has a building."""
     return bool(connection.scalar(select(func.count()).where(INVENTORY_BUILDING.c.uid == uid)))
-
-
-def database_crs_of(engine: Engine) -> "CRS":
-    """Return the database's CRS."""
-    with guarded(engine.url), engine.connect() as connection:
-        return database_crs(connection)
-
-
-def read_fallback(target: str | PathLike[str] | URL) -> "Fallback | None":
-    """Return the CRS of a database of any schema, for files that state none; None where there is no database."""
-    from msbdb.io.crs import Fallback
-
-    with connected(target) as connection:
-        if connection is None:
-            return None
-        require_version(connection, shown(connection.engine.url))
-        return Fallback(database_crs(connection), "the database")
-
-
-def database_crs(connection: Connection) -> "CRS":
-    """Return the database's registered CRS."""
-    from pyproj import CRS
-
-    srid = dialect_of(connection.engine.url).database_srid(connection)
-    if srid < FIRST_OWN_SRID:
-        return CRS.from_epsg(srid)
-    query = text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid")
-    return CRS.from_wkt(str(connection.scalar(query, {"srid": srid})))
 
 
 def _between(since: str | None, until: str | None) -> list[ColumnElement[bool]]:

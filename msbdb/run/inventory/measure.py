@@ -44,7 +44,7 @@ from msbdb.labels import Labels, height_statistics, order_heights, sizes, sums
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, with_values
 from msbdb.run.inventory.footprintfile import write_footprints
-from msbdb.run.inventory.records import MEASURED, SINCE_EVER, as_versions, digest_of, keys_of
+from msbdb.run.inventory.imported import MEASURED, SINCE_EVER, as_versions, digest_of, keys_of
 from msbdb.run.reports import BuildReport, MeasureReport
 from msbdb.run.store import recall_elevations
 from msbdb.tables import CONFIRMING_COVER, EXTRACTOR_SHARES, HEIGHTS

@@ -42,8 +42,9 @@ from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
 from msbdb.run.compose import choose_detectors
+from msbdb.run.inputs import Inputs, Paths
 from msbdb.run.inventory.borders import combined, make_seams, near_pieces, pieces_of
-from msbdb.run.prepare import Inputs, Label, Paths
+from msbdb.run.prepare import Label
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
 from msbdb.run.store import recall_elevations
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey

@@ -14,7 +14,8 @@ from msbdb.params import DETECTORS, Params, profile, with_values
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import GROUND_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
-from msbdb.run.prepare import Inputs, Label, prepare, read_cloud
+from msbdb.run.inputs import Inputs
+from msbdb.run.prepare import Label, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 
 GIVEN = "class 2"

@@ -1,0 +1,177 @@
+"""The files of a survey, and what is stated about them: checked before they are read."""
+
+import filecmp
+import os
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Self
+
+from msbdb.errors import InputError, MsbdbWarning
+from msbdb.io.crs import CrsLike, Fallback
+from msbdb.io.extents import (
+    Extent,
+    extent_of_points,
+    extent_of_polygons,
+    extent_of_raster,
+    require_common_place,
+    require_other_points,
+)
+from msbdb.io.files import describe_source, require_input
+from msbdb.io.raster import open_raster, states_crs
+from msbdb.io.vector import read_polygons
+from msbdb.tables import Source
+
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
+ANYWHERE = re.compile(
+    r"(points?|point_?cloud|cloud|lidar|las|laz|dsm|dtm|dem|ndsm|chm|surface|terrain|ground|heights?|tiles?|data|input"
+    r"|output|merged|classified|survey)[-_ ]?\d*",
+    re.IGNORECASE,
+)
+"""Names of files that hold for any place, so that files of two places often have them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The files of a build, and what the user states about them; ``fallback`` is the CRS where nothing states one."""
+
+    points: tuple[Path, ...] = ()
+    ortho: tuple[Path, ...] = ()
+    dsm: Path | None = None
+    dtm: Path | None = None
+    ndsm: Path | None = None
+    crs: str | None = None
+    ortho_crs: str | None = None
+    z_unit: str = "auto"
+    parcels: Path | None = None
+    fallback: Fallback | None = None
+
+    @classmethod
+    def of(cls, points: Paths = (), ortho: Paths = (), **given: Any) -> Self:  # noqa: ANN401  (the other fields)
+        """Return the files as a user gives them: a single one in place of a list, and texts as paths."""
+        files = {name: given[name] for name in ("dsm", "dtm", "ndsm", "parcels") if given.get(name) is not None}
+        return cls(_paths(points), _paths(ortho), **given | {name: Path(file) for name, file in files.items()})
+
+    def __post_init__(self) -> None:
+        """Check that there is one kind of heights."""
+        given = [name for name in ("points", "dsm", "ndsm") if getattr(self, name)]
+        needless, missing = self.dtm and self.ndsm, self.dsm and not self.dtm
+        if len(given) != 1 or needless or missing:
+            msg = (
+                "A build needs either points, with or without a DTM, or a DSM with a DTM, or an nDSM; "
+                f"got {' and '.join(given) or 'none'}{' with' if self.dtm else ' without'} a DTM."
+            )
+            raise InputError(msg)
+
+    def require_files(self) -> None:
+        """Refuse what cannot be read, and two files of equal content: points twice, or heights above themselves.
+
+        Raises
+        ------
+        FileError
+            For a URL, a folder, a missing file, or one of another kind; points show this when they are read, first.
+        InputError
+            For a file that is given twice, also as a copy.
+        """
+        by_size: dict[int, list[tuple[Path, str]]] = {}
+        for path, role in self.files():
+            require_input(path)
+            by_size.setdefault(path.stat().st_size, []).append((path, role))
+        for alike in by_size.values():
+            for (one, role), (other, its_role) in combinations(alike, 2):
+                if filecmp.cmp(one, other, shallow=False):
+                    roles = f"{role} and {its_role}" if role != its_role else f"{role} twice"
+                    msg = f"The same file is given as {roles}: {one} and {other}. Leave one out, or correct its name."
+                    raise InputError(msg)
+        for path, role in self.files():
+            if role == "parcels":
+                require_polygons(path)
+            elif role != "points":
+                with open_raster(path):
+                    pass
+
+    def require_one_place(self) -> None:
+        """Refuse files that cannot be of one survey by what their headers say, before the points are read.
+
+        Raises
+        ------
+        GridMismatchError
+            For a DTM, orthophotos or parcels that lie apart from the heights.
+        InputError
+            For the same points in two files, such as a LAZ and the COPC made from it.
+        """
+        require_other_points(self.points)
+        first = self.extent()
+        if first is None:
+            return
+        if self.dtm is not None:
+            crs = None if states_crs(self.dtm) else self.any_crs
+            require_common_place(first, [extent_of_raster(self.dtm, crs, "DTM")])
+        require_common_place(first, [extent_of_raster(path, self.any_ortho_crs, "image") for path in self.ortho])
+        parcels = None if self.parcels is None else extent_of_polygons(self.parcels)
+        require_common_place(first, [] if parcels is None else [parcels])
+
+    def extent(self) -> Extent | None:
+        """Return what the heights cover by their headers; None where these are wrong."""
+        for path, role in ((self.dsm, "DSM"), (self.ndsm, "nDSM")):
+            if path is not None:
+                return extent_of_raster(path, self.any_crs, role)
+        return extent_of_points(self.points, self.any_crs)
+
+    def files(self) -> Iterator[tuple[Path, str]]:
+        """Yield each file with its role."""
+        heights = ((self.dsm, "dsm"), (self.dtm, "dtm"), (self.ndsm, "ndsm"))
+        yield from ((Path(path), "points") for path in self.points)
+        yield from ((Path(path), role) for path, role in heights if path is not None)
+        yield from ((Path(path), "ortho") for path in self.ortho)
+        if self.parcels is not None:
+            yield Path(self.parcels), "parcels"
+
+    def stated(self) -> dict[str, str]:
+        """Return what the user stated about the files, where it is not the default."""
+        words = {"crs": self.crs, "ortho_crs": self.ortho_crs, "z_unit": self.z_unit if self.z_unit != "auto" else None}
+        return {name: str(word) for name, word in words.items() if word is not None}
+
+    @property
+    def any_crs(self) -> CrsLike | None:
+        """The CRS of points and rasters of heights that state none."""
+        return self.crs or self.fallback
+
+    @property
+    def any_ortho_crs(self) -> CrsLike | None:
+        """The CRS of orthophotos that state none."""
+        return self.ortho_crs or self.fallback
+
+    def default_survey(self) -> str:
+        """Name the survey after the first file, and after its folder too where the file's name holds for any place."""
+        stem = self._stem()
+        return self.longer_survey() if ANYWHERE.fullmatch(stem) else stem
+
+    def longer_survey(self, taken: str = "") -> str:
+        """Return a name of the first file with its folder; NAME where that is taken."""
+        folder = next(self.files())[0].resolve().parent.name
+        name = "-".join(word for word in (folder, self._stem()) if word)
+        return "NAME" if name == taken else name
+
+    def _stem(self) -> str:
+        return next(self.files())[0].stem.removesuffix(".copc")
+
+    def sources(self) -> tuple[Source, ...]:
+        """Describe every file by name, role, size and checksum, in an order of content."""
+        described = [describe_source(path, role) for path, role in self.files()]
+        return tuple(sorted(described, key=lambda source: (source.role, source.sha256)))
+
+
+def _paths(given: Paths) -> tuple[Path, ...]:
+    """Return one path or several as a tuple."""
+    return tuple(map(Path, (given,) if isinstance(given, str | os.PathLike) else given))
+
+
+def require_polygons(path: Path) -> None:
+    """Refuse a file without polygons; notices of the polygons come when they are used."""
+    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+        read_polygons(path)
