@@ -75,13 +75,12 @@ def check_overlaps(connection: Connection) -> Iterator[Finding]:
     counts = shapely.get_num_coordinates(shapes)
     shapely.set_coordinates(shapes, shapely.get_coordinates(shapes) - np.repeat(moves, counts, axis=0))
     one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
-    pairs = np.stack([one, other])[:, one < other]
+    drawn = np.array([row.source == "import" for row in rows])
+    pairs = np.stack([one, other])[:, (one < other) & ~(drawn[one] & drawn[other])]
     shared = shapely.intersection(shapes[pairs[0]], shapes[pairs[1]])
     area_m2 = shapely.area(shared)
     for at in np.flatnonzero(area_m2 >= OVERLAP_M2).tolist():
         a, b = (rows[row] for row in pairs[:, at].tolist())
-        if a.source == b.source == "import":
-            continue
         if a.valid_from != b.valid_from and shapely.buffer(shared[at], -STRIP_M).is_empty:
             continue
         what = f"building {a.uid} covers {area_m2[at]:.2f} m2 of the ground of building {b.uid}"

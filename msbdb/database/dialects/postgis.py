@@ -97,7 +97,7 @@ _OUTDATED = """
 SELECT c.relname
 FROM pg_class AS c JOIN pg_namespace AS n ON n.oid = c.relnamespace
 WHERE n.nspname = current_schema() AND c.relname = ANY(:tables)
-  AND (c.reltuples <= 0
+  AND (c.reltuples < 0
        OR COALESCE(pg_stat_get_mod_since_analyze(c.oid), 0) + pg_stat_get_xact_tuples_inserted(c.oid)
           + pg_stat_get_xact_tuples_updated(c.oid) + pg_stat_get_xact_tuples_deleted(c.oid) > c.reltuples)
 ORDER BY c.relname
