@@ -26,6 +26,7 @@ from msbdb.database.history.periods import (
     read_fallback,
     read_history,
     read_states,
+    require_past,
     summarise_inventory,
 )
 from msbdb.database.history.shownlayers import ShownLayers, read_shown
@@ -131,6 +132,7 @@ __all__ = [
     "read_states",
     "read_survey",
     "read_tables",
+    "require_past",
     "run_example",
     "run_heads",
     "shown",

@@ -1,5 +1,6 @@
 """Reading the living inventory: buildings at a date, changes by surveys, and the order of updates."""
 
+import datetime
 import json
 from dataclasses import dataclass
 from os import PathLike
@@ -33,6 +34,7 @@ from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.sqlfiles import footprint_at_query
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import FIRST_OWN_SRID
+from msbdb.errors import InputError
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -99,6 +101,32 @@ def first_day(date: str) -> str:
     ('2021-01-01', '2021-05-01', '2021-05-31')
     """
     return date + "0000-01-01"[len(date) :]
+
+
+def require_past(date: str, what: str) -> None:
+    """Refuse a date that is none, or is in the future; a day after today is allowed, as it has begun in the east.
+
+    Parameters
+    ----------
+    date : str
+        A day, month or year of ISO 8601.
+    what : str
+        Whose date it is, for messages.
+
+    Raises
+    ------
+    InputError
+        With the next step.
+    """
+    tomorrow = datetime.datetime.now(datetime.UTC).date() + datetime.timedelta(days=1)
+    try:
+        begins = datetime.date.fromisoformat(first_day(date))
+    except ValueError as error:
+        msg = f"The date of {what} is written as 2021-05-31, 2021-05 or 2021; got '{date}'."
+        raise InputError(msg) from error
+    if begins > tomorrow:
+        msg = f"The date of {what}, {date}, is in the future. Give the day on which the data were taken."
+        raise InputError(msg)
 
 
 def read_history(engine: Engine, uid: int | None = None) -> "gpd.GeoDataFrame":

@@ -26,6 +26,7 @@ from msbdb.database import (
     read_rasters,
     read_states,
     read_survey,
+    require_past,
     write_import,
     write_samples,
 )
@@ -69,6 +70,8 @@ def take_inventory(
     crs: str | None,
 ) -> ImportReport:
     """Import the footprints of a file as the inventory; see `msbdb.api.import_inventory`."""
+    if date:
+        require_past(date, f"the footprints of {file.name}")
     frame = read_polygons(file, layer=layer, crs=crs or read_fallback(db))
     engine = _opened_or_created(db, frame)
     try:
