@@ -32,6 +32,8 @@ class InputFile(click.Path):
         """Return the path."""
         from msbdb.io.files import require_input
 
+        if str(value).startswith("--"):
+            self.fail(f"a file is expected; got the option {value}.", param, ctx)
         try:
             require_input(value)
         except FileError as error:

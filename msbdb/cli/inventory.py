@@ -244,6 +244,9 @@ def changes(
     if as_json:
         emit_json(summary)
         return
+    for written in (out, figure):
+        if written is not None:
+            say(f"Wrote {written}.")
     if not found.counts and not found.in_between:
         click.echo("No survey of the period covers a building there.")
         return

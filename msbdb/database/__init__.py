@@ -14,11 +14,10 @@ from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_da
 from msbdb.database.dialects.databasecrs import database_crs_of, read_fallback
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
+from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.joins import Seams, current_pieces, version_pieces
 from msbdb.database.history.periods import (
-    LAST_DAY,
-    first_day,
     footprint_at,
     has_inventory,
     read_changes,
@@ -130,6 +129,7 @@ __all__ = [
     "read_states",
     "read_survey",
     "read_tables",
+    "require_past",
     "run_example",
     "run_heads",
     "shown",

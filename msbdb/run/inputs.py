@@ -10,8 +10,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, Self
 
-from msbdb.errors import InputError, MsbdbWarning
-from msbdb.io.crs import CrsLike, Fallback
+from msbdb.errors import CRSError, InputError, MsbdbWarning
+from msbdb.io.crs import CrsLike, Fallback, name_of, reference, same_crs
 from msbdb.io.extents import (
     Extent,
     extent_of_points,
@@ -99,6 +99,8 @@ class Inputs:
 
         Raises
         ------
+        CRSError
+            For another CRS than that of the database.
         GridMismatchError
             For a DTM, orthophotos or parcels that lie apart from the heights.
         InputError
@@ -108,6 +110,14 @@ class Inputs:
         first = self.extent()
         if first is None:
             return
+        if self.fallback is not None:
+            metric = reference(first.crs, bounds=first.bounds, where=next(self.files())[0].name).crs
+            if not same_crs(metric, self.fallback.crs):
+                msg = (
+                    f"{self.fallback.whose.capitalize()} is in the CRS {name_of(self.fallback.crs)}, the survey in "
+                    f"{name_of(metric)}; a database has one CRS. Reproject the data, or build into another database."
+                )
+                raise CRSError(msg)
         if self.dtm is not None:
             crs = None if states_crs(self.dtm) else self.any_crs
             require_common_place(first, [extent_of_raster(self.dtm, crs, "DTM")])

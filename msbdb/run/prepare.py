@@ -1,6 +1,5 @@
 """Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
-import datetime
 import logging
 import warnings
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from msbdb.database import first_day
+from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
 from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec, lattice
@@ -59,18 +58,9 @@ class Label:
     classes: pd.DataFrame | None = None
 
     def __post_init__(self) -> None:
-        """Check the date; a day more than today is allowed, as it is tomorrow already in the east."""
-        if not self.date:
-            return
-        tomorrow = datetime.datetime.now(datetime.UTC).date() + datetime.timedelta(days=1)
-        try:
-            begins = datetime.date.fromisoformat(first_day(self.date))
-        except ValueError as error:
-            msg = f"The date of a survey is written as 2021-05-31, 2021-05 or 2021; got '{self.date}'."
-            raise InputError(msg) from error
-        if begins > tomorrow:
-            msg = f"The date of the survey '{self.name}', {self.date}, is in the future. Give the day of the flight."
-            raise InputError(msg)
+        """Check the date."""
+        if self.date:
+            require_past(self.date, f"the survey '{self.name}'")
 
 
 def prepare(

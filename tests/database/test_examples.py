@@ -197,6 +197,7 @@ def test_values_are_bound_not_pasted(loaded: Engine) -> None:
         ("plain_buildings", {"min_area_m2": "nan"}, "is a number"),
         ("inventory_at_date", {"date": "2021"}, "a day such as 2021-05-31"),
         ("tallest_building", {}, "Did you mean tallest_buildings"),
+        ("Tallest", {}, "Did you mean tallest_buildings"),
     ],
 )
 def test_a_value_that_cannot_be_is_refused_and_gives_no_wrong_answer(

@@ -179,8 +179,9 @@ def test_a_torn_database_is_refused(tiles, town):
     assert checksums(town.parent) == before
 
 
-def test_another_crs_is_refused(tmp_path, tiles, town):
-    """A database has one CRS; both are named."""
+def test_another_crs_is_refused(tmp_path, tiles, town, monkeypatch):
+    """A database has one CRS; both are named, before the points are read."""
+    monkeypatch.delattr("msbdb.run.prepare.read_points")
     cloud = SCENES["podium_tower"](density=1.0).points
     other = write_points(tmp_path / "other.laz", cloud, crs=CRS.from_epsg(32632))
     before = checksums(town.parent)

@@ -415,6 +415,13 @@ def test_a_user_gives_the_same_file_twice(tmp_path, tile, heights):
         msbdb.build([tile, tmp_path / "copy.laz"], db=db)
 
 
+def test_a_user_forgets_the_file_behind_an_option(tmp_path):
+    """The next option is no file."""
+    result = run("build", "--points", "--db", tmp_path / "town.sqlite")
+    assert result.exit_code == 2
+    assert "a file is expected; got the option --db" in result.stderr
+
+
 @pytest.mark.parametrize("option", ["--ortho", "--dtm", "--parcels", "--aoi"])
 def test_a_user_gives_a_file_of_another_kind(tmp_path, tile, option, monkeypatch):
     """A raster or vector file that is none is refused before the points are read."""
@@ -430,6 +437,9 @@ def test_a_user_gives_a_date_in_the_future(tmp_path, tile):
     args = ["build", "--points", tile, "--db", tmp_path / "town.sqlite", "--date"]
     refuses(tmp_path, [*args, "2999-05-31"], "2999-05-31, is in the future")
     refuses(tmp_path, ["update", *args[1:], "2999", "--survey", "spring"], "2999, is in the future")
+    gpd.GeoDataFrame(geometry=[shapely.box(0, 0, 9, 9)], crs=EPSG).to_file(tmp_path / "ours.gpkg")
+    words = ["import", tmp_path / "ours.gpkg", "--as", "inventory", "--db", tmp_path / "town.sqlite"]
+    refuses(tmp_path, [*words, "--date", "2999"], "footprints of ours.gpkg, 2999, is in the future")
     with pytest.raises(InputError, match="written as 2021-05-31"):
         msbdb.build([tile], db=tmp_path / "town.sqlite", date="31.5.2021")
     now = datetime.datetime.now(datetime.UTC).date()

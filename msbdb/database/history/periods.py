@@ -26,6 +26,7 @@ from sqlalchemy import (
 from msbdb.database.dialects.connection import snapshot
 from msbdb.database.dialects.databasecrs import database_crs
 from msbdb.database.dialects.dialect import dialect_of, guarded
+from msbdb.database.history.days import first_day
 from msbdb.database.history.joins import batches
 from msbdb.database.runs.digests import COLUMN
 from msbdb.database.schema.sqlfiles import footprint_at_query
@@ -52,8 +53,6 @@ SURVEY_OFFSET = SQL["survey_offset"]
 
 Bounds = tuple[float, float, float, float]
 
-LAST_DAY = "9999-12-31"
-"""A day after all surveys."""
 
 _WINDOWS = {
     "sqlite": (
@@ -83,17 +82,6 @@ def footprint_at(engine: Engine, date: str) -> "gpd.GeoDataFrame":
     with guarded(engine.url), engine.connect() as connection:
         query = text(f"SELECT f.*, ST_AsBinary(f.geometry) AS wkb FROM ({footprint_at_query()}) AS f ORDER BY uid")  # noqa: S608  (our own text)
         return _frame(connection, query, {"date": first_day(date)})
-
-
-def first_day(date: str) -> str:
-    """Return the first day of a day, month or year of ISO 8601.
-
-    Examples
-    --------
-    >>> first_day("2021"), first_day("2021-05"), first_day("2021-05-31")
-    ('2021-01-01', '2021-05-01', '2021-05-31')
-    """
-    return date + "0000-01-01"[len(date) :]
 
 
 def read_history(engine: Engine, uid: int | None = None) -> "gpd.GeoDataFrame":

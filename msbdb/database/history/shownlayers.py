@@ -11,8 +11,9 @@ from sqlalchemy import Connection, Engine, func, select, text
 
 from msbdb.database.dialects.connection import snapshot
 from msbdb.database.dialects.dialect import dialect_of, shown
+from msbdb.database.history.days import first_day
 from msbdb.database.history.joins import version_pieces
-from msbdb.database.history.periods import INVENTORY_EVENT, first_day
+from msbdb.database.history.periods import INVENTORY_EVENT
 from msbdb.database.runs.reading import RUN, SURVEY, survey_record
 from msbdb.database.schema.sqlfiles import footprint_at_query
 from msbdb.errors import InputError

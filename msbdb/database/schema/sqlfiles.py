@@ -221,7 +221,7 @@ def find_example(name: str) -> ExampleQuery:
     names = sql_names("queries")
     if name in names:
         return _example(name)
-    near = difflib.get_close_matches(name, names, n=3)
+    near = difflib.get_close_matches(name, names, n=3) or [own for own in names if name.lower() in own][:3]
     hint = f"Did you mean {' or '.join(near)}?" if near else f"There are {', '.join(names)}."
     msg = f"There is no example query '{name}'. {hint}"
     raise ParameterError(msg)

@@ -18,6 +18,7 @@ from msbdb.database import (
     open_database,
     opened,
     read_fallback,
+    require_past,
     write_import,
     write_samples,
 )
@@ -54,6 +55,8 @@ def take_inventory(
     crs: str | None,
 ) -> ImportReport:
     """Import the footprints of a file as the inventory; see `msbdb.api.import_inventory`."""
+    if date:
+        require_past(date, f"the footprints of {file.name}")
     frame = read_polygons(file, layer=layer, crs=crs or read_fallback(db))
     engine = _opened_or_created(db, frame)
     try:
