@@ -82,9 +82,9 @@ class FuseParams:
     support_even: float = param(0.51, "1", "s₀: mean share that the detectors cover of 50 m² of even odds.",
         ours="fitted to 2405 objects of seven places; 0.49 to 0.53 with any of them left out", low=0, high=1)
     support_slope: float = param(9.6, "1", "k: log-odds of a building by its mean share beyond s₀.",
-        ours="fitted to 2405 objects of seven places; 9.1 to 10.5 with any of them left out", low=0, high=1000)
+        ours="fitted to 2405 objects of seven places; 9.0 to 10.3 with any of them left out", low=0, high=1000)
     area_slope: float = param(0.74, "1", "a: log-odds of a building by a factor e of its area beyond 50 m².",
-        ours="fitted to 2405 objects of seven places; 0.48 to 1.06 with any of them left out", low=0, high=100)
+        ours="fitted to 2405 objects of seven places; 0.48 to 1.05 with any of them left out", low=0, high=100)
     sure: float = param(0.95, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",
         ours="98 of 100 confirmed objects are true, and 98 of 100 refuted ones false, on places left out of the fit",
         low=0.5, high=1)
