@@ -52,7 +52,9 @@ class Shape:
     """Buildings of several pieces."""
 
 
-def measure_shape(outlines: Geometries, traced: Geometries, reference: Reference, truth: Geometries) -> Shape:
+def measure_shape(
+    outlines: Geometries, traced: Geometries, reference: Reference, truth: Geometries, *, islands: bool = False
+) -> Shape:
     """Measure the outlines of a case.
 
     Parameters
@@ -65,15 +67,17 @@ def measure_shape(outlines: Geometries, traced: Geometries, reference: Reference
         The cells that are building, and those that are scored.
     truth : (M,) ndarray of Polygon
         The outlines of the reference (`objects_of`).
+    islands : bool
+        The reference does not divide touching houses: matched buildings are those that touch, together.
     """
     found = rasterise(outlines, reference.spec) > 0
     both = np.count_nonzero(found & reference.built & reference.scored)
     either = np.count_nonzero((found | reference.built) & reference.scored)
-    mine, theirs = matched(shapely.make_valid(outlines), truth)
     rings = shapely.get_rings(shapely.get_parts(outlines))
     length = float(shapely.length(outlines).sum())
     one, three = along_directions(outlines)
     union = shapely.union_all(outlines)
+    mine, theirs = matched(shapely.get_parts(union) if islands else shapely.make_valid(outlines), truth)
     cells = shapely.union_all(traced)
     # A hole that was mostly building is a gap between outlines.
     gaps = [hole.area for hole in holes_of(union) if shapely.intersection(hole, cells).area > hole.area / 2]
