@@ -15,8 +15,8 @@ R = TypeVar("R")
 MOST = 4
 """Most threads at a time: each holds temporary arrays of the whole lattice, and the memory's speed is shared."""
 
-HIDDEN = "Dataset has no geotransform"
-"""rasterio hides this warning of its own by filters that all threads share, so another thread may bring it back."""
+HIDDEN = "Dataset has no geotransform|The given matrix is equal to Affine.identity"
+"""rasterio hides these warnings of its own by filters that all threads share, so another thread may bring them back."""
 
 
 def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
