@@ -45,7 +45,8 @@ from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import DatabaseError
 from msbdb.kept import KeptRun
 from msbdb.params import Params, with_values
-from msbdb.run import compose, store, update
+from msbdb.run import compose, store
+from msbdb.run.inventory import update
 
 SPAWN = multiprocessing.get_context("spawn")
 

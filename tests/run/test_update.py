@@ -15,7 +15,7 @@ from msbdb import api
 from msbdb.database import canonical_dump, footprint_at, open_database, write_build
 from msbdb.errors import InputError
 from msbdb.params import profile, with_values
-from msbdb.run import update as module
+from msbdb.run.inventory import update as module
 from msbdb.tables import HEIGHTS
 
 ONLY = {"extract": ("multiscale",)}
