@@ -4,8 +4,8 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from threading import current_thread, main_thread
+from contextlib import contextmanager, nullcontext
+from threading import local
 from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
@@ -17,6 +17,8 @@ MOST = 4
 
 HIDDEN = "Dataset has no geotransform|The given matrix is equal to Affine.identity"
 """rasterio hides these warnings of its own by filters that all threads share, so another thread may bring them back."""
+
+_OF_THREAD = local()
 
 
 def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
@@ -35,17 +37,20 @@ def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
     threads = min(len(tasks), cores(), MOST)
     if threads < 2:
         return [work(item) for item in tasks]
-    with _hidden_warnings(), ThreadPoolExecutor(threads) as pool:
+    # A pool within a pool leaves the filters alone: threads that end in another order would put back old ones.
+    inside = getattr(_OF_THREAD, "in_pool", False)
+    with nullcontext() if inside else _hiding(), ThreadPoolExecutor(threads, initializer=_enter_pool) as pool:
         return list(pool.map(work, tasks))
 
 
-def _hidden_warnings() -> AbstractContextManager[None]:
-    """Return the filters of warnings for a pool: set and put back by the main thread alone."""
-    return _without_hidden() if current_thread() is main_thread() else nullcontext()
+def _enter_pool() -> None:
+    """Mark a thread as one of a pool."""
+    _OF_THREAD.in_pool = True
 
 
 @contextmanager
-def _without_hidden() -> Iterator[None]:
+def _hiding() -> Iterator[None]:
+    """Hide `HIDDEN` while the block runs."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=HIDDEN)
         yield

@@ -2,6 +2,7 @@
 
 import threading
 import time
+import warnings
 
 import pytest
 
@@ -45,3 +46,23 @@ def test_the_first_error_is_told(monkeypatch):
 def test_at_least_one_core_is_known():
     """On every system."""
     assert threads.cores() >= 1
+
+
+def test_pools_within_pools_hide_what_rasterio_hides_and_put_the_filters_back(monkeypatch):
+    """Its warnings never come through, another does, and all filters are as before."""
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+
+    def warn(words):
+        time.sleep(0.001)
+        warnings.warn(words, UserWarning, stacklevel=1)
+
+    def inner(words):
+        in_threads(warn, [words] * 3)
+
+    before = list(warnings.filters)
+    in_threads(
+        inner, ["Dataset has no geotransform, gcps, or rpcs.", "The given matrix is equal to Affine.identity"] * 2
+    )
+    with pytest.raises(UserWarning, match="something else"):
+        in_threads(inner, ["something else"] * 2)
+    assert warnings.filters == before
