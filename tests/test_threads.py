@@ -7,6 +7,7 @@ import warnings
 import pytest
 
 from msbdb import threads
+from msbdb.run.reports import Stages
 from msbdb.threads import in_threads
 
 
@@ -66,3 +67,27 @@ def test_pools_within_pools_hide_what_rasterio_hides_and_put_the_filters_back(mo
     with pytest.raises(UserWarning, match="something else"):
         in_threads(inner, ["something else"] * 2)
     assert warnings.filters == before
+
+
+def test_stages_side_by_side_share_the_time_that_they_took_together():
+    """So that the seconds of all stages add up to those of the whole."""
+    stages = Stages(None)
+    begin = time.perf_counter()
+    with stages.stage("read"):
+        time.sleep(0.01)
+    with stages.side_by_side():
+        both = threading.Barrier(2, timeout=10)
+
+        def work(name):
+            with stages.stage(name):
+                both.wait()
+                time.sleep(0.05)
+
+        pair = [threading.Thread(target=work, args=(name,)) for name in ("adaptive", "area3d")]
+        for thread in pair:
+            thread.start()
+        for thread in pair:
+            thread.join()
+    assert sum(stages.timings.values()) <= time.perf_counter() - begin
+    assert stages.timings["adaptive"] >= 0.02
+    assert stages.timings["area3d"] == pytest.approx(stages.timings["adaptive"], rel=0.5)

@@ -146,7 +146,8 @@ def detect(scene: Scene, methods: Sequence[str], params: Params, stages: Stages)
         with stages.stage(method):
             return DETECTORS[method].detect(scene, params)
 
-    return dict(zip(methods, in_threads(find, methods), strict=True))
+    with stages.side_by_side():
+        return dict(zip(methods, in_threads(find, methods), strict=True))
 
 
 def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:

@@ -70,6 +70,15 @@ class Stages:
         self._report(name, 1)
         logger.info("%s: %.1f s", WORDS.get(name, name), seconds)
 
+    @contextmanager
+    def side_by_side(self) -> Iterator[None]:
+        """Share the time of the block among the stages that run in it at once, so that all add up to the whole."""
+        before, begin = dict(self.timings), time.perf_counter()
+        yield
+        spent = {name: seconds - before.get(name, 0.0) for name, seconds in self.timings.items()}
+        share = min(1.0, (time.perf_counter() - begin) / max(sum(spent.values()), 1e-9))
+        self.timings = {name: before.get(name, 0.0) + share * seconds for name, seconds in spent.items()}
+
     def rounded(self) -> dict[str, float]:
         """Return the timings for a report, seconds."""
         return {name: round(seconds, 3) for name, seconds in self.timings.items()}
