@@ -105,7 +105,24 @@ def plain(value: Any) -> Any:  # noqa: ANN401  (parameters and counts are nested
 
 def to_json(value: Any) -> str:  # noqa: ANN401  (any value of JSON)
     """Return a value as JSON with sorted keys."""
-    return json.dumps(plain(value), sort_keys=True, ensure_ascii=False, allow_nan=False)
+    return exact_json(plain(value))
+
+
+def exact_json(value: Any) -> str:  # noqa: ANN401  (any value of JSON)
+    """Return plain values as JSON with sorted keys and all digits of numbers.
+
+    Some libraries, cjio among them, change Python's own writer for the whole process, so that it rounds numbers. Then
+    the values are written here: digests and ids must not depend on what else is loaded.
+    """
+    if getattr(json.encoder, "float", float) is float:
+        return json.dumps(value, sort_keys=True, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{exact_json(str(key))}: {exact_json(value[key])}" for key in sorted(value)) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(exact_json, value)) + "]"
+    if isinstance(value, float) and math.isfinite(value):
+        return float.__repr__(value)
+    return json.dumps(value, ensure_ascii=False)
 
 
 def text_id(*words: object) -> int:

@@ -1,8 +1,10 @@
 """Ids of parts."""
 
+import json
+
 import numpy as np
 
-from msbdb.identity import part_ids
+from msbdb.identity import part_ids, to_json
 
 
 def ids(survey="survey", cell_m=0.5, **changes):
@@ -56,3 +58,16 @@ def test_one_key_twice_is_one_id():
 def test_no_keys_give_no_ids():
     """An empty build is fine."""
     assert part_ids("survey", 0.5, threshold_px=[], row=[], col=[], piece=[]).size == 0
+
+
+def test_numbers_keep_all_digits_where_another_library_makes_python_round_them(monkeypatch):
+    """Digests of content depend on it: a database must not look damaged because cjio, say, was loaded."""
+    value = {"b": [1 / 3, 2, None, True, 'ä"', 1e-300, float("nan")], "a": {"x": -0.5, "c": (), "e": {}}}
+    expected = to_json(value)
+
+    rounded = type("Rounded", (float,), {"__repr__": staticmethod(lambda number: format(number, ".6f"))})
+    monkeypatch.setattr(json.encoder, "c_make_encoder", None)
+    monkeypatch.setattr(json.encoder, "float", rounded, raising=False)
+    assert json.dumps(1 / 3) == "0.333333"
+    assert to_json(value) == expected
+    assert "0.3333333333333333" in expected

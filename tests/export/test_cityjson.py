@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.blocks import coordinates, mesh_of, solids_of
+from support.cjioreader import cityjson as cjio
 from support.exported import GROUND_M, town_content
 
 from msbdb.errors import PassingNotice
@@ -16,7 +17,6 @@ from msbdb.export.standards.town import Town
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of the libraries when they are loaded
     import cityjson_lib
-    from cjio import cityjson as cjio
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import geopandas as gpd
 import pytest
-from cjio import cityjson
 from click.testing import CliRunner
+from support.cjioreader import cityjson
 from support.offices import office
 
 from msbdb.cli.main import cli

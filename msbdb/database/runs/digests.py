@@ -5,7 +5,6 @@ of earlier ones. So each of its rows has its own digest, in the column `COLUMN`.
 """
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,7 @@ from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects.dialect import Dialect
 from msbdb.database.schema.sqltables import SQL
-from msbdb.identity import plain, text_id, to_json
+from msbdb.identity import exact_json, plain, text_id, to_json
 from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Run, Survey
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def digests(table: str, columns: Sequence[tuple[str, TypeEngine[Any]]], rows: Se
     found = []
     for values in zip(*cells.values(), strict=True):
         known = {name: value for name, value in zip(cells, values, strict=True) if value is not None}
-        found.append(text_id(table, json.dumps(known, sort_keys=True, ensure_ascii=False)))
+        found.append(text_id(table, exact_json(known)))
     return found
 
 
