@@ -167,6 +167,7 @@ def classify(
     z_unit: str = "auto",
     params: Params | None = None,
     profile: str = "default",
+    ground: bool = False,
     keep: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -195,8 +196,11 @@ def classify(
         Parameters; the profile's by default.
     profile : str
         Name of the profile that the parameters come from.
+    ground : bool
+        Put the points of the ground in class 2: those within ``ground.height_m`` of the terrain that are no building.
     keep : bool
-        Keep the points of class 6 of the source in class 6, found or not; otherwise they become unclassified (1).
+        Keep the points of class 6 of the source in class 6, found or not; otherwise they become unclassified (1). With
+        ``ground`` this holds for class 2, too.
     overwrite : bool
         Replace ``out`` if it exists.
     progress : callable, optional
@@ -217,5 +221,12 @@ def classify(
     inputs = Inputs.of(source, ortho, dtm=dtm, crs=crs, ortho_crs=ortho_crs, z_unit=z_unit)
     values = params or named_profile(profile)
     return classify_points(
-        inputs, Path(out), extract=extract, params=values, keep=keep, overwrite=overwrite, progress=progress
+        inputs,
+        Path(out),
+        extract=extract,
+        params=values,
+        ground=ground,
+        keep=keep,
+        overwrite=overwrite,
+        progress=progress,
     )

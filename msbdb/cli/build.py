@@ -311,6 +311,7 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
         "msbdb classify town.laz classified.laz",
         "msbdb classify town.laz classified.las --extract multiscale --crs EPSG:28992 --overwrite",
         "msbdb classify town.copc.laz classified.laz --extract area3d,adaptive --ortho cir.tif --json",
+        "msbdb classify town.laz classified.laz --ground",
         "msbdb classify town.laz classified.laz --dtm terrain.tif",
     ),
 )
@@ -323,7 +324,8 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
     show_default=True,
     metavar="NAME,NAME",
     help="The detectors to run. area3d and adaptive classify points; of multiscale and flatregions, the points in "
-    "their regions count. With several detectors, a point that any of them finds is a building.",
+    "their regions count. Three or more with multiscale decide together, as in a build; of others, a point that any of "
+    "them finds is a building.",
 )
 @click.option("--crs", type=crs_name, metavar="EPSG", help="The points' CRS where the file does not state it.")
 @click.option(
@@ -352,14 +354,19 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
     metavar="SECTION.NAME=VALUE",
     help="One value over all others; repeatable.",
 )
-@click.option("--keep", is_flag=True, help="Keep the points of class 6 of IN in class 6, found or not.")
+@click.option("--ground", is_flag=True, help="Put the points of the ground in class 2, too.")
+@click.option(
+    "--keep",
+    is_flag=True,
+    help="Keep the points of class 6 of IN in class 6, found or not; those of class 2 with --ground.",
+)
 @shared("overwrite", "json")
 def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:  # noqa: ANN401  (the options)
     """Write a copy of the points with the buildings in class 6.
 
     IN is LAS, LAZ or COPC. OUT is LAS or LAZ, by its ending, and has the same points in the same order. Only classes
-    change: points of buildings get class 6. Points of class 6 that were not found get class 1, unclassified. All others
-    keep their class.
+    change: points of buildings get class 6, and with --ground those of the ground class 2. Points of these classes that
+    were not found get class 1, unclassified. All others keep their class.
     """
     params = parameters(options["profile"], options.pop("params_file"), options.pop("settings"), None)
     from msbdb import api
@@ -378,6 +385,7 @@ def classify(*, source: Path, out: Path, as_json: bool, **options: Any) -> None:
         {
             "points": report.points,
             "building points": report.building_points,
+            **({"ground points": report.ground_points} if options["ground"] else {}),
             **{f"regions by {method}": count for method, count in report.regions.items()},
             "changed points": report.changed,
             "buildings before, not found": report.demoted,

@@ -1,6 +1,6 @@
-"""Classification of points: a copy of a LAS or LAZ file whose class 6 is what the detectors found."""
+"""Classification of points: a copy of a LAS or LAZ file, whose class 6 is what the detectors found."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.laswrite import check_output, write_classes
 from msbdb.params import Params
-from msbdb.points.cloud import BUILDING_CLASS, UNCLASSIFIED_CLASS, PointCloud
+from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS, PointCloud
 from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
 from msbdb.run.inputs import Inputs
 from msbdb.run.prepare import Label, prepare
@@ -29,6 +29,7 @@ def classify_points(
     *,
     extract: str | Sequence[str],
     params: Params,
+    ground: bool,
     keep: bool,
     overwrite: bool,
     progress: Progress | None,
@@ -54,16 +55,19 @@ def classify_points(
         else:
             for one in regions.values():
                 taken |= _points_of(one, scene, heights, params)
-        stale = np.zeros_like(taken) if keep else _stale(cloud, taken)
+        on_ground = on_terrain(heights, taken, params.ground.height_m) if ground else np.zeros_like(taken)
+        stale = np.zeros_like(taken) if keep else _stale(cloud, taken, on_ground, ground=ground)
         with stages.stage("write"):
-            classes, where = _as_in_file(read_las_header(source).points, index, taken, stale)
+            found = {BUILDING_CLASS: taken, GROUND_CLASS: on_ground, UNCLASSIFIED_CLASS: stale}
+            classes, where = _as_in_file(read_las_header(source).points, index, found)
             written = write_classes(source, out, classes, where=where, overwrite=overwrite, progress=progress)
     return ClassifyReport(
         points=written.points,
         read=len(cloud),
         building_points=int(np.count_nonzero(taken)),
+        ground_points=int(np.count_nonzero(on_ground)),
         changed=written.changed,
-        demoted=int(np.count_nonzero(stale)),
+        demoted=int(np.count_nonzero(stale & cloud.in_class(BUILDING_CLASS))),
         regions={name: len(one.table) for name, one in regions.items()},
         notices=(*notices.kept, *notices.passing),
         timings=stages.rounded(),
@@ -100,14 +104,36 @@ def points_in(cells: Mask, spec: GridSpec, cloud: PointCloud, heights: NDArray[n
     return spec.sample(cells, cloud.x, cloud.y, outside=False) & (heights >= least_m)
 
 
-def _stale(cloud: PointCloud, taken: Mask) -> Mask:
-    """Return the points that the source calls buildings, and that were not found to be."""
-    return cloud.in_class(BUILDING_CLASS) & ~taken
+def on_terrain(heights: NDArray[np.float64], taken: Mask, tolerance_m: float) -> Mask:
+    """Return the points of the ground: those near the terrain that are no building.
+
+    Parameters
+    ----------
+    heights : (N,) ndarray of float64, metres
+        Heights above the terrain; NaN where unknown, which is not the ground.
+    taken : (N,) ndarray of bool
+        Points of buildings.
+    tolerance_m : float
+        Largest height above or below the terrain, metres. The terrain goes through the lowest points, and the others
+        scatter around it by their noise, the slope and the grass.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+    """
+    return (np.abs(heights) <= tolerance_m) & ~taken
 
 
-def _as_in_file(points: int, index: NDArray[np.int64], taken: Mask, stale: Mask) -> tuple[NDArray[np.uint8], Mask]:
-    """Return the classes of all points of a file, and which of them are to be written."""
-    classes, where = np.full(points, UNCLASSIFIED_CLASS, dtype=np.uint8), np.zeros(points, dtype=np.bool_)
-    classes[index[taken]] = BUILDING_CLASS
-    where[index[taken | stale]] = True
+def _stale(cloud: PointCloud, taken: Mask, on_ground: Mask, *, ground: bool) -> Mask:
+    """Return the points that the source calls buildings, or ground where that is asked for, and that were not found."""
+    before = cloud.in_class(BUILDING_CLASS) | (cloud.in_class(GROUND_CLASS) if ground else False)
+    return before & ~taken & ~on_ground
+
+
+def _as_in_file(points: int, index: NDArray[np.int64], found: Mapping[int, Mask]) -> tuple[NDArray[np.uint8], Mask]:
+    """Return the classes of all points of a file by the points found of each, and which of them are to be written."""
+    classes, where = np.zeros(points, dtype=np.uint8), np.zeros(points, dtype=np.bool_)
+    for number, chosen in found.items():
+        classes[index[chosen]] = number
+        where[index[chosen]] = True
     return classes, where

@@ -230,6 +230,8 @@ class ClassifyReport:
         Points of the file, and those that were read: noise, withheld and lone points are not, and keep their class.
     building_points : int
         Points that were found to be buildings.
+    ground_points : int
+        Points that were found to be ground; 0 where that was not asked for.
     changed : int
         Points whose class is another than before.
     demoted : int
@@ -245,6 +247,7 @@ class ClassifyReport:
     points: int
     read: int
     building_points: int
+    ground_points: int
     changed: int
     demoted: int
     regions: dict[str, int]

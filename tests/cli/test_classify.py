@@ -109,6 +109,25 @@ def test_three_detectors_decide_together_as_in_a_build(folder, tmp_path):
     assert (classes_of(tmp_path / "one.laz")[~taken] == BUILDING).any()
 
 
+def test_a_user_takes_the_ground_away_as_class_2(folder, tmp_path):
+    """Most points of the ground and few others; class 2 that is no ground becomes 1, with --keep it stays."""
+    las, truth = laspy.read(folder / "truth.laz"), classes_of(folder / "truth.laz")
+    wrong = (truth != GROUND) & (truth != BUILDING)
+    las.classification = np.where(wrong & (np.arange(len(las)) % 50 == 0), GROUND, UNCLASSIFIED)
+    las.write(tmp_path / "in.laz")
+    options = ("--extract", "multiscale", "--ground", "--set", "ground.ground_filter=walls")
+    report = classified(tmp_path / "in.laz", tmp_path / "out.laz", *options)
+    is_ground = classes_of(tmp_path / "out.laz") == GROUND
+    assert report["ground_points"] == np.count_nonzero(is_ground)
+    both = np.count_nonzero(is_ground & (truth == GROUND))
+    assert both > 0.97 * np.count_nonzero(truth == GROUND)
+    assert both > 0.97 * np.count_nonzero(is_ground)
+    assert set(np.unique(classes_of(tmp_path / "out.laz"))) == {UNCLASSIFIED, GROUND, BUILDING}
+    classified(tmp_path / "in.laz", tmp_path / "kept.laz", *options, "--keep")
+    kept = classes_of(tmp_path / "kept.laz")
+    assert (kept[(classes_of(tmp_path / "in.laz") == GROUND) & (kept != BUILDING)] == GROUND).all()
+
+
 def test_former_buildings_are_demoted_or_kept(folder, tmp_path):
     """Class 6 of crowns becomes 1, with --keep it stays; ground stays ground; noise and withheld points stay."""
     las, found = laspy.read(folder / "truth.laz"), classes_of(folder / "found.laz") == BUILDING

@@ -226,6 +226,7 @@ class FakeApi(types.ModuleType):
         z_unit="auto",
         params=None,
         profile="default",
+        ground=False,
         keep=False,
         overwrite=False,
         progress=None,
@@ -233,7 +234,14 @@ class FakeApi(types.ModuleType):
         """Write nothing and return a report."""
         values = {name: value for name, value in locals().items() if name != "self"}
         self._note("classify", **values)
-        counts = {"points": 900, "building_points": 300, "regions": {"area3d": 4}, "changed": 20, "demoted": 1}
+        counts = {
+            "points": 900,
+            "building_points": 300,
+            "ground_points": 0,
+            "regions": {"area3d": 4},
+            "changed": 20,
+            "demoted": 1,
+        }
         told = {**counts, "notices": ("It is COPC.",), "timings": {"read": 0.5}}
         return types.SimpleNamespace(**told, as_dict=lambda: told)
 
