@@ -94,7 +94,7 @@ def measure(
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401  (those of build)
 ) -> MeasureReport:
-    """Measure footprints that you have on a survey: heights, storeys, parts, and whether a building stands there.
+    """Measure footprints that you have on a survey: heights, storeys, parts, and whether a building is there.
 
     The survey is built by all detectors, with the footprints as its parcels. Each footprint keeps its outline and its
     columns, and enters the inventory of the database with its measures. So do detected buildings without a footprint.

@@ -219,7 +219,7 @@ def net_changes(rows: pd.DataFrame, versions: gpd.GeoDataFrame, offsets: pd.Data
 def _joined(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows of changes with whole buildings in place of pieces that were joined across a border.
 
-    A piece that begins in the period begins as the building of which it is a part.
+    A piece that begins in the period begins as its building does.
     """
     joins = {row["version_before"]: row for row in records if (row["note"] or "").startswith(ACROSS)}
     made = {row["version_after"] for row in records if row["version_after"] != row["version_before"]}

@@ -38,7 +38,7 @@ from msbdb.errors import counted
 @values
 @shared("overwrite", "json")
 def measure(*, as_json: bool, footprints: Path, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
-    """Measure footprints that you have on a survey: heights, storeys, parts, and whether a building stands there.
+    """Measure footprints that you have on a survey: heights, storeys, parts, and whether a building is there.
 
     FOOTPRINTS are polygons of any vector format and CRS. The survey is built as by 'msbdb build', with the footprints
     as its parcels. Each footprint keeps its outline and all its columns. It gets the levels of ground, eaves and ridge,

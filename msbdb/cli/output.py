@@ -286,7 +286,7 @@ def on_terminal() -> bool:
 
 
 def is_quiet() -> bool:
-    """Return whether the command that runs was told to be quiet."""
+    """Return whether the command that runs has the option ``--quiet``."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(QUIET))
 

@@ -128,7 +128,7 @@ class Estimate:
                 self._share = done / total if total else 1.0
 
     def hold(self) -> None:
-        """Begin a time that says nothing about the pace."""
+        """Begin a time that is left out of the pace."""
         with self._lock:
             self._held = self._now()
 

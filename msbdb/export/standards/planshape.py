@@ -80,7 +80,7 @@ def plan_shape(geometry: shapely.Geometry) -> str:
 def _rectangle(geometry: shapely.Geometry) -> tuple[Corners, tuple[float, float]]:
     """Return the corners (4, 2) of the rectangle around a plan along its walls, counter-clockwise, and its sides.
 
-    The direction of the walls is that of the sum of L e^{4iφ} over walls of length L and direction φ, as walls at right
+    The direction of the walls is that of the sum of L e^{4iφ} over walls of length L and direction φ. Walls at right
     angles have the same e^{4iφ}. The rectangle of the smallest area would lie across a plan like an X.
     """
     walls = [np.diff(shapely.get_coordinates(part.exterior), axis=0) for part in shapely.get_parts(geometry)]
