@@ -180,7 +180,7 @@ def with_support(
     >>> seen |= {"area3d": np.array([1.0, 1.0]), "adaptive": np.array([0.9, 0.0])}
     >>> found = with_support(buildings[:2], seen, params=FuseParams())
     >>> found[["probability", "state"]].round(2).to_numpy().tolist()
-    [[1.0, 'confirmed'], [0.47, 'unsure']]
+    [[0.99, 'confirmed'], [0.38, 'unsure']]
     """
     columns = {DETECTOR_SHARES[name]: covered for name, covered in shares.items()}
     if params is not None:

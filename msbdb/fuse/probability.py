@@ -49,7 +49,7 @@ def building_probability(support: Floats, area_m2: Floats, params: FuseParams) -
     Examples
     --------
     >>> building_probability(np.array([0.9, 0.9, 0.25]), np.array([500, 15, 15.0]), FuseParams()).round(2)
-    array([0.99, 0.95, 0.03])
+    array([1.  , 0.95, 0.03])
     """
     share = np.asarray(support, dtype=np.float64) - params.support_even
     return np.asarray(expit(params.support_slope * share + params.area_slope * np.log(area_m2 / HOUSE_M2)))
