@@ -28,6 +28,7 @@ ALLOWED = {
     "admin/shapechecks.py": OUR_NAMES,
     "dialects/bulk.py": OUR_NAMES,
     "dialects/postgis.py": OUR_NAMES,
+    "dialects/setkeys.py": OUR_NAMES,
     "dialects/spatialite.py": OUR_NAMES,
     "dialects/sqliteconnection.py": "kinds of transactions and values of pragmas are ours",
     "history/periods.py": OUR_NAMES,
