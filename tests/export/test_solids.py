@@ -5,7 +5,7 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from support.blocks import mesh_of
+from support.blocks import is_closed, mesh_of
 
 from msbdb.export.standards.solids import CUT_M, SLIVER_M, Vertices, block_of, on_grid, outlines_of
 
@@ -24,19 +24,25 @@ PINCHED = {
 
 
 def blocks(geometry, low=40.0, high=47.5):
-    """Return the blocks over a geometry as meshes, and the area of their outlines."""
+    """Return the blocks over a geometry as meshes, and the area of their outlines; all blocks are closed."""
     [rounded] = on_grid(np.array([geometry], dtype=object))
     vertices = Vertices(np.floor([*rounded.bounds[:2], low]))
     outlines = outlines_of(rounded)
     made = [block_of(outline, low, high, vertices) for outline in outlines]
     places = np.array(vertices.coordinates()) * 0.001 + vertices.origin
+    assert all(is_closed(block.faces) for block in made)
     return [mesh_of(block.faces, places) for block in made], sum(outline.area for outline in outlines)
 
 
 def assert_closed(meshes, area, height=7.5):
-    """Every edge has two faces in opposite directions, normals point outwards, and the volume is area times height."""
+    """Another program finds them closed, with normals outwards, and the volume is area times height."""
     assert meshes
     assert all(mesh.is_watertight and mesh.is_winding_consistent for mesh in meshes)
+    assert_volume(meshes, area, height)
+
+
+def assert_volume(meshes, area, height=7.5):
+    """Require that the volume is area times height, and positive: normals point outwards."""
     assert sum(mesh.volume for mesh in meshes) == pytest.approx(area * height, rel=1e-6)
 
 
@@ -67,8 +73,9 @@ def test_every_outline_has_closed_blocks(seed, is_cells):
         discs = shapely.points(random.random((5, 2)) * 20)
         geometry = shapely.union_all(shapely.buffer(discs, random.random(5) * 6 + 0.5, quad_segs=3))
     geometry = shapely.transform(geometry, lambda xy: xy + ORIGIN)
+    # Triangles of a face with collinear corners may skip one, so that a mesh of them has gaps where its block has none.
     meshes, area = blocks(geometry)
-    assert_closed(meshes, area)
+    assert_volume(meshes, area)
     assert area == pytest.approx(geometry.area, abs=0.05)
 
 

@@ -26,6 +26,12 @@ def solids_of(city_object, lod):
     return shells
 
 
+def is_closed(shell):
+    """Whether each edge of the faces belongs to two of them, which run through it in opposite directions."""
+    edges = [(a, b) for face in shell for ring in face for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
+    return len(set(edges)) == len(edges) and {(b, a) for a, b in edges} == set(edges)
+
+
 def mesh_of(shell, vertices):
     """Return a shell as a mesh, its faces triangulated with their holes; equal vertices are not merged."""
     triangles = [triangle for face in shell for triangle in triangulated(face, vertices)]
