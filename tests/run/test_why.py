@@ -219,6 +219,7 @@ NIMES = {
 """Places of the real tile that were looked at, and the answer."""
 
 
+@pytest.mark.long
 @pytest.mark.nimes
 def test_places_of_a_real_town_have_their_known_answers(tmp_path):
     """The Roman arena and its floor, blocks of the old town, crowns, open ground, and a corner without data."""

@@ -61,6 +61,7 @@ def test_the_nightly_script_brings_surveys_in_once(surveys: Path, tmp_path: Path
     assert again.stdout.count("this update was applied already") == 2
 
 
+@pytest.mark.long
 def test_the_nightly_script_stops_at_the_first_failure(surveys: Path, tmp_path: Path, msbdb: None) -> None:
     """Earlier surveys are in; a broken file keeps later ones from overtaking it."""
     folder, db = tmp_path / "surveys", tmp_path / "town.sqlite"
