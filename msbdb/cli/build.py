@@ -104,10 +104,10 @@ _VALUES = (
     click.option(
         "--denoising-figure",
         type=OUTPUT_FILE,
-        metavar="FILE.png",
+        metavar="PICTURE",
         help="Also draw the surface before and after the denoising for the flat regions.",
     ),
-    click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Also draw the map of 'msbdb view'."),
+    click.option("--figure", type=OUTPUT_FILE, metavar="PICTURE", help="Also draw the map of 'msbdb view'."),
     click.option(
         "--replace",
         is_flag=True,

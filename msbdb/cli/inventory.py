@@ -211,7 +211,7 @@ def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> 
 @click.option(
     "--out", type=OUTPUT_FILE, metavar="FILE", help="Write all rows, by the ending: .gpkg, .geojson, .csv, .parquet …"
 )
-@click.option("--figure", type=OUTPUT_FILE, metavar="FILE.png", help="Draw the buildings coloured by kind of change.")
+@click.option("--figure", type=OUTPUT_FILE, metavar="PICTURE", help="Draw the buildings coloured by kind of change.")
 @shared("overwrite", "json")
 def changes(
     *,

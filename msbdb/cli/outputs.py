@@ -220,7 +220,7 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
     examples=("msbdb view town.sqlite --out town.png", "msbdb view town.sqlite --of flatregions --out zones.png"),
 )
 @shared("db")
-@click.option("--out", type=OUTPUT_FILE, required=True, metavar="FILE.png", help="The picture to write.")
+@click.option("--out", type=OUTPUT_FILE, required=True, metavar="PICTURE", help="The file: .png, .svg or .pdf.")
 @click.option(
     "--of",
     type=click.Choice(["buildings", *REGION_DETECTORS]),

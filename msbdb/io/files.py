@@ -15,7 +15,7 @@ from msbdb.tables import Source
 SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".shp.xml")
 """The files of a Shapefile, some of them left there by other programs."""
 
-PICTURES = (".png",)
+PICTURES = (".png", ".svg", ".pdf")
 """The endings of a map or figure."""
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")

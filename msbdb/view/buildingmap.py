@@ -9,6 +9,7 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -22,8 +23,8 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError
 from msbdb.grid import Grid
-from msbdb.io.files import write_atomic
-from msbdb.view.furniture import north_arrow, outlines, scale_bar
+from msbdb.io.files import PICTURES, write_atomic
+from msbdb.view.furniture import BELOW_INCHES, north_arrow, outlines, scale_bar
 
 MAP_INCHES = 9.0
 """Longer side of the map on paper; the resolution follows the data, so that fonts keep their size."""
@@ -34,6 +35,9 @@ LARGEST_RELIEF = 2500
 GROUND = "#eeece6"
 
 NO_DATA = "#d3dfe9"
+
+NO_CLOCK = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
+"""What is left out of a file of each format, so that the same map gives the same bytes."""
 
 LIGHT_DEG = 45.0
 """Height of the light above the horizon; it comes from the north-west, as on most maps."""
@@ -81,7 +85,8 @@ def draw_map(
     relief : Grid
         DSM, or heights above ground, metres; cells without data are left blank.
     out : Path
-        The picture, ``.png``; folders are made as needed. An old picture stays whole until the new one is complete.
+        The picture, ``.png``, ``.svg`` or ``.pdf``; folders are made as needed. An old picture stays whole until the
+        new one is complete.
     title, subtitle : str
         What is shown; when, and in which CRS.
     thresholds_m2 : mapping of int to float, optional
@@ -90,11 +95,11 @@ def draw_map(
     Raises
     ------
     InputError
-        When the file is no ``.png``.
+        When the file has another ending.
     FileError
         When it cannot be written.
     """
-    require_png(out)
+    require_picture(out)
     figure, axes = sheet(relief)
     draw_relief(axes, relief)
     norm = _height_range(parts)
@@ -119,7 +124,7 @@ def sheet(relief: Grid) -> tuple[Figure, Axes]:
     rows, cols = relief.spec.shape
     longest = max(rows, cols)
     width, height = (max(MAP_INCHES * side / longest, 3.2) for side in (cols, rows))
-    left, right, bottom, top = 0.75, 2.35, 0.45, 0.8
+    left, right, bottom, top = 0.75, 2.35, BELOW_INCHES, 0.8
     sheet_width, sheet_height = left + width + right, bottom + max(height, 4.2) + top
     figure = Figure(figsize=(sheet_width, sheet_height), dpi=min(max(2 * longest / MAP_INCHES, 150), 350))
     FigureCanvasAgg(figure)
@@ -254,8 +259,8 @@ def furnish(figure: Figure, axes: Axes, title: str, subtitle: str) -> None:
     for spine in axes.spines.values():
         spine.set_linewidth(0.8)
         spine.set_edgecolor("#333333")
-    scale_bar(axes)
-    north_arrow(axes)
+    scale_bar(figure, axes)
+    north_arrow(figure, axes)
 
 
 def _legend(
@@ -300,10 +305,10 @@ def _height_bar(figure: Figure, axes: Axes, norm: Normalize) -> None:
     bar.set_title("Height, m", fontsize=9, loc="left", pad=8)
 
 
-def require_png(out: Path) -> None:
+def require_picture(out: Path) -> None:
     """Refuse a picture of another format."""
-    if out.suffix.lower() != ".png":
-        msg = f"A map is written as PNG; got the name {out.name}. Give it the ending .png."
+    if out.suffix.lower() not in PICTURES:
+        msg = f"A map is written as PNG, SVG or PDF; got the name {out.name}. Give it the ending .png, .svg or .pdf."
         raise InputError(msg)
 
 
@@ -313,7 +318,9 @@ def write_picture(figure: Figure, out: Path) -> None:
     with warnings.catch_warnings():
         # Signs that the font lacks are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
-        figure.savefig(picture, format="png", metadata={"Software": None})
+        kind = out.suffix.lower()[1:]
+        with rc_context({"svg.hashsalt": "msbdb"}):
+            figure.savefig(picture, format=kind, metadata={NO_CLOCK[kind]: None})
     with write_atomic(out) as temporary:
         temporary.write_bytes(picture.getvalue())
 
@@ -328,7 +335,7 @@ def draw_changes(changes: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: s
     relief, out, title, subtitle
         As for `draw_map`, which raises the same errors.
     """
-    require_png(out)
+    require_picture(out)
     figure, axes = sheet(relief)
     draw_relief(axes, relief)
     for order, (kind, colour) in enumerate(KINDS.items()):

@@ -10,15 +10,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.path import Path as Outline
-from matplotlib.patheffects import Normal, Stroke, withStroke
-from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
 
-HALO = [withStroke(linewidth=3, foreground="white", alpha=0.9)]
-"""A white edge that keeps letters legible on any background."""
-
-EDGE = [Stroke(linewidth=3.2, foreground="white"), Normal()]
-"""The same for shapes."""
+BELOW_INCHES = 0.75
+"""Margin of a sheet below the map: for the coordinates, the scale bar and the north arrow."""
 
 
 def colour_bar(figure: Figure, axes: Axes, mapper: ScalarMappable, title: str) -> None:
@@ -61,81 +56,48 @@ def round_length(longest: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= longest))
 
 
-def scale_bar(axes: Axes, *, share: float = 0.22) -> None:
-    """Draw a bar of a round length in the map's lower left corner.
+def scale_bar(figure: Figure, axes: Axes, *, share: float = 0.22) -> None:
+    """Draw a bar of a round length below the map's lower right corner.
 
     Parameters
     ----------
+    figure : Figure
+        The sheet of `msbdb.view.buildingmap.sheet`.
     axes : Axes
-        A map in metres whose limits are final.
+        Its map, in metres, whose limits are final.
     share : float
         Longest length of the bar as a share of the map's width.
     """
     west, east = axes.get_xlim()
     length = round_length((east - west) * share)
-    box = axes.get_window_extent()
-    per_metre = box.width / (east - west)
-    point = axes.figure.dpi / 72
-    x, y, height = box.x0 + 14 * point, box.y0 + 14 * point, 4.5 * point
+    box = axes.get_position()
+    width, height = figure.get_figwidth(), figure.get_figheight()
+    drawn = (box.x1 - box.x0) * width * length / (east - west)
+    x, y = box.x1 * width - drawn - 0.6, box.y0 * height - BELOW_INCHES + 0.12
     for half, colour in ((0, "black"), (1, "white")):
-        axes.add_patch(
-            Rectangle(
-                (x + half * length * per_metre / 2, y),
-                length * per_metre / 2,
-                height,
-                transform=IdentityTransform(),
-                facecolor=colour,
-                edgecolor="black",
-                linewidth=0.8,
-                zorder=10,
-                path_effects=EDGE,
-            )
-        )
+        bar = Rectangle((x + half * drawn / 2, y), drawn / 2, 0.06, facecolor=colour, edgecolor="black", linewidth=0.8)
+        bar.set_transform(figure.dpi_scale_trans)
+        figure.add_artist(bar)
     label = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     for position, words in ((0.0, "0"), (1.0, label)):
-        axes.text(
-            x + position * length * per_metre,
-            y + height + 3 * point,
-            words,
-            transform=IdentityTransform(),
-            ha="center",
-            va="bottom",
-            fontsize=8,
-            zorder=11,
-            path_effects=HALO,
-        )
+        figure.text(
+            x + position * drawn, y + 0.09, words,
+            ha="center", va="bottom", fontsize=8, transform=figure.dpi_scale_trans,
+        )  # fmt: skip
 
 
-def north_arrow(axes: Axes) -> None:
-    """Draw an arrow to grid north in the map's upper right corner."""
-    box = axes.get_window_extent()
-    point = axes.figure.dpi / 72
-    x, top, size = box.x1 - 18 * point, box.y1 - 14 * point, 24 * point
+def north_arrow(figure: Figure, axes: Axes) -> None:
+    """Draw an arrow to grid north below the map's lower right corner, beside the scale bar."""
+    box = axes.get_position()
+    x = box.x1 * figure.get_figwidth() - 0.12
+    top = box.y0 * figure.get_figheight() - BELOW_INCHES + 0.42
     for side, colour in ((-1, "black"), (1, "white")):
-        corners = [(x, top), (x + side * size / 3, top - size), (x, top - 0.78 * size)]
-        axes.add_patch(
-            Polygon(
-                corners,
-                closed=True,
-                transform=IdentityTransform(),
-                facecolor=colour,
-                edgecolor="black",
-                linewidth=0.8,
-                zorder=10,
-                path_effects=EDGE,
-            )
-        )
-    axes.text(
-        x,
-        top - size - 2 * point,
-        "N",
-        transform=IdentityTransform(),
-        ha="center",
-        va="top",
-        fontsize=10,
-        fontweight="bold",
-        zorder=11,
-        path_effects=HALO,
+        corners = [(x, top), (x + side * 0.1, top - 0.3), (x, top - 0.23)]
+        half = Polygon(corners, closed=True, facecolor=colour, edgecolor="black", linewidth=0.8)
+        half.set_transform(figure.dpi_scale_trans)
+        figure.add_artist(half)
+    figure.text(
+        x - 0.12, top, "N", ha="right", va="top", fontsize=9, fontweight="bold", transform=figure.dpi_scale_trans
     )
 
 

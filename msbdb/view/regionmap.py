@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from msbdb.grid import Grid
-from msbdb.view.buildingmap import draw_relief, furnish, require_png, sheet, write_picture
+from msbdb.view.buildingmap import draw_relief, furnish, require_picture, sheet, write_picture
 from msbdb.view.furniture import colour_bar, outlines
 
 SCALES = ("#fde725", "#5ec962", "#21918c", "#31688e", "#440154")
@@ -35,18 +35,18 @@ def draw_candidates(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title
     relief : Grid
         Heights, metres, for the hillshade.
     out : Path
-        The picture, ``.png``.
+        The picture, ``.png``, ``.svg`` or ``.pdf``.
     title, subtitle : str
         What is shown; when, and in which CRS.
 
     Raises
     ------
     InputError
-        When the file is no ``.png``.
+        When the file has another ending.
     FileError
         When it cannot be written.
     """
-    require_png(out)
+    require_picture(out)
     figure, axes = sheet(relief)
     draw_relief(axes, relief)
     scales = regions["height_scale_m"].to_numpy(dtype=np.float64)
@@ -91,7 +91,7 @@ def draw_zones(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title: str
     relief, out, title, subtitle
         As for `draw_candidates`, which raises the same errors.
     """
-    require_png(out)
+    require_picture(out)
     figure, axes = sheet(relief)
     draw_relief(axes, relief)
     if len(regions):
@@ -114,18 +114,18 @@ def draw_denoising(before: Grid, after: Grid, out: Path, *, title: str) -> None:
     before, after : Grid
         Heights on one lattice, metres.
     out : Path
-        The picture, ``.png``.
+        The picture, ``.png``, ``.svg`` or ``.pdf``.
     title : str
         What is shown.
 
     Raises
     ------
     InputError
-        When the file is no ``.png``.
+        When the file has another ending.
     FileError
         When it cannot be written.
     """
-    require_png(out)
+    require_picture(out)
     rows, cols = before.spec.shape
     figure = Figure(figsize=(12.0, max(6.0 * rows / cols, 2.0) + 0.6), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
