@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import laspy
+import numpy as np
 
 from cases.copies import with_class_alone
 from cases.labelled import Objects, Reference
+from cases.othergrounds import OTHER_GROUNDS
 from msbdb.detect.scene import Scene
 from msbdb.params import DETECTORS, Params, profile, with_values
 from msbdb.parts.forest import Forest
-from msbdb.points.cloud import GROUND_CLASS
+from msbdb.points.cloud import GROUND_CLASS, UNCLASSIFIED_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
 from msbdb.run.inputs import Inputs
 from msbdb.run.prepare import Label, prepare, read_cloud
@@ -72,14 +74,21 @@ def build(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Forest]:
 
 
 def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params]:
-    """Run the detectors on a case by the default values on a ground, and return the values for the later steps."""
-    kept = GROUND_CLASS if ground == GIVEN else None
-    params = with_values(profile(), {"ground": {"ground_filter": "class2" if ground == GIVEN else ground}})
+    """Run the detectors on a case by the default values, and return the values for the later steps.
+
+    The ground is that of a filter of ours, of the given classes, or of another method, whose points count as class 2.
+    """
+    clouds = [with_class_alone(cloud, GROUND_CLASS if ground == GIVEN else None) for cloud in case.clouds]
+    if ground in OTHER_GROUNDS:
+        for cloud, mask in zip(clouds, OTHER_GROUNDS[ground](clouds), strict=True):
+            cloud.classification = np.where(mask, GROUND_CLASS, UNCLASSIFIED_CLASS).astype(np.uint8)
+    own = "class2" if ground == GIVEN or ground in OTHER_GROUNDS else ground
+    params = with_values(profile(), {"ground": {"ground_filter": own}})
     with tempfile.TemporaryDirectory() as folder, collect_notices(Notices()):
         files = []
-        for number, cloud in enumerate(case.clouds):
+        for number, cloud in enumerate(clouds):
             files.append(Path(folder) / f"{number}.las")
-            with_class_alone(cloud, kept).write(files[-1])
+            cloud.write(files[-1])
         inputs, stages = Inputs(points=tuple(files), crs=case.crs), Stages(None)
         scene, params = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
         return scene, detect(scene, DETECTORS, params, stages), params
