@@ -16,7 +16,7 @@ from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
-from msbdb.database.history.joins import Seams, current_pieces, version_pieces
+from msbdb.database.history.joins import Seams, current_pieces
 from msbdb.database.history.periods import (
     footprint_at,
     has_inventory,
@@ -139,7 +139,6 @@ __all__ = [
     "summarise_run",
     "survey_key",
     "upgrade_schema",
-    "version_pieces",
     "write_advance",
     "write_build",
     "write_import",

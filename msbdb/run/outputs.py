@@ -197,8 +197,7 @@ def _frames(engine: Engine, choice: Choice) -> "dict[str, gpd.GeoDataFrame]":
         for name, table in LAYERS.items():
             frame = gpd.GeoDataFrame(tables[table.name])
             if present is not None and name == "part":
-                own = [building for its, building in pieces if its == survey]
-                frame = frame[frame["building_id"].isin(own)]
+                frame = frame[frame["building_id"].isin(pieces)]
             read[name].append(frame)
     found = {}
     for name, frames in read.items():

@@ -9,6 +9,7 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 import pytest
+import shapely
 from click.testing import CliRunner
 from shapely import box
 from simulated import scenes
@@ -180,3 +181,6 @@ def test_the_command_of_the_readme_measures_a_cadastre(tmp_path: Path, monkeypat
     rows = gpd.pd.read_csv("measured.csv")
     assert rows["has_footprint"].sum() == 11
     assert rows["number"].isna().sum() == 1
+    kinds = Path("measured.csvt").read_text(encoding="utf-8").strip().replace('"', "").split(",")
+    assert dict(zip(rows.columns, kinds, strict=True))["building_id"] == "String"
+    assert shapely.area(shapely.from_wkt(rows["WKT"])).sum() > own.area.sum()
