@@ -67,6 +67,7 @@ def _counts(summary: RunSummary) -> dict[str, Any]:
         "flat_regions": summary.rows["flat_region"],
         "candidate_regions": summary.candidates,
         "rejected": summary.rejected,
+        "rejected_rows": summary.rejected_rows,
         "footprint_m2": round(summary.footprint_m2, 1),
         "volume_m3": round(summary.volume_m3, 1),
         "highest_m": None if summary.highest_m is None else round(summary.highest_m, 2),
