@@ -1,4 +1,4 @@
--- The schema 0005 of msbdb for postgis.
+-- The schema 0006 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -105,6 +105,8 @@ CREATE TABLE building_version (
   CONSTRAINT fk_building_version_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
   CONSTRAINT fk_building_version_closed_by FOREIGN KEY(closed_by) REFERENCES survey (survey_id)
 );
+
+CREATE INDEX ix_building_version_building_id ON building_version (building_id);
 
 CREATE INDEX ix_building_version_closed_by ON building_version (closed_by);
 
@@ -602,6 +604,34 @@ ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
 
 ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 
+CREATE VIEW roof_material_by_class AS
+SELECT s.name AS survey, m.material, p.speindex, c.label AS class_label, COUNT(*) AS samples
+FROM roof_sample AS m
+JOIN part AS p ON ST_Intersects(p.geometry, m.geometry)
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
+WHERE NOT EXISTS (
+  SELECT 1 FROM part AS f
+  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
+)
+GROUP BY s.name, m.material, p.speindex, c.label;
+
+CREATE VIEW building_piece AS
+WITH RECURSIVE piece (version_id, member_id) AS (
+  SELECT version_after, version_before FROM building_change WHERE note LIKE 'across a border: %'
+  UNION
+  SELECT piece.version_id, c.version_before
+  FROM piece JOIN building_change AS c ON c.version_after = piece.member_id AND c.note LIKE 'across a border: %'
+)
+SELECT version_id, building_id FROM building_version WHERE building_id IS NOT NULL
+UNION ALL
+SELECT DISTINCT v.version_id, m.building_id
+FROM piece
+JOIN building_version AS v ON v.version_id = piece.version_id
+JOIN building_version AS m ON m.version_id = piece.member_id
+WHERE m.building_id <> v.building_id;
+
 CREATE VIEW footprint AS
 SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.storeys_min, b.storeys_max,
        b.storeys_top, b.z_ground, b.eaves, b.ridge, b.z_eaves, b.z_ridge, b.speindex, b.area_m2,
@@ -736,6 +766,17 @@ LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN operator_state AS o ON o.uid = v.uid
 WHERE v.valid_to IS NULL;
 
+CREATE VIEW part_current AS
+SELECT p.part_id, s.name AS survey, v.building_id, p.supid, p.supscale, p.root_id, p.scale, p.hindex, p.hzone,
+       p.speindex, p.xo, p.yo, p.xcen, p.ycen, p.xin, p.yin, p.area_px, p.area_m2, p.stddis, p.h_max, p.h_mean,
+       p.h_p50, p.h_p90, p.h_std, p.building_share, p.outline_source, p.geometry
+FROM part AS p
+JOIN building_piece AS b ON b.building_id = p.building_id
+JOIN building_version AS v ON v.version_id = b.version_id
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+WHERE v.valid_to IS NULL;
+
 CREATE VIEW building_history AS
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey,
        COALESCE((SELECT MIN(c.kind) FROM building_change AS c
@@ -747,19 +788,6 @@ SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey
 FROM building_version AS v
 LEFT JOIN survey AS s ON s.survey_id = v.survey_id
 LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
-
-CREATE VIEW roof_material_by_class AS
-SELECT s.name AS survey, m.material, p.speindex, c.label AS class_label, COUNT(*) AS samples
-FROM roof_sample AS m
-JOIN part AS p ON ST_Intersects(p.geometry, m.geometry)
-JOIN run AS r ON r.run_id = p.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
-WHERE NOT EXISTS (
-  SELECT 1 FROM part AS f
-  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
-)
-GROUP BY s.name, m.material, p.speindex, c.label;
 
 CREATE FUNCTION footprint_at(day date)
 RETURNS TABLE (
@@ -1837,6 +1865,62 @@ COMMENT ON COLUMN footprint_current.attributes IS 'attributes from an imported i
 
 COMMENT ON COLUMN footprint_current.geometry IS 'outline of the roof''s edges, in the database''s CRS';
 
+COMMENT ON VIEW part_current IS 'The parts of the present inventory. building_id is that of the building in footprint_current, also of a part that another survey found beyond the border that cuts the building.';
+
+COMMENT ON COLUMN part_current.part_id IS 'ID: from survey, scale and absolute lattice position; above 0';
+
+COMMENT ON COLUMN part_current.survey IS 'name of the survey';
+
+COMMENT ON COLUMN part_current.building_id IS 'the building in footprint_current on which it stands';
+
+COMMENT ON COLUMN part_current.supid IS 'SUPID: the father''s ID; 0 for a root';
+
+COMMENT ON COLUMN part_current.supscale IS 'SUPSCALE: the father''s scale; 0 for a root';
+
+COMMENT ON COLUMN part_current.root_id IS 'ID of the root of its tree';
+
+COMMENT ON COLUMN part_current.scale IS 'SCALE: the scale on which the part exists, 1 = coarsest';
+
+COMMENT ON COLUMN part_current.hindex IS 'H: storeys from h_p90, or with surface.storeys_from=zone the same as hzone (V18, V30) [storeys]';
+
+COMMENT ON COLUMN part_current.hzone IS 'H by the letter of the paper: the value of the flat zone [slices]';
+
+COMMENT ON COLUMN part_current.speindex IS 'SPE: the most frequent spectral class inside; 0 for none';
+
+COMMENT ON COLUMN part_current.xo IS 'XO: easting of the first cell in row order [m]';
+
+COMMENT ON COLUMN part_current.yo IS 'YO: northing of the first cell in row order [m]';
+
+COMMENT ON COLUMN part_current.xcen IS 'XCEN: easting of the centroid of its cells [m]';
+
+COMMENT ON COLUMN part_current.ycen IS 'YCEN: northing of the centroid of its cells [m]';
+
+COMMENT ON COLUMN part_current.xin IS 'easting of a point that lies on the part [m]';
+
+COMMENT ON COLUMN part_current.yin IS 'northing of a point that lies on the part [m]';
+
+COMMENT ON COLUMN part_current.area_px IS 'number of cells [cells]';
+
+COMMENT ON COLUMN part_current.area_m2 IS 'AREA: area of the cells [m2]';
+
+COMMENT ON COLUMN part_current.stddis IS 'STDDIS: std of the children''s distances to the centre; null without children [m]';
+
+COMMENT ON COLUMN part_current.h_max IS 'largest height above ground inside [m]';
+
+COMMENT ON COLUMN part_current.h_mean IS 'mean height above ground inside [m]';
+
+COMMENT ON COLUMN part_current.h_p50 IS 'median height above ground inside [m]';
+
+COMMENT ON COLUMN part_current.h_p90 IS '90th percentile of the height above ground inside [m]';
+
+COMMENT ON COLUMN part_current.h_std IS 'standard deviation of the heights inside [m]';
+
+COMMENT ON COLUMN part_current.building_share IS 'share of its cells whose class is a building class [1]';
+
+COMMENT ON COLUMN part_current.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
+
+COMMENT ON COLUMN part_current.geometry IS 'outline of the roof''s edges, in the database''s CRS';
+
 COMMENT ON VIEW building_history IS 'All versions of the inventory''s buildings, with the change by which each began and ended.';
 
 COMMENT ON COLUMN building_history.version_id IS 'from the building and the survey or import that made it';
@@ -1891,7 +1975,13 @@ COMMENT ON COLUMN roof_material_by_class.class_label IS 'building, vegetation, s
 
 COMMENT ON COLUMN roof_material_by_class.samples IS 'number of samples [count]';
 
+COMMENT ON VIEW building_piece IS 'The buildings of runs that each version of the inventory was copied from. It is one building, or several where a border of surveys cuts it: then each survey has a piece. A version that no survey measured has none.';
+
+COMMENT ON COLUMN building_piece.version_id IS 'from the building and the survey or import that made it';
+
+COMMENT ON COLUMN building_piece.building_id IS 'the building of a run, which a rebuild may replace';
+
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0006');
 

@@ -1,4 +1,4 @@
--- The schema 0005 of msbdb for spatialite.
+-- The schema 0006 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -105,6 +105,8 @@ CREATE TABLE building_version (
   CONSTRAINT fk_building_version_survey FOREIGN KEY(survey_id) REFERENCES survey (survey_id),
   CONSTRAINT fk_building_version_closed_by FOREIGN KEY(closed_by) REFERENCES survey (survey_id)
 );
+
+CREATE INDEX ix_building_version_building_id ON building_version (building_id);
 
 CREATE INDEX ix_building_version_closed_by ON building_version (closed_by);
 
@@ -602,6 +604,34 @@ ALTER TABLE operator_state ADD COLUMN row_digest BIGINT;
 
 ALTER TABLE roof_sample ADD COLUMN row_digest BIGINT;
 
+CREATE VIEW roof_material_by_class AS
+SELECT s.name AS survey, m.material, p.speindex, c.label AS class_label, COUNT(*) AS samples
+FROM roof_sample AS m
+JOIN part AS p ON ST_Intersects(p.geometry, m.geometry)
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
+WHERE NOT EXISTS (
+  SELECT 1 FROM part AS f
+  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
+)
+GROUP BY s.name, m.material, p.speindex, c.label;
+
+CREATE VIEW building_piece AS
+WITH RECURSIVE piece (version_id, member_id) AS (
+  SELECT version_after, version_before FROM building_change WHERE note LIKE 'across a border: %'
+  UNION
+  SELECT piece.version_id, c.version_before
+  FROM piece JOIN building_change AS c ON c.version_after = piece.member_id AND c.note LIKE 'across a border: %'
+)
+SELECT version_id, building_id FROM building_version WHERE building_id IS NOT NULL
+UNION ALL
+SELECT DISTINCT v.version_id, m.building_id
+FROM piece
+JOIN building_version AS v ON v.version_id = piece.version_id
+JOIN building_version AS m ON m.version_id = piece.member_id
+WHERE m.building_id <> v.building_id;
+
 CREATE VIEW footprint AS
 SELECT b.building_id, s.name AS survey, b.state, b.probability, b.storeys, b.storeys_min, b.storeys_max,
        b.storeys_top, b.z_ground, b.eaves, b.ridge, b.z_eaves, b.z_ridge, b.speindex, b.area_m2,
@@ -754,6 +784,19 @@ WHERE v.valid_to IS NULL;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('footprint_current', 'geometry', 'version_id', 'building_version', 'geometry', 1);
 
+CREATE VIEW part_current AS
+SELECT p.part_id, s.name AS survey, v.building_id, p.supid, p.supscale, p.root_id, p.scale, p.hindex, p.hzone,
+       p.speindex, p.xo, p.yo, p.xcen, p.ycen, p.xin, p.yin, p.area_px, p.area_m2, p.stddis, p.h_max, p.h_mean,
+       p.h_p50, p.h_p90, p.h_std, p.building_share, p.outline_source, p.geometry
+FROM part AS p
+JOIN building_piece AS b ON b.building_id = p.building_id
+JOIN building_version AS v ON v.version_id = b.version_id
+JOIN run AS r ON r.run_id = p.run_id
+JOIN survey AS s ON s.survey_id = r.survey_id
+WHERE v.valid_to IS NULL;
+
+INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('part_current', 'geometry', 'part_id', 'part', 'geometry', 1);
+
 CREATE VIEW building_history AS
 SELECT v.version_id, v.uid, v.valid_from, v.valid_to, v.source, s.name AS survey,
        COALESCE((SELECT MIN(c.kind) FROM building_change AS c
@@ -768,20 +811,7 @@ LEFT JOIN survey AS e ON e.survey_id = v.closed_by;
 
 INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_table_name, f_geometry_column, read_only) VALUES ('building_history', 'geometry', 'version_id', 'building_version', 'geometry', 1);
 
-CREATE VIEW roof_material_by_class AS
-SELECT s.name AS survey, m.material, p.speindex, c.label AS class_label, COUNT(*) AS samples
-FROM roof_sample AS m
-JOIN part AS p ON ST_Intersects(p.geometry, m.geometry)
-JOIN run AS r ON r.run_id = p.run_id
-JOIN survey AS s ON s.survey_id = r.survey_id
-LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
-WHERE NOT EXISTS (
-  SELECT 1 FROM part AS f
-  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
-)
-GROUP BY s.name, m.material, p.speindex, c.label;
-
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0005');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0006');
 

@@ -159,7 +159,7 @@ def classify(
     source: File,
     out: File,
     *,
-    extract: str | Sequence[str] = ("area3d",),
+    extract: str | Sequence[str] = DETECTORS,
     crs: str | None = None,
     ortho: Files = (),
     dtm: File | None = None,
@@ -181,9 +181,11 @@ def classify(
     out : path
         LAS or LAZ, by its ending; everything but the classes is as in the source.
     extract : str or sequence of str
-        The detectors. Three or more with ``multiscale`` decide together, as in a build; of others, a point that any of
-        them finds is a building. ``area3d`` and ``adaptive`` find points. Of ``multiscale`` and ``flatregions``, the
-        points in the cells of a part or flat region count. They must be at least ``surface.mask_m`` above ground.
+        The detectors; all by default. Three or more with ``multiscale`` decide together, as in a build: the points in
+        the cells of buildings count, and those of the regions of ``area3d`` that lie in buildings. Of others, a point
+        that any of them finds is a building. ``area3d`` and ``adaptive`` find points. Of ``multiscale`` and
+        ``flatregions``, the points in the cells of a part or flat region count. In cells, points must be at least
+        ``surface.mask_m`` above ground.
     crs, ortho_crs : str, optional
         CRS of points and orthophotos that state none.
     ortho : path or sequence of path

@@ -2,6 +2,7 @@
 
 import datetime
 from collections.abc import Mapping
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,7 @@ def update(
     from msbdb.run.inputs import require_polygons
     from msbdb.run.inventory.update import is_built, require_date
 
+    _require_known("update", options)
     require_date(survey, date)
     if aoi is not None:
         require_polygons(aoi)
@@ -145,6 +147,7 @@ def measure(
     from msbdb.run.inventory.measure import check_footprints, take_measures
     from msbdb.run.inventory.update import is_built
 
+    _require_known("measure", options)
     file, crs = Path(footprints), options.get("crs")
     if out is not None:
         require_output(out, overwrite=overwrite, endings=FORMATS, sources=[db, file])
@@ -164,6 +167,13 @@ def measure(
         return take_measures(
             db, file, label, name=chosen, layer=layer, id_column=id_column, crs=crs, out=out, built=built
         )
+
+
+def _require_known(name: str, options: Mapping[str, Any]) -> None:
+    """Refuse options that `build` does not take, as Python does for the function that was called."""
+    for unknown in sorted(set(options) - set(signature(build).parameters)):
+        msg = f"{name}() got an unexpected keyword argument '{unknown}'"
+        raise TypeError(msg)
 
 
 def _without(options: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -32,6 +32,15 @@ COLUMNS = (
 )  # fmt: skip
 """The columns of a net change, before those of `STATES`."""
 
+_TYPES = (
+    dict.fromkeys(("uid_before", "uid_after", "version_before", "version_after"), "Int64")
+    | dict.fromkeys(("storeys_before", "storeys_after"), "Int64")
+    | dict.fromkeys(("outline", "height", "parts"), "bool")
+    | {"times": "int64"}
+)
+
+_NOTHING: dict[str, Any] = {"outline": False, "height": False, "parts": False}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Net:
@@ -255,9 +264,6 @@ def _rows(chains: _Chains, known: "_Versions") -> Iterator[dict[str, Any]]:
         yield known.row("new", None, last, chains, replace(chains.born[last], **_NOTHING))
 
 
-_NOTHING: dict[str, Any] = {"outline": False, "height": False, "parts": False}
-
-
 def _related(chains: _Chains, known: "_Versions") -> list[tuple[int, int]]:
     """Return the pairs of buildings of the beginning and of the end that are one, or were merged or split."""
     pairs = [(first, last) for last, origins in chains.standing.items() for first in origins]
@@ -342,14 +348,6 @@ class _Versions:
         dx, dy, _ = self.shifts[at]
         shape: shapely.Geometry = moved(np.array([self.shapes[at]], dtype=object), -dx, -dy)[0]
         return shape
-
-
-_TYPES = (
-    dict.fromkeys(("uid_before", "uid_after", "version_before", "version_after"), "Int64")
-    | dict.fromkeys(("storeys_before", "storeys_after"), "Int64")
-    | dict.fromkeys(("outline", "height", "parts"), "bool")
-    | {"times": "int64"}
-)
 
 
 def _typed(frame: pd.DataFrame) -> pd.DataFrame:

@@ -18,6 +18,8 @@ from msbdb.params import ChangeParams, TouchingParams
 
 Shapes = NDArray[np.object_]
 
+_AREAS = ("Polygon", "MultiPolygon")
+
 REACH_CELLS = 2.0
 """Pieces of one building may end this far apart: a fitted wall lies up to a cell inside of the border, on each side."""
 
@@ -321,6 +323,3 @@ def _polygons(shape: shapely.Geometry) -> shapely.Geometry | None:
     parts = [part for part in parts if part.area >= LOOSE_M2] or parts
     whole: shapely.Geometry = shapely.normalize(shapely.union_all(np.array(parts, dtype=object)))
     return whole
-
-
-_AREAS = ("Polygon", "MultiPolygon")

@@ -20,7 +20,7 @@ from msbdb.cli.command import (
     setting,
     shared,
 )
-from msbdb.cli.output import emit_json, emit_pairs, is_quiet
+from msbdb.cli.output import emit_json, emit_pairs, is_quiet, refused
 from msbdb.cli.progress import notice, progress_bar, stages_of
 from msbdb.errors import counted
 from msbdb.params import DETECTORS, PROFILES, Params
@@ -233,7 +233,7 @@ def emit_report(report: "BuildReport") -> None:
             {f"{area:,.0f} m²": why for why, area in found.refused_m2.items()},
             "Refused: as high as a building, and none",
         )
-        click.echo(f" The ledger has {counted(found.refused_regions, 'refused region')} as large as a building.")
+        click.echo(f" Refused candidates: {refused(report.rejected, found.refused_regions)}.")
     look = {}
     if counts["unsure"]:
         what = counted(counts["unsure"], "unsure building")
@@ -320,8 +320,8 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
 @click.option(
     "--extract",
     type=detectors,
-    default="area3d",
-    show_default=True,
+    default=",".join(DETECTORS),
+    show_default="all",
     metavar="NAME,NAME",
     help="The detectors to run. area3d and adaptive classify points; of multiscale and flatregions, the points in "
     "their regions count. Three or more with multiscale decide together, as in a build; of others, a point that any of "

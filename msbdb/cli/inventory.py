@@ -213,19 +213,7 @@ def state(*, db: str, uid: int, state: str, note: str, operator: str | None) -> 
 )
 @click.option("--figure", type=OUTPUT_FILE, metavar="PICTURE", help="Draw the buildings coloured by kind of change.")
 @shared("overwrite", "json")
-def changes(
-    *,
-    db: str,
-    since: str | None,
-    until: str | None,
-    survey: str | None,
-    each: bool,
-    aoi: Path | None,
-    out: Path | None,
-    figure: Path | None,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def changes(*, out: Path | None, figure: Path | None, as_json: bool, **options: Any) -> None:  # noqa: ANN401  (the options)
     """Report how the buildings changed between two dates.
 
     Without --from, the period begins with the first state of each place, which is no change. The result is the net
@@ -237,9 +225,7 @@ def changes(
     """
     from msbdb import api
 
-    found = api.changes(
-        db, since=since, until=until, survey=survey, each=each, aoi=aoi, out=out, figure=figure, overwrite=overwrite
-    )
+    found = api.changes(**options, out=out, figure=figure)
     summary = api.summary(found)
     if as_json:
         emit_json(summary)

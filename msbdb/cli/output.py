@@ -313,3 +313,14 @@ def _heading(title: str) -> None:
     """Print a title with a line of space before it."""
     if title:
         click.secho(f"\n{title}", bold=True)
+
+
+def refused(candidates: int, rows: int) -> str:
+    """Return in words how many candidates were refused, and how many of them the ledger lists.
+
+    Examples
+    --------
+    >>> refused(19623, 823)
+    '19,623 in all, 823 of them as large as a building and listed in the ledger'
+    """
+    return f"{candidates:,} in all, {rows:,} of them as large as a building and listed in the ledger"

@@ -19,7 +19,7 @@ from msbdb.cli.command import (
     place,
     shared,
 )
-from msbdb.cli.output import emit, emit_json, emit_pairs, emit_table, say
+from msbdb.cli.output import emit, emit_json, emit_pairs, emit_table, refused, say
 from msbdb.cli.progress import progress_bar, stages_of
 from msbdb.params import REGION_DETECTORS, EvaluateParams
 
@@ -82,6 +82,7 @@ def _emit_run(run: dict[str, Any]) -> None:
     sources, notices = record.get("sources", ()), run.pop("notices", ())
     name, regions = run.pop("survey", "?"), run.pop("candidate_regions", {})
     west, south, east, north = record.get("bounds", [float("nan")] * 4)
+    run["refused candidates"] = refused(run.pop("rejected"), run.pop("rejected_rows"))
     run |= {f"{method}_regions": count for method, count in regions.items()}
     run |= {"ground_filter": chosen.get("ground_filter"), "vertical_crs": record.get("vertical_crs")}
     run["extent"] = f"east {west:.1f} to {east:.1f}, north {south:.1f} to {north:.1f}"

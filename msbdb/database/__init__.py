@@ -11,12 +11,12 @@ from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_sche
 from msbdb.database.admin.soundness import CHECKS, check_database
 from msbdb.database.dialects.clientplace import ClientPlace, client_place
 from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened
-from msbdb.database.dialects.databasecrs import database_crs_of, read_fallback
+from msbdb.database.dialects.databasecrs import crs_words_of, database_crs_of, read_fallback
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
-from msbdb.database.history.joins import Seams, current_pieces, version_pieces
+from msbdb.database.history.joins import Seams, current_pieces
 from msbdb.database.history.periods import (
     footprint_at,
     has_inventory,
@@ -91,6 +91,7 @@ __all__ = [
     "copy_database",
     "create_database",
     "crs_of",
+    "crs_words_of",
     "current_pieces",
     "database_crs_of",
     "downgrade_schema",
@@ -139,7 +140,6 @@ __all__ = [
     "summarise_run",
     "survey_key",
     "upgrade_schema",
-    "version_pieces",
     "write_advance",
     "write_build",
     "write_import",

@@ -7,6 +7,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError
+from msbdb.grid import GridSpec
 from msbdb.outline.polygons import Geometries
 
 Ints = NDArray[np.int64]
@@ -72,15 +73,19 @@ class Drawn:
         return np.asarray(lines, dtype=np.object_)
 
 
-def cut(geometries: Geometries) -> Arcs:
-    """Cut the rings into arcs at the vertices where three edges or more meet."""
+def cut(geometries: Geometries, spec: GridSpec | None = None) -> Arcs:
+    """Cut the rings into arcs where three edges or more meet, and where they reach or leave the border of a lattice."""
     _, closed, (ring_offsets, polygon_offsets, offsets) = shapely.to_ragged_array(_as_multi(geometries))
     sizes = np.diff(ring_offsets).astype(np.int64) - 1
     ring = np.repeat(np.arange(len(sizes)), sizes)
     first = np.cumsum(sizes) - sizes
     coords = closed[np.arange(len(ring)) + ring]  # without the vertex that closes each ring
     vertex = np.unique(coords[:, 0] + 1j * coords[:, 1], return_inverse=True)[1].astype(np.int64)
-    cut = _degree(vertex, _following(first, sizes, ring)) > 2
+    following = _following(first, sizes, ring)
+    cut = _degree(vertex, following) > 2
+    if spec is not None:
+        along = border_sides(cells_of(coords, spec), following, spec)
+        cut[following] |= (along != along[:, following]).any(axis=0)
     westernmost = np.lexsort((vertex, ring))[first]
     anchor = np.zeros(len(sizes), dtype=np.bool_)
     np.logical_or.at(anchor, ring[cut], True)
@@ -114,6 +119,33 @@ def _following(first: Ints, sizes: Ints, ring: Ints) -> Ints:
     index = np.arange(len(ring)) + 1
     wraps = index == (first + sizes)[ring]
     return np.where(wraps, first[ring], index)
+
+
+def cells_of(coords: Floats, spec: GridSpec) -> Ints:
+    """Return places in the CRS as columns and rows of the lattice's corners."""
+    return np.rint((coords - (spec.transform.c, spec.transform.f)) / (spec.cell_m, -spec.cell_m)).astype(np.int64)
+
+
+def border_sides(places: Ints, following: Ints, spec: GridSpec) -> NDArray[np.bool_]:
+    """Return whether the edge from each corner to the following one runs along the border: west, north, east, south.
+
+    Parameters
+    ----------
+    places : (V, 2) ndarray of int64
+        Columns and rows of corners.
+    following : (E,) ndarray of int64
+        Index of the corner at which the edge from each of the first ones ends.
+    spec : GridSpec
+        The lattice.
+
+    Returns
+    -------
+    (4, E) ndarray of bool
+    """
+    rows, cols = spec.shape
+    column, row = places.T
+    at = np.stack((column == 0, row == 0, column == cols, row == rows))
+    return np.asarray(at[:, : len(following)] & at[:, following])
 
 
 def _degree(vertex: Ints, following: Ints) -> Ints:

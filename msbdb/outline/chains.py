@@ -7,7 +7,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.grid import GridSpec
-from msbdb.outline.arcs import Arcs
+from msbdb.outline.arcs import Arcs, border_sides, cells_of
 from msbdb.outline.runs import WallRuns
 
 Ints = NDArray[np.int64]
@@ -28,12 +28,15 @@ class Chains:
         The nodes at the ends, -1 for rings without one.
     regions : (A, 2) ndarray of int64
         The geometries on both sides, -1 for none.
+    border : (A,) ndarray of bool
+        The arc runs along the border of the lattice: it is a cut, and no wall.
     """
 
     own: Ints
     places: tuple[Floats, Floats, Ints]
     nodes: tuple[Ints, Ints, Floats]
     regions: Ints
+    border: NDArray[np.bool_]
 
     @property
     def count(self) -> int:
@@ -49,7 +52,7 @@ def traced_chains(arcs: Arcs, spec: GridSpec) -> Chains:
     backwards = ~arcs.forward[first]
     lines[backwards] = shapely.reverse(lines[backwards])
     coords, arc = shapely.get_coordinates(lines, return_index=True)
-    corners = np.rint((coords - (spec.transform.c, spec.transform.f)) / (spec.cell_m, -spec.cell_m)).astype(np.int64)
+    corners = cells_of(coords, spec)
     step = np.zeros_like(corners)
     inner = arc[1:] == arc[:-1]
     step[:-1][inner] = np.diff(corners, axis=0)[inner]
@@ -63,7 +66,8 @@ def traced_chains(arcs: Arcs, spec: GridSpec) -> Chains:
     second = np.setdiff1d(np.arange(len(own)), first)
     regions[own[second], 1] = arcs.geometry[second]
     nodes = _nodes(dense[starts[:-1]], dense[starts[1:] - 1])
-    return Chains(own.astype(np.int64), (*dense.T.astype(np.float64), starts), nodes, regions)
+    border = np.asarray(border_sides(dense, np.arange(1, len(dense)), spec).any(axis=0))[starts[:-1]]
+    return Chains(own.astype(np.int64), (*dense.T.astype(np.float64), starts), nodes, regions, border)
 
 
 def _nodes(tail: Ints, head: Ints) -> tuple[Ints, Ints, Floats]:

@@ -38,7 +38,9 @@ NODE_WEIGHT = 30.0
 """A wall of more edges pulls a node no more."""
 
 
-def joined_walls(runs: WallRuns, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats]) -> WallRuns:
+def joined_walls(
+    runs: WallRuns, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats], border: Mask
+) -> WallRuns:
     """Return runs in which walls that go on beyond a node lie on one line.
 
     Parameters
@@ -48,10 +50,12 @@ def joined_walls(runs: WallRuns, chains: tuple[Floats, Floats, Ints], nodes: tup
         The traced arcs (`msbdb.outline.runs.divide`).
     nodes : (A,) tail, (A,) head, (N, 2) places
         The nodes at the ends of each arc, -1 for rings; and where the nodes are, cells.
+    border : (A,) ndarray of bool
+        Arcs along the border of the lattice, which are joined with none.
     """
     tail, head, places = nodes
     first, last = _ends(runs, len(tail))
-    node = np.concatenate((tail, head))
+    node = np.where(np.tile(border, 2), -1, np.concatenate((tail, head)))
     run = np.concatenate((first, last))
     away = np.concatenate((runs.angle[first], runs.angle[last] + np.pi))
     real = np.flatnonzero(node >= 0)

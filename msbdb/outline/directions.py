@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from msbdb.grid import GridSpec
 from msbdb.labels import sums
 from msbdb.outline.chains import Chains
 from msbdb.outline.runs import WallRuns
@@ -114,15 +113,12 @@ def _smoothing() -> Floats:
     return np.asarray(np.maximum(1 - np.abs(apart(centre[:, None], centre[None, :])) / SPREAD, 0.0))
 
 
-def arc_frames(chains: Chains, runs: WallRuns, count: int, spec: GridSpec) -> tuple[Floats, Ints, Ints]:
-    """Return the main directions of each arc: those of the regions on its sides."""
+def arc_frames(chains: Chains, runs: WallRuns, count: int) -> tuple[Floats, Ints, Ints]:
+    """Return the main directions of each arc: those of the regions on its sides; none along the border."""
     x, y, starts = chains.places
     low, high = starts[runs.arc] + runs.begin, starts[runs.arc] + runs.end
     length = np.hypot(x[high] - x[low], y[high] - y[low])
-    # The border of the lattice is no wall.
-    rows, cols = spec.shape
-    middle_x, middle_y = (x[low] + x[high]) / 2, (y[low] + y[high]) / 2
-    length[(middle_x == 0) | (middle_x == cols) | (middle_y == 0) | (middle_y == rows)] = 0.0
+    length[chains.border[runs.arc]] = 0.0
     group = _groups(chains.regions, count)
     sides = chains.regions[runs.arc]
     own = np.concatenate((sides[:, 0], sides[:, 1][sides[:, 1] >= 0]))
@@ -137,6 +133,7 @@ def arc_frames(chains: Chains, runs: WallRuns, count: int, spec: GridSpec) -> tu
         frames = np.where(near, common[:, place, None], frames)
     both = np.column_stack((frames[chains.regions[:, 0]], frames[chains.regions[:, 1]]))
     both[:, frames.shape[1] :][chains.regions[:, 1] < 0] = np.nan
+    both[chains.border] = np.nan
     # Once each: a frame near an earlier one of the other side is that one.
     kept = ~np.isnan(both)
     for later in range(1, both.shape[1]):

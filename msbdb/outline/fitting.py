@@ -103,7 +103,8 @@ def fit_coverage(
 
     Notes
     -----
-    The rings are cut into arcs where three regions meet, as for `simplify_coverage`. Then:
+    The rings are cut into arcs where three regions meet, as for `simplify_coverage`, and where they reach the border of
+    the lattice. What runs along the border is a cut through a building and no wall: it stays at the border. Then:
 
     1. Each arc is divided into free straight runs. Their lengths and directions give the main directions of each
        region and touching group (`msbdb.outline.directions`).
@@ -135,10 +136,10 @@ def fit_coverage(
     costs = costs or WallCosts()
     if shapely.is_empty(geometries).all():
         return geometries.copy(), np.ones(len(geometries), dtype=np.bool_)
-    arcs = cut(geometries)
+    arcs = cut(geometries, spec)
     chains = traced_chains(arcs, spec)
     runs = divide(chains.places, no_frames(chains.count), costs)
-    frames = arc_frames(chains, runs, len(geometries), spec)
+    frames = arc_frames(chains, runs, len(geometries))
     chains = from_corners(chains, runs)
     chains = from_corners(chains, divide(chains.places, frames, costs))
     runs = divide(chains.places, frames, costs)
@@ -149,8 +150,8 @@ def fit_coverage(
     runs = redivided(runs, chains.places, frames, curved, costs.scaled(SHARES[1]))
     smallest = np.minimum(least_m2, _ring_areas(arcs, arcs.as_given()))
     while True:
-        walls = joined_walls(runs, chains.places, chains.nodes)
-        places = _settled(chains, placed_nodes(walls, chains.nodes), level)
+        walls = joined_walls(runs, chains.places, chains.nodes, chains.border)
+        places = _settled(chains, placed_nodes(walls, chains.nodes), level, spec)
         vertices, offsets, off = drawn_arcs(walls, chains.places, (chains.nodes[0], chains.nodes[1], places))
         fault = (off > costs.reach + GATE) & (level < TRACED)
         if not fault.any():
@@ -187,10 +188,11 @@ def _faults(arcs: Arcs, drawn: Drawn, result: Geometries | None, redrawable: Mas
     return np.asarray(fault)
 
 
-def _settled(chains: Chains, goals: Floats, level: Ints) -> Floats:
-    """Return the places of the nodes: those of traced arcs stay."""
+def _settled(chains: Chains, goals: Floats, level: Ints, spec: GridSpec) -> Floats:
+    """Return the places of the nodes: those of traced arcs stay, and those at the border stay at it."""
     tail, head, traced = chains.nodes
-    places = _fine(goals)
+    at_border = (traced == 0) | (traced == spec.shape[::-1])
+    places = np.where(at_border, traced, np.clip(_fine(goals), 0, spec.shape[::-1]))
     for side in (tail[level >= TRACED], head[level >= TRACED]):
         places[side[side >= 0]] = traced[side[side >= 0]]
     return places

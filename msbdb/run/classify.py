@@ -12,6 +12,7 @@ from msbdb.grid import GridSpec
 from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.laswrite import check_output, write_classes
+from msbdb.labels import Labels, chosen_cells, sizes, sums
 from msbdb.params import Params
 from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS, PointCloud
 from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
@@ -21,6 +22,13 @@ from msbdb.run.reports import ClassifyReport, Notices, Progress, Stages, collect
 from msbdb.surface import heights_above
 
 Mask = NDArray[np.bool_]
+
+INSIDE = 0.5
+"""Ours: a region of points is of a building where at least this share of its points is inside."""
+
+EDGES = "area3d"
+"""Ours: the detector by whose regions a building has points beyond its cells, which end at the edge of the roof: walls,
+eaves and low roofs. Regions of ``adaptive`` have points of trees there."""
 
 
 def classify_points(
@@ -51,7 +59,11 @@ def classify_points(
         if is_fused(regions, params.fuse):
             # The buildings of a build: what the detectors decide together, and not what any of them takes.
             built = fuse_and_decompose(scene, regions, params, stages)[0].root_labels > 0
-            taken = points_in(built, scene.heights.spec, cloud, heights, params.surface.mask_m)
+            inside = scene.heights.spec.sample(built, cloud.x, cloud.y, outside=False)
+            taken = inside & (heights >= params.surface.mask_m)
+            edges = regions.get(EDGES)
+            if edges is not None and edges.of_points is not None:
+                taken |= mostly_inside(edges.of_points, inside)
         else:
             for one in regions.values():
                 taken |= _points_of(one, scene, heights, params)
@@ -102,6 +114,29 @@ def points_in(cells: Mask, spec: GridSpec, cloud: PointCloud, heights: NDArray[n
     (N,) ndarray of bool
     """
     return spec.sample(cells, cloud.x, cloud.y, outside=False) & (heights >= least_m)
+
+
+def mostly_inside(of_points: Labels, inside: Mask) -> Mask:
+    """Return the points of the regions that lie in buildings with at least `INSIDE` of their points.
+
+    Parameters
+    ----------
+    of_points : (N,) ndarray of int32
+        The region of each point, from 1; 0 for none.
+    inside : (N,) ndarray of bool
+        Points in the cells of buildings.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+
+    Examples
+    --------
+    >>> mostly_inside(np.array([1, 1, 2, 2, 2, 0]), np.array([True, False, True, False, False, True])).tolist()
+    [True, True, False, False, False, False]
+    """
+    count = int(of_points.max(initial=0))
+    return chosen_cells(of_points, sums(of_points, inside, count) >= INSIDE * sizes(of_points, count))
 
 
 def on_terrain(heights: NDArray[np.float64], taken: Mask, tolerance_m: float) -> Mask:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from msbdb.database import Engine, ShownLayers, database_crs_of, opened, read_shown
+from msbdb.database import Engine, ShownLayers, crs_words_of, opened, read_shown
 from msbdb.errors import InputError, PassingNotice
 from msbdb.export import Content, check_options, choose_layers, export, find_format
 from msbdb.identity import to_json
@@ -32,8 +32,6 @@ LAYERS_OF: Mapping[str, tuple[str, ...]] = {
 
 PLACES = (("xo", "yo"), ("xcen", "ycen"), ("xin", "yin"))
 """Columns with the coordinates of a place."""
-
-FIRST_OWN_SRID = 910_000
 
 
 def export_database(
@@ -83,7 +81,7 @@ def read_content(
     tell_choice(
         engine, Choice(tuple(own.name for own in found.surveys), present=found.present), named=survey is not None
     )
-    crs = f"EPSG:{found.srid}" if found.srid < FIRST_OWN_SRID else crs_text(database_crs_of(engine))
+    crs = crs_words_of(engine)
     layers = {name: _layer(found, name, crs) for name in wanted}
     return Content("current" if found.present and what == "current" else what, layers, found.surveys, at or "")
 

@@ -67,6 +67,7 @@ def _counts(summary: RunSummary) -> dict[str, Any]:
         "flat_regions": summary.rows["flat_region"],
         "candidate_regions": summary.candidates,
         "rejected": summary.rejected,
+        "rejected_rows": summary.rejected_rows,
         "footprint_m2": round(summary.footprint_m2, 1),
         "volume_m3": round(summary.volume_m3, 1),
         "highest_m": None if summary.highest_m is None else round(summary.highest_m, 2),
@@ -197,8 +198,7 @@ def _frames(engine: Engine, choice: Choice) -> "dict[str, gpd.GeoDataFrame]":
         for name, table in LAYERS.items():
             frame = gpd.GeoDataFrame(tables[table.name])
             if present is not None and name == "part":
-                own = [building for its, building in pieces if its == survey]
-                frame = frame[frame["building_id"].isin(own)]
+                frame = frame[frame["building_id"].isin(pieces)]
             read[name].append(frame)
     found = {}
     for name, frames in read.items():

@@ -38,6 +38,12 @@ NO_IMAGERY = "There is no imagery: height texture and echoes alone separate roof
 
 NO_ECHOES = "No pulse has a second echo, or none is recorded: height texture alone separates roofs from vegetation."
 
+LARGEST_OFFSET_M = 10.0
+"""Ours: a surface has open ground somewhere, and other height references are farther away, such as the ellipsoid."""
+
+LOW_PERCENT = 5.0
+"""Ours: this share of a surface is ground, also in an old town or a park."""
+
 
 def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:
     """Read the points, where the build is from points."""
@@ -200,13 +206,6 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
     logger.info(surface_is, *spec.shape, cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
     return surface if given is None else note_offset(surface)
-
-
-LARGEST_OFFSET_M = 10.0
-"""Ours: a surface has open ground somewhere, and other height references are farther away, such as the ellipsoid."""
-
-LOW_PERCENT = 5.0
-"""Ours: this share of a surface is ground, also in an old town or a park."""
 
 
 def note_offset(surface: Surface) -> Surface:

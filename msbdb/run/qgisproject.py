@@ -47,13 +47,12 @@ def write_project(db: str | Path, out: Path, *, overwrite: bool) -> list[str]:
 
 def _tables(*, present: bool) -> list[tuple[str, str, str, tuple[Column, ...], str]]:
     """Return the layers: name of the style, table or view, its key, its columns, and the condition of its rows."""
-    buildings = "footprint_current" if present else "footprint"
-    current = "building_id IN (SELECT building_id FROM footprint_current)" if present else ""
+    buildings, parts = ("footprint_current", "part_current") if present else ("footprint", "part")
     history = [("history", "building_history", "version_id", VIEW_COLUMNS["building_history"], _CHANGED)]
     return [
         *(history if present else []),
         ("footprint", buildings, VIEW_COLUMNS[buildings][0].name, VIEW_COLUMNS[buildings], ""),
-        ("part", "part", "part_id", columns_of("part")[1:], current),
+        ("part", parts, "part_id", columns_of("part")[1:], ""),
         ("building_evidence", "building_evidence", "building_id", columns_of("building_evidence"), ""),
         ("part_evidence", "part_evidence", "part_id", columns_of("part_evidence"), ""),
         ("flat_region", "flat_region", "region_id", columns_of("flat_region")[1:], ""),

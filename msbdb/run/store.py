@@ -41,6 +41,9 @@ logger = logging.getLogger(__name__)
 ATTEMPTS = 5
 """Attempts to give labels, when others label the same survey at the same time."""
 
+AS_IS = (Reason.NO_DATA, Reason.BUILDING, Reason.LOW)
+"""Reasons by which nothing that may be a building is refused."""
+
 
 def require_replaceable(
     db: str | Path, name: str, inputs: Inputs, methods: Sequence[str], *, replace: bool
@@ -180,10 +183,6 @@ def _refused_m2(kept: KeptRun) -> dict[str, float]:
     cells = np.bincount(kept.rasters.reason.ravel(), minlength=len(Reason))
     area_m2 = {REASONS[why]: float(cells[why] * kept.heights.spec.cell_area_m2) for why in Reason if why not in AS_IS}
     return {why: round(found, 1) for why, found in sorted(area_m2.items(), key=lambda item: -item[1]) if found}
-
-
-AS_IS = (Reason.NO_DATA, Reason.BUILDING, Reason.LOW)
-"""Reasons by which nothing that may be a building is refused."""
 
 
 def recall_scene(kept: KeptRun) -> Scene:

@@ -118,6 +118,7 @@ BUILDING_VERSION = Table(
         Index(("uid",), unique=True, name="ix_building_version_current", where="valid_to IS NULL"),
         Index(("survey_id",)),
         Index(("closed_by",)),
+        Index(("building_id",)),
     ),
     geometry="MULTIPOLYGON",
     digested=True,

@@ -124,6 +124,17 @@ _SHOWN: Mapping[str, tuple[str, tuple[Table, ...], tuple[Column, ...]]] = {
             replace(OPERATOR_STATE["note"], doc="the operator's reason; may be empty", nullable=True),
         ),
     ),
+    "part_current": (
+        "part_id survey building_id supid supscale root_id scale hindex hzone speindex xo yo xcen ycen xin yin area_px "
+        "area_m2 stddis h_max h_mean h_p50 h_p90 h_std building_share outline_source",
+        (PART,),
+        (replace(PART["building_id"], doc="the building in footprint_current on which it stands"),),
+    ),
+    "building_piece": (
+        "version_id building_id",
+        (BUILDING_VERSION,),
+        (replace(BUILDING_VERSION["building_id"], doc="the building of a run, which a rebuild may replace"),),
+    ),
     "building_history": (
         "version_id uid valid_from valid_to source survey began_as ended_in ended_as state probability storeys eaves "
         "ridge z_ground h_max h_p90 area_m2 volume_m3",

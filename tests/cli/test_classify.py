@@ -97,15 +97,15 @@ def test_several_extractors_take_what_any_of_them_takes(folder, tmp_path):
     assert report["regions"] == {"flatregions": 1, "multiscale": 1}
 
 
-def test_three_detectors_decide_together_as_in_a_build(folder, tmp_path):
+def test_by_default_all_detectors_decide_together_as_in_a_build(folder, tmp_path):
     """The points of class 6 are those in the build's buildings, and fewer than what any detector takes."""
-    three = ("--extract", "adaptive,flatregions,multiscale")
-    classified(folder / "plain.laz", tmp_path / "three.laz", *three)
-    assert run("build", "--points", folder / "plain.laz", "--db", tmp_path / "town.sqlite", *three).exit_code == 0
-    agreed = scored(tmp_path / "town.sqlite", "--reference", tmp_path / "three.laz", "--by", "point")
+    report = classified(folder / "plain.laz", tmp_path / "all.laz")
+    assert set(report["regions"]) == {"adaptive", "area3d", "flatregions", "multiscale"}
+    assert run("build", "--points", folder / "plain.laz", "--db", tmp_path / "town.sqlite").exit_code == 0
+    agreed = scored(tmp_path / "town.sqlite", "--reference", tmp_path / "all.laz", "--by", "point")
     assert agreed["points"]["rates"]["quality"] > 0.95
-    taken = classes_of(tmp_path / "three.laz") == BUILDING
-    classified(folder / "plain.laz", tmp_path / "one.laz", "--extract", "adaptive")
+    taken = classes_of(tmp_path / "all.laz") == BUILDING
+    classified(folder / "plain.laz", tmp_path / "one.laz", "--extract", "flatregions")
     assert (classes_of(tmp_path / "one.laz")[~taken] == BUILDING).any()
 
 

@@ -30,6 +30,7 @@ from msbdb.cli.output import emit, text
 from msbdb.database import example_queries
 from msbdb.database.runs.places import Place
 from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
+from msbdb.params import DETECTORS
 from msbdb.run.reports import Overview
 from msbdb.tables import Reason
 
@@ -54,7 +55,7 @@ class FakeReport:
     parts: int = 7
     flat_regions: int = 5
     candidate_regions: dict[str, int] = field(default_factory=lambda: {"adaptive": 4, "area3d": 6})
-    rejected: int = 2
+    rejected: int = 2345
     notices: tuple[str, ...] = ("No imagery: classes come from height texture.",)
     timings: dict[str, float] = field(default_factory=lambda: {"read": 0.5, "surface": 0.25})
     changed: bool = True
@@ -455,7 +456,8 @@ def test_build_reports_and_draws(api):
     said = " ".join(result.stdout.split())
     for expected in (
         "spring", "3: 2 confirmed, 1 unsure", f"1,234 m², ridge 12.3 m, at 10.0,20.0, id {2**62 + 1}",
-        "4,321 m² vegetation by colour", "9 refused regions", "1 unsure building at 1.0,2.0 (probability 0.50)",
+        "4,321 m² vegetation by colour", "Refused candidates: 2,345 in all, 9 of them as large",
+        "1 unsure building at 1.0,2.0 (probability 0.50)",
         "/data/town.sqlite", "msbdb why /data/town.sqlite --at 10.0,20.0",
     ):  # fmt: skip
         assert expected in said
@@ -755,7 +757,7 @@ def test_classify_passes_its_options_and_reports(api):
     for line in ("regions by area3d 4", "building points 300", "written b.las"):
         assert line in " ".join(result.stdout.split())
     assert run("classify", "a.laz", "b.las").exit_code == 0
-    assert (api.calls[1][1]["extract"], api.calls[1][1]["keep"]) == (("area3d",), False)
+    assert (api.calls[1][1]["extract"], api.calls[1][1]["keep"]) == (DETECTORS, False)
 
 
 def test_point_files_and_by_point_are_evaluated_by_point(api):

@@ -3,17 +3,19 @@
 import itertools
 import json
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import shapely
-from sqlalchemy import Engine
+from sqlalchemy import Engine, text
 from support.sizes import sample
 from support.towns import EPSG, SOUTH, WEST, House, town_build
 
-from msbdb.api import advance, changes
+from msbdb.api import advance, changes, qgis
 from msbdb.database import (
     Seams,
     canonical_dump,
@@ -256,10 +258,24 @@ def test_two_buildings_on_the_same_ground_are_found(engine: Engine, monkeypatch:
     assert all(sum(uid in finding.what for uid in uids) == 2 for finding in found)
 
 
-def test_an_export_has_the_parts_of_all_pieces(two_days: Engine) -> None:
-    """The current inventory of two tiles has the parts of both."""
-    parts = sum(len(read_parts(two_days, name)) for name in TILES)
-    assert len(current_pieces(two_days)) == 6
-    found = read_shown(two_days, ["footprint", "part"]).layers
+def test_an_export_and_qgis_have_the_parts_of_all_pieces(engine: Engine, tmp_path: Path) -> None:
+    """The current inventory of two tiles has the parts of both, each in the building of the inventory."""
+    town_of(engine, ("west", "2020-01-01"), ("east", "2021-03-01"))
+    parts = sum(len(read_parts(engine, name)) for name in TILES)
+    assert len(current_pieces(engine)) == 6
+    found = read_shown(engine, ["footprint", "part"]).layers
     assert len(found["part"]["part_id"]) == parts
     assert set(found["part"]["building_id"]) == set(found["footprint"]["building_id"])
+    qgis(engine.url, tmp_path / "town.qgz")
+    with zipfile.ZipFile(tmp_path / "town.qgz") as archive:
+        sources = [one.text or "" for one in ElementTree.fromstring(archive.read("town.qgs")).iter("datasource")]
+    [shown] = [one for one in sources if 'part_current"' in one]
+    assert "sql=" not in shown
+    with engine.connect() as connection:
+        rows = connection.execute(text("SELECT part_id, building_id FROM part_current")).all()
+    keys = zip(found["part"]["part_id"].tolist(), found["part"]["building_id"].tolist(), strict=True)
+    assert sorted(map(tuple, rows)) == sorted(keys)
+    # On the days before the eastern tile, only the western pieces are there.
+    west = read_shown(engine, ["footprint", "part"], date="2020-06-01").layers["part"]
+    assert set(west["survey"]) == {"west"}
+    assert len(west["part_id"]) == len(read_parts(engine, "west"))

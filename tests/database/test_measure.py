@@ -3,12 +3,14 @@
 import json
 import re
 import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 import pytest
+import shapely
 from click.testing import CliRunner
 from shapely import box
 from simulated import scenes
@@ -16,6 +18,7 @@ from simulated.files import write_points
 from sqlalchemy import Engine
 from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
+from msbdb import api
 from msbdb.api import advance
 from msbdb.cli.main import cli
 from msbdb.database import check_database, footprint_at, read_buildings, write_build
@@ -180,3 +183,15 @@ def test_the_command_of_the_readme_measures_a_cadastre(tmp_path: Path, monkeypat
     rows = gpd.pd.read_csv("measured.csv")
     assert rows["has_footprint"].sum() == 11
     assert rows["number"].isna().sum() == 1
+    kinds = Path("measured.csvt").read_text(encoding="utf-8").strip().replace('"', "").split(",")
+    assert dict(zip(rows.columns, kinds, strict=True))["building_id"] == "String"
+    assert shapely.area(shapely.from_wkt(rows["WKT"])).sum() > own.area.sum()
+
+
+@pytest.mark.parametrize("call", [api.measure, api.update])
+def test_an_unknown_option_names_the_function_that_was_called(call: Callable[..., object], tmp_path: Path) -> None:
+    """As Python does; nothing is read or made."""
+    given = {"db": tmp_path / "town.sqlite", "survey": "spring", "date": "2020-04-01", "nonsense": 1}
+    with pytest.raises(TypeError, match=rf"^{call.__name__}\(\) got an unexpected keyword argument 'nonsense'$"):
+        call("here.gpkg", "here.laz", **given) if call is api.measure else call("here.laz", **given)
+    assert list(tmp_path.iterdir()) == []

@@ -164,12 +164,31 @@ def test_a_building_that_touches_itself_at_corners_is_one_piece():
 
 @pytest.mark.parametrize("angle", [1, 3, 10, 40])
 def test_a_house_that_the_border_cuts_ends_at_it(angle):
-    """Its wall there has the direction of the house, and yet it does not lean over the border."""
+    """The cut is exactly the border, whatever direction the walls have, and no wall leans over it."""
     spec = lattice_of()
+    frame = shapely.box(*spec.bounds)
     for place in ((0.6, 45.0), (45.0, 0.4), (89.7, 45.0), (45.0, 89.5)):
-        house = affinity.rotate(shapely.box(-9, -14, 9, 14), angle, origin=(0, 0))
-        outlines, _ = fitted([affinity.translate(house, WEST + place[0], NORTH - place[1])], spec)
-        assert shapely.box(*spec.bounds).covers(outlines[0])
+        house = affinity.translate(
+            affinity.rotate(shapely.box(-9, -14, 9, 14), angle, origin=(0, 0)), WEST + place[0], NORTH - place[1]
+        )
+        (outline,), (sound,) = fitted([house], spec)
+        assert sound
+        assert frame.covers(outline)
+        cut_m, true_m = (shapely.intersection(shape, frame.exterior).length for shape in (outline, house))
+        assert cut_m == pytest.approx(true_m, abs=1.5)
+
+
+def test_neighbours_that_the_border_cuts_share_their_wall_up_to_it():
+    """The border's cut is one line through both, and their wall ends on it."""
+    spec = lattice_of()
+    houses = [affinity.rotate(shapely.box(16 * i - 20, -12, 16 * i - 4, 12), 20, origin=(0, 0)) for i in range(2)]
+    outlines, sound = fitted([affinity.translate(house, WEST + 40, NORTH - 4) for house in houses], spec)
+    assert sound.all()
+    frame = shapely.box(*spec.bounds)
+    assert frame.covers(shapely.union_all(outlines))
+    on_border = shapely.intersection(outlines, frame.exterior)
+    assert shapely.length(on_border).min() > 5
+    assert shapely.intersection(*on_border).geom_type == "Point"
 
 
 def test_traced_outlines_are_marked():

@@ -39,6 +39,9 @@ _WKB: ColumnElement[Any] = literal_column("ST_AsBinary(geometry)")
 
 _SRID: ColumnElement[Any] = literal_column("ST_SRID(geometry)")
 
+WRITTEN_M = 1e-6
+"""SpatiaLite hands a box to its index in 16 digits: the last one of a coordinate such as 120872.99999999999 is lost."""
+
 
 def check_geometries(connection: Connection) -> Iterator[Finding]:
     """Yield geometries that are unreadable, invalid, empty, of another type or SRID, or outside their survey."""
@@ -241,10 +244,6 @@ def _spatialite_index(connection: Connection, table: Table) -> Iterator[Finding]
     orphans = f"SELECT pkid FROM {index} WHERE pkid NOT IN (SELECT {key.name} FROM {table.name})"  # noqa: S608  (as above)
     for number in connection.scalars(sql(orphans)):
         yield Finding("spatial index", table.name, keyed(table, [number]), "the index has a box without a row", "none")
-
-
-WRITTEN_M = 1e-6
-"""SpatiaLite hands a box to its index in 16 digits: the last one of a coordinate such as 120872.99999999999 is lost."""
 
 
 def _holds(own: NDArray[np.float64], entry: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from sqlalchemy import URL, Connection, Engine, text
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.dialects.rights import kept_rights
 from msbdb.database.schema import migration as upgrade
-from msbdb.database.schema.srid import srid_of
+from msbdb.database.schema.srid import FIRST_OWN_SRID, srid_of
 from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionError
 
 logger = logging.getLogger(__name__)
@@ -126,10 +126,15 @@ def require_srid(connection: Connection, dialect: Dialect, srid: int, where: str
     found = dialect.database_srid(connection)
     if found != srid:
         msg = (
-            f"The database {where} is in the CRS {found}, the survey in {srid}; a database has one CRS. "
-            f"Reproject the data to EPSG:{found}, or build into another database."
+            f"The database {where} is in {_in_words(found)}, and {_in_words(srid)} was given; a database has one CRS. "
+            "Reproject the data to it, or choose another database."
         )
         raise CRSError(msg)
+
+
+def _in_words(srid: int) -> str:
+    """Return the CRS of an SRID in words."""
+    return f"EPSG:{srid}" if srid < FIRST_OWN_SRID else f"a CRS without EPSG code ({srid})"
 
 
 def _create(url: URL, dialect: Dialect, *, create: bool, srid: int | None, crs_wkt: str, timeout_s: float) -> None:

@@ -42,8 +42,17 @@ def database_crs(connection: Connection) -> "CRS":
     """Return the database's registered CRS."""
     from pyproj import CRS
 
+    return CRS.from_user_input(_words(connection))
+
+
+def crs_words_of(engine: Engine) -> str:
+    """Return the database's CRS as GDAL takes it, by its EPSG code or as WKT, without loading PROJ."""
+    with guarded(engine.url), engine.connect() as connection:
+        return _words(connection)
+
+
+def _words(connection: Connection) -> str:
     srid = dialect_of(connection.engine.url).database_srid(connection)
     if srid < FIRST_OWN_SRID:
-        return CRS.from_epsg(srid)
-    query = text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid")
-    return CRS.from_wkt(str(connection.scalar(query, {"srid": srid})))
+        return f"EPSG:{srid}"
+    return str(connection.scalar(text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid"), {"srid": srid}))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from sqlalchemy import Connection, Engine, delete, func, select, update
+from sqlalchemy import Connection, Engine, column, delete, func, select, table, update
 
 from msbdb.database.dialects.dialect import Dialect, guarded
 from msbdb.database.runs.digests import digest_again, insert_digested
@@ -20,7 +20,8 @@ BUILDING_VERSION = SQL["building_version"]
 
 INVENTORY_EVENT = SQL["inventory_event"]
 
-SURVEY = SQL["survey"]
+PIECE = table("building_piece", column("version_id"), column("building_id"))
+"""The view of the pieces of each version."""
 
 _IS_CURRENT = BUILDING_VERSION.c.valid_to.is_(None)
 
@@ -136,29 +137,11 @@ def write_seams(
     return {int(row["survey_id"]) for row in (*seams.versions, *seams.changes)}
 
 
-def current_pieces(engine: Engine) -> list[tuple[str, int]]:
-    """Return the survey and the building of its run from which each current version is, or each piece of it."""
+def current_pieces(engine: Engine) -> list[int]:
+    """Return the buildings of runs of which the current versions are made, with all pieces of those across borders."""
+    query = select(PIECE.c.building_id).join(BUILDING_VERSION, BUILDING_VERSION.c.version_id == PIECE.c.version_id)
     with guarded(engine.url), engine.connect() as connection:
-        current = connection.scalars(select(BUILDING_VERSION.c.version_id).where(_IS_CURRENT))
-        found = version_pieces(connection, [int(version) for version in current])
-    return [piece for pieces in found.values() for piece in pieces]
-
-
-def version_pieces(connection: Connection, versions: Iterable[int]) -> dict[int, list[tuple[str, int]]]:
-    """Return the pieces of each version: survey, and building of its run; none where no survey measured it.
-
-    A version of a single survey is one piece. A joined one has those of all surveys that see a part of it.
-    """
-    wanted = sorted(set(versions))
-    members = read_members(connection, wanted)
-    leaves = {version: leaves_of(members, version) for version in wanted}
-    columns = (BUILDING_VERSION.c.version_id, SURVEY.c.name, BUILDING_VERSION.c.building_id)
-    query = select(*columns).join_from(BUILDING_VERSION, SURVEY, BUILDING_VERSION.c.survey_id == SURVEY.c.survey_id)
-    origin: dict[int, tuple[str, int]] = {}
-    for some in batches(sorted({leaf for own in leaves.values() for leaf in own})):
-        rows = connection.execute(query.where(BUILDING_VERSION.c.version_id.in_(some)))
-        origin |= {int(leaf): (str(name), int(building)) for leaf, name, building in rows if building is not None}
-    return {version: [origin[leaf] for leaf in own if leaf in origin] for version, own in leaves.items()}
+        return sorted(connection.scalars(query.where(_IS_CURRENT)))
 
 
 def count_again(connection: Connection, surveys: Iterable[int]) -> None:

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Engine, func, select, text
 from msbdb.database.dialects.connection import snapshot
 from msbdb.database.dialects.dialect import dialect_of, shown
 from msbdb.database.history.days import first_day
-from msbdb.database.history.joins import version_pieces
+from msbdb.database.history.joins import PIECE
 from msbdb.database.history.periods import INVENTORY_EVENT
 from msbdb.database.runs.reading import RUN, SURVEY, survey_record
 from msbdb.database.schema.sqlfiles import footprint_at_query
@@ -213,10 +213,9 @@ def _of_buildings(connection: Connection, parts: Columns, buildings: Columns) ->
 
     A building that the border of surveys cuts has parts of several: ``building_id`` is that of the whole building.
     """
-    versions = np.asarray(buildings["version_id"]).tolist()
-    pieces = version_pieces(connection, versions)
-    row_of = {piece: row for row, version in enumerate(versions) for piece in pieces[version]}
-    keys = zip(parts["survey"], np.asarray(parts["building_id"]).tolist(), strict=True)
-    rows = np.array([row_of.get(key, -1) for key in keys], dtype=np.int64)
+    row_of = {version: row for row, version in enumerate(np.asarray(buildings["version_id"]).tolist())}
+    pieces = connection.execute(select(PIECE.c.building_id, PIECE.c.version_id))
+    rows_of = {building: row_of[version] for building, version in pieces if version in row_of}
+    rows = np.array([rows_of.get(own, -1) for own in np.asarray(parts["building_id"]).tolist()], dtype=np.int64)
     found = {name: values[rows >= 0] for name, values in parts.items()}
     return found | {"building_id": np.asarray(buildings["building_id"])[rows[rows >= 0]]}

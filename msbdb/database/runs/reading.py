@@ -157,8 +157,8 @@ class RunSummary:
         Parameters, counts, timings and notices.
     rows : dict of str to int
         Rows by table, for parts, buildings and regions.
-    rejected : int
-        Number of dropped regions.
+    rejected, rejected_rows : int
+        Number of dropped regions, and of those that are as large as a building and have a row in the ledger.
     candidates : dict of str to int
         Candidate regions by detector, for those on points that were run.
     footprint_m2, volume_m3 : float
@@ -173,6 +173,7 @@ class RunSummary:
     run: Run
     rows: dict[str, int]
     rejected: int
+    rejected_rows: int
     candidates: dict[str, int]
     footprint_m2: float
     volume_m3: float
@@ -200,13 +201,15 @@ def summarise_run(engine: Engine, survey: str | None = None) -> RunSummary:
         sums = select(func.sum(building.area_m2), func.sum(building.volume_m3), func.max(building.h_max))
         area, volume, highest = connection.execute(sums.where(building.run_id == row.run_id)).one()
         lost = SQL["rejection_count"].c
-        dropped = connection.scalar(select(func.sum(lost.regions)).where(lost.run_id == row.run_id))
+        counts = select(func.sum(lost.regions), func.sum(lost.small)).where(lost.run_id == row.run_id)
+        dropped, small = (int(count or 0) for count in connection.execute(counts).one())
         scales = select(scale.threshold_m2).where(scale.run_id == row.run_id).order_by(scale.scale)
         return RunSummary(
             survey=survey_record(connection, row.survey_id),
             run=run,
             rows={name: int(connection.scalar(query) or 0) for name, query in counted.items()},
-            rejected=int(dropped or 0),
+            rejected=dropped,
+            rejected_rows=dropped - small,
             candidates={name: found.get(name, 0) for name in POINT_DETECTORS if name in run.methods},
             footprint_m2=float(area or 0.0),
             volume_m3=float(volume or 0.0),

@@ -50,10 +50,10 @@ def statements(dialect: str, srid: int | str) -> list[str]:
     for name, kind in SPATIAL.items():
         made += hooks.geometry_ddl(name, kind, srid)
     made += [f"ALTER TABLE {name} ADD COLUMN {COLUMN} BIGINT" for name in TABLES]
+    made += [f"CREATE VIEW {view.name} AS\n{view.sql}" for view in TABLE_VIEWS]
     for view in VIEWS:
         made.append(f"CREATE VIEW {view.name} AS\n{view.sql}")
         made += hooks.view_ddl(view.name, view.key, view.base)
-    made += [f"CREATE VIEW {view.name} AS\n{view.sql}" for view in TABLE_VIEWS]
     made += hooks.function_ddl()
     if compiler.supports_comments:
         made += comment_ddl()

@@ -129,12 +129,13 @@ VIEWS = (
     View("unexplained_candidate", key="candidate_id", base="candidate_region"),
     View("building_evidence", key="building_id", base="building", complete=True),
     View("footprint_current", key="version_id", base="building_version"),
+    View("part_current", key="part_id", base="part"),
     View("building_history", key="version_id", base="building_version", complete=True),
 )
 """The views with a geometry, which are layers of GIS clients."""
 
-TABLE_VIEWS = (View("roof_material_by_class"),)
-"""The views without one."""
+TABLE_VIEWS = (View("roof_material_by_class"), View("building_piece"))
+"""The views without one, on which those with one may stand."""
 
 
 def footprint_at_query() -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from msbdb.change.seams import REACH_CELLS, Surveyed, Whole, find_links, whole_buildings
 from msbdb.database import Advance, Seams, Standing, identities
+from msbdb.fuse.probability import states_of
 from msbdb.identity import text_id
 from msbdb.params import ChangeParams, FuseParams, TouchingParams
 from msbdb.tables import ACROSS, EXTRACTOR_SHARES
@@ -284,8 +285,7 @@ def combined(pieces: pd.DataFrame, shape: shapely.Geometry) -> dict[str, Any]:
         ground[state] = ground.get(state, 0.0) + float(part)
     found["state"] = min(ground, key=lambda state: (-ground[state], state))
     if len(pieces) > 1 and len(probability) == len(pieces):
-        sure, value = FuseParams().sure, found["probability"]
-        found["state"] = "confirmed" if value >= sure else "refuted" if value <= 1 - sure else "unsure"
+        found["state"] = str(states_of(np.array([found["probability"]]), FuseParams())[0])
     return found
 
 

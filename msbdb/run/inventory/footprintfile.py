@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from msbdb.io.files import write_atomic
+from msbdb.export import Content
+from msbdb.export.plainfiles import write_csv
 from msbdb.io.layers import Layer, texts, write_layers
 
 FORMATS = (".gpkg", ".geojson", ".csv")
 """The endings of such a file."""
 
-RESERVED = ("has_footprint", "easting", "northing", "fid", "geom", "geometry")
+RESERVED = ("has_footprint", "easting", "northing", "wkt", "fid", "geom", "geometry")
 """Names that the file gives to columns itself, or that GeoPackage does."""
 
 DIGITS = {"seen_share": 3, "building_share": 3, "point_share": 3, "probability": 3, "volume_m3": 1}
@@ -33,8 +34,8 @@ def write_footprints(
     given : GeoDataFrame
         The footprints in the same order with their own columns; see `own_names` for those with the name of a measure.
     out : path
-        A GeoPackage with the layers ``footprint`` and ``without_footprint``, or a GeoJSON or CSV with all of them; the
-        rows of buildings without a footprint have nulls in the office's columns, and ``has_footprint`` is false.
+        A GeoPackage with the layers ``footprint`` and ``without_footprint``, or a GeoJSON or CSV with all of them. In
+        these the rows of buildings without a footprint have nulls in the office's columns; ``has_footprint`` is false.
     """
     measures = _rounded(footprints).drop(columns="geometry")
     own = given.drop(columns=given.geometry.name).reset_index(drop=True)
@@ -52,10 +53,7 @@ def write_footprints(
     if out.suffix.lower() == ".geojson":
         write_layers(out, {out.stem: _layer(every)}, "GeoJSON", RFC7946="YES")
         return
-    inside = every.geometry.representative_point()
-    placed = every.drop(columns="geometry").assign(easting=inside.x.round(2), northing=inside.y.round(2))
-    with write_atomic(out) as temporary:
-        placed.to_csv(temporary, index=False)
+    write_csv(Content("current", {"footprint": _layer(every)}), out, {})
 
 
 def own_names(names: Iterable[str], taken: Iterable[str]) -> list[str]:

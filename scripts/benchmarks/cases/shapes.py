@@ -9,6 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from cases.labelled import Reference
+from msbdb.grid import GridSpec
 from msbdb.outline.polygons import Geometries, polygonise, rasterise
 
 Floats = NDArray[np.float64]
@@ -53,7 +54,13 @@ class Shape:
 
 
 def measure_shape(
-    outlines: Geometries, traced: Geometries, reference: Reference, truth: Geometries, *, islands: bool = False
+    outlines: Geometries,
+    traced: Geometries,
+    reference: Reference,
+    truth: Geometries,
+    spec: GridSpec,
+    *,
+    islands: bool = False,
 ) -> Shape:
     """Measure the outlines of a case.
 
@@ -67,6 +74,8 @@ def measure_shape(
         The cells that are building, and those that are scored.
     truth : (M,) ndarray of Polygon
         The outlines of the reference (`objects_of`).
+    spec : GridSpec
+        The lattice of the cells.
     islands : bool
         The reference does not divide touching houses: matched buildings are those that touch, together.
     """
@@ -75,7 +84,7 @@ def measure_shape(
     either = np.count_nonzero((found | reference.built) & reference.scored)
     rings = shapely.get_rings(shapely.get_parts(outlines))
     length = float(shapely.length(outlines).sum())
-    one, three = along_directions(outlines)
+    one, three = along_directions(outlines, spec)
     union = shapely.union_all(outlines)
     mine, theirs = matched(shapely.get_parts(union) if islands else shapely.make_valid(outlines), truth)
     cells = shapely.union_all(traced)
@@ -161,16 +170,26 @@ def corners(geometry: shapely.Geometry) -> Floats:
     )
 
 
-def along_directions(outlines: Geometries) -> tuple[float, float]:
+def at_border(ring: Floats, spec: GridSpec | None) -> NDArray[np.bool_]:
+    """Return which edges of a ring lie within a cell of one side of a lattice."""
+    if spec is None:
+        return np.zeros(len(ring) - 1, dtype=np.bool_)
+    west, south, east, north = spec.bounds
+    near = np.abs(ring[:, [0, 0, 1, 1]] - (west, east, south, north)) <= spec.cell_m
+    return np.asarray((near[:-1] & near[1:]).any(axis=1))
+
+
+def along_directions(outlines: Geometries, spec: GridSpec | None = None) -> tuple[float, float]:
     """Return the share of the length along the best direction of each outline, and along its three best ones.
 
     A direction stands for its right angle too. It is that of one of the edges: the one that most of the length
-    follows, up to 5°. The next one is that which most of the rest follows.
+    follows, up to 5°. The next one is that which most of the rest follows. Edges within a cell of the border of a
+    lattice are left out: they are cuts and no walls.
     """
     total, one, three = 0.0, 0.0, 0.0
     for outline in outlines:
         rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.get_parts(outline))]
-        edges = np.concatenate([np.diff(ring, axis=0) for ring in rings])
+        edges = np.concatenate([np.diff(ring, axis=0)[~at_border(ring, spec)] for ring in rings])
         length, angle = np.hypot(*edges.T), np.mod(np.arctan2(edges[:, 1], edges[:, 0]), math.pi / 2)
         total += length.sum()
         for place in range(3):
