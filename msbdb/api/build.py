@@ -37,6 +37,7 @@ def build(
     extract: str | Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
     replace: bool = False,
+    skip_bad: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> BuildReport:
@@ -45,7 +46,8 @@ def build(
     Parameters
     ----------
     points : path or sequence of path
-        LAS, LAZ or COPC files, with or without ``dtm``; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF.
+        LAS, LAZ or COPC files, with or without ``dtm``; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF. A
+        folder, a pattern such as ``tiles/*.laz``, or a virtual point cloud (``.vpc``) stands for its files.
     ortho : path or sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional
@@ -78,6 +80,9 @@ def build(
     replace : bool
         Replace a survey of this name also where it is of other files or of another place, or where it has results of
         detectors that ``extract`` lacks.
+    skip_bad : bool
+        Leave out point files that cannot be read, have no points or another CRS than most, or the points of another
+        file, with a notice. Otherwise they are an error, which names all of them.
     overwrite : bool
         Replace the figure if it exists.
     progress : callable, optional
@@ -104,11 +109,12 @@ def build(
     values = params or named_profile(profile)
     heights = {"dsm": dsm, "dtm": dtm, "ndsm": ndsm}
     stated = {"crs": crs, "ortho_crs": ortho_crs, "z_unit": z_unit}
-    inputs = Inputs.of(points, ortho, **heights, **stated, parcels=parcels)
+    notices, stages = Notices(), Stages(progress)
+    with collect_notices(notices):
+        inputs = Inputs.of(points, ortho, **heights, **stated, parcels=parcels, skip_bad=skip_bad)
     if denoising_figure is not None:
         sources = [db, *(path for path, _ in inputs.files())]
         require_output(denoising_figure, overwrite=overwrite, endings=PICTURES, sources=sources)
-    notices, stages = Notices(), Stages(progress)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)
     inputs.require_files()

@@ -8,7 +8,16 @@ from typing import Any
 
 from msbdb.api.build import Files, build
 from msbdb.errors import InputError
-from msbdb.run.reports import AdvanceReport, Changes, ImportReport, MeasureReport, Progress, Stages, UpdateReport
+from msbdb.run.reports import (
+    AdvanceReport,
+    Changes,
+    ImportReport,
+    MeasureReport,
+    Notices,
+    Progress,
+    Stages,
+    UpdateReport,
+)
 
 
 def update(
@@ -146,15 +155,19 @@ def measure(
     from msbdb.run.inventory.footprintfile import FORMATS
     from msbdb.run.inventory.measure import check_footprints, take_measures
     from msbdb.run.inventory.update import is_built
+    from msbdb.run.reports import collect_notices
 
     _require_known("measure", options)
     file, crs = Path(footprints), options.get("crs")
     if out is not None:
         require_output(out, overwrite=overwrite, endings=FORMATS, sources=[db, file])
     given = {
-        key: options[key] for key in ("ortho", "dsm", "dtm", "ndsm", "crs", "ortho_crs", "z_unit") if key in options
+        key: options[key]
+        for key in ("ortho", "dsm", "dtm", "ndsm", "crs", "ortho_crs", "z_unit", "skip_bad")
+        if key in options
     }
-    inputs = Inputs.of(points, **given, fallback=read_fallback(db))
+    with collect_notices(Notices()):
+        inputs = Inputs.of(points, **given, fallback=read_fallback(db))
     chosen, label = name or file.stem, survey or inputs.default_survey()
     check_footprints(db, file, name=chosen, layer=layer, id_column=id_column, crs=crs, place=inputs.extent())
     if options.get("parcels") is None and layer is None:

@@ -11,6 +11,7 @@ from msbdb.cli.command import (
     DATABASE,
     INPUT_FILE,
     OUTPUT_FILE,
+    POINT_FILES,
     F,
     command,
     crs_name,
@@ -33,7 +34,11 @@ WALLS = ("fitted", "traced")
 
 _HEIGHTS = (
     click.option(
-        "--points", type=INPUT_FILE, multiple=True, metavar="FILE...", help="LAS, LAZ or COPC files of one survey."
+        "--points",
+        type=POINT_FILES,
+        multiple=True,
+        metavar="FILE...",
+        help="LAS, LAZ or COPC files of one survey; a folder, a pattern in quotes, or a virtual point cloud (.vpc).",
     ),
     click.option(
         "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."
@@ -114,6 +119,11 @@ _VALUES = (
         help="Replace a survey of this name also where it is of other files or another place, or has results of "
         "detectors that are not run now.",
     ),
+    click.option(
+        "--skip-bad",
+        is_flag=True,
+        help="Leave out point files that cannot be read, are empty, or are in another CRS than most, with a notice.",
+    ),
 )
 """Options of how it is made."""
 
@@ -140,6 +150,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
     examples=(
         "msbdb build --points town.laz --db town.sqlite",
         "msbdb build --points tiles/*.laz --crs EPSG:28992 --ortho rgb.tif --db town.sqlite --figure town.png",
+        "msbdb build --points tiles --skip-bad --db town.sqlite --survey 2024",
         "msbdb build --dsm dsm.tif --dtm dtm.tif --db town.sqlite --survey spring --date 2021-04-20",
         "msbdb build --points town.laz --dtm terrain.tif --db town.sqlite",
         "msbdb build --points town.laz --parcels cadastre.gpkg --db town.sqlite",

@@ -41,7 +41,20 @@ class InputFile(click.Path):
         return super().convert(value, param, ctx)
 
 
+class PointFiles(InputFile):
+    """A point file that exists, or a folder, a pattern or a virtual point cloud that stands for several."""
+
+    def convert(
+        self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None
+    ) -> str | bytes | os.PathLike[str]:
+        """Return the path."""
+        from msbdb.io.pointfiles import is_many
+
+        return Path(value) if is_many(value) else super().convert(value, param, ctx)
+
+
 INPUT_FILE = InputFile(exists=True, path_type=Path)
+POINT_FILES = PointFiles(exists=True, path_type=Path)
 
 
 class DatabaseName(click.types.StringParamType):

@@ -6,9 +6,8 @@ Headers of points may be wrong. Only one that holds the first points of its file
 import struct
 import warnings
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -138,18 +137,27 @@ def require_other_points(paths: Sequence[Path]) -> None:
     InputError
         For files with the same number of points, and the same bounds in x, y and z.
     """
+    for _, pair in same_points(dict(enumerate(map(read_las_header, paths)))):
+        raise InputError(twice(*pair))
+
+
+def twice(one: LasInfo, other: LasInfo) -> str:
+    """Say that two files have the same points."""
+    return (
+        f"The same points are given twice: {one.path} and {other.path} have {one.points} points each, and the "
+        "same bounds in x, y and z. Leave one out."
+    )
+
+
+def same_points(infos: Mapping[int, LasInfo]) -> Iterator[tuple[int, tuple[LasInfo, LasInfo]]]:
+    """Yield the number of each file that has the points of an earlier one, with both."""
     by_count: dict[int, list[LasInfo]] = defaultdict(list)
-    for path in paths:
-        info = read_las_header(path)
-        by_count[info.points].append(info)
-    for count, alike in by_count.items():
-        for one, other in combinations(alike, 2):
-            if _is_same_box(one, other):
-                msg = (
-                    f"The same points are given twice: {one.path} and {other.path} have {count} points each, and the "
-                    "same bounds in x, y and z. Leave one out."
-                )
-                raise InputError(msg)
+    for number, info in infos.items():
+        first = next((one for one in by_count[info.points] if _is_same_box(one, info)), None)
+        if first is None:
+            by_count[info.points].append(info)
+        else:
+            yield number, (first, info)
 
 
 def _settled(found: CRS | None, stated: CrsLike | None, path: Path) -> CRS:

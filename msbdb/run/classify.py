@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
+from msbdb.errors import InputError
 from msbdb.fuse.cells import is_fused
 from msbdb.grid import GridSpec
 from msbdb.io.las import read_points_indexed
@@ -43,7 +44,10 @@ def classify_points(
     progress: Progress | None,
 ) -> ClassifyReport:
     """Detect the buildings among the points of a file, and write it with them in class 6; see `msbdb.api.classify`."""
-    source = inputs.points[0]
+    source, *others = inputs.points
+    if others:
+        msg = f"One file is classified at a time; got {len(inputs.points)}, from {source} on. Give them one by one."
+        raise InputError(msg)
     notices, stages = Notices(), Stages(progress)
     check_output(source, out, overwrite=overwrite)
     with collect_notices(notices):

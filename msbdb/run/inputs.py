@@ -21,6 +21,7 @@ from msbdb.io.extents import (
     require_other_points,
 )
 from msbdb.io.files import describe_source, require_input
+from msbdb.io.pointfiles import point_files, sound_files
 from msbdb.io.raster import open_raster, states_crs
 from msbdb.io.vector import read_polygons
 from msbdb.tables import Source
@@ -51,10 +52,24 @@ class Inputs:
     fallback: Fallback | None = None
 
     @classmethod
-    def of(cls, points: Paths = (), ortho: Paths = (), **given: Any) -> Self:  # noqa: ANN401  (the other fields)
-        """Return the files as a user gives them: a single one in place of a list, and texts as paths."""
+    def of(
+        cls,
+        points: Paths = (),
+        ortho: Paths = (),
+        *,
+        skip_bad: bool = False,
+        **given: Any,  # noqa: ANN401  (the other fields)
+    ) -> Self:
+        """Return the files as a user gives them: a single one in place of a list, and texts as paths.
+
+        Points may also be a folder, a pattern or a virtual point cloud. The headers of several files are checked
+        together; those that do not fit are an error, or left out with a notice (`msbdb.io.pointfiles.sound_files`).
+        """
+        clouds = point_files(_paths(points))
+        if clouds:
+            clouds = sound_files(clouds, skip_bad=skip_bad)
         files = {name: given[name] for name in ("dsm", "dtm", "ndsm", "parcels") if given.get(name) is not None}
-        return cls(_paths(points), _paths(ortho), **given | {name: Path(file) for name, file in files.items()})
+        return cls(clouds, _paths(ortho), **given | {name: Path(file) for name, file in files.items()})
 
     def __post_init__(self) -> None:
         """Check that there is one kind of heights."""

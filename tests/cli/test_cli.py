@@ -115,6 +115,7 @@ class FakeApi(types.ModuleType):
         extract=("multiscale", "flatregions", "area3d", "adaptive"),
         denoising_figure=None,
         replace=False,
+        skip_bad=False,
         overwrite=False,
         progress=None,
     ):
@@ -733,6 +734,9 @@ def test_a_user_gives_a_url_or_a_folder_for_a_file(option, value, says, api):
     """Each input says what it is and what to do."""
     Path("tiles").mkdir()
     result = run("build", option, value, "--db", "x")
+    if option == "--points" and value == "tiles":  # a folder stands for the files in it
+        assert api.calls[0][1]["points"] == (Path("tiles"),)
+        return
     assert result.exit_code == 2
     assert says in result.stderr
     assert not api.calls
@@ -867,7 +871,7 @@ def test_a_user_draws_a_figure_that_could_not_be_written(api, tmp_path):
     for name in ("a.laz", "there.png", "photo.png"):
         Path(name).write_bytes(b"mine")
     cases = {
-        ("--figure", "x.pdf"): ".png",
+        ("--figure", "x.tif"): ".png",
         ("--figure", "none/x.png"): "none does not exist",
         ("--figure", "there.png"): "--overwrite",
         ("--figure", "photo.png", "--ortho", "photo.png", "--overwrite"): "is the source itself",

@@ -85,8 +85,8 @@ def is_built(
 
     The parameters are those of `msbdb.api.build`.
     """
-    inputs = Inputs.of(points, ortho, **given)
     with collect_notices(Notices()):
+        inputs = Inputs.of(points, ortho, **given)
         methods = choose_detectors(extract, inputs)
     inputs.require_files()
     try:

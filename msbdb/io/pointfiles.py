@@ -1,0 +1,151 @@
+"""The point files that a user means: single ones, a folder, a pattern, a virtual point cloud; and which of them fit."""
+
+import json
+import os
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from msbdb.errors import CRSError, FileError, InputError, MsbdbError, MsbdbWarning, counted
+from msbdb.io.crs import name_of, same_crs, split_crs
+from msbdb.io.extents import same_points, twice
+from msbdb.io.files import require_input
+from msbdb.io.lasheader import LasInfo, header_crs, read_las_header
+
+LAS_ENDINGS = (".las", ".laz")
+"""The endings of point files, COPC among them."""
+
+INDEX_ENDING = ".vpc"
+"""The ending of a virtual point cloud: a STAC collection of files, as PDAL and QGIS write it."""
+
+PATTERN_SIGNS = "*?["
+"""What a pattern has, and a name that is no pattern rarely."""
+
+LISTED = 10
+"""As many files are named in a message."""
+
+
+def point_files(given: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
+    """Return the files that paths, folders, patterns and virtual point clouds name.
+
+    Parameters
+    ----------
+    given : sequence of path
+        A file stays as it is, also where it is missing. A folder stands for the LAS, LAZ and COPC files in it, without
+        those of folders beneath; a pattern (``tiles/**/*.laz``) for all files that it matches; a ``.vpc`` for the files
+        that it lists.
+
+    Returns
+    -------
+    tuple of Path
+        Folders and patterns in the order of names; a file that is named twice stands there twice.
+
+    Raises
+    ------
+    FileError
+        When a folder or pattern has no such file, or a virtual point cloud cannot be read.
+    """
+    return tuple(file for path in given for file in _files_of(Path(path)))
+
+
+def is_many(given: str | os.PathLike[str]) -> bool:
+    """Return whether a name stands for files rather than being one."""
+    return Path(given).is_dir() or (any(sign in str(given) for sign in PATTERN_SIGNS) and not Path(given).exists())
+
+
+def _files_of(path: Path) -> list[Path]:
+    """Return the files that one path names."""
+    if path.is_dir():
+        found = sorted(file for file in path.iterdir() if file.suffix.lower() in LAS_ENDINGS)
+        what = (
+            f"The folder {path} has no LAS, LAZ or COPC file. Name another one, or a pattern such as '{path}/**/*.laz'."
+        )
+    elif is_many(path):
+        found = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
+        what = f"No file matches {path}. Check the pattern; relative ones begin in {Path.cwd()}."
+    elif path.suffix.lower() == INDEX_ENDING:
+        require_input(path)
+        found = _listed(path)
+        what = f"The virtual point cloud {path} lists no file."
+    else:
+        return [path]
+    if not found:
+        raise FileError(what)
+    return found
+
+
+def _listed(path: Path) -> list[Path]:
+    """Return the files of a virtual point cloud; relative ones begin in its folder."""
+    try:
+        features = json.loads(path.read_text(encoding="utf-8"))["features"]
+        names = [asset["href"] for feature in features for asset in feature["assets"].values()]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        msg = f"{path} cannot be read as a virtual point cloud: a STAC collection of files is expected."
+        raise FileError(msg) from error
+    return [Path(name) if ":/" in name else path.parent / name for name in map(str, names)]
+
+
+def sound_files(paths: Sequence[Path], *, skip_bad: bool) -> tuple[Path, ...]:
+    """Check the headers of several files before one of them is read, and return those that fit together.
+
+    A file is bad that cannot be read, has no points, or states another CRS than most do. Where bad files are left out,
+    so is one with the points of an earlier file (`msbdb.io.extents.require_other_points`).
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        At least one. A single file is left to the reader.
+    skip_bad : bool
+        Whether bad files are left out with a notice.
+
+    Raises
+    ------
+    MsbdbError
+        The kind of the first bad file's error, naming all bad files; with ``skip_bad`` only when no file is left.
+    """
+    if len(paths) == 1:
+        return tuple(paths)
+    infos: dict[int, LasInfo] = {}
+    bad: dict[int, MsbdbError] = {}
+    for number, path in enumerate(paths):
+        try:
+            require_input(path)
+            infos[number] = read_las_header(path)
+        except MsbdbError as error:
+            bad[number] = error
+    bad |= _of_another_crs(infos)
+    if skip_bad:
+        sound = {number: info for number, info in infos.items() if number not in bad}
+        bad |= {number: InputError(twice(*pair)) for number, pair in same_points(sound)}
+    if not bad:
+        return tuple(paths)
+    told = "".join(f"\n  {error}" for _, error in sorted(bad.items())[:LISTED])
+    told += f"\n  and {len(bad) - LISTED} more." if len(bad) > LISTED else ""
+    which = f"{len(bad)} of {counted(len(paths), 'file')} of points"
+    if not skip_bad or len(bad) == len(paths):
+        kind = type(bad[min(bad)])
+        msg = f"{which} cannot be used:{told}"
+        raise kind(msg if skip_bad else f"{msg}\nMend them, or leave them out with --skip-bad.")
+    warnings.warn(f"{which} are left out:{told}", MsbdbWarning, stacklevel=3)
+    return tuple(path for number, path in enumerate(paths) if number not in bad)
+
+
+def _of_another_crs(infos: dict[int, LasInfo]) -> dict[int, MsbdbError]:
+    """Return the files whose header states another CRS than that of most files; a file may state none."""
+    stated = {number: header_crs(info.projection) for number, info in infos.items()}
+    known = {number: split_crs(crs)[0] for number, crs in stated.items() if crs is not None}
+    alike: Counter[int] = Counter()
+    first_of: dict[int, int] = {}
+    for number, crs in known.items():
+        first_of[number] = next((one for one in alike if same_crs(known[one], crs)), number)
+        alike[first_of[number]] += 1
+    if len(alike) <= 1:
+        return {}
+    most = alike.most_common(1)[0][0]
+    words = f"the others in {name_of(known[most])}. Files of one build share their CRS: reproject it"
+    return {
+        number: CRSError(f"{infos[number].path} is in the CRS {name_of(known[number])}, {words}.")
+        for number, first in first_of.items()
+        if first != most
+    }
