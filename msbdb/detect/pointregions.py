@@ -3,6 +3,7 @@
 They take heights and NDVI of the points, give their regions ids and rows on the lattice, and outline them.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -23,7 +24,9 @@ from msbdb.outline.polygons import Geometries, rasterise
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface import heights_above
+from msbdb.surface.gridding import Frame, frame
 from msbdb.tables import CANDIDATE_REGION, REJECTION
+from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
 
@@ -204,8 +207,18 @@ class PlacedPoints:
 
 def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
     """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
-    row, col = spec.rowcol(easting, northing)
-    return (row + PLACES // 2) * np.int64(PLACES) + (col + PLACES // 2)
+    return _places(easting, northing, frame(spec))
+
+
+@kernel
+def _places(easting: Floats, northing: Floats, frame: Frame) -> NDArray[np.int64]:
+    """Return the numbers of the cells by `GridSpec.rowcol`, without arrays in between."""
+    west, north, cell_m = frame
+    found = np.empty(easting.size, dtype=np.int64)
+    for i in range(easting.size):
+        row, col = math.floor((north - northing[i]) / cell_m), math.floor((easting[i] - west) / cell_m)
+        found[i] = (row + PLACES // 2) * PLACES + col + PLACES // 2
+    return found
 
 
 class PointLedger(Ledger):

@@ -67,6 +67,9 @@ class Joining:
         self.version = [0] * len(self.cells)
         self.into = np.arange(len(self.cells))
         self.waiting: list[tuple[float, int, int, int, int]] = []
+        # Ascending, thus a heap: the nodes of which some pair may have changed since they were looked at.
+        self.changed = list(range(len(self.cells)))
+        self.is_changed = [True] * len(self.cells)
 
     def run(self) -> NDArray[np.int64]:
         """Join until nothing is left to join; return the row number of the piece into which each piece went."""
@@ -122,8 +125,14 @@ class Joining:
                 self._join(one, other)
 
     def _two_on_one(self) -> tuple[int, int] | None:
-        """Return two nodes beside each other that a third one encloses together, as halves of a tower on a podium."""
-        for one, beside in enumerate(self.beside):
+        """Return two nodes beside each other that a third one encloses together, as halves of a tower on a podium.
+
+        Of several pairs that of the first nodes. A join changes the pairs of its node and of those beside it alone.
+        """
+        while self.changed:
+            one = heapq.heappop(self.changed)
+            self.is_changed[one] = False
+            beside = self.beside[one]
             for other in sorted(node for node in beside if node > one):
                 outline = self.around[one] + self.around[other] - 2 * beside[other][PAIRS]
                 for third in sorted(beside.keys() & self.beside[other].keys()):
@@ -155,8 +164,16 @@ class Joining:
             if node != one:
                 self.beside[one][node] = self.beside[node][one] = self.beside[one].get(node, 0) + counts
         self.beside[other] = {}
+        self._look_again(one)
         for node in self.beside[one]:
+            self._look_again(node)
             self._wait(one, node)
+
+    def _look_again(self, node: int) -> None:
+        """Let the pairs of a node be looked at again."""
+        if not self.is_changed[node]:
+            self.is_changed[node] = True
+            heapq.heappush(self.changed, node)
 
     def _reason(self, one: int, other: int) -> str | None:
         """Return why two nodes are two houses; None for no reason."""

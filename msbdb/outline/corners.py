@@ -178,9 +178,9 @@ def placed_nodes(runs: WallRuns, nodes: tuple[Ints, Ints, Floats]) -> Floats:
 
 
 def drawn_arcs(
-    runs: WallRuns, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats]
+    runs: WallRuns, chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats], tilted: Mask
 ) -> tuple[Floats, Ints, Floats]:
-    """Draw each arc along its walls, from node to node.
+    """Draw each arc along its walls, from node to node; the tilted ones without steps at their nodes.
 
     Returns
     -------
@@ -194,13 +194,17 @@ def drawn_arcs(
     east, south, starts = chains
     bounds = np.searchsorted(runs.arc, np.arange(len(tail) + 1))
     lines = np.column_stack((runs.angle, runs.east, runs.south))
-    vertices, offsets, off = _drawn(lines, (runs.begin, bounds), (east, south, starts), (tail, head, places))
+    vertices, offsets, off = _drawn(lines, (runs.begin, bounds), (east, south, starts), (tail, head, places), tilted)
     return vertices, offsets, off
 
 
 @kernel
 def _drawn(
-    lines: Floats, divisions: tuple[Ints, Ints], chains: tuple[Floats, Floats, Ints], nodes: tuple[Ints, Ints, Floats]
+    lines: Floats,
+    divisions: tuple[Ints, Ints],
+    chains: tuple[Floats, Floats, Ints],
+    nodes: tuple[Ints, Ints, Floats],
+    tilted: Mask,
 ) -> tuple[Floats, Ints, Floats]:
     """Draw the arcs (`drawn_arcs`)."""
     begin, bounds = divisions
@@ -212,7 +216,7 @@ def _drawn(
     count = 0
     for a in range(tail.size):
         low, high = bounds[a], bounds[a + 1]
-        short = high - low == 1 and starts[a + 1] - starts[a] <= SHORT_ARC
+        short = tilted[a] or (high - low == 1 and starts[a + 1] - starts[a] <= SHORT_ARC)
         if tail[a] >= 0:
             pool[count] = places[tail[a]]
             count += 1

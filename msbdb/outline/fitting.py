@@ -21,8 +21,12 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SHARES = (1.0, 0.6, 0.35)
-"""Shares of the costs and the reach: an arc at fault is divided anew, more finely, before it is traced."""
+SHARES = (1.0, 1.0, 0.6, 0.35)
+"""Shares of the costs and the reach by level: an arc at fault is first drawn without the steps at its nodes, then
+divided anew, more finely, before it is traced."""
+
+CHORDS = 2
+"""The level of curves from the beginning."""
 
 TRACED = len(SHARES)
 """From this level on an arc is traced, and simplified ever less; below it is drawn along its walls."""
@@ -113,9 +117,9 @@ def fit_coverage(
     3. Walls that go on beyond a node become one, and nodes move to where their walls meet
        (`msbdb.outline.corners`). An arc is drawn from node to node by the corners of its walls.
     4. An arc is at fault when an edge of its cells is off by more than the reach and `GATE`. It is also at fault when
-       it crosses itself or another one, or when its ring shrinks below the least area. It is divided anew at lower
-       costs and a shorter reach. At last it stays traced: simplified by Douglas-Peucker, with its nodes where they
-       are.
+       it crosses itself or another one, or when its ring shrinks below the least area. First it goes without the steps
+       at its nodes, then it is divided anew at lower costs and a shorter reach. At last it stays traced: simplified by
+       Douglas-Peucker, with its nodes where they are.
 
     What lies elsewhere has no effect on a touching group, nor has its place on the lattice: corners lie on a lattice of
     1/1024 cell.
@@ -146,13 +150,15 @@ def fit_coverage(
     level = np.zeros(chains.count, dtype=np.int64)
     # Where there are no main directions, walls are the chords of a curve.
     curved = np.flatnonzero(np.diff(frames[2]) == 0)
-    level[curved] = 1
-    runs = redivided(runs, chains.places, frames, curved, costs.scaled(SHARES[1]))
+    level[curved] = CHORDS
+    runs = redivided(runs, chains.places, frames, curved, costs.scaled(SHARES[CHORDS]))
     smallest = np.minimum(least_m2, _ring_areas(arcs, arcs.as_given()))
     while True:
         walls = joined_walls(runs, chains.places, chains.nodes, chains.border)
         places = _settled(chains, placed_nodes(walls, chains.nodes), level, spec)
-        vertices, offsets, off = drawn_arcs(walls, chains.places, (chains.nodes[0], chains.nodes[1], places))
+        vertices, offsets, off = drawn_arcs(
+            walls, chains.places, (chains.nodes[0], chains.nodes[1], places), level == 1
+        )
         fault = (off > costs.reach + GATE) & (level < TRACED)
         if not fault.any():
             # A wall along the border of the survey must not lean over it.

@@ -24,6 +24,9 @@ MAX_LATTICE = 2**62
 MARGIN = 1e-6
 """Cells larger than a distance by this share never have points nearer than it two cells apart, by rounding."""
 
+MOST_CELLS = 2
+"""Lattices of up to so many cells a point are sorted by counting."""
+
 PARTS, LEAST_POINTS = 16, 20_000
 """Work is cut into at most so many parts, of no fewer points each."""
 
@@ -85,8 +88,8 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
     it. Two points nearer than the cell size lie in the same or in touching cells, up to rounding. To be exact, take
     cells that are larger by a millionth, as `msbdb.points.graph.connect` does.
 
-    Complexity: O(N) where the lattice has fewer than 2^32 cells, else O(N log N); each `strip` is O(log M). Memory:
-    4 bytes a point and 12 a cell, and 20 a point in passing. No border: what is not there has no cell.
+    Complexity: O(N) where the lattice has no more than two cells a point, else O(N log N); each `strip` is O(log M).
+    Memory: 4 bytes a point and 12 a cell, and 20 a point in passing. No border: what is not there has no cell.
 
     Examples
     --------
@@ -119,12 +122,8 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
         raise ParameterError(msg)
     x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
     keys = _keys(x, y, (west, south, float(cell_m)), cols)
-    order = _order(keys, rows * cols)
-    keys = keys[order]
-    first = np.ones(keys.size, dtype=np.bool_)
-    np.not_equal(keys[1:], keys[:-1], out=first[1:])
-    starts = np.append(np.flatnonzero(first), keys.size).astype(np.int32)
-    return CellIndex(order, starts, keys[first], (rows, cols), west, south, float(cell_m))
+    sort = _counted if rows * cols <= MOST_CELLS * keys.size else _sorted
+    return CellIndex(*sort(keys, rows * cols), (rows, cols), west, south, float(cell_m))
 
 
 def parts_of(index: CellIndex) -> list[tuple[int, int]]:
@@ -191,11 +190,41 @@ def _keys(
     return keys
 
 
-def _order(keys: NDArray[np.int64], limit: int) -> NDArray[np.int32]:
-    """Return the index that sorts the keys, which are below the limit; ties keep their order."""
-    if limit <= 2**32:
-        return order_of(keys, descending=False)
-    return np.argsort(keys, kind="stable").astype(np.int32)
+@kernel
+def _counted(keys: NDArray[np.int64], limit: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+    """Return what `_sorted` does, by counting: without a sort, but with a number for each cell of the lattice."""
+    place = np.zeros(limit, dtype=np.int32)
+    for key in keys:
+        place[key] += 1
+    cells = 0
+    for key in range(limit):
+        cells += place[key] > 0
+    starts, occupied = np.empty(cells + 1, dtype=np.int32), np.empty(cells, dtype=np.int64)
+    cell = total = 0
+    for key in range(limit):
+        points = place[key]
+        place[key] = total  # from here on, where the next point of the cell goes
+        if points > 0:
+            starts[cell], occupied[cell] = total, key
+            cell += 1
+            total += points
+    starts[cells] = total
+    order = np.empty(keys.size, dtype=np.int32)
+    for point in range(keys.size):
+        order[place[keys[point]]] = point
+        place[keys[point]] += 1
+    return order, starts, occupied
+
+
+def _sorted(keys: NDArray[np.int64], limit: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+    """Return order, starts and keys of a `CellIndex` from the points' keys, which are below the limit."""
+    wide = limit > 2**32
+    order = np.argsort(keys, kind="stable").astype(np.int32) if wide else order_of(keys, descending=False)
+    keys = keys[order]
+    first = np.ones(keys.size, dtype=np.bool_)
+    np.not_equal(keys[1:], keys[:-1], out=first[1:])
+    starts = np.append(np.flatnonzero(first), keys.size).astype(np.int32)
+    return order, starts, keys[first]
 
 
 def _corner(values: NDArray[np.float64], cell_m: float) -> float:

@@ -1,8 +1,7 @@
-"""Points connected in space: the graph of all pairs nearer than T_c, and the components and clusters that it makes.
+"""Points connected in space: the graph of all pairs nearer than T_c, and the components that it makes.
 
 The graph (Cao & Wu, Definition 1) depends on the points alone, not on a height. So it is built once, and every on-set
-S_h and off-set is a choice of its points. `linked` gives the clusters alone, the tree of single linkage cut at a
-distance, without a graph.
+S_h and off-set is a choice of its points.
 """
 
 from dataclasses import dataclass
@@ -22,17 +21,17 @@ from msbdb.points.cellindex import (
     parts_of,
     require_coordinates,
     require_distance,
-    strip,
 )
 from msbdb.threads import in_threads, kernel
-
-Floats = NDArray[np.float64]
 
 MOST_CANDIDATES = 2**34
 """Most pairs of points in touching cells, each seen from both ends: more would take minutes."""
 
 MOST_NEIGHBOURS = 2**32
 """Most neighbours of all points together: more would take over 16 GiB."""
+
+A_POINT = 8
+"""Neighbours of a point for which there is space at first."""
 
 FEW = 64
 """Up to so many neighbours are sorted by insertion."""
@@ -50,7 +49,8 @@ class PointGraph:
     indptr : (N + 1,) ndarray of int64
         Where in ``indices`` the neighbours of each point begin, and E at the end.
     indices : (E,) ndarray of int32
-        The neighbours, ascending for each point. Each pair is held from both ends; no point is its own neighbour.
+        The neighbours, ascending for each point. Each pair is held from both ends, or by its later point alone; no
+        point is its own neighbour.
     """
 
     indptr: NDArray[np.int64]
@@ -68,8 +68,25 @@ class PointGraph:
         """Return the number of points."""
         return self.indptr.size - 1
 
+    def among(self, chosen: NDArray[np.bool_]) -> "PointGraph":
+        """Return the graph of some of the points, (N,) booleans, which keep their order.
 
-def connect(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], distance_m: float) -> PointGraph:
+        Examples
+        --------
+        >>> graph = connect(np.arange(4.0), np.zeros(4), np.zeros(4), 1.5)
+        >>> graph.among(np.array([False, True, True, True])).indices
+        array([1, 0, 2, 1], dtype=int32)
+        """
+        return PointGraph(*_among(chosen, self.indptr, self.indices))
+
+    def with_neighbours(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the points of a set, (N,) booleans, and all that are connected to one of them."""
+        return _with_neighbours(chosen, self.indptr, self.indices)
+
+
+def connect(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], distance_m: float, *, earlier: bool = False
+) -> PointGraph:
     """Connect all points whose distance in space is smaller than T_c.
 
     Parameters
@@ -78,6 +95,8 @@ def connect(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float6
         Finite coordinates, also none. Not modified.
     distance_m : float
         T_c, metres, above 0. The paper gives none; 1.5 to 2 times the spacing of the points joins a surface.
+    earlier : bool
+        Hold each pair by its later point alone, in half of the memory: enough for `components`.
 
     Returns
     -------
@@ -96,12 +115,12 @@ def connect(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float6
     Points p and q are connected when |p - q| < T_c, strictly (C2). Points at one place have the distance 0, and are
     connected. Border: what lies outside of the cloud does not exist.
 
-    The points are sorted into cells of T_c in plan; their neighbours are counted, then written, each by the cores
-    side by side for parts of the points. Distances are those of the coordinates given, in 64 bits: large offsets do
-    not matter.
+    The points are sorted into cells of T_c in plan; their neighbours are found by the cores side by side for parts of
+    the points, then put in the order of the points. Distances are those of the coordinates given, in 64 bits: large
+    offsets do not matter.
 
-    Complexity: O(N d) for d points in 3 by 3 cells. Memory: 8 bytes a point and 4 a neighbour, and some 50 a point
-    in passing.
+    Complexity: O(N d) for d points in 3 by 3 cells. Memory: 8 bytes a point and 4 a neighbour, and in passing
+    as much again and some 50 a point.
 
     Examples
     --------
@@ -116,13 +135,14 @@ def connect(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float6
     around = (strips[:, :, 1] - strips[:, :, 0]).sum(axis=1, dtype=np.int64)
     _require_affordable(int(around @ np.diff(starts)), MOST_CANDIDATES, x.size, distance_m)
     search = _GraphSearch(order, starts, strips, _sorted(x, order), _sorted(y, order), _sorted(z, order), distance_m**2)
+    degree = np.zeros(x.size, dtype=np.int32)
     parts = parts_of(index)
+    found = in_threads(partial(_find, search, degree, earlier), parts)
     indptr = np.zeros(x.size + 1, dtype=np.int64)
-    in_threads(partial(_count, search, indptr[1:]), parts)
-    np.cumsum(indptr, out=indptr)
+    np.cumsum(degree, out=indptr[1:])
     _require_affordable(int(indptr[-1]), MOST_NEIGHBOURS, x.size, distance_m)
     indices = np.empty(indptr[-1], dtype=np.int32)
-    in_threads(partial(_fill, search, indptr, indices), parts)
+    in_threads(lambda each: _place(search, *each, indptr, indices), zip(parts, found, strict=True))
     return PointGraph(indptr, indices)
 
 
@@ -141,44 +161,71 @@ class _GraphSearch(NamedTuple):
 @kernel
 def _strips(index: CellIndex) -> NDArray[np.int32]:
     """Return where the points of the three strips around each cell begin and end, from south to north."""
-    strips = np.empty((index.keys.size, 3, 2), dtype=np.int32)
-    for cell in range(index.keys.size):
-        row, col = cell_place(index, cell)
-        for side in range(3):  # three cells of a row follow each other, so nine cells are three strips
-            first, stop = strip(index, row - 1 + side, col - 1, col + 1)
-            strips[cell, side, 0] = first
-            strips[cell, side, 1] = stop
+    keys, starts, (rows, cols) = index.keys, index.starts, index.shape
+    strips = np.zeros((keys.size, 3, 2), dtype=np.int32)
+    for side in range(3):  # three cells of a row follow each other, so nine cells are three strips
+        first = 0  # cells come in row-major order, so the first one of a strip never moves back
+        for cell in range(keys.size):
+            row, col = cell_place(index, cell)
+            row += side - 1
+            if row < 0 or row >= rows:
+                continue
+            while first < keys.size and keys[first] < row * cols + max(col - 1, 0):
+                first += 1
+            stop = first
+            while stop < keys.size and keys[stop] <= row * cols + min(col + 1, cols - 1):
+                stop += 1
+            strips[cell, side, 0] = starts[first]
+            strips[cell, side, 1] = starts[stop]
     return strips
 
 
 @kernel
-def _count(search: _GraphSearch, degree: NDArray[np.int64], part: tuple[int, int]) -> None:
-    """Count the neighbours of the points in a range of cells."""
+def _find(search: _GraphSearch, degree: NDArray[np.int32], earlier: bool, part: tuple[int, int]) -> NDArray[np.int32]:
+    """Return the neighbours of the points in a range of cells, or the earlier ones of them, ascending for each point.
+
+    They come in the order of the cells; ``degree`` gets how many each point has.
+    """
     order, starts, strips, x, y, z, limit_m2 = search
+    found = np.empty(max(A_POINT * (starts[part[1]] - starts[part[0]]), FEW), dtype=np.int32)
+    end = 0
     for cell in range(part[0], part[1]):
+        around = 0
+        for side in range(3):
+            around += strips[cell, side, 1] - strips[cell, side, 0]
         for own in range(starts[cell], starts[cell + 1]):
-            count = -1  # the point itself, which is found too
+            while end + around > found.size:
+                found = np.concatenate((found, np.empty_like(found)))
+            point, begin = order[own], end
             for side in range(3):
                 for other in range(strips[cell, side, 0], strips[cell, side, 1]):
+                    if order[other] >= point if earlier else order[other] == point:
+                        continue
                     dx, dy, dz = x[other] - x[own], y[other] - y[own], z[other] - z[own]
-                    count += dx * dx + dy * dy + dz * dz < limit_m2
-            degree[order[own]] = count
+                    if dx * dx + dy * dy + dz * dz < limit_m2:
+                        found[end] = order[other]
+                        end += 1
+            _sort(found[begin:end])
+            degree[point] = end - begin
+    return found[:end]
 
 
 @kernel
-def _fill(search: _GraphSearch, indptr: NDArray[np.int64], indices: NDArray[np.int32], part: tuple[int, int]) -> None:
-    """Write the neighbours of the points in a range of cells, ascending."""
-    order, starts, strips, x, y, z, limit_m2 = search
-    for cell in range(part[0], part[1]):
-        for own in range(starts[cell], starts[cell + 1]):
-            begin = end = indptr[order[own]]  # rows do not overlap, so threads never write to the same place
-            for side in range(3):
-                for other in range(strips[cell, side, 0], strips[cell, side, 1]):
-                    dx, dy, dz = x[other] - x[own], y[other] - y[own], z[other] - z[own]
-                    if dx * dx + dy * dy + dz * dz < limit_m2 and other != own:
-                        indices[end] = order[other]
-                        end += 1
-            _sort(indices[begin:end])
+def _place(
+    search: _GraphSearch,
+    part: tuple[int, int],
+    found: NDArray[np.int32],
+    indptr: NDArray[np.int64],
+    indices: NDArray[np.int32],
+) -> None:
+    """Write the neighbours of the points in a range of cells into the points' rows."""
+    order, starts = search.order, search.starts
+    place = 0
+    for own in range(starts[part[0]], starts[part[1]]):
+        point = order[own]  # rows do not overlap, so threads never write to the same place
+        for row in range(indptr[point], indptr[point + 1]):
+            indices[row] = found[place]
+            place += 1
 
 
 @kernel
@@ -284,98 +331,42 @@ def _number_components(
     return labels, found
 
 
-class _LinkSearch(NamedTuple):
-    """Points in the order of their cells, and the square of the distance; for kernels."""
-
-    cells: CellIndex
-    x: Floats
-    y: Floats
-    z: Floats
-    limit_m2: float
-
-
-def linked(x: Floats, y: Floats, z: Floats, distance_m: float) -> tuple[NDArray[np.int32], int]:
-    """Label the clusters of points: the connected components of all points nearer than a distance.
-
-    Parameters
-    ----------
-    x, y, z : (N,) ndarray of float64, metres
-        Finite coordinates.
-    distance_m : float
-        Points whose distance in space is smaller belong together, metres, above 0.
-
-    Returns
-    -------
-    labels : (N,) ndarray of int32
-        1 to ``count`` in the order of the clusters' first points.
-    count : int
-        Number of clusters.
-
-    Raises
-    ------
-    InputError
-        When the arrays are not three of one length, or a coordinate is NaN or infinite.
-    ParameterError
-        When the distance is no positive number.
-
-    Notes
-    -----
-    As `components` of all points in the graph of `connect`, in a fraction of time and memory: pairs are joined as they
-    are found, and those that are joined already are not measured. O(N d) for d points in 3 by 3 cells.
-
-    Examples
-    --------
-    >>> linked(np.array([0.0, 9.0, 1.0]), np.zeros(3), np.zeros(3), 2.0)
-    (array([1, 2, 1], dtype=int32), 2)
-    """
-    require_coordinates(x=x, y=y, z=z)
-    require_distance("distance below which points belong together", distance_m)
-    index = index_cells(x, y, distance_m * (1 + MARGIN))
-    search = _LinkSearch(index, x[index.order], y[index.order], z[index.order], distance_m**2)
-    labels, count = _number_clusters(_joined(search), index.order)
-    return labels, int(count)
+@kernel
+def _among(
+    chosen: NDArray[np.bool_], indptr: NDArray[np.int64], indices: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Return the rows of the chosen points, with the chosen neighbours alone, under their new numbers."""
+    number = np.empty(chosen.size, dtype=np.int32)
+    points = pairs = 0
+    for point in range(chosen.size):
+        if chosen[point]:
+            number[point] = points
+            points += 1
+            for other in indices[indptr[point] : indptr[point + 1]]:
+                pairs += chosen[other]
+    rows, neighbours = np.zeros(points + 1, dtype=np.int64), np.empty(pairs, dtype=np.int32)
+    points = pairs = 0
+    for point in range(chosen.size):
+        if chosen[point]:
+            for other in indices[indptr[point] : indptr[point + 1]]:
+                if chosen[other]:
+                    neighbours[pairs] = number[other]
+                    pairs += 1
+            points += 1
+            rows[points] = pairs
+    return rows, neighbours
 
 
 @kernel
-def _joined(search: _LinkSearch) -> NDArray[np.int32]:
-    """Join each point, in the order of the cells, to the earlier ones near it; return each point's parent.
-
-    Invariant: a parent comes earlier in the order than its child, so that the root is the first point of a cluster.
-    """
-    index, x, y, z, limit_m2 = search
-    node = np.full(x.size, ROOT, dtype=np.int32)
-    for cell in range(index.keys.size):
-        row, col = cell_place(index, cell)
-        # Earlier points lie in the row below, or in the own row up to the own cell; later pairs find the others.
-        below = strip(index, row - 1, col - 1, col + 1)
-        own = strip(index, row, col - 1, col)
-        for point in range(index.starts[cell], index.starts[cell + 1]):
-            root = point
-            for first, stop in (own, below):
-                for other in range(first, min(stop, point)):
-                    dx, dy, dz = x[other] - x[point], y[other] - y[point], z[other] - z[point]
-                    if dx * dx + dy * dy + dz * dz >= limit_m2:
-                        continue
-                    its = find_root(node, other)
-                    if its != root:
-                        node[max(root, its)] = min(root, its)
-                        root = min(root, its)
-    return node
-
-
-@kernel
-def _number_clusters(node: NDArray[np.int32], order: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
-    """Return cluster numbers by first points, from the points' parents in the order of the cells."""
-    labels = np.zeros(node.size, dtype=np.int32)
-    place = np.empty(node.size, dtype=np.int32)
-    for number in range(node.size):
-        place[order[number]] = number
-    label = np.zeros(node.size, dtype=np.int32)
-    count = 0
-    for point in range(node.size):
-        root = find_root(node, place[point])
-        if label[root] == 0:
-            count += 1
-            label[root] = count
-        labels[point] = label[root]
-    return labels, count
+def _with_neighbours(
+    chosen: NDArray[np.bool_], indptr: NDArray[np.int64], indices: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Return the chosen points and all that one of them is connected to, whichever point holds the pair."""
+    found = chosen.copy()
+    for point in range(chosen.size):
+        for other in indices[indptr[point] : indptr[point + 1]]:
+            if chosen[point]:
+                found[other] = True
+            elif chosen[other]:
+                found[point] = True
+    return found

@@ -136,38 +136,63 @@ def area_open_close(
     return area_closing(opened, graph, threshold, weights=weights)
 
 
-def open_close_on_set(
-    on: NDArray[np.bool_], graph: PointGraph, threshold: float, *, weights: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Open, then close one on-set: the result of `area_open_close` at its height, faster for few heights.
+def open_close_on_sets(
+    values: NDArray[Any], graph: PointGraph, threshold: float, heights: Sequence[float], *, weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Open, then close the on-sets of a few heights: as `area_open_close` does, faster, and without its small islands.
 
     Parameters
     ----------
-    on : (N,) ndarray of bool
-        The on-set S_h.
-    graph, threshold, weights
-        As for `area_opening`.
+    values, graph, threshold, weights
+        As for `area_opening`. The graph may hold each pair by its later point alone.
+    heights : sequence of float
+        h_j, ascending.
 
     Returns
     -------
-    (N,) ndarray of bool
-        The filtered on-set. An island of less area than T_a is on.
+    (N,) ndarray of float64
+        The highest of the heights at which each point is on; minus infinity without one. A point is on at all lower
+        ones as well. Islands of less area than T_a, for which no height decides, are never on.
 
     Notes
     -----
-    Four heights take a quarter of the time of one sweep, on four million points in the order of their places. The sweep
-    goes by heights, and its neighbours lie all over the memory.
+    What is off at the lowest height, in a component of enough area, is off in a component of enough area at all higher
+    ones. So these are filtered among the points that are on at the lowest height, and the rim of points connected to
+    them: a component that holds a point of the rim is large enough. Four heights take a sixth of the time of one sweep,
+    on four million points in the order of their places. The sweep goes by heights, and its neighbours lie all over the
+    memory.
     """
     _require_threshold(threshold)
-    return ~_large(~_large(on, graph, threshold, weights), graph, threshold, weights)
+    found = np.full(values.size, -np.inf)
+    if not len(heights):
+        return found
+    on = ~_large(~_large(values >= heights[0], graph, threshold, weights), graph, threshold, weights)
+    found[on] = heights[0]
+    inner = graph.with_neighbours(on)
+    rim, highest = ~on[inner], found[inner]
+    graph, values, weights = graph.among(inner), values[inner], weights[inner]
+    for height in heights[1:]:
+        opened = _large((values >= height) & ~rim, graph, threshold, weights)
+        highest[~_large(~opened, graph, threshold, weights, rim)] = height
+    everything = np.ones(values.size, dtype=np.bool_)
+    highest[~_large(everything, graph, threshold, weights, rim)] = -np.inf
+    found[inner] = highest
+    return found
 
 
 def _large(
-    mask: NDArray[np.bool_], graph: PointGraph, threshold: float, weights: NDArray[np.float64]
+    mask: NDArray[np.bool_],
+    graph: PointGraph,
+    threshold: float,
+    weights: NDArray[np.float64],
+    rim: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
-    """Return the points of a set whose components are large enough."""
+    """Return the points of a set whose components are large enough, as those are that hold a point of the rim."""
     labels, count = components(mask, graph)
-    return chosen_cells(labels, sums(labels, weights, count) >= threshold)
+    enough = sums(labels, weights, count) >= threshold
+    if rim is not None:
+        enough[labels[rim & mask] - 1] = True
+    return chosen_cells(labels, enough)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,10 +127,17 @@ def count_first(points: PointCloud, spec: GridSpec) -> NDArray[np.uint16]:
 
 def lowest(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None = None) -> Grid:
     """Grid the lowest of the chosen points (all unless given) of each cell; cells without one are not valid."""
+    values, valid = lowest_heights(points, spec, chosen)
+    return Grid(values.astype(np.float32), valid, spec)
+
+
+def lowest_heights(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None = None) -> tuple[Floats, Mask]:
+    """Return what `lowest` does in 64 bits: the heights (H, W), 0 where there is none, and the cells that have one."""
     wanted = np.ones(len(points), dtype=np.bool_) if chosen is None else chosen
     values = _lowest((points.x, points.y, points.z), wanted, frame(spec), spec.shape)
     valid = np.isfinite(values)
-    return Grid(np.where(valid, values, 0.0).astype(np.float32), valid, spec)
+    values[~valid] = 0.0
+    return values, valid
 
 
 def fill_gaps(samples: Samples, reach_cells: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -8,14 +8,14 @@ from support import oracles
 from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.points.graph import components, connect
+from msbdb.points.graph import PointGraph, components, connect
 from msbdb.points.pointarea import (
     PointScaleSpace,
     area_closing,
     area_open_close,
     area_opening,
     build_point_scale_space,
-    open_close_on_set,
+    open_close_on_sets,
 )
 
 FILTERS = st.sampled_from([area_opening, area_closing, area_open_close])
@@ -71,19 +71,34 @@ def test_open_close_is_the_definition_at_every_height(function, threshold):
 
 
 @given(functions(), st.integers(0, 2**32 - 1), st.floats(0.25, 30))
-def test_one_on_set_is_filtered_as_by_the_sweep_over_all_heights(function, seed, threshold):
-    """At every height that the opening leaves, on islands of enough area; smaller ones are on."""
+def test_on_sets_are_filtered_as_by_the_sweep_over_all_heights(function, seed, threshold):
+    """At every height that the opening leaves, on islands of enough area; smaller ones are never on."""
     values, graph = function
     weights = weights_for(values.size, seed)
     opened = area_opening(values, graph, threshold, weights=weights)
     swept = area_open_close(values, graph, threshold, weights=weights)
     islands, count = components(np.ones(values.size, dtype=np.bool_), graph)
     small = (np.bincount(islands, weights, count + 1) < threshold)[islands]
-    for height in np.unique(values)[1:]:
-        if height <= opened.max():
-            found = open_close_on_set(values >= height, graph, threshold, weights=weights)
-            np.testing.assert_array_equal(found[~small], swept[~small] >= height)
-            assert found[small].all()
+    heights = [height for height in np.unique(values)[1:] if height <= opened.max()]
+    for chosen in (heights, heights[::3], heights[1:]):
+        found = open_close_on_sets(values, graph, threshold, chosen, weights=weights)
+        assert (found[small] == -np.inf).all()
+        for height in chosen:
+            np.testing.assert_array_equal(found[~small] >= height, swept[~small] >= height)
+
+
+@given(functions(), st.integers(0, 2**32 - 1), st.floats(0.25, 30))
+def test_on_sets_need_each_pair_once(function, seed, threshold):
+    """A graph that holds each pair by its later point gives the same."""
+    values, graph = function
+    weights = weights_for(values.size, seed)
+    point = np.repeat(np.arange(values.size), np.diff(graph.indptr))
+    earlier = graph.indices < point
+    kept = np.bincount(point[earlier], minlength=values.size)
+    half = PointGraph(np.concatenate([[0], np.cumsum(kept)]), graph.indices[earlier])
+    heights = np.unique(values)
+    one, other = (open_close_on_sets(values, each, threshold, heights, weights=weights) for each in (graph, half))
+    np.testing.assert_array_equal(one, other)
 
 
 @given(functions(), st.integers(0, 2**32 - 1), st.floats(0.25, 30))

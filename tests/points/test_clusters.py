@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from support.sizes import examples
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.points.graph import components, connect, linked
+from msbdb.points.graph import components, connect
+from msbdb.points.linkage import linked
 
 
 @examples(100)

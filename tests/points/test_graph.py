@@ -31,6 +31,24 @@ def test_the_graph_is_the_definition(cloud, distance):
     assert pairs(found) == oracles.connected_pairs(*cloud, distance)
 
 
+@given(clouds(), DISTANCES)
+def test_each_pair_can_be_held_once(cloud, distance):
+    """By its later point, neighbours ascending."""
+    both, once = connect(*cloud, distance), connect(*cloud, distance, earlier=True)
+    assert pairs(once) == [(point, other) for point, other in pairs(both) if other < point]
+
+
+@given(clouds(), DISTANCES, st.integers(0, 2**32 - 1), st.booleans())
+def test_the_graph_of_some_points_is_that_of_a_smaller_cloud(cloud, distance, seed, earlier):
+    """Points keep their order; and the neighbours of a set are those of its points."""
+    chosen = np.random.default_rng(seed).random(cloud[0].size) < 0.6
+    found = connect(*cloud, distance, earlier=earlier)
+    smaller = connect(*(column[chosen] for column in cloud), distance, earlier=earlier)
+    assert pairs(found.among(chosen)) == pairs(smaller)
+    beside = {end for pair in pairs(found) if chosen[list(pair)].any() for end in pair}
+    assert set(np.flatnonzero(found.with_neighbours(chosen))) == beside | set(np.flatnonzero(chosen))
+
+
 @given(clouds(), DISTANCES, st.integers(0, 2**32 - 1))
 def test_the_order_of_the_points_only_renames_them(cloud, distance, seed):
     """A shuffled cloud has the same pairs, under other numbers."""

@@ -37,7 +37,7 @@ from msbdb.labels import Labels, renumber
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams, Params
 from msbdb.points.cloud import PointCloud
-from msbdb.points.graph import linked
+from msbdb.points.linkage import linked
 from msbdb.threads import cores
 
 logger = logging.getLogger(__name__)

@@ -20,11 +20,12 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import InputError, NodataError
 from msbdb.grid import GridSpec
 from msbdb.labels import chosen_cells, sums
-from msbdb.order import order_of_points, ranks
+from msbdb.order import order_of_points
 from msbdb.params import Area3dParams, Params
+from msbdb.points.cellindex import index_cells
 from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.points.graph import PointGraph, components, connect
-from msbdb.points.pointarea import build_point_scale_space, open_close_on_set
+from msbdb.points.pointarea import build_point_scale_space, open_close_on_sets
 
 logger = logging.getLogger(__name__)
 
@@ -109,9 +110,7 @@ def extract_area3d(
     building cut by the border is judged by its part inside. Halo: none suffices, as components are of any extent.
     """
     _require(cloud, heights, ndvi)
-    order = _canonical_order(cloud, heights, ndvi)
-    needed = replace(cloud, classification=None, intensity=None, colours=None, colour_names=())
-    scenes, scales = _prepare(needed.take(order), heights[order], None if ndvi is None else ndvi[order], spec, params)
+    scenes, scales, order = _prepare(cloud, heights, ndvi, spec, params)
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
     ledger = PointLedger(METHOD, placed)
@@ -152,8 +151,9 @@ def _canonical_order(
 
     Blocks come first: points near each other in plan lie near each other in memory, for the graph and neighbours.
     """
-    (_, row), (cols, col) = (ranks(np.floor(values / BLOCK_M).astype(np.int64)) for values in (cloud.y, cloud.x))
-    _, block = ranks(row * len(cols) + col)
+    blocks = index_cells(cloud.x, cloud.y, BLOCK_M)
+    block = np.empty(len(cloud), dtype=np.int32)
+    block[blocks.order] = np.repeat(np.arange(blocks.keys.size, dtype=np.int32), np.diff(blocks.starts))
     echoes = [values for values in (ndvi, cloud.number_of_returns, cloud.return_number) if values is not None]
     return order_of_points(cloud.x, cloud.y, [cloud.z, heights, *echoes], group=block)
 
@@ -164,30 +164,40 @@ def _prepare(
     ndvi: NDArray[np.float32] | None,
     spec: GridSpec,
     params: Params,
-) -> tuple[tuple[OnSets, ...], tuple[float, ...]]:
-    """Return the input of all height scales for each area, from the points in canonical order, and the heights."""
+) -> tuple[tuple[OnSets, ...], tuple[float, ...], NDArray[np.intp]]:
+    """Return the input of all height scales for each area, the heights, and the places of its points in the cloud.
+
+    The density and the filters take all points. No later step looks at points that are off at all heights and lower
+    than the feet of walls, so they are left out.
+    """
     own, mask_m = params.area3d, params.surface.mask_m
+    order = _canonical_order(cloud, heights, ndvi)
+    heights = heights[order]
     points = np.empty((len(cloud), 3), order="F")  # by columns, as the steps take single columns without a copy
     x, y, z = points.T
     for column, values in zip((x, y, z), (cloud.x, cloud.y, cloud.z), strict=True):
-        column[:] = values
+        np.take(values, order, out=column)
     origin = np.floor(points.min(axis=0) / ORIGIN_M) * ORIGIN_M
     points -= origin
-    density = measure_density(x, y, cloud.first_echo)
+    density = measure_density(x, y, cloud.first_echo[order])
     link_m = own.link_spacings * density.spacing_m
-    graph = connect(x, y, z, link_m)
-    scales = height_scales(heights, own, mask_m=mask_m)
     areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
+    graph = connect(x, y, z, link_m, earlier=len(areas) == 1)
+    scales = height_scales(heights, own, mask_m=mask_m)
     filtered = _open_close(heights, graph, density.area_m2, areas, scales)
-    several = cloud.number_of_returns > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
+    some = (heights >= min(own.foot_m, mask_m, scales[0])) | (filtered > -np.inf).any(axis=0)
+    graph, order, heights, filtered = graph.among(some), order[some], heights[some], filtered[:, some]
+    points = np.asfortranarray(points[some])
+    several = cloud.number_of_returns[order] > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
     structure = _structure(points, several, np.logical_or.reduce(filtered >= scales[0]), own)
-    green = None if ndvi is None else ndvi.astype(np.float64)
-    place = places(spec, cloud.x, cloud.y)
-    known = NormalisedCloud(points, heights, density.area_m2, several, green, place, origin[:2])
-    return tuple(
+    green = None if ndvi is None else ndvi[order].astype(np.float64)
+    place = places(spec, cloud.x[order], cloud.y[order])
+    known = NormalisedCloud(points, heights, density.area_m2[some], several, green, place, origin[:2])
+    scenes = tuple(
         OnSets(known, graph, on, density.spacing_m, link_m, structure, replace(own, smallest_m2=area), mask_m)
         for on, area in zip(filtered, areas, strict=True)
-    ), scales
+    )
+    return scenes, scales, order
 
 
 def _open_close(
@@ -204,7 +214,7 @@ def _open_close(
     heights : (N,) ndarray of float64, metres
         Heights above ground.
     graph : PointGraph
-        The connected points.
+        The connected points; for several area scales from both ends.
     area_m2 : (N,) ndarray of float64
         Area of each point.
     areas : tuple of float
@@ -221,20 +231,18 @@ def _open_close(
     -----
     On-sets of a higher h_j lie within those of a lower one. Islands of less than T_a, for which no height decides
     between on and off, are never on. For one area the on-sets are filtered one by one, which is faster than a sweep
-    over all heights (`open_close_on_set`) and gives the same.
+    over all heights (`open_close_on_sets`) and gives the same.
     """
+    if len(areas) == 1:
+        return open_close_on_sets(heights, graph, areas[0], scales, weights=area_m2)[None]
     islands, count = components(np.ones(len(heights), dtype=np.bool_), graph)
     size = sums(islands, area_m2, count)
-    space = build_point_scale_space(heights, graph, areas, weights=area_m2) if len(areas) > 1 else None
+    space = build_point_scale_space(heights, graph, areas, weights=area_m2)
     filtered = np.full((len(areas), len(heights)), -np.inf)
     for number, area in enumerate(areas):
         large = chosen_cells(islands, size >= area)
         for height_m in scales:
-            if space is None:
-                on = open_close_on_set(heights >= height_m, graph, area, weights=area_m2)
-            else:
-                on = space.on_set(number, height_m)
-            filtered[number, on & large] = height_m
+            filtered[number, space.on_set(number, height_m) & large] = height_m
     return filtered
 
 

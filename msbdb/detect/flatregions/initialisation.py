@@ -17,6 +17,7 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.morphology import window_profile
 from msbdb.params import FlatRegionParams
 from msbdb.points.cloud import PointCloud
+from msbdb.surface.gridding import lowest_heights
 from msbdb.threads import kernel
 
 logger = logging.getLogger(__name__)
@@ -90,18 +91,14 @@ def initialise(points: PointCloud, spec: GridSpec, *, max_gap_m: float = 0.0) ->
     NodataError
         When no point lies on the lattice.
     """
-    row, col = spec.rowcol(points.x, points.y)
-    inside = spec.inside(row, col)
-    if not inside.any():
+    lowest, known = lowest_heights(points, spec)
+    if not known.any():
         msg = f"None of the {len(points)} points lies on the lattice {spec.bounds}; check the CRS and the extent."
         raise NodataError(msg)
-    lowest = np.full(spec.shape, np.inf)
-    np.minimum.at(lowest.ravel(), (row * spec.shape[1] + col)[inside], points.z[inside])
-    known = np.isfinite(lowest)
     wanted = ~known
     if max_gap_m > 0 and wanted.any():
         wanted &= distance_transform_edt(wanted) <= max(max_gap_m / spec.cell_m, 2.0)
-    values = fill_by_idw(np.where(known, lowest, 0.0), known, wanted)
+    values = fill_by_idw(lowest, known, wanted)
     return Grid(values.astype(np.float32), known | wanted, spec)
 
 

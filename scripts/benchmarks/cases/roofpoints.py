@@ -33,6 +33,15 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Roof:
+    """A roof that counts: its level at the eaves, its share of the building, and its points."""
+
+    eaves: float
+    share: float
+    points: Floats
+
+
+@dataclass(frozen=True)
 class Levels:
     """Levels in the source's vertical reference, metres."""
 
@@ -41,6 +50,8 @@ class Levels:
     ridge: float
     main: float
     """Share of the roof whose eaves these are, of the roofs that count."""
+    roofs: tuple[Roof, ...]
+    """The roofs that count."""
 
 
 def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
@@ -85,17 +96,17 @@ def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
     _, member = connected_components(graph, directed=False)
     shares = np.bincount(member) / len(roof)
     least = min(WEIGHT_M2, max(LEAST_M2, WEIGHT * area_m2)) / area_m2
-    found = []
+    found: list[Roof] = []
     for number in np.flatnonzero(shares >= min(least, shares.max())).tolist():
         own = roof[member == number]
         edge = own[_at_edge(own, AROUND * spacing)]
         edge = edge if len(edge) else own
-        found.append((np.quantile(edge[:, 2], EAVES), shares[number], np.quantile(own[:, 2], RIDGE)))
-    found.sort()
-    weights = np.cumsum([share for _, share, _ in found])
-    eaves, share, _ = found[int(np.argmax(2 * weights >= weights[-1]))]
-    ridge = max(ridge for *_, ridge in found)
-    return Levels(float(np.median(ground[near, 2])), float(eaves), float(ridge), float(share / weights[-1]))
+        found.append(Roof(float(np.quantile(edge[:, 2], EAVES)), float(shares[number]), own))
+    found.sort(key=lambda one: (one.eaves, one.share))
+    weights = np.cumsum([one.share for one in found])
+    main = found[int(np.argmax(2 * weights >= weights[-1]))]
+    ridge = max(float(np.quantile(one.points[:, 2], RIDGE)) for one in found)
+    return Levels(float(np.median(ground[near, 2])), main.eaves, ridge, float(main.share / weights[-1]), tuple(found))
 
 
 def _upper(roof: Floats, spacing: float) -> Floats:
