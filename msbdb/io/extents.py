@@ -79,7 +79,7 @@ def extent_of_points(paths: Sequence[Path], crs: CrsLike | None) -> Extent | Non
     """
     files = [read_las_header(path) for path in paths]
     found = [_settled(header_crs(info.projection), crs, info.path) for info in files]
-    if not all(same_crs(one, found[0]) for one in found) or not all(map(_is_believed, files)):
+    if not all(same_crs(one, found[0]) for one in found) or not all(map(is_believed, files)):
         return None
     west, south, east, north = zip(*(info.bounds for info in files), strict=True)
     return Extent((min(west), min(south), max(east), max(north)), found[0], "the points have the bounds")
@@ -166,7 +166,7 @@ def _settled(found: CRS | None, stated: CrsLike | None, path: Path) -> CRS:
         return split_crs(settle(found, stated, path.name))[0]
 
 
-def _is_believed(info: LasInfo) -> bool:
+def is_believed(info: LasInfo) -> bool:
     """Return whether the bounds in a header hold the first points of the file."""
     west, south, east, north = info.bounds
     chunk = next(read_chunks(info, FIRST_POINTS, Fields.XY_RETURNS_CHANNEL))

@@ -7,9 +7,12 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from msbdb.errors import CRSError, FileError, InputError, MsbdbError, MsbdbWarning, counted
+import numpy as np
+import shapely
+
+from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbError, MsbdbWarning, counted
 from msbdb.io.crs import name_of, same_crs, split_crs
-from msbdb.io.extents import same_points, twice
+from msbdb.io.extents import is_believed, same_points, twice
 from msbdb.io.files import require_input
 from msbdb.io.lasheader import LasInfo, header_crs, read_las_header
 
@@ -21,6 +24,12 @@ INDEX_ENDING = ".vpc"
 
 PATTERN_SIGNS = "*?["
 """What a pattern has, and a name that is no pattern rarely."""
+
+APART = 10_000.0
+"""Units of the CRS between files that are of two places: a survey that is built at once has a few kilometres."""
+
+SIDES = np.array([-1, -1, 1, 1])
+"""What makes a box larger on all sides."""
 
 LISTED = 10
 """As many files are named in a message."""
@@ -89,8 +98,8 @@ def _listed(path: Path) -> list[Path]:
 def sound_files(paths: Sequence[Path], *, skip_bad: bool) -> tuple[Path, ...]:
     """Check the headers of several files before one of them is read, and return those that fit together.
 
-    A file is bad that cannot be read, has no points, or states another CRS than most do. Where bad files are left out,
-    so is one with the points of an earlier file (`msbdb.io.extents.require_other_points`).
+    A file is bad that cannot be read, has no points, states another CRS than most do, or lies far from most. Where bad
+    files are left out, so is one with the points of an earlier file (`msbdb.io.extents.require_other_points`).
 
     Parameters
     ----------
@@ -115,6 +124,7 @@ def sound_files(paths: Sequence[Path], *, skip_bad: bool) -> tuple[Path, ...]:
         except MsbdbError as error:
             bad[number] = error
     bad |= _of_another_crs(infos)
+    bad |= _elsewhere({number: info for number, info in infos.items() if number not in bad})
     if skip_bad:
         sound = {number: info for number, info in infos.items() if number not in bad}
         bad |= {number: InputError(twice(*pair)) for number, pair in same_points(sound)}
@@ -149,3 +159,17 @@ def _of_another_crs(infos: dict[int, LasInfo]) -> dict[int, MsbdbError]:
         for number, first in first_of.items()
         if first != most
     }
+
+
+def _elsewhere(infos: dict[int, LasInfo]) -> dict[int, MsbdbError]:
+    """Return the files that lie far from most others; headers whose bounds are wrong are believed nothing."""
+    numbers, boxes = list(infos), shapely.box(*np.array([info.bounds for info in infos.values()]).reshape(-1, 4).T)
+    if not len(boxes) or not np.isfinite(shapely.bounds(boxes)).all():
+        return {}
+    near = shapely.get_parts(shapely.union_all(shapely.box(*(shapely.bounds(boxes) + APART / 2 * SIDES).T)))
+    box, place = shapely.STRtree(near).query(boxes, predicate="intersects")
+    most = int(np.bincount(place).argmax())
+    first = infos[numbers[int(box[place == most].min())]]
+    far = [numbers[one] for one in box[place != most].tolist() if is_believed(infos[numbers[one]])]
+    words = f"{APART / 1000:g} km and more from {first.path.name} and the files around it. Give files of one place"
+    return {number: GridMismatchError(f"{infos[number].path} lies {words}, or correct a wrong CRS.") for number in far}

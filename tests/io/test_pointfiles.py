@@ -11,7 +11,7 @@ from support.notices import with_notices
 
 import msbdb
 from msbdb.database import read_survey
-from msbdb.errors import CRSError, FileError, NodataError
+from msbdb.errors import CRSError, FileError, GridMismatchError, NodataError
 from msbdb.io.pointfiles import point_files, sound_files
 from msbdb.points.cloud import PointCloud
 from msbdb.run.inputs import Inputs
@@ -100,6 +100,13 @@ def test_the_others_are_used_on_request(mixed):
     assert inputs.points == (mixed / "a.LAS", mixed / "b.laz")
     assert "4 of 6 files of points are left out" in notice
     assert "twice.laz" in notice
+
+
+def test_a_file_of_another_place_is_named(folder):
+    """One of three lies a hundred kilometres away; the lattice of all would not fit into memory."""
+    tile(folder / "far.laz", 12_500)
+    with pytest.raises(GridMismatchError, match=r"far.laz lies 10 km and more from a.LAS"):
+        Inputs.of(folder)
 
 
 def test_no_sound_file_is_an_error(mixed):
