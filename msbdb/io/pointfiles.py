@@ -130,14 +130,14 @@ def sound_files(paths: Sequence[Path], *, skip_bad: bool) -> tuple[Path, ...]:
         bad |= {number: InputError(twice(*pair)) for number, pair in same_points(sound)}
     if not bad:
         return tuple(paths)
-    told = "".join(f"\n  {error}" for _, error in sorted(bad.items())[:LISTED])
-    told += f"\n  and {len(bad) - LISTED} more." if len(bad) > LISTED else ""
+    told = " ".join(str(error) for _, error in sorted(bad.items())[:LISTED])
+    told += f" And {len(bad) - LISTED} more." if len(bad) > LISTED else ""
     which = f"{len(bad)} of {counted(len(paths), 'file')} of points"
     if not skip_bad or len(bad) == len(paths):
         kind = type(bad[min(bad)])
-        msg = f"{which} cannot be used:{told}"
-        raise kind(msg if skip_bad else f"{msg}\nMend them, or leave them out with --skip-bad.")
-    warnings.warn(f"{which} are left out:{told}", MsbdbWarning, stacklevel=3)
+        msg = f"{which} cannot be used: {told}"
+        raise kind(msg if skip_bad else f"{msg} Mend them, or leave them out with --skip-bad.")
+    warnings.warn(f"{which} are left out: {told}", MsbdbWarning, stacklevel=3)
     return tuple(path for number, path in enumerate(paths) if number not in bad)
 
 
@@ -153,9 +153,9 @@ def _of_another_crs(infos: dict[int, LasInfo]) -> dict[int, MsbdbError]:
     if len(alike) <= 1:
         return {}
     most = alike.most_common(1)[0][0]
-    words = f"the others in {name_of(known[most])}. Files of one build share their CRS: reproject it"
+    words = f"{infos[most].path.name} in {name_of(known[most])}; files of one build share their CRS. Reproject one"
     return {
-        number: CRSError(f"{infos[number].path} is in the CRS {name_of(known[number])}, {words}.")
+        number: CRSError(f"{infos[number].path} is in the CRS {name_of(known[number])}, and {words}.")
         for number, first in first_of.items()
         if first != most
     }

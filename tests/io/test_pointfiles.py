@@ -119,7 +119,7 @@ def test_no_sound_file_is_an_error(mixed):
 def test_a_long_list_is_cut(folder):
     """Ten files are named, and the rest counted."""
     missing = [folder / f"{number}.laz" for number in range(14)]
-    with pytest.raises(FileError, match=r"and 4 more") as caught:
+    with pytest.raises(FileError, match=r"And 4 more") as caught:
         Inputs.of([folder / "a.LAS", *missing])
     assert str(caught.value).count(".laz") == 10
 
