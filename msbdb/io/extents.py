@@ -142,7 +142,7 @@ def require_other_points(paths: Sequence[Path]) -> None:
 
 
 def twice(one: LasInfo, other: LasInfo) -> str:
-    """Say that two files have the same points."""
+    """Return the words for two files with the same points."""
     return (
         f"The same points are given twice: {one.path} and {other.path} have {one.points} points each, and the "
         "same bounds in x, y and z. Leave one out."

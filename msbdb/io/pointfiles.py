@@ -41,14 +41,14 @@ def point_files(given: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
     Parameters
     ----------
     given : sequence of path
-        A file stays as it is, also where it is missing. A folder stands for the LAS, LAZ and COPC files in it, without
-        those of folders beneath; a pattern (``tiles/**/*.laz``) for all files that it matches; a ``.vpc`` for the files
+        A file stays as it is, also where it is missing. A folder means the LAS, LAZ and COPC files in it, without those
+        of folders beneath; a pattern (``tiles/**/*.laz``) for all files that it matches; a ``.vpc`` for the files
         that it lists.
 
     Returns
     -------
     tuple of Path
-        Folders and patterns in the order of names; a file that is named twice stands there twice.
+        Folders and patterns in the order of names; a file that is named twice is there twice.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def point_files(given: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
 
 
 def is_many(given: str | os.PathLike[str]) -> bool:
-    """Return whether a name stands for files rather than being one."""
+    """Return whether a name means several files rather than being one."""
     return Path(given).is_dir() or (any(sign in str(given) for sign in PATTERN_SIGNS) and not Path(given).exists())
 
 
