@@ -38,9 +38,8 @@ class ClassMap:
             msg = f"The class map has the shape {self.index.shape}; the lattice has {self.spec.shape}."
             raise GridMismatchError(msg)
         wrong = sorted(set(self.labels.values()) - set(LABELS))
-        there = np.zeros(256, dtype=np.bool_)
-        there[self.index] = True
-        unknown = sorted(set(np.flatnonzero(there).tolist()) - {0} - set(self.labels))
+        unlabelled = set(range(1, int(self.index.max(initial=0)) + 1)) - set(self.labels)
+        unknown = sorted(index for index in unlabelled if (self.index == index).any())
         if wrong or unknown:
             msg = (
                 f"Every class needs one of the labels {', '.join(LABELS)}; "
@@ -55,9 +54,10 @@ class ClassMap:
 
     def among(self, indices: Iterable[int]) -> NDArray[np.bool_]:
         """Return the (H, W) mask of the cells with one of these indices."""
-        wanted = np.zeros(256, dtype=np.bool_)
-        wanted[list(indices)] = True
-        return wanted[self.index]
+        found = np.zeros(self.index.shape, dtype=np.bool_)
+        for index in indices:
+            found |= self.index == index
+        return found
 
 
 def overlay(

@@ -1,5 +1,6 @@
-"""Compiled kernels, and work on several cores with the same results as on one."""
+"""Compiled kernels, work on several cores with the same results as on one, and the memory of a run."""
 
+import ctypes
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -17,6 +18,15 @@ MOST = 4
 
 HIDDEN = "Dataset has no geotransform|The given matrix is equal to Affine.identity"
 """rasterio hides these warnings of its own by filters that all threads share, so another thread may bring them back."""
+
+MMAP_MAX, TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -4, -1, -3, -8
+"""Numbers of the settings of glibc's allocator (``mallopt``)."""
+
+REUSING = ((MMAP_MAX, 0), (TRIM_THRESHOLD, 2**31 - 1), (ARENA_MAX, 1))
+"""All arrays come from one heap, which keeps what is freed."""
+
+RETURNING = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**25), (TRIM_THRESHOLD, 2**26))
+"""The allocator's own values, once a large array has been freed."""
 
 _OF_THREAD = local()
 
@@ -54,6 +64,27 @@ def _hiding() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=HIDDEN)
         yield
+
+
+@contextmanager
+def memory_reused() -> Iterator[None]:
+    """Let freed memory serve the next array while the block runs; then give it back to the system.
+
+    By default glibc takes each large array from the system, page by page, and gives it back when it is freed. In a
+    build of ten million points a quarter of the processor's time went there. Other allocators are left as they are.
+    """
+    library = ctypes.CDLL(None) if os.name == "posix" else None
+    if library is None or not hasattr(library, "mallopt") or not hasattr(library, "malloc_trim"):
+        yield
+        return
+    try:
+        for setting, value in REUSING:
+            library.mallopt(setting, value)
+        yield
+    finally:
+        for setting, value in RETURNING:
+            library.mallopt(setting, value)
+        library.malloc_trim(0)
 
 
 def cores() -> int:

@@ -1,14 +1,18 @@
 """Work in threads."""
 
+import ctypes
+import resource
 import threading
 import time
 import warnings
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from msbdb import threads
 from msbdb.run.reports import Stages
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, memory_reused
 
 
 @pytest.mark.parametrize("cores", [1, 3])
@@ -91,3 +95,20 @@ def test_stages_side_by_side_share_the_time_that_they_took_together():
     assert sum(stages.timings.values()) <= time.perf_counter() - begin
     assert stages.timings["adaptive"] >= 0.02
     assert stages.timings["area3d"] == pytest.approx(stages.timings["adaptive"], rel=0.5)
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the allocator is not glibc's")
+def test_freed_memory_serves_the_next_array():
+    """The second array of a size touches few new pages, and after the block the process is as small as before."""
+    size, page = 1 << 26, resource.getpagesize()
+
+    def faults_of_an_array() -> int:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        np.empty(size, dtype=np.uint8)[::page] = 1
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+    with memory_reused():
+        first, second = faults_of_an_array(), faults_of_an_array()
+        held = Path("/proc/self/statm").read_text().split()[1]
+    assert second < first / 10
+    assert int(Path("/proc/self/statm").read_text().split()[1]) < int(held) - size / page / 2

@@ -245,7 +245,7 @@ class PointLedger(Ledger):
             Number of the height scale, from 1; 0 without height scales.
         """
         count = len(reasons)
-        inside = np.flatnonzero(labels)
+        inside = np.flatnonzero(labels != 0)
         points, labels = self.points.take(inside), labels[inside]
         xcen, ycen = points.centroids(labels, count)
         rows = pd.DataFrame(
@@ -294,7 +294,7 @@ def describe_candidates(
         Name of the detector.
     """
     count = int(labels.max(initial=0))
-    inside = np.flatnonzero(labels)
+    inside = np.flatnonzero(labels != 0)
     order = inside[np.argsort(heights[inside], kind="stable")]
     statistics = height_statistics(labels, slice(0, count), HeightOrder(order.astype(np.int32), heights[order]))
     xcen, ycen = points.centroids(labels, count)

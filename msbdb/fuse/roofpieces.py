@@ -192,7 +192,7 @@ def measure_pieces(
 ) -> RoofPieces:
     """Sum up the cells of pieces; each piece lies in one parcel at most."""
     count = int(labels.max(initial=0))
-    cells = np.flatnonzero(labels)
+    cells = np.flatnonzero(labels != 0)
     member = labels.ravel()[cells]
     places = (place.astype(np.float64) for place in np.divmod(cells, labels.shape[1]))
     height = heights.ravel()[cells].astype(np.float64)

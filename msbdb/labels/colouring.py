@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.labels.numbering import Labels
+from msbdb.labels.numbering import Labels, look_up
 
 
 def touching_pairs(labels: Labels) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -72,4 +72,4 @@ def colour_touching(labels: Labels) -> NDArray[np.uint8]:
     for region, before in zip(regions.tolist(), np.split(smaller[order], starts[1:]), strict=False):
         taken = set(colour[before].tolist())
         colour[region] = next(free for free in range(1, len(taken) + 2) if free not in taken)
-    return colour[labels]
+    return look_up(colour, labels)

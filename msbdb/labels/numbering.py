@@ -1,6 +1,6 @@
 """Label images: connected regions of equal value, their numbers, their sizes, and the cells that two images share."""
 
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ Box = tuple[slice, slice]
 
 EIGHT = np.ones((3, 3), dtype=np.bool_)
 """A cell and its eight neighbours."""
+
+LARGE = 1 << 16
+"""Images of fewer cells are left to numpy, so that small work loads no kernels."""
 
 MAX_CELLS = 2**31 - 2**16
 """Cells are counted in 32 bits, which halves the memory."""
@@ -66,12 +69,14 @@ def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[Labels,
 
     require_image(values)
     require_connectivity(connectivity)
-    # The kernel is compiled for three dtypes only.
+    # The kernel is compiled for four dtypes only.
     if values.dtype.kind == "f":
         # Floats without NaN are equal just where their bits are, once negative zeros are positive.
         values = (values.astype(np.float64) + 0.0).view(np.int64)
     elif values.dtype in (np.bool_, np.uint8):
         values = values.astype(np.uint8, order="C", copy=False)
+    elif values.dtype == np.uint16:  # slices
+        values = np.ascontiguousarray(values)
     else:
         narrow = values.dtype.itemsize < 4 or values.dtype == np.int32
         values = values.astype(np.int32 if narrow else np.int64, order="C", copy=False)
@@ -127,8 +132,12 @@ def sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     >>> sizes(np.array([[0, 2, 2], [0, 1, 2]], dtype=np.int32), 3)
     array([1, 3, 0])
     """
-    counted: NDArray[np.int64] = np.bincount(_labelled(labels)[0], minlength=count + 1)[1:]
-    return counted
+    if _is_large(labels, count):
+        from msbdb.labels.lookup import counted
+
+        return counted(labels.ravel(), count)[1:]
+    found: NDArray[np.int64] = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    return found
 
 
 def sums(labels: NDArray[np.integer], values: NDArray[Any], count: int) -> NDArray[np.float64]:
@@ -139,16 +148,42 @@ def sums(labels: NDArray[np.integer], values: NDArray[Any], count: int) -> NDArr
     >>> sums(np.array([[0, 2, 2], [0, 1, 2]]), np.array([[9, 1, 2], [9, 5, 3]]), 2)
     array([5., 6.])
     """
-    inside, numbers = _labelled(labels, values)
-    return np.bincount(inside, numbers, count + 1)[1:].astype(np.float64)
+    if _is_large(labels, count) and values.dtype in (np.bool_, np.float64):
+        from msbdb.labels.lookup import added
 
-
-def _labelled(labels: NDArray[np.integer], *values: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Return flat labels and values, to save time without the cells of no label where these are the larger part."""
+        return added(labels.ravel(), values.ravel(), count)[1:]
     inside = labels != 0
-    if 2 * np.count_nonzero(inside) < labels.size:
-        return labels[inside], *(each[inside] for each in values)
-    return labels.ravel(), *(each.ravel() for each in values)
+    return np.bincount(labels[inside], values[inside], count + 1)[1:].astype(np.float64)
+
+
+def _is_large(labels: NDArray[np.integer], most: int) -> TypeGuard[Labels]:
+    """Return whether a kernel is worth its loading, and its arrays hold all labels from 0 up to the largest one."""
+    return labels.size > LARGE and labels.dtype == np.int32 and int(labels.view(np.uint32).max()) <= most
+
+
+def look_up(table: NDArray[T], labels: NDArray[np.integer]) -> NDArray[T]:
+    """Return ``table[labels]``, quicker for many labels.
+
+    Parameters
+    ----------
+    table : (N + 1,) ndarray
+        A value for each label from 0 on.
+    labels : ndarray of int
+        0 to N.
+
+    Examples
+    --------
+    >>> look_up(np.array([0.0, 2.5]), np.array([[1, 0]], dtype=np.int32))
+    array([[2.5, 0. ]])
+    """
+    found: NDArray[T]
+    if _is_large(labels, len(table) - 1):
+        from msbdb.labels.lookup import looked_up
+
+        found = looked_up(table, labels.ravel()).reshape(labels.shape)
+    else:
+        found = table[labels]
+    return found
 
 
 def chosen_cells(labels: Labels, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -166,8 +201,7 @@ def chosen_cells(labels: Labels, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]
     >>> chosen_cells(np.array([0, 1, 2, 1]), np.array([True, False]))
     array([False,  True, False,  True])
     """
-    cells: NDArray[np.bool_] = np.concatenate([[False], chosen])[labels]
-    return cells
+    return look_up(np.concatenate([[False], chosen]), labels)
 
 
 def around(framed: NDArray[T], cells: NDArray[np.intp]) -> NDArray[T]:
@@ -258,7 +292,7 @@ def reorder(labels: Labels, rows: NDArray[np.integer], count: int) -> Labels:
     """
     number = np.zeros(count + 1, dtype=np.int32)
     number[np.asarray(rows, dtype=np.intp) + 1] = np.arange(1, len(rows) + 1)
-    return number[labels]
+    return look_up(number, labels)
 
 
 def shared_cells(

@@ -223,7 +223,7 @@ def central_cells(
     (N,) ndarray of int64
         Flat indices: points that lie on the regions, rings included (V24).
     """
-    cells = np.flatnonzero(labels)
+    cells = np.flatnonzero(labels != 0)
     member = labels.ravel()[cells] - np.int32(span.start + 1)
     at_row, at_col = np.divmod(cells, labels.shape[1])
     # Area times the distance, from differences of whole numbers: the same wherever the region lies.

@@ -57,6 +57,14 @@ class Runs:
         """Return the array in which each run has the value given."""
         return np.repeat(values, np.diff(self.layout.starts)).reshape(-1, self.layout.width)
 
+    def with_values(self, values: NDArray[Any]) -> "Runs":
+        """Return the maximal runs of the array in which each run has the value given."""
+        starts, width, reach = self.layout.starts, self.layout.width, self.layout.reach
+        differs = np.ones(values.size, dtype=np.bool_)
+        differs[1:] = (values[1:] != values[:-1]) | (starts[1:-1] % width == 0)
+        left = np.append(starts[:-1][differs], starts[-1])
+        return Runs(Layout(left, _first_touching(left, width, reach), width, reach), values[differs])
+
 
 def find_runs(values: NDArray[Any], connectivity: int) -> Runs:
     """Cut an array into its runs. Time and memory are linear in the cells.
@@ -220,8 +228,10 @@ def area_open_close(values: NDArray[T], threshold_px: int, *, connectivity: int 
     >>> area_open_close(np.array([[0, 0, 5, 0, 0, 4, 4, 0, 4, 4]]), 2)
     array([[0, 0, 0, 0, 0, 4, 4, 4, 4, 4]])
     """
-    opened = area_opening(values, threshold_px, connectivity=connectivity)
-    return area_closing(opened, threshold_px, connectivity=connectivity)
+    require_threshold(threshold_px)
+    runs = find_runs(values, connectivity)
+    opened = runs.with_values(_filtered(runs, threshold_px, from_top=True))
+    return opened.paint(_filtered(opened, threshold_px, from_top=False))
 
 
 def require_threshold(threshold_px: int) -> None:
@@ -236,11 +246,16 @@ def _filter(values: NDArray[T], threshold_px: int, connectivity: int, *, from_to
     """Open from the top or close from the bottom; both give each run the value of another run."""
     require_threshold(threshold_px)
     runs = find_runs(values, connectivity)
+    return runs.paint(_filtered(runs, threshold_px, from_top=from_top))
+
+
+def _filtered(runs: Runs, threshold_px: int, *, from_top: bool) -> NDArray[Any]:
+    """Return the value of each run after opening from the top or closing from the bottom."""
     order = order_of(runs.values, descending=from_top)
     # A threshold beyond the array acts like one of a cell more than it has, and keeps the areas within 32 bits.
-    threshold = min(int(threshold_px), values.size + 1)
-    source = _absorb(order, runs.layout, threshold)
-    return runs.paint(runs.values[source])
+    threshold = min(int(threshold_px), int(runs.layout.starts[-1]) + 1)
+    filtered: NDArray[Any] = runs.values[_absorb(order, runs.layout, threshold)]
+    return filtered
 
 
 @kernel

@@ -48,7 +48,7 @@ def merge_small_zones(level: NDArray[Any], least_px: int, *, connectivity: int =
     array([[0, 3, 3, 3, 6, 6]])
     """
     labels, count = label_zones(level, connectivity=connectivity)
-    cells = np.flatnonzero(labels)
+    cells = np.flatnonzero(labels > 0)
     zone = labels.ravel()[cells]
     area = sizes(zone, count)
     small = area < least_px

@@ -183,7 +183,7 @@ def _members(x: Floats, y: Floats, labels: Labels, count: int) -> tuple[Floats, 
     if not len(x) == len(y) == len(labels):
         msg = f"There must be a label a point; got {len(x)} eastings, {len(y)} northings and {len(labels)} labels."
         raise InputError(msg)
-    inside = np.flatnonzero(labels)
+    inside = np.flatnonzero(labels != 0)
     x, y, labels = x[inside], y[inside], labels[inside]
     present = _present(labels, count)
     if not np.array_equal(present, np.arange(1, count + 1)):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from msbdb.labels import Labels, label_zones, measure
 from msbdb.ledger import Ledger
 from msbdb.tables import Reason
+from msbdb.threads import in_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,12 +148,15 @@ def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int, houses:
     -----
     Rows are in order of the scale, and within it of the first cell. Linear in the cells of each scale.
     """
-    images, tables, offset = [], [], 0
-    for level, values in enumerate(levels):
+
+    def label(values: NDArray[Any]) -> tuple[Labels, int, pd.DataFrame]:
         # A value and a house in one number: slices have 16 bits.
         zones = values if houses is None else np.where(values > 0, values + (houses.astype(np.int64) << 16), 0)
         labels, count = label_zones(zones, connectivity=connectivity)
-        table = measure(labels, count)
+        return labels, count, measure(labels, count)
+
+    images, tables, offset = [], [], 0
+    for level, (values, (labels, count, table)) in enumerate(zip(levels, in_threads(label, levels), strict=True)):
         table.insert(0, "level", level)
         table.insert(1, "hzone", values.ravel()[table["first"]].astype(np.int64))
         np.add(labels, np.int32(offset), out=labels, where=labels > 0)

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from msbdb.labels import EIGHT, boxes, label_zones, measure, offsets, sizes
+from msbdb.labels import EIGHT, boxes, label_zones, look_up, measure, offsets, sizes
 from msbdb.params import ScaleParams
 from msbdb.parts.adjacency import grow
 from msbdb.parts.clusters import Clusters, Step
@@ -174,7 +174,7 @@ def _keep_remainders(
         given = np.zeros(count, dtype=np.bool_)
         if supported:
             seeds = np.where(target[zones] > 0, target[zones], seeds)
-            domain = np.where(clusters.flags(here)[labels], labels, np.int32(0))
+            domain = np.where(look_up(clusters.flags(here), labels), labels, np.int32(0))
             grown = np.where((zones > 0) & (seeds == 0), grow(seeds, domain, connectivity), np.int32(0))
             clusters = _with_cells(clusters, grown)
             given = ~keep & (sizes(zones[grown > 0], count) == sizes(zones, count))

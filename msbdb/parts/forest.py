@@ -8,7 +8,16 @@ from numpy.typing import NDArray
 
 from msbdb.grid import Grid, GridSpec
 from msbdb.identity import part_ids
-from msbdb.labels import Labels, central_cells, centroids, height_statistics, label_zones, order_heights, reorder
+from msbdb.labels import (
+    Labels,
+    central_cells,
+    centroids,
+    height_statistics,
+    label_zones,
+    look_up,
+    order_heights,
+    reorder,
+)
 from msbdb.landcover import ClassMap
 from msbdb.params import SurfaceParams
 from msbdb.parts.clusters import ClusterLedger, Clusters
@@ -130,9 +139,9 @@ def _cover(images: tuple[Labels, ...], chosen: NDArray[np.bool_]) -> Labels:
     """Return one image of the chosen parts, which do not overlap."""
     label = np.zeros(chosen.size + 1, dtype=np.int32)
     label[1:][chosen] = np.flatnonzero(chosen) + 1
-    cover = label[images[0]]
+    cover = look_up(label, images[0])
     for image in images[1:]:
-        np.maximum(cover, label[image], out=cover)
+        np.maximum(cover, look_up(label, image), out=cover)
     return cover
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import sparse
 
-from msbdb.labels import Labels, label_zones, measure, renumber
+from msbdb.labels import Labels, label_zones, look_up, measure, renumber
 from msbdb.parts.adjacency import edges, reaching_in
 from msbdb.parts.clusters import Clusters, Step
 
@@ -61,11 +61,11 @@ def cut_vegetation(
     steps = []
     for level in reversed(range(len(clusters.labels))):
         living = np.setdiff1d(clusters.at(level), kept)
-        objects = np.where(clusters.flags(living)[clusters.labels[level]], clusters.labels[level], np.int32(0))
+        objects = np.where(look_up(clusters.flags(living), clusters.labels[level]), clusters.labels[level], np.int32(0))
         gone |= reaching_in(objects, edges(objects), cells, starts, len(clusters.rows))
         touched = _labels_in(objects, gone, len(clusters.rows))
         if touched.size:
-            zones = np.where(clusters.flags(touched)[objects] & ~gone, objects, np.int32(0))
+            zones = np.where(look_up(clusters.flags(touched), objects) & ~gone, objects, np.int32(0))
             step = cut(
                 clusters, level, zones, touched, smallest_px=smallest_px, connectivity=connectivity, reason=VEGETATION
             )
@@ -78,7 +78,7 @@ def _covered(clusters: Clusters) -> NDArray[np.bool_]:
     """Return the cells of living clusters of any scale."""
     covered = np.zeros(clusters.labels[0].shape, dtype=np.bool_)
     for level, labels in enumerate(clusters.labels):
-        covered |= clusters.flags(clusters.at(level))[labels]
+        covered |= look_up(clusters.flags(clusters.at(level)), labels)
     return covered
 
 
@@ -92,7 +92,7 @@ def _blobs(
     meets = np.zeros(count + 1, dtype=np.bool_)
     meets[labels[over]] = True
     labels, count = renumber(labels, meets[1:])
-    cells = np.flatnonzero(labels).astype(np.int32)
+    cells = np.flatnonzero(labels != 0).astype(np.int32)
     member = labels.ravel()[cells] - 1
     # Turning a sparse matrix from rows to columns is a counting sort.
     table = sparse.csr_array((cells, member, np.arange(cells.size + 1)), shape=(cells.size, count)).tocsc()
@@ -162,7 +162,7 @@ def cut(
     target[1:][heir & large] = source[heir & large] + 1
     target[1:][~heir & large] = len(rows) + 1 + np.arange(len(new))
     after = before.copy()
-    cells = np.flatnonzero(clusters.flags(touched)[before])
+    cells = np.flatnonzero(look_up(clusters.flags(touched), before))
     after.ravel()[cells] = target[labels.ravel()[cells]]
     images = (*clusters.labels[:level], after, *clusters.labels[level + 1 :])
     return Step(Clusters(images, pd.concat([rows, new], ignore_index=True)), dropped, int((~heir).sum()))

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.labels import look_up
 from msbdb.parts.clusters import Clusters, Step
 
 COVERED = "covers the same scale as a cluster that was cut"
@@ -53,7 +54,7 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
         # From fine to coarse: a cluster that comes from a coarser scale holds those that come from finer ones.
         for origin in np.unique(level[arriving]).tolist():
             own = arriving[level[arriving] == origin]
-            cells = clusters.flags(own)[clusters.labels[origin]]
+            cells = look_up(clusters.flags(own), clusters.labels[origin])
             image[cells] = clusters.labels[origin][cells]
         here = np.flatnonzero(clusters.alive & (target == scale))
         shown = np.zeros(len(rows) + 1, dtype=np.bool_)
@@ -62,7 +63,7 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
         images[scale] = image
     for origin in np.unique(level[moved]).tolist():
         gone = clusters.flags(moved[level[moved] == origin])
-        images[origin] = np.where(gone[images[origin]], np.int32(0), images[origin])
+        images[origin] = np.where(look_up(gone, images[origin]), np.int32(0), images[origin])
     settled = Clusters(tuple(images), rows.assign(level=target))
     lost = np.sort(np.concatenate(covered))
     return Step(settled.without(lost), rows.iloc[lost].assign(reason=COVERED))

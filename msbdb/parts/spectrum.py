@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.labels import Labels, chosen_cells, label_zones, sizes
+from msbdb.labels import Labels, chosen_cells, label_zones, look_up, sizes
 from msbdb.landcover import ClassMap
 from msbdb.parts.adjacency import grow, tally
 from msbdb.parts.clusters import Clusters, Step
@@ -74,7 +74,7 @@ def _count_classes(clusters: Clusters, level: int, classes: ClassMap) -> tuple[N
     position[rows + 1] = np.arange(len(rows))
     counts = np.zeros((len(rows), max(classes.labels, default=1) + 1), dtype=np.int64)
     # Most cells belong to no cluster; only the others are looked at.
-    cells = np.flatnonzero(clusters.labels[level])
+    cells = np.flatnonzero(clusters.labels[level] != 0)
     tally(clusters.labels[level].ravel()[cells], position, classes.index.ravel()[cells], counts)
     return rows, counts
 
@@ -184,7 +184,7 @@ def _seeds(
     seeds = np.zeros(labels.shape, dtype=np.int32)
     if not rows.size:
         return seeds
-    cells = np.flatnonzero(clusters.flags(rows)[labels])
+    cells = np.flatnonzero(look_up(clusters.flags(rows), labels))
     label, kind = labels.ravel()[cells], classes.index.ravel()[cells]
     seed = np.zeros(cells.size, dtype=np.int32)
     for number, chosen in ((1, first), (2, second)):
@@ -206,7 +206,7 @@ def _split(clusters: Clusters, level: int, seeds: Labels, line: Labels, *, small
     """Split clusters by their seeds, and draw the pieces' labels into the line."""
     labels = clusters.labels[level]
     touched = np.unique((seeds[seeds > 0] - 1) // 2)
-    split = clusters.flags(touched)[labels]
+    split = look_up(clusters.flags(touched), labels)
     zones = grow(seeds, np.where(split, labels, np.int32(0)), connectivity)
     step = cut(clusters, level, zones, touched, smallest_px=smallest_px, connectivity=connectivity, reason=SPLIT)
     line[split] = step.clusters.labels[level][split]
@@ -220,7 +220,7 @@ def _follow(clusters: Clusters, level: int, line: Labels, *, smallest_px: int, c
     touched = rows[line.ravel()[clusters.rows["first"].to_numpy()[rows]] > 0]
     if not touched.size:
         return joined(clusters, [])
-    cells = np.flatnonzero(clusters.flags(touched)[labels])
+    cells = np.flatnonzero(look_up(clusters.flags(touched), labels))
     zones = np.zeros(labels.shape, dtype=np.int64)
     # One value for each pair of a cluster and a piece of its father.
     zones.ravel()[cells] = labels.ravel()[cells].astype(np.int64) * (int(line.max()) + 1) + line.ravel()[cells]

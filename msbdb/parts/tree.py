@@ -22,6 +22,7 @@ from msbdb.parts.settling import settle
 from msbdb.parts.slices import slice_heights
 from msbdb.parts.spectrum import drop_unlike, split_by_classes
 from msbdb.tables import SCALE, Reason
+from msbdb.threads import in_threads
 
 logger = logging.getLogger(__name__)
 
@@ -232,11 +233,14 @@ def _build_levels_apart(
 ) -> list[NDArray[Any]]:
     """Return the scale-spaces of the houses of each colour in one, each cut to the cells of its houses."""
     levels = [np.zeros_like(sliced) for _ in thresholds]
-    for colour in range(1, int(colours.max(initial=0)) + 1):
-        own = colours == colour
-        found = _build_levels(np.where(own, sliced, 0).astype(sliced.dtype), thresholds, scale)
+
+    def build(colour: int) -> None:
+        own = colours == colour  # no cell has two colours, so threads never write to the same place
+        found = _build_levels(np.where(own, sliced, sliced.dtype.type(0)), thresholds, scale)
         for level, alone in zip(levels, found, strict=True):
             np.copyto(level, alone, where=own)
+
+    in_threads(build, range(1, int(colours.max(initial=0)) + 1))
     return levels
 
 

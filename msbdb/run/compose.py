@@ -30,7 +30,7 @@ from msbdb.run.inputs import Inputs
 from msbdb.run.prepare import Label, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.tables import Counts, Run
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, memory_reused
 from msbdb.version import __version__
 from msbdb.view.regionmap import draw_denoising
 
@@ -82,7 +82,7 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     notices : Notices
         Receives the notices that arise; those that it has already are kept, too.
     """
-    with collect_notices(notices):
+    with collect_notices(notices), memory_reused():
         with stages.stage("read"):
             cloud = read_cloud(job.inputs, stages.progress)
         scene, params = prepare(job.inputs, cloud, job.params, stages, job.label)

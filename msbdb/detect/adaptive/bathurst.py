@@ -238,7 +238,7 @@ def judge(
     points: OffGround, found: SurfaceEvidence, labels: Labels, count: int, step: ClusterStep
 ) -> NDArray[np.object_]:
     """Return for each cluster the first threshold that it fails, in words; empty where it passes all."""
-    inside = np.flatnonzero(labels)
+    inside = np.flatnonzero(labels != 0)
     member = labels[inside] - 1
     size = np.bincount(member, minlength=count)
     area = np.bincount(member, points.area_m2[inside], count)
@@ -289,7 +289,7 @@ def widths(x: Floats, y: Floats, member: NDArray[np.int32], size: NDArray[np.int
 
 def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) -> Labels:
     """Return labels in which points at the edges belong to the region near them in plan and of like elevation."""
-    inside, outside = np.flatnonzero(labels), np.flatnonzero(labels == 0)
+    inside, outside = np.flatnonzero(labels != 0), np.flatnonzero(labels == 0)
     if not inside.size or not outside.size or reach_m == 0:
         return labels
     place = np.column_stack((points.x, points.y))
@@ -328,7 +328,7 @@ def bounding_rectangles(points: OffGround, labels: Labels, count: int) -> Floats
     """
     if not count:
         return np.zeros(0)
-    inside = np.flatnonzero(labels)
+    inside = np.flatnonzero(labels != 0)
     lines = strings_of_points(points.x[inside], points.y[inside], labels[inside] - 1)
     hulls = shapely.buffer(shapely.convex_hull(lines), points.spacing_m / 2, join_style="mitre", cap_style="square")
     return np.asarray(shapely.area(shapely.minimum_rotated_rectangle(hulls)))

@@ -262,14 +262,14 @@ def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: fl
     ----------
     x, y : (N,) ndarray of float64, metres
         Finite coordinates.
-    values : (N, K) ndarray of float32
+    values : (N, 3) ndarray of float32
         Finite.
     radius_m : float
         Radius, metres.
 
     Returns
     -------
-    (N, K) ndarray of float32
+    (N, 3) ndarray of float32
 
     Notes
     -----
@@ -354,23 +354,19 @@ def _means(points: Sorted, values: NDArray[np.float32], part: tuple[int, int], f
     """Fill in the means about the points of a part of the cells; the values come in the order of the cells."""
     index, x, y, radius_m = points
     limit = radius_m * radius_m
-    width = values.shape[1]
     # Sums in float64 go through the points in the order of the cells, so the means do not depend on the parts.
-    sums = np.zeros(width, dtype=np.float64)
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
         begin, end = index.starts[cell], index.starts[cell + 1]
         east, north = x[begin:end].mean(), y[begin:end].mean()
-        sums[:] = 0.0
-        n = 0
+        n, one, two, three = 0, 0.0, 0.0, 0.0
         for other_row in range(row - SHARING, row + SHARING + 1):
             first, stop = strip(index, other_row, col - SHARING, col + SHARING)
             for other in range(first, stop):
                 dx, dy = x[other] - east, y[other] - north
                 if dx * dx + dy * dy <= limit:
                     n += 1
-                    for k in range(width):
-                        sums[k] += values[other, k]
+                    one, two, three = one + values[other, 0], two + values[other, 1], three + values[other, 2]
         for point in range(begin, end):
-            for k in range(width):
-                found[index.order[point], k] = sums[k] / n
+            own = found[index.order[point]]
+            own[0], own[1], own[2] = one / n, two / n, three / n

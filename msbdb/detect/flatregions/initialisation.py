@@ -31,7 +31,7 @@ POWER = 2
 MOST = 24
 """Cells looked at for those as near as the third; a circle of cells' centres up to 12 cells wide holds fewer."""
 
-REACH = 6
+REACH = 30
 """Distance in cells within which the nearest known cells are searched for cell by cell."""
 
 BATCH = 1 << 17

@@ -48,7 +48,7 @@ class FlatRegionLedger(Ledger):
                 "ycen": ycen,
             }
         )
-        cells = np.flatnonzero(labels)
+        cells = np.flatnonzero(labels != 0)
         self.mark(stage, np.full(count, reason, dtype=object), labels.ravel()[cells], cells)
         return self.write(stage, rows)
 
