@@ -155,8 +155,8 @@ def test_geometries_of_another_crs_are_refused_as_the_trigger_would(file: Engine
     """The check of all rows at once is as strict as that of each."""
     insert_rows = spatialite.insert_rows
 
-    def wrong(connection, table, columns, rows, srid):
-        insert_rows(connection, table, columns, rows, 4326 if table == "rejection" else srid)
+    def wrong(connection, table, columns, srid):
+        insert_rows(connection, table, columns, 4326 if table == "rejection" else srid)
 
     monkeypatch.setattr(spatialite, "insert_rows", wrong)
     before = list(canonical_dump(file))

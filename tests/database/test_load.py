@@ -536,7 +536,8 @@ def test_both_dialects_dump_the_same(tmp_path, new_postgis) -> None:
                 rows = connection.execute(text(f"SELECT * FROM {view} ORDER BY {key}")).mappings().all()
             frames.append([{name: value for name, value in row.items() if name != "geometry"} for row in rows])
         assert frames[0] == frames[1]
-        assert len(frames[0]) > 0
+        # Without an inventory there are no parts of one.
+        assert bool(frames[0]) == (view != "part_current")
 
 
 def test_views_show_the_trees(engine: Engine) -> None:

@@ -241,7 +241,7 @@ def _copy_table(reading: Connection, writing: Connection, dialect: Dialect, tabl
             place = names.index("geometry")
             shapes = shapely.from_wkb(np.array([bytes(blob) for blob in values[place]], dtype=object))
             values[place] = dialect.encode(shapes, srid)
-        dialect.insert_rows(writing, table.name, names, list(zip(*values, strict=True)), srid)
+        dialect.insert_rows(writing, table.name, dict(zip(names, values, strict=True)), srid)
 
 
 def _written(values: Sequence[Any], is_document: bool) -> Sequence[Any]:

@@ -50,8 +50,11 @@ class Dialect(Protocol):
     def database_srid(self, connection: Connection) -> int:
         """Return the SRID of the database's geometry columns."""
 
-    def writing(self, engine: Engine) -> AbstractContextManager[Connection]:
-        """Open a writer's transaction: readers are not disturbed, and a kill leaves the old state."""
+    def writing(self, engine: Engine, resting: Connection | None = None) -> AbstractContextManager[Connection]:
+        """Open a writer's transaction: readers are not disturbed, and a kill leaves the old state.
+
+        A ``resting`` connection of the engine is used for it, or closed.
+        """
 
     def in_bulk(self, connection: Connection, coming: Mapping[str, int]) -> AbstractContextManager[None]:
         """Prepare each table for this number of new rows, and restore indexes and keys afterwards."""
@@ -63,9 +66,9 @@ class Dialect(Protocol):
         """Return geometries as ``insert_rows`` takes them."""
 
     def insert_rows(
-        self, connection: Connection, table: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]], srid: int
+        self, connection: Connection, table: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]], srid: int
     ) -> None:
-        """Insert rows in bulk; a column ``geometry`` has the values of ``encode``."""
+        """Insert rows in bulk, given by column; None and NaN are null, ``geometry`` has the values of ``encode``."""
 
     def settle(self, connection: Connection) -> None:
         """Check the deferred constraints so far, where this is quicker now than at the commit."""

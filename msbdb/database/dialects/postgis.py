@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import psycopg
@@ -29,6 +29,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects import setkeys
+from msbdb.database.dialects.binarycopy import packed_rows
 from msbdb.database.schema.sqlfiles import read_sql
 from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
@@ -99,10 +100,12 @@ FROM pg_class AS c JOIN pg_namespace AS n ON n.oid = c.relnamespace
 WHERE n.nspname = current_schema() AND c.relname = ANY(:tables)
   AND (c.reltuples < 0
        OR COALESCE(pg_stat_get_mod_since_analyze(c.oid), 0) + pg_stat_get_xact_tuples_inserted(c.oid)
-          + pg_stat_get_xact_tuples_updated(c.oid) + pg_stat_get_xact_tuples_deleted(c.oid) > c.reltuples)
+          + pg_stat_get_xact_tuples_updated(c.oid) + pg_stat_get_xact_tuples_deleted(c.oid) > 3 * c.reltuples)
 ORDER BY c.relname
 """
-"""The tables with outdated statistics: never made, or since then as many rows changed as there were."""
+"""The tables with outdated statistics: never made, or since then three times as many rows changed as there were.
+
+Until then the planner takes the number of rows from the size of the table, and their shares from the statistics."""
 
 _COMPRESSION = """
 SELECT set_config('default_toast_compression', 'lz4', true) FROM pg_settings
@@ -233,9 +236,12 @@ def database_srid(connection: Connection) -> int:
 
 
 @contextmanager
-def writing(engine: Engine) -> Iterator[Connection]:
-    """Open the transaction of the only writer; readers see the last committed state."""
-    with engine.begin() as connection:
+def writing(engine: Engine, resting: Connection | None = None) -> Iterator[Connection]:
+    """Open the transaction of the only writer; readers see the last committed state.
+
+    A resting connection is used, because each new one has the server start a process that loads PostGIS.
+    """
+    with nullcontext(resting) if resting is not None else engine.connect() as connection, connection.begin():
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _WRITER_LOCK})
         connection.execute(text(_COMPRESSION))
         yield connection
@@ -258,17 +264,15 @@ def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
 def insert_rows(
     connection: Connection,
     table: str,
-    columns: Sequence[str],
-    rows: Sequence[tuple[Any, ...]],
+    columns: Mapping[str, Sequence[Any] | NDArray[Any]],
     srid: int,  # noqa: ARG001  (SpatiaLite takes it here)
 ) -> None:
     """Insert rows by binary COPY: the server converts no numbers or geometries."""
     own = SQL[table].columns
+    rows = packed_rows([_wire_type(own[name].type) for name in columns], list(columns.values()))
     statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN (FORMAT BINARY)"
     with connection.connection.cursor() as cursor, cursor.copy(statement) as copy:  # type: ignore[attr-defined]  # psycopg's own
-        copy.set_types([_wire_type(own[name].type) for name in columns])
-        for row in rows:
-            copy.write_row(row)
+        copy.write(rows)
 
 
 def _wire_type(kind: TypeEngine[Any]) -> str:
@@ -292,7 +296,7 @@ def settle(connection: Connection) -> None:
 def after_load(connection: Connection) -> None:
     """Update the planner's statistics, before the commit checks the new rows' keys with them.
 
-    Only of tables in which most rows changed: sampling a large table takes longer than loading a survey. The server's
+    Only of tables in which most rows are new: sampling a large table takes longer than loading a survey. The server's
     autovacuum handles tables that changed by a tenth.
     """
     tables = connection.scalars(text(_OUTDATED), {"tables": list(_CONTENT)}).all()

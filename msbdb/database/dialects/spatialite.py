@@ -174,13 +174,15 @@ def database_srid(connection: Connection) -> int:
 
 
 @contextmanager
-def writing(engine: Engine) -> Iterator[Connection]:
-    """Open a transaction that has the write lock from its start, in write-ahead mode.
+def writing(engine: Engine, resting: Connection | None = None) -> Iterator[Connection]:
+    """Open a transaction that has the write lock from its start, in write-ahead mode; a resting connection is closed.
 
     In this mode readers see the last committed state, also read-only ones after a kill. At rest the file is in rollback
     journal mode, because a write-ahead file without its two companion files cannot be opened on read-only media. A
     reader that stays connected may prevent the change back; then the next writer makes it.
     """
+    if resting is not None:
+        resting.close()
     _remove_leftovers(_path(engine.url))
     try:
         journal_mode(engine, "WAL")
@@ -212,14 +214,26 @@ def encode(geometries: NDArray[Any], srid: int) -> list[Any]:  # noqa: ARG001  (
 
 
 def insert_rows(
-    connection: Connection, table: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]], srid: int
+    connection: Connection, table: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]], srid: int
 ) -> None:
     """Insert rows by one prepared statement."""
+    rows = list(zip(*(_plain(values) for values in columns.values()), strict=True))
     if not rows:
         return
     values = ", ".join(f"ST_GeomFromWKB(?, {srid})" if name == "geometry" else "?" for name in columns)
     statement = f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({values})"  # noqa: S608  (names are the models')
-    connection.exec_driver_sql(statement, list(rows))
+    connection.exec_driver_sql(statement, rows)
+
+
+def _plain(values: Sequence[Any] | NDArray[Any]) -> Sequence[Any]:
+    """Return a column as plain Python values, with None for NaN."""
+    if not isinstance(values, np.ndarray):
+        return values
+    found: list[Any] = values.tolist()
+    if values.dtype.kind == "f":
+        for row in np.flatnonzero(np.isnan(values)).tolist():
+            found[row] = None
+    return found
 
 
 def settle(connection: Connection) -> None:

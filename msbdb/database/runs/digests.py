@@ -103,15 +103,14 @@ def insert_digested(
     if not rows:
         return
     types = {column.name: column.type for column in SQL[table].columns}
-    names = list(columns)
-    plain, stored = [list(rows)] * 2
+    names, plain = list(columns), list(rows)
+    stored: dict[str, Sequence[Any]] = dict(zip(names, zip(*rows, strict=True), strict=True))
     if shapes is not None:
         names.append("geometry")
         plain = [(*row, wkb) for row, wkb in zip(rows, shapely.to_wkb(shapes), strict=True)]
-        stored = [(*row, shape) for row, shape in zip(rows, dialect.encode(shapes, srid), strict=True)]
-    made = digests(table, [(name, types[name]) for name in names], plain)
-    whole = [(*row, digest) for row, digest in zip(stored, made, strict=True)]
-    dialect.insert_rows(connection, table, [*names, COLUMN], whole, srid)
+        stored["geometry"] = dialect.encode(shapes, srid)
+    stored[COLUMN] = digests(table, [(name, types[name]) for name in names], plain)
+    dialect.insert_rows(connection, table, stored, srid)
 
 
 def digest_again(connection: Connection, table: Table, where: ColumnElement[bool] | None = None) -> None:

@@ -148,14 +148,14 @@ def _write(engine: Engine, build: KeptRun, basis: BuildBasis | None) -> WriteRep
     rows = _Rows.of(build)
     _, run_id = _keys(build)
     srid = srid_of(build.survey.epsg, build.survey.crs_wkt)
-    with guarded(engine.url):
-        with engine.connect() as connection:
-            require_srid(connection, dialect, srid, shown(engine.url))
-            if _is_there(connection, run_id, rows.digest, rows.counts):
+    with guarded(engine.url), engine.connect() as reading:
+        with reading.begin():
+            require_srid(reading, dialect, srid, shown(engine.url))
+            if _is_there(reading, run_id, rows.digest, rows.counts):
                 return _report(build, rows, "unchanged")
         # Compressed before the lock, because others wait for it.
         rasters = _packed(build)
-        with dialect.writing(engine) as connection:
+        with dialect.writing(engine, reading) as connection:
             if basis is not None:
                 basis.require(connection, build)
             removed = _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
@@ -277,28 +277,27 @@ def _write_frame(
     srid: int,
 ) -> None:
     """Write one table's rows in bulk, in the order of their keys, which is the quickest."""
-    columns: dict[str, list[Any]] = {"run_id": [run_id] * len(frame)}
+    columns: dict[str, Any] = {"run_id": np.full(len(frame), run_id)}
     if name == "rejection":
         ids = _rejection_ids(build, frame)
         order = np.argsort(ids)
-        frame, columns["rejection_id"] = frame.iloc[order], ids[order].tolist()
+        frame, columns["rejection_id"] = frame.iloc[order], ids[order]
     for column in frame.columns:
         if column == "geometry":
             columns["geometry"] = dialect.encode(geometries(frame), srid)
         else:
             columns[str(column)] = _values(frame[column])
-    dialect.insert_rows(connection, name, list(columns), list(zip(*columns.values(), strict=True)), srid)
+    dialect.insert_rows(connection, name, columns, srid)
 
 
-def _values(values: "pd.Series") -> list[Any]:
-    """Return a column's values as plain Python values, None where missing."""
-    plain_values = values.tolist()
-    if values.dtype.kind in "iub":
-        return plain_values
-    missing = np.flatnonzero(values.isna())
-    for place in missing.tolist():
-        plain_values[place] = None
-    return plain_values
+def _values(values: "pd.Series") -> "NDArray[Any] | list[Any]":
+    """Return a column's values: numbers as an array, in which NaN is missing, others as a list with None."""
+    if isinstance(values.dtype, np.dtype) and values.dtype.kind in "iubf":
+        return values.to_numpy()
+    found = values.tolist()
+    for place in np.flatnonzero(values.isna()).tolist():
+        found[place] = None
+    return found
 
 
 def _rejection_ids(build: KeptRun, frame: "pd.DataFrame") -> NDArray[np.int64]:
