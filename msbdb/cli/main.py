@@ -10,6 +10,7 @@ from msbdb.cli.inventory import changes, import_, state, update
 from msbdb.cli.measure import measure
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params
+from msbdb.threads import share_one_heap
 from msbdb.version import __version__
 
 
@@ -47,6 +48,7 @@ for _command in (
 
 def main() -> None:
     """Run the program."""
+    share_one_heap()
     cli(prog_name="msbdb")
 
 
