@@ -45,7 +45,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def mark_twins(items: list[pytest.Item]) -> None:
     """Mark as long one of two twins, of which one runs on SpatiaLite and the other on PostGIS.
 
-    Every third such test of a file runs on PostGIS, the others on SpatiaLite; all on SpatiaLite without a server.
+    Of each file the first such test, and each sixth one after it, runs on PostGIS, where a test takes thrice as long;
+    the others run on SpatiaLite, and all do without a server.
     """
     has_server = bool(os.environ.get("MSBDB_TEST_POSTGIS"))
     by_id = {item.nodeid: item for item in items}
@@ -56,7 +57,7 @@ def mark_twins(items: list[pytest.Item]) -> None:
             continue
         function, _, values = item.nodeid.partition("[")
         twin = by_id.get(f"{function}[{values.replace('postgis', 'spatialite')}")
-        if seen[item.path] % 3:
+        if seen[item.path] % 6:
             item.add_marker(pytest.mark.long)
         elif has_server and twin is not None:
             twin.add_marker(pytest.mark.long)

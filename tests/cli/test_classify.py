@@ -269,6 +269,7 @@ cli(["classify", sys.argv[1], sys.argv[2], "--extract", "flatregions", "--overwr
 """
 
 
+@pytest.mark.long
 def test_ctrl_c_while_writing_leaves_what_was_there(folder, tmp_path):
     """The former file, one line, and no stray."""
     out = tmp_path / "out.laz"

@@ -76,6 +76,7 @@ def test_an_inventory_is_imported_updated_and_told(town: Path) -> None:
     assert "No survey of the period" in run("changes", town, "--from", "2022")
 
 
+@pytest.mark.long
 def test_a_building_that_the_first_import_lacks_is_new(rasters: dict[str, Path], tmp_path: Path) -> None:
     """With an import of the place, the first survey finds changes; without one, it is the first state."""
     footprints(ROW[:7]).to_file(tmp_path / "cadastre.gpkg")

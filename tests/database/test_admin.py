@@ -222,7 +222,7 @@ copying.copy_database(sys.argv[1], sys.argv[2])
 
 
 @pytest.mark.parametrize(
-    ("table", "is_new"), sample([("survey", True), ("part_flat_region", True), ("part_flat_region", False)], 2)
+    ("table", "is_new"), sample([("survey", True), ("part_flat_region", True), ("part_flat_region", False)], 3)
 )
 def test_a_killed_copy_leaves_nothing_and_can_be_repeated(
     target: str, tmp_path: Path, table: str, is_new: bool

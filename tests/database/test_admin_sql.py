@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,7 @@ def pieces(tree: ast.AST) -> list[tuple[ast.AST, str, list[ast.expr]]]:
     return [(node, words, put_in) for node, words, put_in in found if put_in and SQL.match(words)]
 
 
+@cache
 def modules() -> dict[str, ast.AST]:
     """Return the syntax of each module of the package, by its path in the room of the database or in the package."""
     room = ROOT / "msbdb" / "database"

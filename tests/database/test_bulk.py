@@ -247,6 +247,7 @@ def test_the_statistics_are_not_older_than_the_rows(file: Engine) -> None:
     assert known > 0
 
 
+@pytest.mark.long
 @pytest.mark.postgis
 def test_both_dialects_hold_the_same_ledger(tmp_path, new_postgis) -> None:
     """The dumps of thousands of rows are equal line by line, after a first load and after a replacement."""

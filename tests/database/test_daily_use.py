@@ -217,6 +217,7 @@ def test_several_surveys_are_exported_and_drawn_without_a_name(
     assert "Too far away for this map, and not drawn: far. --survey NAME draws one" in told
 
 
+@pytest.mark.long
 def test_the_current_inventory_is_exported_where_there_is_one(
     target: str, towns: dict[str, KeptRun], tmp_path: Path
 ) -> None:

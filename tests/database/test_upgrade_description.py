@@ -61,6 +61,7 @@ def test_all_outlines_were_traced_and_nothing_was_divided(old: Engine, target: s
     assert not with_values(Params(), read_run(old).parameters).touching.divide  # type: ignore[arg-type]  # plain nested values
 
 
+@pytest.mark.long
 def test_the_upgraded_schema_is_that_of_a_new_database(
     old: Engine, target: str, tmp_path: Path, new_postgis: Callable[[], str]
 ) -> None:
@@ -73,6 +74,7 @@ def test_the_upgraded_schema_is_that_of_a_new_database(
         assert {row for row in objects(one) if "sqlite_stat" not in row[1]} == objects(two)
 
 
+@pytest.mark.long
 def test_an_edited_row_is_found_after_the_upgrade_too(old: Engine, target: str) -> None:
     """A digest that was wrong before stays wrong."""
     with old.begin() as connection:
@@ -81,6 +83,7 @@ def test_an_edited_row_is_found_after_the_upgrade_too(old: Engine, target: str) 
     assert "content" in {finding.check for finding in check_database(old)}
 
 
+@pytest.mark.long
 def test_there_is_no_way_back(old: Engine, target: str) -> None:
     """A fitted outline has no place in the schema before."""
     upgrade_schema(target)

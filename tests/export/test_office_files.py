@@ -16,13 +16,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import shapely
-from click.testing import CliRunner
-from support.offices import office
+from support.offices import run
 from support.qgis import opened_by_qgis
 from support.towns import EPSG, UTM, footprints
 
 from msbdb import api
-from msbdb.cli.main import cli
 from msbdb.errors import InputError
 from msbdb.export.fields import FIELDS, short_name
 from msbdb.export.qgis.symbology import STYLES
@@ -30,20 +28,6 @@ from msbdb.run.export import LAYERS_OF
 from msbdb.tables.aliases import COLUMN_WORDS, LAYER_WORDS, words_of
 
 needs_ogrinfo = pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="ogrinfo (gdal-bin) is not installed")
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the database of an office."""
-    folder = tmp_path_factory.mktemp("office")
-    return Path(office(str(folder / "town.sqlite"), folder))
-
-
-def run(*words: object, code: int = 0) -> str:
-    """Run a command and return all that it printed."""
-    done = CliRunner().invoke(cli, [str(word) for word in words])
-    assert done.exit_code == code, done.output
-    return done.output.replace("\n", " ")
 
 
 def gpkg(path: Path, query: str) -> list[tuple]:

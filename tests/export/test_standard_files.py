@@ -6,26 +6,10 @@ from pathlib import Path
 
 import geopandas as gpd
 import pytest
-from click.testing import CliRunner
 from support.cjioreader import cityjson
-from support.offices import office
+from support.offices import run
 
-from msbdb.cli.main import cli
 from msbdb.database import open_database
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the database of an office."""
-    folder = tmp_path_factory.mktemp("office")
-    return Path(office(str(folder / "town.sqlite"), folder))
-
-
-def run(*words: object, code: int = 0) -> str:
-    """Run a command and return all that it printed."""
-    done = CliRunner().invoke(cli, [str(word) for word in words])
-    assert done.exit_code == code, done.output
-    return " ".join(done.output.split())
 
 
 @pytest.mark.long

@@ -193,6 +193,7 @@ def test_the_cut_into_files_does_not_matter(town, scene, tmp_path):
     assert dump(tmp_path / "forth.sqlite", files=False) == dump(town[0], files=False)
 
 
+@pytest.mark.long
 def test_surveys_live_side_by_side(town, tower, tmp_path):
     """A second survey leaves the first as it is; each is read by its name, and one must be named."""
     db = shutil.copy(town[0], tmp_path / "both.sqlite")
@@ -270,6 +271,7 @@ def test_relabelling_moves_buildings_to_the_ledger_and_back(town, tmp_path):
     assert dump(db) == agreed
 
 
+@pytest.mark.long
 def test_the_operator_takes_a_deck_away(tmp_path):
     """The elevated road that passes for a building goes to the ledger when its class is labelled other.
 

@@ -77,6 +77,7 @@ def test_flat_regions_alone_make_no_building(points, tmp_path):
     assert (report.buildings, report.parts, report.flat_regions) == (0, 0, 1)
 
 
+@pytest.mark.long
 def test_other_extractors_replace_the_run(points, town, tmp_path):
     """A survey has one run: building it again with one extractor less leaves what a first such build leaves."""
     again = shutil.copy(town[0], tmp_path / "again.sqlite")
@@ -111,6 +112,7 @@ def test_labels_by_the_operator_keep_the_flat_regions(town, tmp_path):
     assert labelled["area_m2"].tolist() == pytest.approx(built["area_m2"].tolist(), rel=0.01)
 
 
+@pytest.mark.long
 def test_shuffled_points_give_the_same_flat_regions(town, tmp_path):
     """The order of the points does not matter."""
     cloud = SCENES["under_trees"]().points

@@ -72,8 +72,11 @@ def built(tmp_path_factory):
     """Build a scene once for each profile, parameters and options of the scene."""
     folder = tmp_path_factory.mktemp("scenes")
 
-    @cache
     def build(name: str, profile_name: str = "default", params: Params | None = None, **options: Any) -> Outcome:
+        return build_once(name, profile_name, params, **options)
+
+    @cache
+    def build_once(name: str, profile_name: str, params: Params | None, **options: Any) -> Outcome:
         scene = scenes.SCENES[name](**options)
         stem = f"{name}_{profile_name}_{len(list(folder.iterdir()))}"
         points = write_points(folder / f"{stem}.laz", scene.points)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from simulated import scenes
 from simulated.files import write_points
+from support.sizes import sample
 from support.towns import EPSG, ROW, town_build
 
 import msbdb
@@ -66,7 +67,7 @@ def test_an_update_is_a_build_and_an_advance(points: Path, spring: Path, tmp_pat
 
 
 @pytest.mark.parametrize(
-    "other", [{"params": {"scale": {"merge_slivers": False}}}, {"z_unit": "m"}, {"date": "2024-05"}]
+    "other", sample([{"z_unit": "m"}, {"params": {"scale": {"merge_slivers": False}}}, {"date": "2024-05"}], 3)
 )
 def test_other_files_or_values_build_the_survey_again(
     points: Path, spring: Path, tmp_path: Path, other: dict[str, object]
@@ -105,6 +106,7 @@ def test_an_interruption_between_build_and_advance_is_repaired_by_repeating(
     assert dump(tmp_path / "town.sqlite") == dump(spring)
 
 
+@pytest.mark.long
 def test_an_update_is_computed_again_when_others_change_the_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -127,6 +129,7 @@ def test_an_update_is_computed_again_when_others_change_the_place(
     assert seen == [0, 0, 8]
 
 
+@pytest.mark.long
 def test_the_ground_beneath_a_block_is_no_change_of_its_roofs(tmp_path: Path) -> None:
     """Surveys interpolate it 2.5 m apart, from zeros of their own; what rose by the levels of its roof is modified."""
     db, bounds = tmp_path / "town.sqlite", (0.0, 0.0, 180.0, 32.0)

@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
+from click.testing import CliRunner
+
 from msbdb import api
+from msbdb.cli.main import cli
 from msbdb.database import open_database, store_build
 from msbdb.kept import KeptRun
 from support.towns import EPSG, House, footprints, town_build
@@ -36,3 +39,10 @@ def office(target: str, folder: Path) -> str:
         store_build(target, surveyed(name))
         api.advance(target, name)
     return target
+
+
+def run(*words: object, code: int = 0) -> str:
+    """Run a command and return all that it printed, as one line."""
+    done = CliRunner().invoke(cli, [str(word) for word in words])
+    assert done.exit_code == code, done.output
+    return " ".join(done.output.split())
