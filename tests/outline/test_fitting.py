@@ -215,6 +215,15 @@ def town(shape, seed=5):
     return rasterise(houses, spec), spec
 
 
+@pytest.mark.parametrize("seed", [3, 4, 10])
+def test_walls_that_would_cross_beside_a_corner_stay_walls(seed):
+    """Houses that overlap at odd angles: without the steps at corners no arc crosses another, and none is traced."""
+    labels, spec = town((150, 150), seed)
+    outlines, sound = outline_labels(labels, int(labels.max()), spec, VectorParams())
+    assert sound.all()
+    assert shapely.is_valid(outlines).all()
+
+
 @pytest.mark.parametrize("move", [(0, 7), (13, 0), (21, 34)])
 def test_whole_cells_of_shift_shift_the_outlines(move):
     """The place on the lattice has no effect."""
