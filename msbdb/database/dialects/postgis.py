@@ -29,7 +29,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects import setkeys
-from msbdb.database.dialects.binarycopy import packed_rows
+from msbdb.database.dialects.dialect import plain_rows
 from msbdb.database.schema.sqlfiles import read_sql
 from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
@@ -269,10 +269,11 @@ def insert_rows(
 ) -> None:
     """Insert rows by binary COPY: the server converts no numbers or geometries."""
     own = SQL[table].columns
-    rows = packed_rows([_wire_type(own[name].type) for name in columns], list(columns.values()))
     statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN (FORMAT BINARY)"
     with connection.connection.cursor() as cursor, cursor.copy(statement) as copy:  # type: ignore[attr-defined]  # psycopg's own
-        copy.write(rows)
+        copy.set_types([_wire_type(own[name].type) for name in columns])
+        for row in plain_rows(columns):
+            copy.write_row(row)
 
 
 def _wire_type(kind: TypeEngine[Any]) -> str:

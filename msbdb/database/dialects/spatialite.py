@@ -15,6 +15,7 @@ from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, event, 
 from sqlalchemy.exc import DBAPIError, IntegrityError
 
 from msbdb.database.dialects import bulk
+from msbdb.database.dialects.dialect import plain_rows
 from msbdb.database.dialects.sqliteconnection import begin, driver, journal_mode, prepare
 from msbdb.database.schema.sqltables import VERSION_TABLE
 from msbdb.errors import DatabaseError, LoadError, MsbdbError, SchemaVersionError
@@ -217,23 +218,12 @@ def insert_rows(
     connection: Connection, table: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]], srid: int
 ) -> None:
     """Insert rows by one prepared statement."""
-    rows = list(zip(*(_plain(values) for values in columns.values()), strict=True))
+    rows = plain_rows(columns)
     if not rows:
         return
     values = ", ".join(f"ST_GeomFromWKB(?, {srid})" if name == "geometry" else "?" for name in columns)
     statement = f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({values})"  # noqa: S608  (names are the models')
     connection.exec_driver_sql(statement, rows)
-
-
-def _plain(values: Sequence[Any] | NDArray[Any]) -> Sequence[Any]:
-    """Return a column as plain Python values, with None for NaN."""
-    if not isinstance(values, np.ndarray):
-        return values
-    found: list[Any] = values.tolist()
-    if values.dtype.kind == "f":
-        for row in np.flatnonzero(np.isnan(values)).tolist():
-            found[row] = None
-    return found
 
 
 def settle(connection: Connection) -> None:
