@@ -2,12 +2,13 @@
 
 import ctypes
 import os
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import contextmanager, nullcontext, suppress
 from threading import local
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -15,6 +16,9 @@ R = TypeVar("R")
 
 MOST = 4
 """Most threads at a time: each holds temporary arrays of the whole lattice, and the memory's speed is shared."""
+
+PATIENCE_S = 0.2
+"""Seconds after which a thread that waits for others looks for an interruption: a signal may reach another thread."""
 
 HIDDEN = "Dataset has no geotransform|The given matrix is equal to Affine.identity"
 """rasterio hides these warnings of its own by filters that all threads share, so another thread may bring them back."""
@@ -36,7 +40,7 @@ def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
 
     Use it for pure functions of whole arrays, whose kernels run without the interpreter's lock. The results come in
     the order of the items, and an exception is that of the first item that has one; so threads change nothing but
-    the time.
+    the time. An interruption by the keyboard does not wait for them (`end_now`).
 
     Examples
     --------
@@ -49,8 +53,19 @@ def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
         return [work(item) for item in tasks]
     # A pool within a pool leaves the filters alone: threads that end in another order would put back old ones.
     inside = getattr(_OF_THREAD, "in_pool", False)
-    with nullcontext() if inside else _hiding(), ThreadPoolExecutor(threads, initializer=_enter_pool) as pool:
-        return list(pool.map(work, tasks))
+    with nullcontext() if inside else _hiding():
+        pool, waits = ThreadPoolExecutor(threads, initializer=_enter_pool), True
+        try:
+            results = [pool.submit(work, item) for item in tasks]
+            while wait(results, timeout=PATIENCE_S, return_when=FIRST_EXCEPTION).not_done:
+                if any(one.done() and one.exception() for one in results):
+                    break
+            return [one.result() for one in results]
+        except KeyboardInterrupt:
+            waits = False
+            raise
+        finally:
+            pool.shutdown(wait=waits, cancel_futures=True)
 
 
 def _enter_pool() -> None:
@@ -64,6 +79,14 @@ def _hiding() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=HIDDEN)
         yield
+
+
+def end_now(code: int) -> NoReturn:
+    """End the program without waiting for threads that work on; what they make is not used, and they write nothing."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # closed, or nobody reads
+            stream.flush()
+    os._exit(code)
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 import ctypes
 import resource
+import subprocess
+import sys
 import threading
 import time
 import warnings
@@ -46,6 +48,32 @@ def test_the_first_error_is_told(monkeypatch):
 
     with pytest.raises(ValueError, match="1"):
         in_threads(work, range(4))
+
+
+ENDLESS = """
+import signal, threading
+from msbdb import threads
+threads.cores = lambda: 2
+at_work = threading.Barrier(3)
+def interrupt():
+    at_work.wait()
+    signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+def work(_):
+    at_work.wait()
+    threading.Event().wait()
+threading.Thread(target=interrupt, daemon=True).start()
+try:
+    threads.in_threads(work, range(2))
+except KeyboardInterrupt:
+    print("interrupted")
+    threads.end_now(130)
+"""
+
+
+def test_an_interruption_does_not_wait_for_threads():
+    """The program ends while two threads work without end, and what it printed is there."""
+    done = subprocess.run([sys.executable, "-c", ENDLESS], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (130, "interrupted", "")
 
 
 def test_at_least_one_core_is_known():

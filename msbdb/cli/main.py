@@ -3,6 +3,7 @@
 import click
 
 from msbdb.cli.build import build, classify
+from msbdb.cli.command import INTERRUPTED
 from msbdb.cli.db import db
 from msbdb.cli.doctor import doctor
 from msbdb.cli.export import export, qgis
@@ -10,7 +11,7 @@ from msbdb.cli.inventory import changes, import_, state, update
 from msbdb.cli.measure import measure
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params
-from msbdb.threads import share_one_heap
+from msbdb.threads import end_now, share_one_heap
 from msbdb.version import __version__
 
 
@@ -49,7 +50,12 @@ for _command in (
 def main() -> None:
     """Run the program."""
     share_one_heap()
-    cli(prog_name="msbdb")
+    try:
+        cli(prog_name="msbdb")
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:
+            end_now(INTERRUPTED)
+        raise
 
 
 if __name__ == "__main__":
