@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import geopandas as gpd
@@ -93,13 +94,18 @@ def town(tmp_path, built):
 
 @contextlib.contextmanager
 def file_limit(size):
-    """Let no file of this process grow beyond a size, as on a full disk: Python ignores the signal, writing fails."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    """Let no file of this process grow beyond a size, as on a full disk: Python ignores the signal, writing fails.
+
+    Bytecode is not written meanwhile: Python would keep what a module's file has room for, and fail to import it later.
+    """
+    before, kept = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = kept
 
 
 @contextlib.contextmanager

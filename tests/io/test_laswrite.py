@@ -379,6 +379,7 @@ import resource, signal, sys, numpy as np
 from msbdb.errors import FileError
 from msbdb.io.laswrite import write_classes
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
 try:
     write_classes(sys.argv[1], sys.argv[2], np.full(700, 6, np.uint8))

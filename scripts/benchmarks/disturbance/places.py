@@ -8,6 +8,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -254,4 +255,5 @@ def filled(disk: Path, room: int) -> Iterator[None]:
 
 def limit_files(size: int) -> None:
     """Let no file of this process grow beyond a size: Python ignores the signal, writing fails."""
+    sys.dont_write_bytecode = True  # half a module's bytecode would stay
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
