@@ -9,9 +9,17 @@ from msbdb.database.admin.copying import canonical_dump, copy_database
 from msbdb.database.admin.findings import Finding
 from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_schema, upgrade_schema
 from msbdb.database.admin.soundness import CHECKS, check_database
-from msbdb.database.dialects.clientplace import ClientPlace, client_place
-from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened
-from msbdb.database.dialects.databasecrs import crs_words_of, database_crs_of, read_fallback
+from msbdb.database.dialects.connection import (
+    PATIENCE_S,
+    ClientPlace,
+    check_target,
+    client_place,
+    crs_words_of,
+    database_crs_of,
+    open_database,
+    opened,
+    read_fallback,
+)
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
