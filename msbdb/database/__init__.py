@@ -68,7 +68,7 @@ from msbdb.database.runs.reading import (
     summarise_run,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
-from msbdb.database.schema.sqlfiles import ExampleQuery, example_queries, find_example, run_example
+from msbdb.database.schema.examples import ExampleQuery, example_queries, find_example, run_example
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [

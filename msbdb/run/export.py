@@ -23,7 +23,6 @@ from msbdb.database.history.shownlayers import columns_of
 from msbdb.errors import InputError, PassingNotice
 from msbdb.export import Content, check_options, choose_layers, export, find_format
 from msbdb.export.qgis.project import Bounds, layers_of, project
-from msbdb.identity import to_json
 from msbdb.io.files import require_input, require_output, write_atomic
 from msbdb.io.layers import Layer, crs_text
 from msbdb.run.outputs import Choice, tell_choice
@@ -31,7 +30,7 @@ from msbdb.tables import Column, Survey
 from msbdb.tables.view_columns import VIEW_COLUMNS
 
 if TYPE_CHECKING:
-    import geopandas as gpd
+    pass
 
 _BUILDINGS = ("footprint", "part", "flat_region", "candidate_region")
 
@@ -109,19 +108,9 @@ def read_content(
     return Content("current" if found.present and what == "current" else what, layers, found.surveys, at or "")
 
 
-def change_content(table: "gpd.GeoDataFrame") -> Content:
-    """Return changes as the layer of a file; imported attributes are JSON."""
-    frame = table.copy()
-    for column in ("attributes_before", "attributes_after"):
-        words = np.empty(len(frame), dtype=object)
-        words[:] = [None if value is None else to_json(value) for value in frame[column]]
-        frame[column] = words
-    return Content("changes", {"change": Layer.of(frame)})
-
-
 def _changes(db: str | Path, until: str | None) -> Content:
     """Return the net changes since the first state of each place."""
-    from msbdb.run.inventory.changed import changes_of
+    from msbdb.run.inventory.changed import change_content, changes_of
 
     found = changes_of(
         db, since=None, until=until, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
