@@ -22,6 +22,7 @@ from msbdb.database.dialects.connection import (
 )
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
+from msbdb.database.examples import ExampleQuery, example_queries, find_example, run_example
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.joins import Seams, current_pieces
@@ -68,7 +69,6 @@ from msbdb.database.runs.reading import (
     summarise_run,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
-from msbdb.database.schema.examples import ExampleQuery, example_queries, find_example, run_example
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [

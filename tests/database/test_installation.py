@@ -11,8 +11,7 @@ from simulated.builds import EPSG
 
 from msbdb.cli.main import cli
 from msbdb.database import open_database
-from msbdb.database.dialects import sqliteconnection
-from msbdb.database.schema import migration
+from msbdb.database.dialects import migration, sqliteconnection
 
 
 def found(*args: object, code: int = 0) -> dict[str, dict[str, Any]]:

@@ -11,8 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 from sqlalchemy import Connection, text
 
 from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
+from msbdb.database.dialects.migration import head_version, schema_version
 from msbdb.database.dialects.sqliteconnection import driver, prepare
-from msbdb.database.schema.migration import head_version, schema_version
 from msbdb.errors import MsbdbError
 from msbdb.version import __version__
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from sqlalchemy import URL, Connection, Engine, text
 
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
+from msbdb.database.dialects.migration import require_version
 from msbdb.database.dialects.rights import kept_rights
-from msbdb.database.schema import migration as upgrade
-from msbdb.database.schema.migration import require_version
 from msbdb.database.schema.srid import FIRST_OWN_SRID, srid_of
 from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionError
 
