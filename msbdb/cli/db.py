@@ -220,7 +220,7 @@ def doctor(*, db: str | None, as_json: bool) -> None:
     """List what is installed, with versions, and what to do about what is missing.
 
     With --db the server, PostGIS and the schema of a database are looked at too. Nothing is changed. The exit code is
-    1 when something that msbdb needs is missing.
+    1 when something that msbdb needs is missing or faulty.
     """
     from dataclasses import asdict
 
@@ -235,6 +235,6 @@ def doctor(*, db: str | None, as_json: bool) -> None:
         for component in found:
             if component.advice:
                 click.echo(f"{component.name}: {component.advice}")
-        click.echo("Something is missing, see above." if lacking else "All that msbdb needs is installed.")
+        click.echo("Something is missing or faulty, see above." if lacking else "All that msbdb needs is installed.")
     if lacking:
         sys.exit(INCOMPLETE)
