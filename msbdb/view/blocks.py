@@ -126,6 +126,6 @@ def _without_slivers(geometry: Geometries) -> Geometries:
     parts, owner = parts[wide], owner[wide]
     found = np.full(len(geometry), shapely.MultiPolygon(), dtype=object)
     begins = np.flatnonzero(np.diff(owner, prepend=-1))
-    for begin, end in zip(begins, [*begins[1:], len(owner)], strict=True):
+    for begin, end in zip(begins, np.append(begins[1:], len(owner))[: len(begins)], strict=True):
         found[owner[begin]] = shapely.multipolygons(parts[begin:end])
     return found

@@ -676,11 +676,14 @@
     $("title").textContent = town.title;
     $("subtitle").textContent = town.subtitle;
     if (!document.createElement("canvas").getContext("webgl2")) {
+      $("controls").hidden = true;
       say("This browser has no WebGL 2, without which the map cannot be drawn.");
       return;
     }
     makeLayers();
     listen();
+    document.body.classList.toggle("two", chosen.other !== NONE);
+    $("pane-b").hidden = chosen.other === NONE;
     if (chosen.other === NONE) addPane(camera, chosen.view, NONE);
     else addPane(camera, pair()[0], 0);
     if (chosen.picked !== NONE) drawDetails();

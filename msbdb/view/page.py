@@ -148,7 +148,7 @@ def shapes_of(geometry: NDArray[np.object_], origin: tuple[int, int]) -> list[li
     moves = np.diff(steps, axis=0, prepend=0)
     moves[begins] = steps[begins]
     flat = moves.ravel().tolist()
-    ends = [*begins[1:].tolist(), len(ring)]
+    ends = np.append(begins[1:], len(ring))[: len(begins)].tolist()
     found: list[list[list[list[int]]]] = [[] for _ in range(len(geometry))]
     by_polygon: list[list[list[int]]] = [[] for _ in range(len(polygons))]
     for own, begin, end in zip(polygon.tolist(), begins.tolist(), ends, strict=True):
