@@ -25,7 +25,7 @@ from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.examples import ExampleQuery, example_queries, find_example, run_example
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
-from msbdb.database.history.joins import Seams, current_pieces
+from msbdb.database.history.joins import Seams, current_pieces, read_pieces
 from msbdb.database.history.periods import (
     footprint_at,
     has_inventory,
@@ -128,6 +128,7 @@ __all__ = [
     "read_history",
     "read_labelled_classes",
     "read_parts",
+    "read_pieces",
     "read_rasters",
     "read_rejection_counts",
     "read_rejections",

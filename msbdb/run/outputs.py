@@ -26,7 +26,7 @@ from msbdb.database import (
     summarise_inventory,
     summarise_run,
 )
-from msbdb.errors import PassingNotice, counted
+from msbdb.errors import InputError, PassingNotice, counted
 from msbdb.kept import heights_of
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
@@ -40,6 +40,9 @@ Bounds = tuple[float, float, float, float]
 
 LAYERS = {"footprint": BUILDING, "part": PART, "flat_region": FLAT_REGION, "candidate_region": CANDIDATE_REGION}
 """The layers of a map and their tables."""
+
+PAGE = ".html"
+"""The ending of a page in 3-D."""
 
 EMPTY_MAP = (0.0, 0.0, 100.0, 100.0)
 """Extent of a map of nothing, metres."""
@@ -124,14 +127,17 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: b
     """Draw a map; see `msbdb.api.view`."""
     from msbdb.io.files import PICTURES, require_output
 
-    require_output(out, overwrite=overwrite, endings=PICTURES, sources=[db])
+    require_output(out, overwrite=overwrite, endings=(*PICTURES, PAGE), sources=[db])
+    if out.suffix.lower() == PAGE:
+        _write_page(db, out, survey=survey, of=of)
+        return
     from msbdb.view.buildingmap import draw_map
     from msbdb.view.regionmap import draw_candidates, draw_zones
 
     with opened(db) as engine:
         choice = _of_one_place(engine, choose(engine, survey))
         frames, thresholds = _frames(engine, choice), _thresholds(engine, choice)
-        relief = _relief(engine, choice, frames["footprint"])
+        relief = relief_for(engine, choice, frames["footprint"])
         dates = [read_survey(engine, name).date for name in choice.surveys]
     name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(dates)} surveys"
     if len(dates) > 1:  # the newest are drawn last, on top
@@ -154,6 +160,20 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: b
         return
     title = f"{name}: {counted(len(buildings), 'building')} in {counted(len(parts), 'part')}"
     draw_map(parts, buildings, relief, out, title=title, subtitle=subtitle, thresholds_m2=thresholds)
+
+
+def _write_page(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
+    """Write the page of a database."""
+    if of != "buildings":
+        msg = f"The page shows buildings and their parts; leave out --of {of}, or write a picture: .png, .svg or .pdf."
+        raise InputError(msg)
+    from msbdb.run.page import town_of
+    from msbdb.view.page import read_library, write_page
+
+    library = read_library()
+    with opened(db) as engine:
+        town = town_of(db, engine, _of_one_place(engine, choose(engine, survey)))
+    write_page(town, out, library)
 
 
 def _of_one_place(engine: Engine, choice: Choice) -> Choice:
@@ -217,7 +237,7 @@ def _thresholds(engine: Engine, choice: Choice) -> dict[int, float]:
     return found[0] if found and all(own == found[0] for own in found) else {}
 
 
-def _relief(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") -> "Grid":
+def relief_for(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") -> "Grid":
     """Return the heights of the surveys, the newest on top; without surveys an empty grid around the buildings."""
     import numpy as np
 

@@ -19,7 +19,7 @@ def test_the_image_is_made_of_all_that_the_wheel_needs():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
     needed = {"pyproject.toml", project["project"]["readme"], *project["project"]["license-files"]}
-    needed |= {*wheel["packages"], *wheel["force-include"]}
+    needed |= {*wheel["packages"], *wheel["force-include"], wheel["hooks"]["custom"]["path"], "scripts"}
     assert needed <= copied()
 
 

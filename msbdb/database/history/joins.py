@@ -144,6 +144,13 @@ def current_pieces(engine: Engine) -> list[int]:
         return sorted(connection.scalars(query.where(_IS_CURRENT)))
 
 
+def read_pieces(engine: Engine) -> list[tuple[int, int]]:
+    """Return each version of the inventory with each building of a run that it is made of, in their order."""
+    query = select(PIECE.c.version_id, PIECE.c.building_id).order_by(PIECE.c.version_id, PIECE.c.building_id)
+    with guarded(engine.url), engine.connect() as connection:
+        return [(int(version), int(building)) for version, building in connection.execute(query)]
+
+
 def count_again(connection: Connection, surveys: Iterable[int]) -> None:
     """Write the number of rows that updates made, after rows of theirs were joined or released by another one."""
     for survey_id in sorted(surveys):

@@ -1,0 +1,460 @@
+"""A database as the values of a page in 3-D: buildings, their parts as blocks on each scale, dates and changes."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from pyproj import Transformer
+
+from msbdb.database import (
+    Engine,
+    database_crs_of,
+    footprint_at,
+    read_changes,
+    read_classes,
+    read_pieces,
+    read_rasters,
+    read_scales,
+    read_survey,
+    read_tables,
+    summarise_inventory,
+    summarise_run,
+)
+from msbdb.errors import InputError, PassingNotice, counted
+from msbdb.grid import Grid
+from msbdb.kept import lattice_of
+from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
+from msbdb.run.outputs import Choice, relief_for
+from msbdb.tables import BUILDING, DETECTOR_SHARES, PART, REASONS, Reason
+from msbdb.tables.aliases import words_of
+from msbdb.tables.view_columns import VIEW_COLUMNS
+from msbdb.view.blocks import blocks_of
+from msbdb.view.buildingmap import KINDS, shading
+from msbdb.view.page import DEGREE, image_uri, shapes_of
+
+MOST_PARTS = 60_000
+"""Buildings and parts beyond which the page would be slow (ours): 10,000 buildings have about 40,000."""
+
+MOST_DATES = 8
+"""Dates of the inventory on the page, the newest ones (ours): each pair has its list of changes."""
+
+LARGEST_IMAGE = 2000
+"""Cells a side beyond which the ground is thinned."""
+
+REASON_COLOURS = {
+    Reason.NO_DATA: "#c6dbef",
+    Reason.LOW: "#d9d9d9",
+    Reason.SMALL: "#f0e442",
+    Reason.VEGETATION_BY_STRUCTURE: "#009e73",
+    Reason.VEGETATION_BY_COLOUR: "#66c2a5",
+    Reason.OTHER_CLASS: "#a6761d",
+    Reason.UNSUPPORTED: "#cc79a7",
+    Reason.HARDLY_SUPPORTED: "#e69f00",
+    Reason.OUTVOTED: "#d55e00",
+    Reason.SMALL_PART: "#56b4e9",
+    Reason.UNLIKE_PART: "#0072b2",
+    Reason.GAP: "#999999",
+    Reason.NO_PARTS: "#666666",
+}
+"""Colours by Okabe and Ito; cells of buildings stay clear."""
+
+DIGITS = {"m": 2, "m2": 1, "m3": 0, "1": 3, "1/m2": 2}
+"""Digits of a number behind the point by its unit; the page has whole numbers."""
+
+SHOWN = (
+    "survey",
+    "state",
+    "found_state",
+    "operator",
+    "note",
+    "probability",
+    "valid_from",
+    "valid_to",
+    "storeys",
+    "storeys_min",
+    "storeys_max",
+    "storeys_top",
+    "eaves",
+    "ridge",
+    "h_mean",
+    "z_ground",
+    "z_ridge",
+    "area_m2",
+    "volume_m3",
+    "floor_area_m2",
+    "coverage",
+    "density",
+    "divided_by",
+    "outline_source",
+    "attributes",
+)
+"""The columns of a building that the page shows, in this order."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Stock:
+    """The buildings of a page with the views in which each is seen, and their parts.
+
+    Parameters
+    ----------
+    views : list of dict
+        Name and date of each view: dates of the inventory in their order, or surveys.
+    buildings : GeoDataFrame
+        Columns ``key`` (its id on the page), ``first`` and ``after`` (its views), and those of the database.
+    parts : GeoDataFrame
+        Columns of ``PART``, ``row`` (of the building) and ``survey``.
+    """
+
+    views: list[dict[str, str]]
+    buildings: gpd.GeoDataFrame
+    parts: gpd.GeoDataFrame
+
+
+def town_of(db: str | Path, engine: Engine, choice: Choice) -> dict[str, Any]:
+    """Return what the page of a database shows, as values of JSON.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    engine : Engine
+        The same, opened.
+    choice : Choice
+        The surveys, and whether the buildings are those of the inventory.
+
+    Raises
+    ------
+    InputError
+        When there are more buildings and parts than a page can hold.
+    """
+    _require_few(engine, choice)
+    stock = _inventory(engine, choice) if choice.present else _surveys(engine, choice)
+    relief = relief_for(engine, choice, stock.buildings)
+    to_degrees = Transformer.from_crs(relief.spec.crs, 4326, always_xy=True)
+    origin = _origin(relief, to_degrees)
+    image, place = _ground(relief, to_degrees, origin)
+    inventory = _changes(db, engine, stock) if choice.present else {}
+    name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(choice.surveys)} surveys"
+    return {
+        "title": name,
+        "subtitle": _subtitle(stock, relief, choice),
+        "crs": relief.spec.crs.name,
+        "origin": list(origin),
+        "views": stock.views,
+        "inventory": choice.present,
+        "scales": _scales(engine, choice, stock.parts),
+        "detectors": [[name, column] for name, column in DETECTOR_SHARES.items()],
+        "place": place,
+        "ground": image,
+        "reasons": _reasons(engine, choice, relief),
+        **_rows(engine, choice, stock, to_degrees, origin),
+        **inventory,
+    }
+
+
+def _subtitle(stock: _Stock, relief: Grid, choice: Choice) -> str:
+    """Return in words how much is shown, of when and where."""
+    last = len(stock.views) - 1 if choice.present else None
+    here = stock.buildings["after"] == last + 1 if last is not None else stock.buildings["after"] > 0
+    counts = counted(int(here.sum()), "building"), counted(int(here.to_numpy()[stock.parts["row"]].sum()), "part")
+    date = max((view["date"] for view in stock.views), default="")
+    return " · ".join(word for word in (*counts, date, relief.spec.crs.name) if word)
+
+
+def _require_few(engine: Engine, choice: Choice) -> None:
+    """Refuse a database that is too large for one page."""
+    rows = sum(summarise_run(engine, name).rows[table.name] for name in choice.surveys for table in (BUILDING, PART))
+    if rows > MOST_PARTS:
+        msg = (
+            f"The page would have {rows:,} buildings and parts; a browser is slow with more than {MOST_PARTS:,}. "
+            "Choose a survey by --survey, or open the database in QGIS ('msbdb qgis')."
+        )
+        raise InputError(msg)
+
+
+def _inventory(engine: Engine, choice: Choice) -> _Stock:
+    """Return the versions of the inventory on the dates of its imports and updates, and their parts."""
+    events = summarise_inventory(engine)["events"]
+    days = sorted({str(event["date"]) for event in events})
+    if len(days) > MOST_DATES:
+        msg = (
+            f"The inventory has {len(days)} dates; the page shows the newest {MOST_DATES}, from {days[-MOST_DATES]} on."
+        )
+        warnings.warn(msg, PassingNotice, stacklevel=3)
+        days = days[-MOST_DATES:]
+    names = {day: ", ".join(str(event["name"]) for event in events if str(event["date"]) == day) for day in days}
+    frames = []
+    for number, day in enumerate(days):
+        frame = footprint_at(engine, day)
+        frames.append(frame[frame["survey"].isna() | frame["survey"].isin(choice.surveys)].assign(first=number))
+    every = gpd.GeoDataFrame(pd.concat([frame.dropna(axis=1, how="all") for frame in frames], ignore_index=True))
+    last = every.groupby("version_id")["first"].max()
+    one = every.drop_duplicates("version_id").reset_index(drop=True).reindex(columns=frames[-1].columns)
+    buildings = one.assign(key=one["uid"].astype(str), after=last.loc[one["version_id"]].to_numpy() + 1)
+    row_of = {version: row for row, version in enumerate(buildings["version_id"].tolist())}
+    rows_of: dict[int, list[int]] = {}
+    for version, building in read_pieces(engine):
+        if version in row_of:
+            rows_of.setdefault(building, []).append(row_of[version])
+    tables = {name: read_tables(engine, (BUILDING, PART), name) for name in choice.surveys}
+    # What only the buildings of a survey have: the versions are copies of the main columns.
+    more = pd.concat([pd.DataFrame(own["building"]) for own in tables.values()] or [pd.DataFrame(BUILDING.empty())])
+    more = more.drop_duplicates("building_id").set_index("building_id")
+    known = pd.Index(buildings["building_id"].fillna(0).astype("int64"))
+    lacking = [name for name in (*SHOWN, *DETECTOR_SHARES.values()) if name in more and name not in buildings]
+    for name in lacking:
+        buildings[name] = more[name].reindex(known).to_numpy()
+    views = [{"name": names[day], "date": day} for day in days]
+    return _Stock(views, buildings, _with_rows({name: own["part"] for name, own in tables.items()}, rows_of))
+
+
+def _surveys(engine: Engine, choice: Choice) -> _Stock:
+    """Return the buildings and parts of surveys as each found them."""
+    tables = {name: read_tables(engine, (BUILDING, PART), name) for name in choice.surveys}
+    frames = [
+        gpd.GeoDataFrame(own["building"]).assign(survey=name, first=number, after=number + 1)
+        for number, (name, own) in enumerate(tables.items())
+    ]
+    buildings = gpd.GeoDataFrame(pd.concat(frames, ignore_index=True)) if frames else _nothing(engine)
+    buildings = buildings.assign(key=buildings["building_id"].astype(str))
+    rows_of = {building: [row] for row, building in enumerate(buildings["building_id"].tolist())}
+    views = [{"name": name, "date": read_survey(engine, name).date} for name in choice.surveys]
+    return _Stock(views, buildings, _with_rows({name: own["part"] for name, own in tables.items()}, rows_of))
+
+
+def _nothing(engine: Engine) -> gpd.GeoDataFrame:
+    """Return the frame of a database without buildings."""
+    empty = gpd.GeoDataFrame(BUILDING.empty(), geometry=[], crs=database_crs_of(engine))
+    return empty.assign(survey=pd.Series(dtype=object), first=0, after=0)
+
+
+def _with_rows(tables: Mapping[str, Any], rows_of: Mapping[int, Sequence[int]]) -> gpd.GeoDataFrame:
+    """Return the parts of surveys with the row of their building; a part of several versions is there for each."""
+    found = []
+    for name, table in tables.items():
+        rows = [rows_of.get(building, ()) for building in table["building_id"].tolist()]
+        times = np.array([len(own) for own in rows], dtype=np.int64)
+        frame = gpd.GeoDataFrame(table.iloc[np.repeat(np.arange(len(table)), times)])
+        found.append(frame.assign(survey=name, row=[row for own in rows for row in own]))
+    if not found:
+        return gpd.GeoDataFrame(PART.empty().assign(survey="", row=0), geometry=[])
+    return gpd.GeoDataFrame(pd.concat(found, ignore_index=True))
+
+
+def _rows(
+    engine: Engine, choice: Choice, stock: _Stock, to_degrees: Transformer, origin: tuple[int, int]
+) -> dict[str, Any]:
+    """Return the buildings, parts and blocks by column."""
+    parts, buildings = stock.parts, stock.buildings
+    row_of = {key: row for row, key in enumerate(zip(parts["row"].tolist(), parts["part_id"].tolist(), strict=True))}
+    fathers = [row_of.get(key, -1) for key in zip(parts["row"].tolist(), parts["supid"].tolist(), strict=True)]
+    blocks = blocks_of(
+        parts["scale"].to_numpy(dtype=np.int64),
+        np.array(fathers, dtype=np.int64),
+        parts["area_m2"].to_numpy(dtype=np.float64),
+        parts["h_mean"].to_numpy(dtype=np.float64),
+        np.array(parts.geometry.to_numpy(), dtype=object),
+        finest=int(parts["scale"].max()) if len(parts) else 0,
+    )
+
+    def shapes(geometry: NDArray[np.object_]) -> list[Any]:
+        return shapes_of(shapely.transform(geometry, to_degrees.transform, interleaved=False), origin)
+
+    columns = [column for column in _columns() if column.name in buildings]
+    classes, class_of = _classes(engine, choice, parts)
+    return {
+        "fields": [[column.name, words_of(column), DIGITS.get(column.unit, 0)] for column in columns],
+        "classes": classes,
+        "buildings": {
+            "id": buildings["key"].tolist(),
+            "first": _whole(buildings["first"]),
+            "after": _whole(buildings["after"]),
+            "height": _whole(_heights(buildings), 2),
+            "version": _texts(buildings["version_id"]) if "version_id" in buildings else [],
+            "shape": shapes(np.array(buildings.geometry.to_numpy(), dtype=object)),
+            "values": {column.name: _values(buildings[column.name], column.dtype, column.unit) for column in columns},
+            "shares": {
+                column: _whole(buildings[column], 3) if column in buildings else [None] * len(buildings)
+                for column in DETECTOR_SHARES.values()
+            },
+        },
+        "parts": {
+            "id": _texts(parts["part_id"]),
+            "building": _whole(parts["row"]),
+            "father": fathers,
+            "scale": _whole(parts["scale"]),
+            "storeys": _whole(parts["hindex"]),
+            "height": _whole(parts["h_mean"], 2),
+            "top": _whole(parts["h_max"], 2),
+            "area": _whole(parts["area_m2"]),
+            "kind": class_of,
+        },
+        "blocks": {
+            "part": blocks.row.tolist(),
+            "low": blocks.low.tolist(),
+            "high": blocks.high.tolist(),
+            "height": np.rint(100 * blocks.height_m).astype(np.int64).tolist(),
+            "shape": shapes(blocks.geometry),
+        },
+    }
+
+
+def _columns() -> list[Any]:
+    """Return the declared columns of what the page shows of a building."""
+    known = {column.name: column for column in (*VIEW_COLUMNS["footprint_current"], *BUILDING.columns)}
+    return [known[name] for name in SHOWN]
+
+
+def _values(values: pd.Series, dtype: str, unit: str) -> list[Any]:
+    """Return a column of any kind: whole numbers, or texts; None for null."""
+    if dtype in ("int64", "Int64", "float64"):
+        return _whole(values, DIGITS.get(unit, 0))
+    return _texts(values)
+
+
+def _whole(values: pd.Series, digits: int = 0) -> list[int | None]:
+    """Return numbers as whole numbers of the last digit; None for null."""
+    numbers = pd.to_numeric(values).to_numpy(dtype=np.float64, na_value=np.nan)
+    return [None if np.isnan(number) else round(number * 10**digits) for number in numbers.tolist()]
+
+
+def _texts(values: pd.Series) -> list[str | None]:
+    """Return values as texts, because ids exceed 2^53; imported attributes as lines; None for null."""
+    return [_text(value) for value in values.tolist()]
+
+
+def _text(value: object) -> str | None:
+    if isinstance(value, Mapping):
+        return "\n".join(f"{key}: {own}" for key, own in value.items())
+    return None if value is None or value is pd.NA or value != value else str(value)  # noqa: PLR0124  (NaN)
+
+
+def _heights(buildings: gpd.GeoDataFrame) -> pd.Series:
+    """Return the mean height of each building, or the nearest to it that is known; metres."""
+    found = pd.Series(np.nan, index=buildings.index)
+    for name in ("h_mean", "h_p50", "ridge", "h_p90", "h_max"):
+        found = found.fillna(pd.to_numeric(buildings[name]).astype("float64"))
+    return found
+
+
+def _classes(engine: Engine, choice: Choice, parts: gpd.GeoDataFrame) -> tuple[list[str], list[int]]:
+    """Return the names of the land-cover classes, and the number of each part's in this list; 0 is none."""
+    labels = {
+        (name, int(number)): f"{number} {label}"
+        for name in choice.surveys
+        for number, label in zip(*(read_classes(engine, name)[own] for own in ("speindex", "label")), strict=True)
+    }
+    found = [
+        labels.get((str(name), int(number)), "none")
+        for name, number in zip(parts["survey"], parts["speindex"], strict=True)
+    ]
+    order = ["none", *sorted(set(found) - {"none"}, key=lambda word: (int(word.split(" ")[0]), word))]
+    return order, [order.index(word) for word in found]
+
+
+def _scales(engine: Engine, choice: Choice, parts: gpd.GeoDataFrame) -> list[list[Any]]:
+    """Return the scales, the coarsest first, each with its area threshold in square metres; None where they differ."""
+    areas: dict[int, set[int]] = {}
+    for name in choice.surveys:
+        table = read_scales(engine, name)
+        for scale, area in zip(table["scale"].tolist(), table["threshold_m2"].tolist(), strict=True):
+            areas.setdefault(int(scale), set()).add(round(area))
+    finest = int(parts["scale"].max()) if len(parts) else 0
+    return [
+        [scale, areas[scale].copy().pop() if len(areas.get(scale, ())) == 1 else None] for scale in range(1, finest + 1)
+    ]
+
+
+def _origin(relief: Grid, to_degrees: Transformer) -> tuple[int, int]:
+    """Return the south-western corner of all that is shown, steps of longitude and latitude."""
+    west, south, east, north = relief.spec.bounds
+    lon, lat = to_degrees.transform([west, east, west, east], [south, south, north, north])
+    return round(min(lon) * DEGREE), round(min(lat) * DEGREE)
+
+
+def _ground(relief: Grid, to_degrees: Transformer, origin: tuple[int, int]) -> tuple[str | None, dict[str, Any]]:
+    """Return light and shadow of the surface as an image, and where the images and the database's CRS lie."""
+    step = _step(relief)
+    heights = np.asarray(relief.values)[::step, ::step].astype(np.float32)
+    valid = relief.valid[::step, ::step]
+    west, _, _, north = relief.spec.bounds
+    cell = relief.spec.cell_m * step
+    east, south = west + heights.shape[1] * cell, north - heights.shape[0] * cell
+    lon, lat = to_degrees.transform([west, east, east, west], [north, north, south, south])
+    corners = [[round(x * DEGREE) - origin[0], round(y * DEGREE) - origin[1]] for x, y in zip(lon, lat, strict=True)]
+    metres = [round(100 * edge) for edge in (west, south, east, north)]
+    place = {"corners": corners, "bounds_cm": metres, "size": [heights.shape[1], heights.shape[0]]}
+    if min(heights.shape) < 2 or not valid.any():
+        return None, place
+    light = shading(heights, valid, cell)
+    levels = np.arange(64, dtype=np.uint8)
+    palette = np.stack([levels // 32 * 255] * 3 + [levels % 32 * 8], axis=-1).astype(np.uint8)
+    return image_uri((light[..., 0] // 255 * 32 + light[..., 3] // 8).astype(np.uint8), palette), place
+
+
+def _step(relief: Grid) -> int:
+    """Return by how many cells the images are thinned."""
+    return -(-max(relief.spec.shape) // LARGEST_IMAGE)
+
+
+def _reasons(engine: Engine, choice: Choice, relief: Grid) -> dict[str, Any] | None:
+    """Return the raster of reasons as an image, the newest survey on top, and its legend; None where none is kept."""
+    step = _step(relief)
+    rows, cols = (np.arange(0, side, step) for side in relief.spec.shape)
+    east, north = relief.spec.xy(*np.meshgrid(rows, cols, indexing="ij"))
+    found = np.full(east.shape, Reason.NO_DATA, dtype=np.uint8)
+    for name in choice.surveys:
+        own = read_rasters(engine, name).reason
+        if own is not None:
+            here = lattice_of(read_survey(engine, name)).sample(own, east, north, outside=0)
+            np.copyto(found, here, where=(found == Reason.NO_DATA))
+    if not found.any():
+        return None
+    colours = np.zeros((len(Reason), 4), dtype=np.uint8)
+    for reason, colour in REASON_COLOURS.items():
+        colours[reason] = [*bytes.fromhex(colour[1:]), 255]
+    legend = [[int(own), REASON_COLOURS.get(own), REASONS[own]] for own in Reason if (found == own).any()]
+    return {"image": image_uri(found, colours), "legend": legend}
+
+
+def _changes(db: str | Path, engine: Engine, stock: _Stock) -> dict[str, Any]:
+    """Return the net changes between each two dates, and the history of the buildings.
+
+    A change has its kind, the rows of the building before and after (-1 for none), and the changes of height (cm) and
+    area (m2).
+    """
+    row_of = {version: row for row, version in enumerate(stock.buildings["version_id"].tolist())}
+    kinds = list(KINDS)
+    days = [view["date"] for view in stock.views]
+    pairs = {}
+    for first, since in enumerate(days):
+        for second in range(first + 1, len(days)):
+            found = changes_of(
+                db, since=since, until=days[second], survey=None, each=False, aoi=None, out=None, figure=None,
+                overwrite=False,
+            )  # fmt: skip
+            table = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
+            pairs[f"{first}-{second}"] = _change_rows(table, kinds, row_of)
+    each = read_changes(engine)
+    each = each[(each["kind"] != "unchanged") & each["date"].astype(str).isin(days)]
+    number = {day: view for view, day in enumerate(days)}
+    rows = _change_rows(each, kinds, row_of)
+    history = [[number[str(day)], *row] for day, row in zip(each["date"], rows, strict=True)]
+    return {"kinds": [[name, colour] for name, colour in KINDS.items()], "changes": pairs, "history": history}
+
+
+def _change_rows(table: gpd.GeoDataFrame, kinds: list[str], row_of: Mapping[int, int]) -> list[list[Any]]:
+    """Return changes as short rows."""
+    sides = [
+        [row_of.get(version, -1) for version in table[name].astype("Int64").fillna(0).tolist()]
+        for name in ("version_before", "version_after")
+    ]
+    number = [kinds.index(kind) for kind in table["kind"]]
+    return [list(row) for row in zip(number, *sides, _whole(table["dh_m"], 2), _whole(table["darea_m2"]), strict=True)]
