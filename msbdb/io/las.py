@@ -30,6 +30,7 @@ from msbdb.io.lasheader import (
     vertical_unit,
 )
 from msbdb.points.cloud import NOISE_CLASSES, PointCloud
+from msbdb.surveyplan import PointFacts
 
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.
 logging.getLogger("laspy").addHandler(logging.NullHandler())
@@ -55,6 +56,7 @@ def read_points(
     *,
     crs: CrsLike | None = None,
     z_unit: str = "auto",
+    facts: PointFacts | None = None,
     progress: Progress | None = None,
 ) -> PointCloud:
     """Read the points of one or many files of one survey, in metres.
@@ -67,6 +69,8 @@ def read_points(
         The CRS of files whose headers have none; where a header has one, it must be the same.
     z_unit : {'auto', 'm', 'ft', 'us-ft'}
         Unit of the heights; see ``msbdb.io.crs.reference``.
+    facts : PointFacts, optional
+        What holds for the whole survey, where the files are a part of it.
     progress : callable, optional
         Called with ('read', points done, points in all).
 
@@ -91,7 +95,7 @@ def read_points(
     MsbdbWarning
         What was dropped, converted or assumed, with counts; each kind once, after all files are read.
     """
-    return _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=False, noise=False)[0]
+    return _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=False, noise=False, facts=facts)[0]
 
 
 def read_points_indexed(
@@ -139,6 +143,7 @@ def _read(
     progress: Progress | None,
     indexed: bool,
     noise: bool,
+    facts: PointFacts | None = None,
 ) -> tuple[PointCloud, NDArray[np.int64]]:
     """Return the points, and their places in the files where these are asked for; warn of what the notices say."""
     chosen = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
@@ -157,7 +162,7 @@ def _read(
     if partly:
         columns.note(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
     has_echoes = _fill(files, references, columns, progress)
-    cloud, index = as_cloud(columns, references, has_echoes=has_echoes)
+    cloud, index = as_cloud(columns, references, has_echoes=has_echoes, facts=facts)
     wrong_place = misplaced(cloud.crs, cloud.bounds)
     if wrong_place is not None:
         columns.note(wrong_place)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from msbdb.errors import NodataError, counted
 from msbdb.io.crs import Reference
 from msbdb.points.cloud import PointCloud, lone_points
+from msbdb.surveyplan import PointFacts
 
 logger = logging.getLogger(__name__)
 
@@ -85,12 +86,17 @@ def settle_echoes(own: Mapping[str, NDArray[Any]]) -> bool:
 
 
 def as_cloud(
-    columns: Columns, references: Sequence[Reference], *, has_echoes: bool
+    columns: Columns, references: Sequence[Reference], *, has_echoes: bool, facts: PointFacts | None = None
 ) -> tuple[PointCloud, NDArray[np.int64]]:
-    """Drop lone points, leave out constant attributes, and count in the notices; return the points' places, too."""
+    """Drop lone points, leave out constant attributes, and count in the notices; return the points' places, too.
+
+    Where facts are known, the whole survey decides what is lone or constant.
+    """
     used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
     index = columns.index[: columns.filled]
-    lone = np.zeros(columns.filled, dtype=np.bool_) if columns.noise else lone_points(used["x"], used["y"], used["z"])
+    lone = np.zeros(columns.filled, dtype=np.bool_)
+    if not columns.noise:
+        lone = lone_points(used["x"], used["y"], used["z"], facts)
     columns.dropped["far from all others"] = int(lone.sum())
     for why, count in columns.dropped.items():
         if count:
@@ -99,11 +105,14 @@ def as_cloud(
         msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
         raise NodataError(msg)
     colours, intensity = used["colours"], used["intensity"]
-    kept = _varied_colours(colours, columns.colour_names)
+    varied = _varied_colours(colours, columns.colour_names)
+    kept = varied if facts is None else [i for i, name in enumerate(columns.colour_names) if name in facts.colours]
     if len(kept) < len(columns.colour_names):
         plain = ", ".join(name for i, name in enumerate(columns.colour_names) if i not in kept)
         columns.note(f"colours that are the same for all points were left out: {plain}.")
         colours = colours[:, kept]
+    varies = intensity.min() != intensity.max() if facts is None else facts.intensity
+    has_echoes = has_echoes if facts is None else facts.numbered
     cloud = PointCloud(
         used["x"],
         used["y"],
@@ -113,9 +122,10 @@ def as_cloud(
         classification=used["classification"] if used["classification"].any() else None,
         return_number=used["return_number"] if has_echoes else None,
         number_of_returns=used["number_of_returns"] if has_echoes else None,
-        intensity=intensity if intensity.min() != intensity.max() else None,
+        intensity=intensity if varies else None,
         colours=colours if kept else None,
         colour_names=tuple(columns.colour_names[i] for i in kept),
+        facts=facts,
     )
     dropped = ", ".join(f"{count} {why}" for why, count in columns.dropped.items() if count)
     logger.info("Read %d points; dropped are %s", len(cloud), dropped or "none")
