@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import NodataError, counted
@@ -29,7 +30,10 @@ DTYPES = {
 
 
 class Columns:
-    """The columns of all points, filled file by file; ``filled`` counts the rows in use, ``seen`` what was offered."""
+    """The columns of all points, filled file by file; ``filled`` counts the rows in use, ``seen`` what was offered.
+
+    ``shape`` is the area in which points are kept; None for all.
+    """
 
     def __init__(self, points: int, colour_names: tuple[str, ...], *, indexed: bool, noise: bool) -> None:
         """Make room for that many points; ``indexed`` keeps their places in the files, ``noise`` keeps noise points."""
@@ -38,6 +42,7 @@ class Columns:
         self.index = np.empty(points if indexed else 0, dtype=np.int64)
         self.colour_names = colour_names
         self.indexed, self.noise = indexed, noise
+        self.shape: shapely.Geometry | None = None
         self.filled = self.seen = 0
         self.dropped: Counter[str] = Counter()
         self._notices: dict[str, list[str]] = {}
@@ -55,9 +60,19 @@ class Columns:
             found.append(f"{files[0]}{others}: {notice}" if files else notice)
         return found
 
+    def _grow(self, rows: int) -> None:
+        """Make room for as many rows, and as many again, where nobody knows how many there will be."""
+        size = max(rows, 2 * len(self.arrays["x"]))
+        if self.indexed:
+            self.index = _longer(self.index, self.filled, size)
+        for name, column in self.arrays.items():
+            self.arrays[name] = _longer(column, self.filled, size)
+
     def append(self, values: Mapping[str, NDArray[Any]], keep: NDArray[np.bool_]) -> None:
         """Append the kept rows of a chunk."""
         begin, end = self.filled, self.filled + int(keep.sum())
+        if end > len(self.arrays["x"]):
+            self._grow(end)
         every = end - begin == len(keep)
         for name, column in values.items():
             target = self.arrays["colours"][:, self.colour_names.index(name)] if name in COLOURS else self.arrays[name]
@@ -66,6 +81,13 @@ class Columns:
             self.index[begin:end] = self.seen + np.flatnonzero(keep)
         self.filled = end
         self.seen += len(keep)
+
+
+def _longer(column: NDArray[Any], filled: int, size: int) -> NDArray[Any]:
+    """Return a column with more rows."""
+    longer = np.empty((size, *column.shape[1:]), dtype=column.dtype)
+    longer[:filled] = column[:filled]
+    return longer
 
 
 def widen_colours(colours: NDArray[np.uint16]) -> bool:
@@ -102,7 +124,7 @@ def as_cloud(
         if count:
             columns.note(f"{counted(count, 'point')} {why} {'was' if count == 1 else 'were'} dropped.")
     if lone.all():  # also where nothing is left to be lone
-        msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
+        msg = f"No points are left of {columns.seen}. {' '.join(columns.notices)}"
         raise NodataError(msg)
     colours, intensity = used["colours"], used["intensity"]
     varied = _varied_colours(colours, columns.colour_names)

@@ -27,7 +27,8 @@ from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.run.describe import Description, count_cells, describe, describe_choices
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, note_missing_sources, prepare, read_cloud
+from msbdb.run.planning import is_sampled
+from msbdb.run.prepare import Label, make_plan, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
@@ -86,11 +87,15 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     notices : Notices
         Receives the notices that arise; those that it has already are kept, too.
     """
-    facts = None if job.plan is None else job.plan.points
+    planned = job.plan
+    if planned is None and is_sampled(job.inputs.points):
+        with collect_notices(Notices()), memory_reused():
+            planned = make_plan(job.inputs, job.params, stages)
+    facts = None if planned is None else planned.points
     with collect_notices(notices), memory_reused():
         with stages.stage("read"):
             cloud = read_cloud(job.inputs, stages.progress, facts)
-        scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=job.plan)
+        scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned)
         del cloud
         note_missing_sources(scene)
         choices = describe_choices(scene, params)

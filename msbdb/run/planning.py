@@ -1,26 +1,33 @@
 """The plan of a survey: what its drafts give together, from the whole of it or from a sample of blocks."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import geopandas as gpd
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from msbdb.detect.adaptive.offground import ndvi_threshold
 from msbdb.detect.area3d.heightscales import height_scales
 from msbdb.detect.pointregions import heights_of_points, point_ndvi
-from msbdb.errors import InputError
+from msbdb.errors import InputError, MsbdbWarning
 from msbdb.grid import Bands
-from msbdb.io.crs import same_crs
+from msbdb.io.crs import CrsLike, reference, same_crs
+from msbdb.io.extents import extent_of_points
+from msbdb.io.lasheader import read_las_header
+from msbdb.io.vector import Area
 from msbdb.morphology.scalespace import scales_of_sizes
 from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.tree import cell_sizes
 from msbdb.points.cloud import GROUND_CLASS, LONE_GAP_Z_M, PointCloud, levels_of, measure_spacing
 from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
-from msbdb.spectral.kmeans import pooled
+from msbdb.spectral.kmeans import lattice_keys, pooled
 from msbdb.spectral.model import ClassModel, fit_model
 from msbdb.surface import Surface
 from msbdb.surface.gridding import density
@@ -30,6 +37,78 @@ from msbdb.surveyplan import Plan, PointFacts, basis_of
 
 if TYPE_CHECKING:
     from pyproj import CRS
+
+
+MOST_POINTS = 12_000_000
+"""Ours: as many points are looked at for a plan, about what 4 GB of memory hold in a build."""
+
+BLOCK_M = 500.0
+"""Ours: side of a block of a sample, metres, several times as wide as the largest building."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """The blocks of a sample, by their south-western corners and their side, metres, in the CRS of the points."""
+
+    corners: tuple[tuple[float, float], ...]
+    side_m: float
+    crs: "CRS"
+
+    @property
+    def area(self) -> Area:
+        """The ground of all blocks."""
+        west, south = np.array(self.corners).T
+        boxes = shapely.box(west, south, west + self.side_m, south + self.side_m)
+        return Area(gpd.GeoSeries(boxes, crs=self.crs), 0.0, "the sample of blocks")
+
+    def cut(self, cloud: PointCloud) -> dict[tuple[float, float], PointCloud]:
+        """Return the points of each block that has first echoes, in the order of the corners."""
+        column, row = np.floor(cloud.x / self.side_m), np.floor(cloud.y / self.side_m)
+        found = {}
+        for west, south in self.corners:
+            own = cloud.take((column == west // self.side_m) & (row == south // self.side_m))
+            if own.first_echo.any():
+                found[west, south] = own
+        return found
+
+
+def is_sampled(paths: Sequence[Path]) -> bool:
+    """Return whether the headers of points promise more than a plan looks at."""
+    return sum(read_las_header(path).points for path in paths) > MOST_POINTS
+
+
+def blocks_to_sample(paths: Sequence[Path], crs: CrsLike | None, *, seed: int) -> Blocks | None:
+    """Draw the blocks of a sample by what the headers of points say; None where all points are few enough.
+
+    The blocks lie at whole multiples of their side. Their order is a hash of their place and of the seed, so that it
+    does not depend on the files.
+    """
+    if not is_sampled(paths):
+        return None
+    infos = [read_las_header(path) for path in paths]
+    count = sum(info.points for info in infos)
+    extent = extent_of_points(paths, crs)
+    if extent is None:
+        return None
+    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+        how = reference(extent.crs, bounds=extent.bounds, where=paths[0].name)
+    if how.transformer is not None:
+        return None
+    boxes = np.array([info.bounds for info in infos]) * how.xy_factor
+    ground = shapely.union_all(shapely.box(*boxes.T))
+    west, south, east, north = shapely.bounds(ground)
+    columns, rows = (
+        np.arange(math.floor(low / BLOCK_M), math.floor(high / BLOCK_M) + 1)
+        for low, high in ((west, east), (south, north))
+    )
+    column, row = (each.ravel() for each in np.meshgrid(columns, rows))
+    squares = shapely.box(column * BLOCK_M, row * BLOCK_M, (column + 1) * BLOCK_M, (row + 1) * BLOCK_M)
+    share = shapely.area(shapely.intersection(squares, ground)) / ground.area
+    order = np.argsort(lattice_keys(row, column, seed), kind="stable")
+    order = order[share[order] > 0]
+    enough = int(np.searchsorted(np.cumsum(share[order]) * count, MOST_POINTS)) + 1
+    chosen = order[:enough]
+    return Blocks(tuple((float(column[one] * BLOCK_M), float(row[one] * BLOCK_M)) for one in chosen), BLOCK_M, how.crs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,20 +10,29 @@ import pandas as pd
 
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
-from msbdb.errors import InputError, MsbdbWarning
+from msbdb.errors import GridMismatchError, InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.io.raster import align_grid, read_grid, states_crs
-from msbdb.io.vector import read_polygons
+from msbdb.io.vector import Area, read_polygons
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.run.inputs import Inputs
-from msbdb.run.planning import Draft, decide, facts_of, fitted_by, require_fitting, settled
+from msbdb.run.planning import (
+    Draft,
+    blocks_to_sample,
+    decide,
+    facts_of,
+    fitted_by,
+    joined_facts,
+    require_fitting,
+    settled,
+)
 from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import spectral_bands
 from msbdb.spectral.coverclasses import classify_cover, keep_labels
@@ -46,11 +55,18 @@ LOW_PERCENT = 5.0
 """Ours: this share of a surface is ground, also in an old town or a park."""
 
 
-def read_cloud(inputs: Inputs, progress: Progress | None, facts: PointFacts | None = None) -> PointCloud | None:
-    """Read the points, where the build is from points; ``facts`` are those of a survey that they are a part of."""
+def read_cloud(
+    inputs: Inputs, progress: Progress | None, facts: PointFacts | None = None, area: Area | None = None
+) -> PointCloud | None:
+    """Read the points, where the build is from points.
+
+    ``facts`` are those of a survey that they are a part of; in an ``area`` only its points are read.
+    """
     if not inputs.points:
         return None
-    return read_points(inputs.points, crs=inputs.any_crs, z_unit=inputs.z_unit, facts=facts, progress=progress)
+    return read_points(
+        inputs.points, crs=inputs.any_crs, z_unit=inputs.z_unit, facts=facts, area=area, progress=progress
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,27 +141,46 @@ def prepare(
 
 
 def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
-    """Return the plan of a survey: that which a build of it makes and keeps."""
+    """Return the plan of a survey: that which a build of it makes and keeps.
+
+    Where the headers promise more points than a plan looks at, a seeded hash draws blocks that hold about as many, and
+    one pass over the files reads these.
+    """
+    blocks = blocks_to_sample(inputs.points, inputs.any_crs, seed=params.spectral.seed)
     with stages.stage("read"):
-        cloud = read_cloud(inputs, stages.progress)
-    if cloud is not None:
-        cloud = replace(cloud, facts=facts_of(cloud))
-    draft = make_draft(inputs, cloud, params, stages)
+        cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
+    if cloud is None or blocks is None:
+        cloud = None if cloud is None else replace(cloud, facts=facts_of(cloud))
+        plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)
+        return plan
+    clouds = blocks.cut(cloud)
+    facts = joined_facts([facts_of(each) for each in clouds.values()])
+    drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each in clouds.values()]
     with stages.stage("classes"):
-        plan, _ = decide([draft], params)
-    return plan
+        plan, _ = decide(drafts, params)
+    return replace(plan, blocks=tuple(clouds), block_m=blocks.side_m)
 
 
-def make_draft(inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages) -> Draft:
-    """Return the surface, its cover by structure and its bands: all that needs no other value of the plan."""
+def make_draft(
+    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, *, sampled: bool = False
+) -> Draft:
+    """Return the surface, its cover by structure and its bands: all that needs no other value of the plan.
+
+    A block that is ``sampled`` has no bands where it lies beyond the images.
+    """
     with stages.stage("surface"):
         surface = make_surface(inputs, cloud, params)
     spec = surface.ndsm.spec
     with stages.stage("cover"):
         structure = cover_from_surface(surface, cloud, params)
     with stages.stage("bands"):
-        ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
-        bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
+        try:
+            ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
+            bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
+        except GridMismatchError:
+            if not sampled:
+                raise
+            bands = None
     return Draft.of(surface, structure, bands, cloud, params)
 
 

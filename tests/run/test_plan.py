@@ -16,6 +16,7 @@ from msbdb.errors import FileError, InputError, ParameterError
 from msbdb.grid import Grid
 from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
+from msbdb.run import planning
 from msbdb.surveyplan import Plan
 
 AUTO = with_values(Params(), {"scale": {"scales_m2": ()}})
@@ -93,6 +94,22 @@ def test_a_tile_takes_the_values_of_the_city(files, alone, city, tmp_path):
     colours = found[found["source"] == "spectral"]
     assert tuple(colours["label"]) == city.classes.labels
     assert (colours["cells"] == 0).any(), "the tile has no vegetation, and keeps the number of its classes"
+
+
+def test_a_large_survey_is_planned_from_blocks(files, monkeypatch, tmp_path):
+    """Blocks are drawn by their place, whatever the order of the files; the build of all points takes their plan."""
+    monkeypatch.setattr(planning, "MOST_POINTS", 60_000)
+    monkeypatch.setattr(planning, "BLOCK_M", 60.0)
+    found = msbdb.plan(files, params=AUTO)
+    assert found == msbdb.plan(files[::-1], params=AUTO)
+    assert found.block_m == 60
+    assert 30_000 < found.points.points < 90_000
+    assert len(found.blocks) == len(set(found.blocks)) > 1
+    assert all(place % 60 == 0 for corner in found.blocks for place in corner)
+    msbdb.build(files, db=tmp_path / "all.sqlite", params=AUTO, extract="multiscale")
+    assert msbdb.read_plan(tmp_path / "all.sqlite") == found
+    bounds = msbdb.info(tmp_path / "all.sqlite")["runs"][0]["survey_record"]["bounds"]
+    assert bounds[2] - bounds[0] > 180, "the build is of all blocks"
 
 
 def test_points_of_a_part_keep_what_the_whole_has(city):
