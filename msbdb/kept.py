@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import TableError
 from msbdb.params import POINT_DETECTORS
+from msbdb.surveyplan import Plan
 from msbdb.tables import Run, Survey
 
 if TYPE_CHECKING:
@@ -178,12 +179,15 @@ class KeptRun:
         a geometry.
     rasters : Rasters
         Heights, classes and labels of the regions.
+    plan : Plan, optional
+        The plan by which it was built; None where an older msbdb kept none.
     """
 
     survey: Survey
     run: Run
     frames: "dict[str, pd.DataFrame]"
     rasters: Rasters
+    plan: Plan | None = None
 
     @property
     def heights(self) -> "Grid":

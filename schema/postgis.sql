@@ -1,4 +1,4 @@
--- The schema 0006 of msbdb for postgis.
+-- The schema 0007 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -368,6 +368,13 @@ CREATE TABLE spectral_class (
   CONSTRAINT ck_spectral_class_labelled_by CHECK (labelled_by IN ('automatic', 'operator')),
   CONSTRAINT ck_spectral_class_source CHECK (source IN ('spectral', 'structure')),
   CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE survey_plan (
+  run_id BIGINT NOT NULL,
+  plan JSON NOT NULL,
+  CONSTRAINT pk_survey_plan PRIMARY KEY (run_id),
+  CONSTRAINT fk_survey_plan_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
 CREATE TABLE building (
@@ -1231,6 +1238,12 @@ COMMENT ON COLUMN spectral_class.roughness_m IS 'median local roughness of the s
 
 COMMENT ON COLUMN spectral_class.height_m IS 'mean height above ground [m]';
 
+COMMENT ON TABLE survey_plan IS 'The plan by which a run was built: values that hold for the whole survey, and for each tile of it';
+
+COMMENT ON COLUMN survey_plan.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN survey_plan.plan IS 'the plan, as msbdb plan --json shows it';
+
 COMMENT ON TABLE building IS 'A building: one connected island of roofs that the detectors support, with one or more trees of parts';
 
 COMMENT ON COLUMN building.building_id IS 'stable id of the building: the ID of its largest root';
@@ -1983,5 +1996,5 @@ COMMENT ON COLUMN building_piece.building_id IS 'the building of a run, which a 
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0006');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0007');
 

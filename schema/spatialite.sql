@@ -1,4 +1,4 @@
--- The schema 0006 of msbdb for spatialite.
+-- The schema 0007 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -368,6 +368,13 @@ CREATE TABLE spectral_class (
   CONSTRAINT ck_spectral_class_labelled_by CHECK (labelled_by IN ('automatic', 'operator')),
   CONSTRAINT ck_spectral_class_source CHECK (source IN ('spectral', 'structure')),
   CONSTRAINT fk_spectral_class_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
+
+CREATE TABLE survey_plan (
+  run_id BIGINT NOT NULL,
+  "plan" JSON NOT NULL,
+  CONSTRAINT pk_survey_plan PRIMARY KEY (run_id),
+  CONSTRAINT fk_survey_plan_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
 );
 
 CREATE TABLE building (
@@ -813,5 +820,5 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0006');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0007');
 

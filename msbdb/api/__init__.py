@@ -1,9 +1,9 @@
-"""What users call: build, update, measure, classify, evaluate, view, export, changes, imports, open, query, why.
+"""What users call: build, plan, update, measure, classify, evaluate, view, export, changes, imports, open, query, why.
 
 The modules here declare the public functions. Libraries that take time to load are imported when they are used.
 """
 
-from msbdb.api.build import build, classes, classify, relabel
+from msbdb.api.build import build, classes, classify, plan, read_plan, relabel
 from msbdb.api.inventory import (
     advance,
     changes,
@@ -48,9 +48,11 @@ __all__ = [
     "info",
     "measure",
     "open",
+    "plan",
     "qgis",
     "queries",
     "query",
+    "read_plan",
     "relabel",
     "set_state",
     "summary",

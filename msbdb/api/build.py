@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msbdb.params import DETECTORS, Params
+from msbdb.params import DETECTORS, Params, as_dict
 from msbdb.params import profile as named_profile
 from msbdb.run.reports import BuildReport, ClassifyReport, Notices, Progress, Stages
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from msbdb.surveyplan import Plan
 
 File = str | Path
 
@@ -38,6 +40,7 @@ def build(
     denoising_figure: Path | None = None,
     replace: bool = False,
     skip_bad: bool = False,
+    plan: "Plan | str | Path | None" = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> BuildReport:
@@ -83,6 +86,9 @@ def build(
     skip_bad : bool
         Leave out point files that cannot be read, have no points or another CRS than most, or the points of another
         file, with a notice. Otherwise they are an error, which names all of them.
+    plan : Plan or path or str, optional
+        The plan of a larger survey, of which this one is a part, or of an earlier one of the place: what `msbdb.plan`
+        returns, its JSON file, or a database whose survey has one. By default the survey makes its own.
     overwrite : bool
         Replace the figure if it exists.
     progress : callable, optional
@@ -107,6 +113,9 @@ def build(
     from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
     values = params or named_profile(profile)
+    known = read_plan(plan) if isinstance(plan, str | Path) else plan
+    if known is not None:
+        known.require_basis(as_dict(values))
     heights = {"dsm": dsm, "dtm": dtm, "ndsm": ndsm}
     stated = {"crs": crs, "ortho_crs": ortho_crs, "z_unit": z_unit}
     notices, stages = Notices(), Stages(progress)
@@ -125,12 +134,95 @@ def build(
     former = require_replaceable(db, label.name, inputs, methods, replace=replace)
     labelled = read_labelled_classes(db, label.name)
     label = dataclasses.replace(label, classes=labelled)
-    job = Job(inputs, values, profile, label, methods, denoising_figure)
+    job = Job(inputs, values, profile, label, methods, denoising_figure, known)
     kept = run_survey(job, stages, notices)
     with stages.stage("write"):
         changed = store_survey(kept, db, labelled, replace=replace)
     passing = (*notices.passing, *(replaced(former, kept) if changed else ()))
     return report_of(kept, stages, db, changed=changed, passing=passing)
+
+
+def plan(
+    points: Files = (),
+    *,
+    ortho: Files = (),
+    dsm: File | None = None,
+    dtm: File | None = None,
+    ndsm: File | None = None,
+    crs: str | None = None,
+    ortho_crs: str | None = None,
+    z_unit: str = "auto",
+    params: Params | None = None,
+    profile: str = "default",
+    skip_bad: bool = False,
+    progress: Progress | None = None,
+) -> "Plan":
+    """Make the plan of a survey: all values that a tile of it cannot know by itself.
+
+    These are the size of the cells, the spacing of the points, which of their attributes hold information, the scales,
+    thresholds that come from histograms, and the classes of colours (docs/plan.md).
+
+    Parameters
+    ----------
+    points, ortho, dsm, dtm, ndsm, crs, ortho_crs, z_unit, params, profile, skip_bad, progress
+        As for `build`.
+
+    Returns
+    -------
+    Plan
+        With ``as_json`` for a file, and ``pairs`` for people. A build of the same files makes and keeps the same.
+
+    Raises
+    ------
+    MsbdbError
+        One of its kinds, when the inputs cannot be used.
+    """
+    from msbdb.run.inputs import Inputs
+    from msbdb.run.prepare import make_plan
+    from msbdb.run.reports import collect_notices
+    from msbdb.threads import memory_reused
+
+    heights = {"dsm": dsm, "dtm": dtm, "ndsm": ndsm}
+    with collect_notices(Notices()), memory_reused():
+        inputs = Inputs.of(points, ortho, **heights, crs=crs, ortho_crs=ortho_crs, z_unit=z_unit, skip_bad=skip_bad)
+        inputs.require_files()
+        inputs.require_one_place()
+        return make_plan(inputs, params or named_profile(profile), Stages(progress))
+
+
+def read_plan(source: File, survey: str | None = None) -> "Plan":
+    """Return the plan in a JSON file, or the one by which a survey in a database was built.
+
+    Parameters
+    ----------
+    source : path or str
+        A file whose name ends in ``.json``, or a database.
+    survey : str, optional
+        Name of the survey, where the database has several.
+
+    Raises
+    ------
+    FileError, InputError
+        When there is no plan, or several.
+    """
+    from msbdb.database import opened, shown
+    from msbdb.database import read_plan as of_survey
+    from msbdb.errors import FileError, InputError
+    from msbdb.surveyplan import Plan
+
+    if str(source).lower().endswith(".json"):
+        try:
+            text = Path(source).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            msg = f"The plan {source} cannot be read: {error}. Write one by 'msbdb plan ... --json'."
+            raise FileError(msg) from error
+        return Plan.from_json(text)
+    with opened(source) as engine:
+        found = of_survey(engine, survey)
+        if found is None:
+            msg = f"The survey in {shown(engine.url)} has no plan: an older msbdb built it. Build the survey again."
+            raise InputError(msg)
+        return found
 
 
 def classes(db: str | Path, survey: str | None = None) -> "pd.DataFrame":

@@ -6,7 +6,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from msbdb.api.build import Files, build
+from msbdb.api.build import Files, build, read_plan
 from msbdb.errors import InputError
 from msbdb.run.reports import (
     AdvanceReport,
@@ -75,6 +75,7 @@ def update(
         require_polygons(aoi)
     stages = Stages(progress)
     built = None
+    options = _with_plan(options)
     if not is_built(points, db=db, survey=survey, date=date, **options):
         built = build(
             points,
@@ -174,6 +175,7 @@ def measure(
         options["parcels"] = file
     stages = Stages(progress)
     built = None
+    options = _with_plan(options)
     if not is_built(points, db=db, survey=label, date=date or "", **_without(options, "replace")):
         built = build(points, db=db, survey=label, date=date, overwrite=overwrite, progress=progress, **options)
     with stages.stage("measure"):
@@ -187,6 +189,12 @@ def _require_known(name: str, options: Mapping[str, Any]) -> None:
     for unknown in sorted(set(options) - set(signature(build).parameters)):
         msg = f"{name}() got an unexpected keyword argument '{unknown}'"
         raise TypeError(msg)
+
+
+def _with_plan(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options with the plan itself where they name a file or a database."""
+    plan = options.get("plan")
+    return {**options, "plan": read_plan(plan)} if isinstance(plan, str | Path) else dict(options)
 
 
 def _without(options: Mapping[str, Any], name: str) -> dict[str, Any]:

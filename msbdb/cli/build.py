@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Z_UNITS = ("auto", "m", "ft", "us-ft")
 WALLS = ("fitted", "traced")
 
-_HEIGHTS = (
+_SOURCES = (
     click.option(
         "--points",
         type=POINT_FILES,
@@ -48,6 +48,11 @@ _HEIGHTS = (
         "--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster, for --dsm or for --points."
     ),
     click.option("--ndsm", type=INPUT_FILE, metavar="FILE", help="Heights above ground as a raster."),
+)
+"""Options of the heights and images of a survey."""
+
+_HEIGHTS = (
+    *_SOURCES,
     click.option(
         "--parcels",
         type=INPUT_FILE,
@@ -60,7 +65,7 @@ _HEIGHTS = (
 )
 """Options of what a survey is made from."""
 
-_VALUES = (
+_STATED = (
     click.option(
         "--crs", type=crs_name, metavar="EPSG", help="The data's CRS where the files do not state it, like EPSG:2154."
     ),
@@ -92,6 +97,17 @@ _VALUES = (
         metavar="SECTION.NAME=VALUE",
         help="One value over all others; repeatable.",
     ),
+)
+"""Options of what is stated about the files, and of the parameters."""
+
+_SKIP_BAD = click.option(
+    "--skip-bad",
+    is_flag=True,
+    help="Leave out point files that cannot be read, are empty, or are in another CRS than most, with a notice.",
+)
+
+_VALUES = (
+    *_STATED,
     click.option(
         "--outline",
         type=click.Choice(WALLS),
@@ -119,10 +135,12 @@ _VALUES = (
         help="Replace a survey of this name also where it is of other files or another place, or has results of "
         "detectors that are not run now.",
     ),
+    _SKIP_BAD,
     click.option(
-        "--skip-bad",
-        is_flag=True,
-        help="Leave out point files that cannot be read, are empty, or are in another CRS than most, with a notice.",
+        "--plan",
+        type=DATABASE,
+        metavar="FILE_OR_DB",
+        help="Values of a larger survey or an earlier one: a file of 'msbdb plan --json', or a database of one survey.",
     ),
 )
 """Options of how it is made."""
@@ -131,6 +149,11 @@ _VALUES = (
 def inputs(function: F) -> F:
     """Decorate a command with the options of a survey's files."""
     return _decorated(function, _HEIGHTS)
+
+
+def sources(function: F) -> F:
+    """Decorate a command with the options of what a plan is made from."""
+    return _decorated(function, (*_SOURCES, *_STATED, _SKIP_BAD))
 
 
 def values(function: F) -> F:
@@ -158,6 +181,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
         "msbdb build --points town.laz --db town.sqlite --outline traced",
         "msbdb build --points town_corrected.laz --db town.sqlite --survey town --replace",
+        "msbdb build --points east.laz --db town.sqlite --plan town.json",
     ),
 )
 @inputs

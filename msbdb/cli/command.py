@@ -255,11 +255,19 @@ class Command(click.Command):
     ----------
     examples : tuple of str
         Complete command lines; they end the help and are part of the docs.
+    instead : bool
+        Options may stand in place of the arguments: where an option comes first, there are no arguments.
     """
 
-    def __init__(self, *args: Any, examples: tuple[str, ...] = (), **kwargs: Any) -> None:  # noqa: ANN401  (click's)
+    def __init__(
+        self,
+        *args: Any,  # noqa: ANN401  (click's)
+        examples: tuple[str, ...] = (),
+        instead: bool = False,
+        **kwargs: Any,  # noqa: ANN401  (click's)
+    ) -> None:
         super().__init__(*args, **kwargs)
-        self.examples = examples
+        self.examples, self.instead = examples, instead
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Let an option that may be repeated take several values after one flag, as shells expand them.
@@ -267,6 +275,8 @@ class Command(click.Command):
         A command with arguments has them first for that, so that no value is taken for one.
         """
         arguments = sum(isinstance(param, click.Argument) for param in self.params)
+        if self.instead and args and args[0].startswith("-"):
+            arguments = 0
         if not any(word.startswith("-") for word in args[:arguments]):
             repeatable = {opt for param in self.params if _repeats(param) for opt in param.opts}
             args = args[:arguments] + spread(args[arguments:], repeatable)
@@ -321,11 +331,11 @@ class Command(click.Command):
             raise click.ClickException(message)
 
 
-def command(name: str, *, examples: tuple[str, ...]) -> Callable[[Callable[..., Any]], Command]:
+def command(name: str, *, examples: tuple[str, ...], instead: bool = False) -> Callable[[Callable[..., Any]], Command]:
     """Declare a command of this name; ``-v``, ``--quiet``, ``--log-file`` and ``--debug`` are added to its options."""
 
     def decorate(function: Callable[..., Any]) -> Command:
-        made = click.command(name, cls=Command, examples=examples)(function)
+        made = click.command(name, cls=Command, examples=examples, instead=instead)(function)
         return shared("debug", "log-file", "quiet", "verbose")(
             made
         )  # a command takes more options at its end, the last one first

@@ -8,7 +8,7 @@ from msbdb.cli.db import db, doctor
 from msbdb.cli.export import export, qgis
 from msbdb.cli.inventory import changes, import_, measure, state, update
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
-from msbdb.cli.params import params
+from msbdb.cli.params import params, plan
 from msbdb.threads import end_now, share_one_heap
 from msbdb.version import __version__
 
@@ -24,6 +24,7 @@ def cli() -> None:
 
 for _command in (
     build,
+    plan,
     info,
     query,
     why,

@@ -1,14 +1,20 @@
-"""``msbdb params``: every parameter with its unit, default, bounds and provenance."""
+"""``msbdb params`` and ``plan``: every parameter with its provenance, and the values that a survey gives by itself."""
 
 import json
 from dataclasses import dataclass
+from typing import Any
 
 import click
 
-from msbdb.cli.command import command
-from msbdb.cli.output import emit_json, emit_table
+from msbdb.cli.build import check_inputs, parameters, sources
+from msbdb.cli.command import DATABASE, command, shared
+from msbdb.cli.output import emit_json, emit_pairs, emit_table
+from msbdb.cli.progress import SECONDS, progress_bar
 from msbdb.params import PROFILES, as_dict, declared
 from msbdb.params import profile as profile_values
+
+PLANNED = ("read", "surface", "cover", "bands", "classes")
+"""The stages of a build that a plan needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +58,44 @@ def params(*, profile: str, form: str | None) -> None:
         click.echo(markdown(), nl=False)
     else:
         emit_table([_shown(row, profile) for row in rows])
+
+
+@command(
+    "plan",
+    examples=(
+        "msbdb plan --points town.laz",
+        "msbdb plan --points tiles/*.laz --ortho cir.tif --json > town.json",
+        "msbdb plan town.sqlite --survey 2024",
+    ),
+    instead=True,
+)
+@click.argument("db", type=DATABASE, metavar="DB", required=False)
+@click.option("--survey", metavar="NAME", help="The survey in the database; needed where there are several.")
+@sources
+@shared("json")
+def plan(*, db: str | None, survey: str | None, as_json: bool, **given: Any) -> None:  # noqa: ANN401  (the options)
+    """Show the plan of a survey: all values that a tile of it cannot know by itself.
+
+    These are the cells' size, the spacing of the points, the scales, thresholds from histograms, and the classes of
+    colours. Give DB for the plan by which a survey was built, or files for the plan that a build of them makes. With
+    --json it is a file for 'build --plan': then a tile is built as if it was built with the whole.
+    """
+    from msbdb import api
+
+    if (db is None) == (not any(given[name] for name in ("points", "dsm", "ndsm"))):
+        msg = "Give DB, or the files of a survey by --points, --dsm with --dtm, or --ndsm."
+        raise click.UsageError(msg)
+    if db is not None:
+        found = api.read_plan(db, survey)
+    else:
+        check_inputs(given)
+        own = parameters(given["profile"], given.pop("params_file"), given.pop("settings"), given.pop("scales"))
+        with progress_bar({name: SECONDS[name] for name in PLANNED}) as progress:
+            found = api.plan(given.pop("points"), **given, params=own, progress=progress)
+    if as_json:
+        emit_json(found.as_dict())
+    else:
+        emit_pairs(found.pairs())
 
 
 def parameter_rows(profile: str = "default") -> list[Row]:

@@ -23,7 +23,7 @@ from msbdb.outline.pointoutlines import outline_regions
 from msbdb.outline.polygons import Geometries, rasterise
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
-from msbdb.surface import heights_above
+from msbdb.surface import Surface, heights_above
 from msbdb.surface.gridding import Frame, frame
 from msbdb.tables import CANDIDATE_REGION, REJECTION
 from msbdb.threads import kernel
@@ -101,11 +101,17 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
 
 
 def point_heights(scene: Scene, params: Params) -> Floats:
+    """Return the points' heights above ground, metres: those of the scene, or computed where it has none."""
+    if scene.above is not None:
+        return scene.above
+    return heights_of_points(scene.require_surface(), scene.require_cloud(), params)
+
+
+def heights_of_points(surface: Surface, cloud: PointCloud, params: Params) -> Floats:
     """Return the points' heights above ground, metres.
 
     The quadratic ground filter gives them itself (C13, Eq. 6); any other filter gives a terrain to subtract.
     """
-    surface, cloud = scene.require_surface(), scene.require_cloud()
     if surface.ground_filter == "quadratic":
         return np.asarray(cloud.z - ground_heights(cloud, params.ground))
     return heights_above(cloud, surface.dtm)

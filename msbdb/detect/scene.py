@@ -100,6 +100,8 @@ class Scene:
         The points; None for a raster source.
     bands : Bands, optional
         Colours of the orthophoto or the points.
+    above : (N,) ndarray of float64, optional
+        Heights of the points above ground, metres.
     """
 
     survey: Survey
@@ -111,6 +113,7 @@ class Scene:
     surface: Surface | None = None
     cloud: PointCloud | None = None
     bands: Bands | None = None
+    above: NDArray[np.float64] | None = None
 
     def require_surface(self) -> Surface:
         """Return the surface.
@@ -149,7 +152,7 @@ class Scene:
 
     def without_sources(self) -> "Scene":
         """Return the scene without surface, points and bands, which no step after the detectors needs."""
-        return replace(self, surface=None, cloud=None, bands=None)
+        return replace(self, surface=None, cloud=None, bands=None, above=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

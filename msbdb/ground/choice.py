@@ -119,7 +119,9 @@ def _supported(observed: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _resolve(points: PointCloud, name: str) -> str:
     """Turn ``auto`` into the filter that fits the points, and check that class 2 is there when asked for."""
-    share = float(np.count_nonzero(points.in_class(GROUND_CLASS))) / max(len(points), 1)
+    known = points.facts
+    own = float(np.count_nonzero(points.in_class(GROUND_CLASS))) / max(len(points), 1)
+    share = own if known is None else known.ground_share
     if name == "auto":
         return "class2" if share >= MIN_GROUND_SHARE else "walls"
     if name == "class2" and share == 0.0:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pyogrio
-from laspy import DecompressionSelection as Fields
 from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
@@ -20,12 +19,9 @@ from pyproj.exceptions import ProjError
 from msbdb.errors import GridMismatchError, InputError, MsbdbWarning
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, name_of, reference, same_crs, settle, split_crs
-from msbdb.io.las import read_chunks
+from msbdb.io.las import is_believed
 from msbdb.io.lasheader import LasInfo, header_crs, read_las_header
 from msbdb.io.raster import open_raster, raster_bounds, raster_crs
-
-FIRST_POINTS = 10_000
-"""Points of a file that are read to see whether its header is right."""
 
 IMAGE = "image"
 """The role of a raster that has no heights."""
@@ -164,16 +160,6 @@ def _settled(found: CRS | None, stated: CrsLike | None, path: Path) -> CRS:
     """Return the horizontal CRS of a file, without the notices that come when it is read."""
     with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
         return split_crs(settle(found, stated, path.name))[0]
-
-
-def is_believed(info: LasInfo) -> bool:
-    """Return whether the bounds in a header hold the first points of the file."""
-    west, south, east, north = info.bounds
-    chunk = next(read_chunks(info, FIRST_POINTS, Fields.XY_RETURNS_CHANNEL))
-    x, y = (np.asarray(raw) * info.scales[axis] + info.offsets[axis] for axis, raw in enumerate((chunk.X, chunk.Y)))
-    beside = 1 + max(info.scales[:2])
-    inside = (x > west - beside) & (x < east + beside) & (y > south - beside) & (y < north + beside)
-    return bool(inside.all())
 
 
 def _is_same_box(one: LasInfo, other: LasInfo) -> bool:

@@ -9,14 +9,16 @@ import logging
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import laspy
 import numpy as np
+import shapely
 from laspy import DecompressionSelection as Fields
 from numpy.typing import NDArray
 
-from msbdb.errors import CRSError, InputError, MsbdbWarning
+from msbdb.errors import CRSError, InputError, MsbdbWarning, NodataError
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
 from msbdb.io.lascolumns import COLOURS, Columns, as_cloud, settle_echoes, widen_colours
@@ -29,13 +31,18 @@ from msbdb.io.lasheader import (
     read_las_header,
     vertical_unit,
 )
+from msbdb.io.vector import Area, held
 from msbdb.points.cloud import NOISE_CLASSES, PointCloud
+from msbdb.surveyplan import PointFacts
 
 # laspy logs what it then raises; without a handler, Python would also write it to the terminal.
 logging.getLogger("laspy").addHandler(logging.NullHandler())
 
 CHUNK_POINTS = 1_000_000
 """Points in memory in their raw form at a time."""
+
+FIRST_POINTS = 10_000
+"""Points of a file that are read to see whether its header is right."""
 
 MAX_EASTING_M = 1e8
 """Beyond it no projected CRS has a point: the largest false origins, with a zone's number in front, end at 6.1e7."""
@@ -55,6 +62,8 @@ def read_points(
     *,
     crs: CrsLike | None = None,
     z_unit: str = "auto",
+    facts: PointFacts | None = None,
+    area: Area | None = None,
     progress: Progress | None = None,
 ) -> PointCloud:
     """Read the points of one or many files of one survey, in metres.
@@ -67,6 +76,10 @@ def read_points(
         The CRS of files whose headers have none; where a header has one, it must be the same.
     z_unit : {'auto', 'm', 'ft', 'us-ft'}
         Unit of the heights; see ``msbdb.io.crs.reference``.
+    facts : PointFacts, optional
+        What holds for the whole survey, where the files are a part of it.
+    area : Area, optional
+        Only points in it are kept. Files that lie elsewhere by their headers are not read.
     progress : callable, optional
         Called with ('read', points done, points in all).
 
@@ -91,7 +104,8 @@ def read_points(
     MsbdbWarning
         What was dropped, converted or assumed, with counts; each kind once, after all files are read.
     """
-    return _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=False, noise=False)[0]
+    wanted = Wanted(indexed=False, noise=False, facts=facts, area=area)
+    return _read(paths, wanted, crs=crs, z_unit=z_unit, progress=progress)[0]
 
 
 def read_points_indexed(
@@ -128,17 +142,26 @@ def read_points_indexed(
     MsbdbWarning
         As `read_points` does.
     """
-    return _read(paths, crs=crs, z_unit=z_unit, progress=progress, indexed=True, noise=noise)
+    return _read(paths, Wanted(indexed=True, noise=noise), crs=crs, z_unit=z_unit, progress=progress)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is read of the files: ``indexed`` and ``noise`` of `read_points_indexed`, the rest as in `read_points`."""
+
+    indexed: bool
+    noise: bool
+    facts: PointFacts | None = None
+    area: Area | None = None
 
 
 def _read(
     paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    wanted: Wanted,
     *,
     crs: CrsLike | None,
     z_unit: str,
     progress: Progress | None,
-    indexed: bool,
-    noise: bool,
 ) -> tuple[PointCloud, NDArray[np.int64]]:
     """Return the points, and their places in the files where these are asked for; warn of what the notices say."""
     chosen = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
@@ -147,9 +170,14 @@ def _read(
         raise InputError(msg)
     files = [read_las_header(path) for path in chosen]
     references = _references(files, crs, z_unit)
+    if wanted.area is not None:
+        files, references = _meeting(wanted.area, files, references)
     colours = [set(_colour_fields(info)) for info in files]
     common = tuple(name for name in COLOURS if name in set.intersection(*colours))
-    columns = Columns(sum(info.points for info in files), common, indexed=indexed, noise=noise)
+    count = sum(info.points for info in files)
+    room = count if wanted.area is None else min(count, CHUNK_POINTS)
+    columns = Columns(room, common, indexed=wanted.indexed, noise=wanted.noise)
+    columns.shape = None if wanted.area is None else wanted.area.shape_in(references[0].crs)
     for info, each in zip(files, references, strict=True):
         for notice in each.notices:
             columns.note(notice, info.path.name)
@@ -157,7 +185,7 @@ def _read(
     if partly:
         columns.note(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
     has_echoes = _fill(files, references, columns, progress)
-    cloud, index = as_cloud(columns, references, has_echoes=has_echoes)
+    cloud, index = as_cloud(columns, references, has_echoes=has_echoes, facts=wanted.facts)
     wrong_place = misplaced(cloud.crs, cloud.bounds)
     if wrong_place is not None:
         columns.note(wrong_place)
@@ -213,6 +241,30 @@ def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str) -> l
         msg = f"The files' heights have different vertical CRSs, {names}. Transform one of them first."
         raise CRSError(msg)
     return found
+
+
+def _meeting(
+    area: Area, files: Sequence[LasInfo], references: Sequence[Reference]
+) -> tuple[list[LasInfo], list[Reference]]:
+    """Return the files that may have points in an area; headers with wrong bounds decide nothing.
+
+    Raises
+    ------
+    NodataError
+        When all of them lie elsewhere.
+    """
+    west, south, east, north = shapely.bounds(area.shape_in(references[0].crs))
+    found = []
+    for info, each in zip(files, references, strict=True):
+        xs, ys, _ = each.to_metres(np.array(info.bounds[::2]), np.array(info.bounds[1::2]), np.zeros(2))
+        apart = xs[0] > east or xs[1] < west or ys[0] > north or ys[1] < south
+        # A rectangle that is reprojected is none, so only a scaled one can be compared.
+        if not apart or each.transformer is not None or not is_believed(info):
+            found.append((info, each))
+    if not found:
+        msg = f"No point file lies in {area.what}. Check the area, its CRS, and that of the points."
+        raise NodataError(msg)
+    return [info for info, _ in found], [each for _, each in found]
 
 
 def _union(bounds: Sequence[Bounds]) -> Bounds:
@@ -295,6 +347,9 @@ def _append(
     if columns.noise:
         withheld, noise = np.zeros_like(withheld), np.zeros_like(noise)
     keep = sound & ~withheld & ~noise
+    if columns.shape is not None:
+        inside = held(columns.shape, x, y)
+        keep, withheld, noise, sound = keep & inside, withheld & inside, noise & inside, sound | ~inside
     columns.dropped["flagged as withheld"] += int(withheld.sum())
     columns.dropped["of the noise classes 7 and 18"] += int((noise & ~withheld).sum())
     columns.dropped["of absurd coordinates"] += int((~sound & ~withheld & ~noise).sum())
@@ -313,3 +368,13 @@ def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]
     # Bounds that are no numbers fail the comparison, and count as wrong.
     inside = (xs[0] - 1 <= own["x"].min(), own["x"].max() <= xs[1] + 1)
     return not all((*inside, ys[0] - 1 <= own["y"].min(), own["y"].max() <= ys[1] + 1))
+
+
+def is_believed(info: LasInfo) -> bool:
+    """Return whether the bounds in a header hold the first points of the file."""
+    west, south, east, north = info.bounds
+    chunk = next(read_chunks(info, FIRST_POINTS, Fields.XY_RETURNS_CHANNEL))
+    x, y = (np.asarray(raw) * info.scales[axis] + info.offsets[axis] for axis, raw in enumerate((chunk.X, chunk.Y)))
+    beside = 1 + max(info.scales[:2])
+    inside = (x > west - beside) & (x < east + beside) & (y > south - beside) & (y < north + beside)
+    return bool(inside.all())

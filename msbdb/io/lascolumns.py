@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import NodataError, counted
 from msbdb.io.crs import Reference
 from msbdb.points.cloud import PointCloud, lone_points
+from msbdb.surveyplan import PointFacts
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +30,10 @@ DTYPES = {
 
 
 class Columns:
-    """The columns of all points, filled file by file; ``filled`` counts the rows in use, ``seen`` what was offered."""
+    """The columns of all points, filled file by file; ``filled`` counts the rows in use, ``seen`` what was offered.
+
+    ``shape`` is the area in which points are kept; None for all.
+    """
 
     def __init__(self, points: int, colour_names: tuple[str, ...], *, indexed: bool, noise: bool) -> None:
         """Make room for that many points; ``indexed`` keeps their places in the files, ``noise`` keeps noise points."""
@@ -37,6 +42,7 @@ class Columns:
         self.index = np.empty(points if indexed else 0, dtype=np.int64)
         self.colour_names = colour_names
         self.indexed, self.noise = indexed, noise
+        self.shape: shapely.Geometry | None = None
         self.filled = self.seen = 0
         self.dropped: Counter[str] = Counter()
         self._notices: dict[str, list[str]] = {}
@@ -54,9 +60,19 @@ class Columns:
             found.append(f"{files[0]}{others}: {notice}" if files else notice)
         return found
 
+    def _grow(self, rows: int) -> None:
+        """Make room for as many rows, and as many again, where nobody knows how many there will be."""
+        size = max(rows, 2 * len(self.arrays["x"]))
+        if self.indexed:
+            self.index = _longer(self.index, self.filled, size)
+        for name, column in self.arrays.items():
+            self.arrays[name] = _longer(column, self.filled, size)
+
     def append(self, values: Mapping[str, NDArray[Any]], keep: NDArray[np.bool_]) -> None:
         """Append the kept rows of a chunk."""
         begin, end = self.filled, self.filled + int(keep.sum())
+        if end > len(self.arrays["x"]):
+            self._grow(end)
         every = end - begin == len(keep)
         for name, column in values.items():
             target = self.arrays["colours"][:, self.colour_names.index(name)] if name in COLOURS else self.arrays[name]
@@ -65,6 +81,13 @@ class Columns:
             self.index[begin:end] = self.seen + np.flatnonzero(keep)
         self.filled = end
         self.seen += len(keep)
+
+
+def _longer(column: NDArray[Any], filled: int, size: int) -> NDArray[Any]:
+    """Return a column with more rows."""
+    longer = np.empty((size, *column.shape[1:]), dtype=column.dtype)
+    longer[:filled] = column[:filled]
+    return longer
 
 
 def widen_colours(colours: NDArray[np.uint16]) -> bool:
@@ -85,25 +108,33 @@ def settle_echoes(own: Mapping[str, NDArray[Any]]) -> bool:
 
 
 def as_cloud(
-    columns: Columns, references: Sequence[Reference], *, has_echoes: bool
+    columns: Columns, references: Sequence[Reference], *, has_echoes: bool, facts: PointFacts | None = None
 ) -> tuple[PointCloud, NDArray[np.int64]]:
-    """Drop lone points, leave out constant attributes, and count in the notices; return the points' places, too."""
+    """Drop lone points, leave out constant attributes, and count in the notices; return the points' places, too.
+
+    Where facts are known, the whole survey decides what is lone or constant.
+    """
     used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
     index = columns.index[: columns.filled]
-    lone = np.zeros(columns.filled, dtype=np.bool_) if columns.noise else lone_points(used["x"], used["y"], used["z"])
+    lone = np.zeros(columns.filled, dtype=np.bool_)
+    if not columns.noise:
+        lone = lone_points(used["x"], used["y"], used["z"], facts)
     columns.dropped["far from all others"] = int(lone.sum())
     for why, count in columns.dropped.items():
         if count:
             columns.note(f"{counted(count, 'point')} {why} {'was' if count == 1 else 'were'} dropped.")
     if lone.all():  # also where nothing is left to be lone
-        msg = f"No points are left of {len(columns.arrays['x'])}. {' '.join(columns.notices)}"
+        msg = f"No points are left of {columns.seen}. {' '.join(columns.notices)}"
         raise NodataError(msg)
     colours, intensity = used["colours"], used["intensity"]
-    kept = _varied_colours(colours, columns.colour_names)
+    varied = _varied_colours(colours, columns.colour_names)
+    kept = varied if facts is None else [i for i, name in enumerate(columns.colour_names) if name in facts.colours]
     if len(kept) < len(columns.colour_names):
         plain = ", ".join(name for i, name in enumerate(columns.colour_names) if i not in kept)
         columns.note(f"colours that are the same for all points were left out: {plain}.")
         colours = colours[:, kept]
+    varies = intensity.min() != intensity.max() if facts is None else facts.intensity
+    has_echoes = has_echoes if facts is None else facts.numbered
     cloud = PointCloud(
         used["x"],
         used["y"],
@@ -113,9 +144,10 @@ def as_cloud(
         classification=used["classification"] if used["classification"].any() else None,
         return_number=used["return_number"] if has_echoes else None,
         number_of_returns=used["number_of_returns"] if has_echoes else None,
-        intensity=intensity if intensity.min() != intensity.max() else None,
+        intensity=intensity if varies else None,
         colours=colours if kept else None,
         colour_names=tuple(columns.colour_names[i] for i in kept),
+        facts=facts,
     )
     dropped = ", ".join(f"{count} {why}" for why, count in columns.dropped.items() if count)
     logger.info("Read %d points; dropped are %s", len(cloud), dropped or "none")

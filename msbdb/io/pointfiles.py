@@ -12,8 +12,9 @@ import shapely
 
 from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbError, MsbdbWarning, counted
 from msbdb.io.crs import name_of, same_crs, split_crs
-from msbdb.io.extents import is_believed, same_points, twice
+from msbdb.io.extents import same_points, twice
 from msbdb.io.files import require_input
+from msbdb.io.las import is_believed
 from msbdb.io.lasheader import LasInfo, header_crs, read_las_header
 
 LAS_ENDINGS = (".las", ".laz")

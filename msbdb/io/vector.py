@@ -3,22 +3,66 @@
 import logging
 import os
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 import pyogrio
 import shapely
+from numpy.typing import NDArray
 from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS
 
 from msbdb.errors import FileError, InputError, MsbdbWarning, NodataError
+from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, parse_crs, settle
 
 logger = logging.getLogger(__name__)
 
 POINT, POLYGON, MULTIPOLYGON, COLLECTION = 0, 3, 6, 7
 """Shapely's type numbers of points, and of the geometries that hold areas."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Area:
+    """A part of the ground: polygons, and how far beyond them it reaches.
+
+    Parameters
+    ----------
+    polygons : GeoSeries
+        With their CRS.
+    margin_m : float
+        Distance beyond the polygons, metres.
+    what : str
+        What it is, for messages.
+    """
+
+    polygons: gpd.GeoSeries
+    margin_m: float
+    what: str
+
+    @classmethod
+    def of_box(cls, bounds: Bounds, crs: CRS) -> "Area":
+        """Return a rectangle without a margin."""
+        return cls(gpd.GeoSeries([shapely.box(*bounds)], crs=crs), 0.0, f"the block at {bounds[0]:.0f},{bounds[1]:.0f}")
+
+    def shape_in(self, crs: CRS, *, margin: bool = True) -> shapely.Geometry:
+        """Return one shape in a metric CRS, with the margin or without."""
+        shape = self.polygons.to_crs(crs).union_all()
+        return shapely.buffer(shape, self.margin_m) if margin and self.margin_m else shape
+
+
+def held(shape: shapely.Geometry, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which points a shape holds; those on its edge count."""
+    west, south, east, north = shapely.bounds(shape)
+    inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)
+    if shape.equals(shapely.box(west, south, east, north)):
+        return np.asarray(inside, dtype=np.bool_)
+    shapely.prepare(shape)
+    near = np.flatnonzero(inside)
+    inside[near] = shapely.intersects_xy(shape, x[near], y[near])
+    return np.asarray(inside, dtype=np.bool_)
 
 
 def read_polygons(

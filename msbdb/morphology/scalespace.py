@@ -233,9 +233,20 @@ def find_scales(
     .. [1] Vincent, L., 1994. Fast grayscale granulometry algorithms. Mathematical Morphology and its Applications to
        Image Processing (ISMM'94), Fontainebleau, 265-272.
     """
+    return scales_of_sizes(sizes_of_cells(mask_or_level, cell_area_m2, params), params)
+
+
+def sizes_of_cells(
+    mask_or_level: NDArray[Any], cell_area_m2: float, params: GranulometryParams
+) -> NDArray[np.floating]:
+    """Return the sizes of cells within the bounds of the scales, square metres: the first step of `find_scales`."""
     _require_bounds(cell_area_m2, params)
     sizes = opening_areas(mask_or_level)[mask_or_level > 0] * float(cell_area_m2)
-    sizes = sizes[(sizes >= params.smallest_m2) & (sizes <= params.largest_m2)]
+    return np.asarray(sizes[(sizes >= params.smallest_m2) & (sizes <= params.largest_m2)])
+
+
+def scales_of_sizes(sizes: NDArray[np.floating], params: GranulometryParams) -> tuple[float, ...]:
+    """Return the scales that the sizes of cells give, in any order: the other steps of `find_scales`."""
     if sizes.size == 0:
         logger.info("No cell has a size of %g to %g m2; one scale", params.smallest_m2, params.largest_m2)
         return (params.smallest_m2,)

@@ -11,7 +11,7 @@ from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid
 from msbdb.labels import Labels, around, chosen_cells, colour_touching, label_zones, measure
 from msbdb.landcover import ClassMap
-from msbdb.morphology.scalespace import build_scale_space, find_scales
+from msbdb.morphology.scalespace import build_scale_space, scales_of_sizes, sizes_of_cells
 from msbdb.params import Params, ScaleParams, with_values
 from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters, slice_heights
 from msbdb.parts.fakefathers import drop_fake_fathers
@@ -143,15 +143,20 @@ def choose_scales(ndsm: Grid, classes: ClassMap | None, params: Params) -> Param
         Classes on the same lattice, by which vegetation has no part in the sizes where the structure decides. A build
         finds its scales before there are colours, as the filter of the bands needs the finest one (V34).
     params : Params
-        Where ``scale.scales_m2`` is empty, `find_scales` finds it by ``granulometry``.
+        Where ``scale.scales_m2`` is empty, `msbdb.morphology.find_scales` finds it by ``granulometry``.
     """
     if params.scale.scales_m2:
         return params
+    found = scales_of_sizes(cell_sizes(ndsm, classes, params), params.granulometry)
+    return with_values(params, {"scale": {"scales_m2": found}})
+
+
+def cell_sizes(ndsm: Grid, classes: ClassMap | None, params: Params) -> NDArray[np.floating]:
+    """Return the sizes of cells from which `choose_scales` finds the scales, square metres."""
     sliced = slice_heights(ndsm, params.surface)
     if classes is not None and params.spectral.decides == "structure":
         sliced = np.where(classes.labelled("vegetation"), np.uint16(0), sliced)
-    found = find_scales(sliced, ndsm.spec.cell_area_m2, params.granulometry)
-    return with_values(params, {"scale": {"scales_m2": found}})
+    return sizes_of_cells(sliced, ndsm.spec.cell_area_m2, params.granulometry)
 
 
 def number_scales(scales_m2: tuple[float, ...], cell_area_m2: float) -> pd.DataFrame:

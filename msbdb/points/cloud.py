@@ -11,6 +11,7 @@ from pyproj import CRS
 from msbdb.errors import InputError
 from msbdb.grid import Bounds, require_metric
 from msbdb.points.cellindex import CellIndex, index_cells
+from msbdb.surveyplan import PointFacts
 
 UNCLASSIFIED_CLASS, GROUND_CLASS, BUILDING_CLASS = 1, 2, 6
 
@@ -58,6 +59,8 @@ class PointCloud:
         None when the source has none, or all are zero.
     colour_names : tuple of str
         Of ``red, green, blue, nir``, one a column of ``colours``.
+    facts : PointFacts, optional
+        What holds for the whole survey that the points are of; None where they are all of it, or nobody knows.
     """
 
     x: NDArray[np.float64]
@@ -71,6 +74,7 @@ class PointCloud:
     intensity: NDArray[np.uint16] | None = None
     colours: NDArray[np.uint16] | None = None
     colour_names: tuple[str, ...] = field(default=())
+    facts: PointFacts | None = None
 
     def __post_init__(self) -> None:
         """Check the lengths and the CRS."""
@@ -114,8 +118,10 @@ class PointCloud:
 
     @property
     def has_echoes(self) -> bool:
-        """Whether some pulse gave more than one echo, so that the echoes hold information."""
-        return self.number_of_returns is not None and bool((self.number_of_returns > 1).any())
+        """Whether some pulse of the survey gave more than one echo, so that the echoes hold information."""
+        if self.number_of_returns is None:
+            return False
+        return bool((self.number_of_returns > 1).any()) if self.facts is None else self.facts.echoes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +144,9 @@ class Density:
     typical_m: float
 
 
-def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_]) -> Density:
+def measure_density(
+    x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_], facts: PointFacts | None = None
+) -> Density:
     """Measure the spacing of the first echoes, and share the ground out among all points (A17).
 
     Parameters
@@ -147,6 +155,8 @@ def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: 
     first_echo : (N,) ndarray of bool
         The points that decide the spacing: later echoes of a pulse lie at the same place and make nothing denser. All
         points count where none is a first echo.
+    facts : PointFacts, optional
+        Where they are known, the spacing is that of the whole survey.
 
     Returns
     -------
@@ -171,8 +181,18 @@ def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: 
     >>> found.area_m2[[0, 15, 16]]
     array([0.8, 1. , 0.8])
     """
+    spacing_m, typical_m = measure_spacing(x, y, first_echo) if facts is None else (facts.spacing_m, facts.typical_m)
     if not len(x):
-        return Density(1.0, np.zeros(0), 1.0)
+        return Density(spacing_m, np.zeros(0), typical_m)
+    return Density(spacing_m, _areas(index_cells(x, y, 2 * spacing_m)), typical_m)
+
+
+def measure_spacing(
+    x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """Return the mean spacing of the first echoes and its median over the covered ground, metres; see `Density`."""
+    if not len(x):
+        return 1.0, 1.0
     chosen = first_echo if first_echo.any() else np.ones(len(x), dtype=np.bool_)
     east, north = x[chosen], y[chosen]
     cell_m = FIRST_CELL_M
@@ -180,8 +200,7 @@ def measure_density(x: NDArray[np.float64], y: NDArray[np.float64], first_echo: 
     while cells.order.size < LEAST_A_CELL * cells.keys.size and cell_m < LARGEST_CELL_M:
         cell_m *= 1.5
         cells = index_cells(east, north, cell_m)
-    spacing_m = cell_m * math.sqrt(cells.keys.size / cells.order.size)
-    return Density(spacing_m, _areas(index_cells(x, y, 2 * spacing_m)), _typical_spacing(cells))
+    return cell_m * math.sqrt(cells.keys.size / cells.order.size), _typical_spacing(cells)
 
 
 def _typical_spacing(cells: CellIndex) -> float:
@@ -203,11 +222,37 @@ def _areas(cells: CellIndex) -> NDArray[np.float64]:
     return area
 
 
-def lone_points(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (N,) bool, which points are lone by their height or by their position: birds, planes, faults of a file."""
-    lone = lone_values(z, LONE_GAP_Z_M)
+def lone_points(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], facts: PointFacts | None = None
+) -> NDArray[np.bool_]:
+    """Return (N,) bool, which points are lone by their height or by their position: birds, planes, faults of a file.
+
+    Where facts are known, the heights of the whole survey decide.
+    """
+    lone = lone_values(z, LONE_GAP_Z_M) if facts is None else _beyond(z, facts)
     lone |= lone_values(x, LONE_GAP_XY_M) | lone_values(y, LONE_GAP_XY_M)
     return lone
+
+
+def levels_of(z: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
+    """Return the lowest and highest value of each group of elevations, between which are wide gaps, metres."""
+    if not len(z):
+        return ()
+    low, high = float(z.min()), float(z.max())
+    if high - low <= LONE_GAP_Z_M:
+        return ((low, high),)
+    ordered = np.sort(z)
+    starts = np.flatnonzero(np.diff(ordered) > LONE_GAP_Z_M) + 1
+    edges = [0, *starts.tolist(), len(z)]
+    return tuple((float(ordered[start]), float(ordered[end - 1])) for start, end in pairwise(edges))
+
+
+def _beyond(z: NDArray[np.float64], facts: PointFacts) -> NDArray[np.bool_]:
+    """Return which elevations lie a wide gap away from all groups of the survey."""
+    near = np.zeros(len(z), dtype=np.bool_)
+    for low, high in facts.levels_m:
+        near |= (z >= low - LONE_GAP_Z_M) & (z <= high + LONE_GAP_Z_M)
+    return ~near
 
 
 def lone_values(values: NDArray[np.float64], gap: float) -> NDArray[np.bool_]:

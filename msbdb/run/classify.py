@@ -56,7 +56,7 @@ def classify_points(
         inputs.require_one_place()
         with stages.stage("read"):
             cloud, index = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
-        scene, params = prepare(inputs, cloud, params, stages, Label(inputs.default_survey()))
+        scene, params, _ = prepare(inputs, cloud, params, stages, Label(inputs.default_survey()))
         heights = heights_above(cloud, scene.require_surface().dtm)
         regions = detect(scene, methods, params, stages)
         taken = np.zeros(len(cloud), dtype=np.bool_)

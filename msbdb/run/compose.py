@@ -27,8 +27,10 @@ from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.run.describe import Description, count_cells, describe, describe_choices
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, note_missing_sources, prepare, read_cloud
+from msbdb.run.planning import is_sampled
+from msbdb.run.prepare import Label, make_plan, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
+from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
 from msbdb.threads import in_threads, memory_reused
 from msbdb.version import __version__
@@ -58,6 +60,8 @@ class Job:
         The detectors to run, sorted.
     denoising_figure : path, optional
         PNG of the surface before and after the denoising for the flat regions.
+    plan : Plan, optional
+        The plan of a survey that this one is a part of, or a later one of.
     """
 
     inputs: Inputs
@@ -66,6 +70,7 @@ class Job:
     label: Label
     methods: tuple[str, ...]
     denoising_figure: Path | None = None
+    plan: Plan | None = None
 
 
 def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
@@ -82,10 +87,15 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     notices : Notices
         Receives the notices that arise; those that it has already are kept, too.
     """
+    planned = job.plan
+    if planned is None and is_sampled(job.inputs.points):
+        with collect_notices(Notices()), memory_reused():
+            planned = make_plan(job.inputs, job.params, stages)
+    facts = None if planned is None else planned.points
     with collect_notices(notices), memory_reused():
         with stages.stage("read"):
-            cloud = read_cloud(job.inputs, stages.progress)
-        scene, params = prepare(job.inputs, cloud, job.params, stages, job.label)
+            cloud = read_cloud(job.inputs, stages.progress, facts)
+        scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned)
         del cloud
         note_missing_sources(scene)
         choices = describe_choices(scene, params)
@@ -103,7 +113,7 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     )
     values: dict[str, object] = dict(as_dict(job.params))
     run = Run(job.methods, job.profile, __version__, values, counts, stages.timings, tuple(notices.kept))
-    return KeptRun(scene.survey, run, found.frames, found.rasters)
+    return KeptRun(scene.survey, run, found.frames, found.rasters, plan)
 
 
 def relabelled(
@@ -136,7 +146,7 @@ def relabelled(
     found = fuse_and_describe(scene, regions, params, stages)
     counts = replace(kept.run.counts, regions=found.counts, cells=count_cells(scene.heights, scene.cover))
     run = replace(kept.run, counts=counts, timings={**kept.run.timings, **stages.timings})
-    return KeptRun(kept.survey, run, found.frames, found.rasters)
+    return KeptRun(kept.survey, run, found.frames, found.rasters, kept.plan)
 
 
 def detect(scene: Scene, methods: Sequence[str], params: Params, stages: Stages) -> dict[str, Regions]:

@@ -2,7 +2,7 @@
 
 import logging
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,26 +10,36 @@ import pandas as pd
 
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
-from msbdb.errors import InputError, MsbdbWarning
+from msbdb.errors import GridMismatchError, InputError, MsbdbWarning
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.io.raster import align_grid, read_grid, states_crs
-from msbdb.io.vector import read_polygons
+from msbdb.io.vector import Area, read_polygons
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params
-from msbdb.parts.tree import choose_scales
 from msbdb.points.cloud import PointCloud
 from msbdb.run.inputs import Inputs
+from msbdb.run.planning import (
+    Draft,
+    blocks_to_sample,
+    decide,
+    facts_of,
+    fitted_by,
+    joined_facts,
+    require_fitting,
+    settled,
+)
 from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import spectral_bands
 from msbdb.spectral.coverclasses import classify_cover, keep_labels
 from msbdb.surface import Surface, cover_from_surface, surface_from_rasters
 from msbdb.surface.gridding import CELL_LADDER_M, cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
+from msbdb.surveyplan import Plan, PointFacts
 from msbdb.tables import Survey
 
 logger = logging.getLogger(__name__)
@@ -45,11 +55,18 @@ LOW_PERCENT = 5.0
 """Ours: this share of a surface is ground, also in an old town or a park."""
 
 
-def read_cloud(inputs: Inputs, progress: Progress | None) -> PointCloud | None:
-    """Read the points, where the build is from points."""
+def read_cloud(
+    inputs: Inputs, progress: Progress | None, facts: PointFacts | None = None, area: Area | None = None
+) -> PointCloud | None:
+    """Read the points, where the build is from points.
+
+    ``facts`` are those of a survey that they are a part of; in an ``area`` only its points are read.
+    """
     if not inputs.points:
         return None
-    return read_points(inputs.points, crs=inputs.any_crs, z_unit=inputs.z_unit, progress=progress)
+    return read_points(
+        inputs.points, crs=inputs.any_crs, z_unit=inputs.z_unit, facts=facts, area=area, progress=progress
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +87,8 @@ class Label:
 
 
 def prepare(
-    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, label: Label
-) -> tuple[Scene, Params]:
+    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, label: Label, *, plan: Plan | None = None
+) -> tuple[Scene, Params, Plan]:
     """Bring the files of a survey onto one lattice, for the detectors.
 
     Parameters
@@ -86,13 +103,70 @@ def prepare(
         For timings and progress.
     label : Label
         Name, date and operator's labels.
+    plan : Plan, optional
+        The plan of a survey that this one is a part of; without it the survey itself decides.
 
     Returns
     -------
     scene : Scene
         The survey on its lattice.
     params : Params
-        The parameters, with the scales that were found where they give none (V8).
+        The parameters, with the values of the plan where they give none (V8).
+    plan : Plan
+        That given, or that of the survey.
+    """
+    if cloud is not None and cloud.facts is None:
+        cloud = replace(cloud, facts=facts_of(cloud))
+    draft = make_draft(inputs, cloud, params, stages)
+    surface, structure, bands = draft.surface, draft.structure, draft.bands
+    spec = surface.ndsm.spec
+    with stages.stage("classes"):
+        if plan is None:
+            plan, [fitted] = decide([draft], params)
+        else:
+            require_fitting(plan, surface, cloud)
+            fitted = fitted_by(plan, bands)
+        params = settled(params, plan)
+        echoes = cloud is not None and cloud.has_echoes
+        cover = classify_cover(
+            structure.cover, bands, surface.ndsm, structure.roughness_m, params, echoes=echoes, fitted=fitted
+        )
+        if label.classes is not None:
+            cover = keep_labels(cover, label.classes)
+    record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
+    evidence, elevations = Evidence.of(structure), Elevations.of(surface, cloud)
+    parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec)
+    scene = Scene(record, surface.ndsm, cover, evidence, elevations, parcels, surface, cloud, bands, draft.above)
+    return scene, params, plan
+
+
+def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
+    """Return the plan of a survey: that which a build of it makes and keeps.
+
+    Where the headers promise more points than a plan looks at, a seeded hash draws blocks that hold about as many, and
+    one pass over the files reads these.
+    """
+    blocks = blocks_to_sample(inputs.points, inputs.any_crs, seed=params.spectral.seed)
+    with stages.stage("read"):
+        cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
+    if cloud is None or blocks is None:
+        cloud = None if cloud is None else replace(cloud, facts=facts_of(cloud))
+        plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)
+        return plan
+    clouds = blocks.cut(cloud)
+    facts = joined_facts([facts_of(each) for each in clouds.values()])
+    drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each in clouds.values()]
+    with stages.stage("classes"):
+        plan, _ = decide(drafts, params)
+    return replace(plan, blocks=tuple(clouds), block_m=blocks.side_m)
+
+
+def make_draft(
+    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, *, sampled: bool = False
+) -> Draft:
+    """Return the surface, its cover by structure and its bands: all that needs no other value of the plan.
+
+    A block that is ``sampled`` has no bands where it lies beyond the images.
     """
     with stages.stage("surface"):
         surface = make_surface(inputs, cloud, params)
@@ -100,18 +174,14 @@ def prepare(
     with stages.stage("cover"):
         structure = cover_from_surface(surface, cloud, params)
     with stages.stage("bands"):
-        ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
-        bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
-    with stages.stage("classes"):
-        echoes = cloud is not None and cloud.has_echoes
-        params = choose_scales(surface.ndsm, structure.cover, params)
-        cover = classify_cover(structure.cover, bands, surface.ndsm, structure.roughness_m, params, echoes=echoes)
-        if label.classes is not None:
-            cover = keep_labels(cover, label.classes)
-    record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
-    evidence, elevations = Evidence.of(structure), Elevations.of(surface, cloud)
-    parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec)
-    return Scene(record, surface.ndsm, cover, evidence, elevations, parcels, surface, cloud, bands), params
+        try:
+            ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
+            bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
+        except GridMismatchError:
+            if not sampled:
+                raise
+            bands = None
+    return Draft.of(surface, structure, bands, cloud, params)
 
 
 def read_parcels(path: Path, spec: GridSpec) -> Labels:

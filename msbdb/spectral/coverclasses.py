@@ -14,7 +14,7 @@ from msbdb.grid import Bands, Grid
 from msbdb.labels import sizes, sums
 from msbdb.landcover import LABELS, ClassMap, overlay
 from msbdb.params import Params
-from msbdb.spectral.kmeans import draw_sample, predict
+from msbdb.spectral.kmeans import Sample, draw_sample, predict
 from msbdb.spectral.model import ClassModel, filter_to_classify, fit_model
 from msbdb.surface import drop_green_regions
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate
@@ -43,11 +43,19 @@ class Classified(NamedTuple):
     model: ClassModel | None
 
 
+class Fitted(NamedTuple):
+    """The model of the classes, None where no cell qualified, and the filtered bands where they are made already."""
+
+    model: ClassModel | None
+    filtered: Bands | None = None
+
+
 def classify(
     bands: Bands,
     ndsm: Grid,
     roughness: NDArray[np.floating] | None,
     params: Params,
+    fitted: Fitted | None = None,
 ) -> Classified:
     """Classify the cells of at least one storey by their bands (V34 to V36).
 
@@ -61,6 +69,8 @@ def classify(
         Local roughness of the surface, as `msbdb.surface.texture.roughness` gives it. Labels are surer with it.
     params : Params
         Sections ``spectral``, ``surface`` (the mask) and ``scale`` (connectivity, and the scales, at least one).
+    fitted : Fitted, optional
+        The model of a larger survey; without it the classes are fitted to these bands.
 
     Returns
     -------
@@ -73,15 +83,30 @@ def classify(
         When the lattices differ.
     """
     _require_lattice(bands, ndsm, roughness)
-    filtered = filter_to_classify(bands, ndsm, params)
-    spectral = params.spectral
-    sample = draw_sample(filtered, bands, ndsm.values, roughness, count=spectral.sample, seed=spectral.seed)
-    model = fit_model(sample, spectral) if len(sample) else None
+    if fitted is None:
+        sample, filtered = sample_to_classify(bands, ndsm, roughness, params)
+        model = fit_model(sample, params.spectral) if len(sample) else None
+    else:
+        model = fitted.model
+        filtered = fitted.filtered or filter_to_classify(bands, ndsm, params)
     labels = dict(enumerate(model.suggested, start=1)) if model else {}
     index = predict(filtered, model.centres) if model else np.zeros(ndsm.spec.shape, dtype=np.uint8)
     cells = sizes(index, len(labels))
     tables = class_tables(model, cells)
     return Classified(ClassMap(index, labels, ndsm.spec), *tables, model)
+
+
+def sample_to_classify(
+    bands: Bands, ndsm: Grid, roughness: NDArray[np.floating] | None, params: Params
+) -> tuple[Sample, Bands]:
+    """Return the cells to which classes are fitted, and the filtered bands; parameters are those of `classify`."""
+    filtered, own = filter_to_classify(bands, ndsm, params), params.spectral
+    return draw_sample(filtered, bands, ndsm.values, roughness, count=own.sample, seed=own.seed), filtered
+
+
+def is_imagery(bands: Bands | None) -> bool:
+    """Return whether there are colours; one band of intensity alone separates materials too poorly."""
+    return bands is not None and bool(COLOURS & set(bands.names))
 
 
 def class_tables(model: ClassModel | None, cells: NDArray[np.integer]) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -233,14 +258,12 @@ def classify_cover(
     params: Params,
     *,
     echoes: bool,
+    fitted: Fitted | None = None,
 ) -> Cover:
-    """Classify the colours, if given, and describe all classes in one table.
-
-    One band of intensity alone is no imagery: it separates materials too poorly.
-    """
+    """Classify the colours, if given, and describe all classes in one table; see `classify`."""
     spectral, table, band_table, model = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), None
-    if bands is not None and COLOURS & set(bands.names):
-        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params)
+    if bands is not None and is_imagery(bands):
+        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params, fitted)
     colours_decide = spectral is not None and params.spectral.decides == "spectral"
     if spectral is not None:
         structure = drop_green_regions(structure, spectral.labelled("vegetation"), roughness_m, params.cover)

@@ -1,5 +1,6 @@
 """K-means of the bands (V35): one seeded fit on a sample of cells, the same for any tiling, then prediction."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,6 +107,17 @@ def draw_sample(
         rough,
         heights[row, col].astype(np.float64),
     )
+
+
+def pooled(samples: Sequence[Sample], count: int) -> Sample:
+    """Return the ``count`` cells with the smallest keys of samples of one survey, as if it had been sampled at once."""
+    if len(samples) == 1:
+        return samples[0]
+    keys = np.concatenate([each.keys for each in samples])
+    kept = _smallest(keys, count)
+    columns = ("filtered", "bands", "roughness", "height")
+    values = (np.concatenate([getattr(each, name) for each in samples])[kept] for name in columns)
+    return Sample(samples[0].names, keys[kept], *values)
 
 
 def _smallest(keys: NDArray[np.uint64], count: int) -> NDArray[np.intp]:

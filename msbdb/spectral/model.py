@@ -17,6 +17,7 @@ from msbdb.morphology.area import area_closing, area_opening
 from msbdb.params import Params, SpectralParams
 from msbdb.spectral.colours import Scaling
 from msbdb.spectral.kmeans import Centres, Sample, fit_centres, nearest_class
+from msbdb.surveyplan import ClassPlan, known, numbers
 from msbdb.threads import in_threads
 
 INDEX_BANDS = {"ndvi": ("nir", "red"), "green-red": ("green", "red"), "pseudo-ndvi": ("intensity", "red")}
@@ -256,6 +257,38 @@ class ClassModel:
     suggested: tuple[str, ...]
     index: str | None
     threshold: float
+
+    @property
+    def plan(self) -> ClassPlan:
+        """The model as the plan of a survey has it."""
+        scaling, facts = self.centres.scaling, self.facts
+        return ClassPlan(
+            bands=scaling.names,
+            low=scaling.low,
+            high=scaling.high,
+            centres=tuple(tuple(map(float, centre)) for centre in self.centres.values),
+            vegetation_index=self.index,
+            vegetation_threshold=known(np.array([self.threshold]))[0],
+            labels=self.suggested,
+            index=known(facts.index),
+            brightness=known(facts.brightness),
+            roughness_m=known(facts.roughness),
+            height_m=known(facts.height),
+            band_means=tuple(map(known, self.band_means)),
+        )
+
+    @classmethod
+    def of_plan(cls, plan: ClassPlan) -> "ClassModel":
+        """Return the model that a plan has, the inverse of ``plan``."""
+        facts = ClassFacts(*map(numbers, (plan.index, plan.brightness, plan.roughness_m, plan.height_m)))
+        return cls(
+            Centres(Scaling(plan.bands, plan.low, plan.high), numbers(plan.centres)),
+            facts,
+            numbers(plan.band_means),
+            plan.labels,
+            plan.vegetation_index,
+            float(numbers((plan.vegetation_threshold,))[0]),
+        )
 
     def as_dict(self) -> dict[str, object]:
         """Return what classifies another tile alike, as plain values: scaling, centres, and vegetation index (V21).

@@ -60,7 +60,7 @@ def frame(spec: GridSpec) -> Frame:
 
 
 def density(points: PointCloud) -> float:
-    """First echoes a square metre of covered ground.
+    """First echoes a square metre of covered ground; of the whole survey, where that is known.
 
     Covered are the 2 m cells that hold a first echo. Sparse points would cover less than their share, and islands far
     apart would need many empty cells. With less than one echo a cell of the bounding box, or four a covered cell, the
@@ -71,6 +71,8 @@ def density(points: PointCloud) -> float:
     NodataError
         When there is no first echo.
     """
+    if points.facts is not None:
+        return points.facts.density
     first = points.first_echo
     count = int(np.count_nonzero(first))
     if count == 0:

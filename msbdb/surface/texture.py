@@ -121,7 +121,7 @@ def echoes(points: PointCloud, ndsm: Grid, dtm: Grid, *, small_m: float, wide_m:
     mask_m : float
         Only echoes of the surface above this height count.
     """
-    if points.return_number is None or points.number_of_returns is None or points.number_of_returns.max() < 2:
+    if points.return_number is None or points.number_of_returns is None or not points.has_echoes:
         return None
     spec = ndsm.spec
     heights, ground = (np.asarray(grid.values, dtype=np.float32) for grid in (ndsm, dtm))

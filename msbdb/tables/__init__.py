@@ -43,6 +43,7 @@ from msbdb.tables.run_tables import (
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
     SURVEY,
+    SURVEY_PLAN,
 )
 
 TABLES = (
@@ -67,6 +68,7 @@ RUN_TABLES = (
     RUN,
     RUN_METHOD,
     RUN_STATE,
+    SURVEY_PLAN,
     SCALE,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
@@ -122,6 +124,7 @@ __all__ = [
     "SPECTRAL_CLASS_BAND",
     "SURVEY",
     "SURVEY_OFFSET",
+    "SURVEY_PLAN",
     "TABLES",
     "Check",
     "Column",

@@ -102,6 +102,15 @@ RUN_STATE = Table(
     ),
 )
 
+SURVEY_PLAN = Table(
+    "survey_plan",
+    "The plan by which a run was built: values that hold for the whole survey, and for each tile of it",
+    (
+        RUN_KEY,
+        *only_stored(Column("plan", "json", "-", "the plan, as msbdb plan --json shows it")),
+    ),
+)
+
 SCALE = Table(
     "scale",
     "A scale of a run's scale-space",

@@ -116,6 +116,7 @@ class FakeApi(types.ModuleType):
         denoising_figure=None,
         replace=False,
         skip_bad=False,
+        plan=None,
         overwrite=False,
         progress=None,
     ):
@@ -126,6 +127,32 @@ class FakeApi(types.ModuleType):
             progress("surface", 1, 2)
             progress("surface", 2, 2)
         return FakeReport()
+
+    def plan(
+        self,
+        points=(),
+        *,
+        ortho=(),
+        dsm=None,
+        dtm=None,
+        ndsm=None,
+        crs=None,
+        ortho_crs=None,
+        z_unit="auto",
+        params=None,
+        profile="default",
+        skip_bad=False,
+        progress=None,
+    ):
+        """Return a plan of one value."""
+        values = {name: value for name, value in locals().items() if name != "self"}
+        self._note("plan", **values)
+        return types.SimpleNamespace(as_dict=lambda: {"cell_m": 0.5}, pairs=lambda: {"cells": "0.5 m"})
+
+    def read_plan(self, source, survey=None):
+        """Return a plan of one value."""
+        self._note("read_plan", source=source, survey=survey)
+        return types.SimpleNamespace(as_dict=lambda: {"cell_m": 0.5}, pairs=lambda: {"cells": "0.5 m"})
 
     def info(self, db):
         """Return two levels of plain and numpy values."""

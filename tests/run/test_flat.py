@@ -162,7 +162,7 @@ def test_gaps_are_filled_as_the_profile_says(tmp_path):
     areas = {}
     for gaps in ("near", "all"):
         params = with_values(profile(), {"flatregions": {"gaps": gaps}})
-        scene, params = prepare(inputs, points, params, Stages(None), Label("roof"))
+        scene, params, _ = prepare(inputs, points, params, Stages(None), Label("roof"))
         areas[gaps] = detect_flat_regions(scene, params).table["area_m2"].tolist()
     assert [len(found) for found in areas.values()] == [1, 1]
     assert areas["all"][0] == pytest.approx(400, rel=0.06)

@@ -13,11 +13,11 @@ import shapely
 from click.testing import CliRunner
 from matplotlib.image import imread
 from support.notices import with_notices
-from support.towns import EPSG, ROW, UTM, footprints, town_build
+from support.towns import EPSG, ROW, footprints, town_build
 
 from msbdb import api
 from msbdb.cli.main import cli
-from msbdb.database import open_database, read_parts, write_build, write_import
+from msbdb.database import open_database, write_build
 from msbdb.errors import FileError, InputError, MissingDependencyError
 from msbdb.run import page as made
 from msbdb.view import page

@@ -29,6 +29,7 @@ from sqlalchemy.types import TypeEngine
 from msbdb.database.dialects.dialect import Dialect
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import exact_json, plain, text_id, to_json
+from msbdb.surveyplan import Plan
 from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Run, Survey
 
 if TYPE_CHECKING:
@@ -153,12 +154,15 @@ class RunContent:
         Rows are in the table's order, polygons are multipolygons.
     rasters : mapping of str to (H, W) ndarray
         Heights, classes and labels of the regions, by the names of their rows.
+    plan : Plan, optional
+        The plan by which it was built.
     """
 
     survey: Survey
     run: Run
     columns: Mapping[str, Mapping[str, NDArray[Any]]]
     rasters: Mapping[str, NDArray[Any]]
+    plan: Plan | None = None
 
     def digest(self) -> str:
         """Return the SHA-256 of the content except its timings."""
@@ -175,6 +179,8 @@ class RunContent:
             cells = portable(raster.astype(np.int32) if raster.dtype == np.int16 else raster)
             digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
             digest.update(cells.ravel().data)
+        if self.plan is not None:
+            digest.update(f"\0plan\0{self.plan.as_json()}".encode())
         return digest.hexdigest()
 
 

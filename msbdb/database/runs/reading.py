@@ -18,6 +18,7 @@ from msbdb.database.schema.srid import crs_from, horizontal
 from msbdb.errors import InputError, TableError
 from msbdb.kept import KeptRun, Rasters
 from msbdb.params import POINT_DETECTORS
+from msbdb.surveyplan import Plan
 from msbdb.tables import (
     BUILDING,
     CANDIDATE_REGION,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 RUN, RUN_METHOD, RUN_STATE = SQL["run"], SQL["run_method"], SQL["run_state"]
-SOURCE, SURVEY = SQL["source"], SQL["survey"]
+SOURCE, SURVEY, SURVEY_PLAN = SQL["source"], SQL["survey"], SQL["survey_plan"]
 
 
 def list_runs(engine: Engine) -> "pd.DataFrame":
@@ -93,7 +94,8 @@ def read_build(engine: Engine, survey: str | None = None) -> KeptRun:
     with snapshot(engine) as connection:
         content = content_of(connection, survey)
     frames = {table.name: _as_frame(table, content.columns[table.name], content.survey) for table in TABLES}
-    return KeptRun(content.survey, content.run, frames, _known_rasters(content.rasters, content.survey.name, engine))
+    rasters = _known_rasters(content.rasters, content.survey.name, engine)
+    return KeptRun(content.survey, content.run, frames, rasters, content.plan)
 
 
 def read_tables(engine: Engine, tables: Sequence[Table], survey: str | None = None) -> "dict[str, pd.DataFrame]":
@@ -118,17 +120,19 @@ def read_columns(
         return columns, survey_record(connection, run.survey_id)
 
 
-def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] = TABLES) -> RunContent:
+def content_of(connection: Connection, survey: str | None, tables: Sequence[Table] | None = None) -> RunContent:
     """Return a run as plain columns, as an open transaction sees it.
 
-    Survey and errors are those of `read_build`; a migration gives the tables of its own schema.
+    Survey and errors are those of `read_build`; a migration to 0006 or before gives the tables of its own schema, which
+    had no plans.
     """
     run = _find_run(connection, survey, shown(connection.engine.url))
     return RunContent(
         survey=survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
-        columns={table.name: _columns_of(connection, table, run.run_id) for table in tables},
+        columns={table.name: _columns_of(connection, table, run.run_id) for table in tables or TABLES},
         rasters=_read_rasters(connection, run.run_id),
+        plan=_plan_of(connection, run.run_id) if tables is None else None,
     )
 
 
@@ -143,6 +147,18 @@ def read_run(engine: Engine, survey: str | None = None) -> Run:
     """Return a run: parameters, counts, timings and notices."""
     with guarded(engine.url), engine.connect() as connection:
         return _run_record(connection, _find_run(connection, survey, shown(engine.url)))
+
+
+def read_plan(engine: Engine, survey: str | None = None) -> Plan | None:
+    """Return the plan by which a run was built; None where an older msbdb kept none."""
+    with snapshot(engine) as connection:
+        return _plan_of(connection, _find_run(connection, survey, shown(engine.url)).run_id)
+
+
+def _plan_of(connection: Connection, run_id: int) -> Plan | None:
+    """Return the plan of a run."""
+    kept = connection.scalar(select(SURVEY_PLAN.c.plan).where(SURVEY_PLAN.c.run_id == run_id))
+    return None if kept is None else Plan.from_dict(kept)
 
 
 @dataclass(frozen=True, slots=True)

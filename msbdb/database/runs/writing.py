@@ -33,6 +33,8 @@ RUN_METHOD = SQL["run_method"]
 
 RUN_STATE = SQL["run_state"]
 
+SURVEY_PLAN = SQL["survey_plan"]
+
 SOURCE = SQL["source"]
 
 SURVEY = SQL["survey"]
@@ -176,8 +178,10 @@ class _Rows:
         frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
         counts = {name: len(frame) for name, frame in frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
+        counts["survey_plan"] = int(build.plan is not None)
         columns = {table: {str(name): _array(frame[name]) for name in frame} for table, frame in frames.items()}
-        return cls(frames, counts, RunContent(build.survey, build.run, columns, build.rasters.by_name()).digest())
+        content = RunContent(build.survey, build.run, columns, build.rasters.by_name(), build.plan)
+        return cls(frames, counts, content.digest())
 
 
 def _array(column: "pd.Series") -> NDArray[Any]:
@@ -207,6 +211,8 @@ def _fill(
         methods = [{"run_id": run_id, "method": method} for method in run.pop("methods")]
         connection.execute(insert(RUN), [plain(run)])
         connection.execute(insert(RUN_METHOD), methods)
+        if build.plan is not None:
+            connection.execute(insert(SURVEY_PLAN), [{"run_id": run_id, "plan": build.plan.as_dict()}])
         with dialect.keys_in_sets(connection, _LOADED, run_id):
             for name in _LOADED:
                 _write_frame(connection, dialect, build, name, rows.frames[name], run_id=run_id, srid=srid)

@@ -133,7 +133,7 @@ def off_ground(
             "Drop these points, or give a terrain that covers them."
         )
         raise InputError(msg)
-    density = measure_density(cloud.x, cloud.y, cloud.first_echo)
+    density = measure_density(cloud.x, cloud.y, cloud.first_echo, cloud.facts)
     chosen = np.flatnonzero(heights >= mask_m)
     chosen = chosen[_canonical(cloud, heights, ndvi, chosen)]
     x, y = cloud.x[chosen], cloud.y[chosen]

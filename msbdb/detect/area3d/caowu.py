@@ -179,7 +179,7 @@ def _prepare(
         np.take(values, order, out=column)
     origin = np.floor(points.min(axis=0) / ORIGIN_M) * ORIGIN_M
     points -= origin
-    density = measure_density(x, y, cloud.first_echo[order])
+    density = measure_density(x, y, cloud.first_echo[order], cloud.facts)
     link_m = own.link_spacings * density.spacing_m
     areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
     graph = connect(x, y, z, link_m, earlier=len(areas) == 1)

@@ -26,6 +26,7 @@ from msbdb.database import (
     open_database,
     read_buildings,
     read_parts,
+    read_plan,
     read_rasters,
     read_run,
     read_standing,
@@ -47,6 +48,7 @@ from msbdb.run.inventory.borders import combined, make_seams, near_pieces, piece
 from msbdb.run.prepare import Label
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
 from msbdb.run.store import recall_elevations
+from msbdb.surveyplan import Plan
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey
 from msbdb.version import __version__
 
@@ -79,11 +81,12 @@ def is_built(
     profile: str = "default",
     extract: str | Sequence[str] = DETECTORS,
     denoising_figure: Path | None = None,
+    plan: Plan | None = None,
     **given: Any,  # noqa: ANN401  (the other inputs of build)
 ) -> bool:
     """Return whether a survey was built from the same files, with the same values, by the same msbdb.
 
-    The parameters are those of `msbdb.api.build`.
+    The parameters are those of `msbdb.api.build`; where a plan is given, the survey must be built by it.
     """
     with collect_notices(Notices()):
         inputs = Inputs.of(points, ortho, **given)
@@ -94,7 +97,7 @@ def is_built(
     except DatabaseError:
         return False
     try:
-        record, run = read_survey(engine, survey), read_run(engine, survey)
+        record, run, own = read_survey(engine, survey), read_run(engine, survey), read_plan(engine, survey)
     except InputError:
         return False
     finally:
@@ -102,6 +105,7 @@ def is_built(
     wanted = to_json([as_dict(params or named_profile(profile)), profile, __version__, list(methods), date])
     found = to_json([run.parameters, run.profile, run.version, list(run.methods), record.date])
     stated = run.counts.stated == inputs.stated()
+    stated = stated and plan in (None, own)
     return denoising_figure is None and stated and wanted == found and set(record.sources) == set(inputs.sources())
 
 

@@ -90,5 +90,5 @@ def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params
             files.append(Path(folder) / f"{number}.las")
             cloud.write(files[-1])
         inputs, stages = Inputs(points=tuple(files), crs=case.crs), Stages(None)
-        scene, params = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
+        scene, params, _ = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
         return scene, detect(scene, DETECTORS, params, stages), params

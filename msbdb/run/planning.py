@@ -1,0 +1,350 @@
+"""The plan of a survey: what its drafts give together, from the whole of it or from a sample of blocks."""
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.detect.adaptive.offground import ndvi_threshold
+from msbdb.detect.area3d.heightscales import height_scales
+from msbdb.detect.pointregions import heights_of_points, point_ndvi
+from msbdb.errors import InputError, MsbdbWarning
+from msbdb.grid import Bands
+from msbdb.io.crs import CrsLike, reference, same_crs
+from msbdb.io.extents import extent_of_points
+from msbdb.io.lasheader import read_las_header
+from msbdb.io.vector import Area
+from msbdb.morphology.scalespace import scales_of_sizes
+from msbdb.params import Params, as_dict, with_values
+from msbdb.parts.tree import cell_sizes
+from msbdb.points.cloud import GROUND_CLASS, LONE_GAP_Z_M, PointCloud, levels_of, measure_spacing
+from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
+from msbdb.spectral.kmeans import lattice_keys, pooled
+from msbdb.spectral.model import ClassModel, fit_model
+from msbdb.surface import Surface
+from msbdb.surface.gridding import density
+from msbdb.surface.heights import GIVEN_GROUND
+from msbdb.surface.structure import Structure
+from msbdb.surveyplan import Plan, PointFacts, basis_of
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+
+MOST_POINTS = 12_000_000
+"""Ours: as many points are looked at for a plan, about what 4 GB of memory hold in a build."""
+
+BLOCK_M = 500.0
+"""Ours: side of a block of a sample, metres, several times as wide as the largest building."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledBlocks:
+    """The blocks of a sample, by their south-western corners and their side, metres, in the CRS of the points."""
+
+    corners: tuple[tuple[float, float], ...]
+    side_m: float
+    crs: "CRS"
+
+    @property
+    def area(self) -> Area:
+        """The ground of all blocks."""
+        west, south = np.array(self.corners).T
+        boxes = shapely.box(west, south, west + self.side_m, south + self.side_m)
+        return Area(gpd.GeoSeries(boxes, crs=self.crs), 0.0, "the sample of blocks")
+
+    def cut(self, cloud: PointCloud) -> dict[tuple[float, float], PointCloud]:
+        """Return the points of each block that has first echoes, in the order of the corners."""
+        column, row = np.floor(cloud.x / self.side_m), np.floor(cloud.y / self.side_m)
+        found = {}
+        for west, south in self.corners:
+            own = cloud.take((column == west // self.side_m) & (row == south // self.side_m))
+            if own.first_echo.any():
+                found[west, south] = own
+        return found
+
+
+def is_sampled(paths: Sequence[Path]) -> bool:
+    """Return whether the headers of points promise more than a plan looks at."""
+    return sum(read_las_header(path).points for path in paths) > MOST_POINTS
+
+
+def blocks_to_sample(paths: Sequence[Path], crs: CrsLike | None, *, seed: int) -> SampledBlocks | None:
+    """Draw the blocks of a sample by what the headers of points say; None where all points are few enough.
+
+    The blocks lie at whole multiples of their side. Their order is a hash of their place and of the seed, so that it
+    does not depend on the files.
+    """
+    if not is_sampled(paths):
+        return None
+    infos = [read_las_header(path) for path in paths]
+    count = sum(info.points for info in infos)
+    extent = extent_of_points(paths, crs)
+    if extent is None:
+        return None
+    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+        how = reference(extent.crs, bounds=extent.bounds, where=paths[0].name)
+    if how.transformer is not None:
+        return None
+    boxes = np.array([info.bounds for info in infos]) * how.xy_factor
+    ground = shapely.union_all(shapely.box(*boxes.T))
+    west, south, east, north = shapely.bounds(ground)
+    columns, rows = (
+        np.arange(math.floor(low / BLOCK_M), math.floor(high / BLOCK_M) + 1)
+        for low, high in ((west, east), (south, north))
+    )
+    column, row = (each.ravel() for each in np.meshgrid(columns, rows))
+    squares = shapely.box(column * BLOCK_M, row * BLOCK_M, (column + 1) * BLOCK_M, (row + 1) * BLOCK_M)
+    share = shapely.area(shapely.intersection(squares, ground)) / ground.area
+    order = np.argsort(lattice_keys(row, column, seed), kind="stable")
+    order = order[share[order] > 0]
+    enough = int(np.searchsorted(np.cumsum(share[order]) * count, MOST_POINTS)) + 1
+    chosen = order[:enough]
+    return SampledBlocks(
+        tuple((float(column[one] * BLOCK_M), float(row[one] * BLOCK_M)) for one in chosen), BLOCK_M, how.crs
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draft:
+    """A survey, or a block of it, on its lattice: as far as that goes without the plan's other values.
+
+    Parameters
+    ----------
+    surface : Surface
+        DSM, DTM and nDSM.
+    structure : Structure
+        Land cover by structure.
+    bands : Bands or None
+        Colours and intensity on the lattice.
+    cloud : PointCloud or None
+        The points, which know the facts of the survey; None for rasters.
+    above : (N,) ndarray of float64 or None
+        Heights of the points above ground, metres.
+    """
+
+    surface: Surface
+    structure: Structure
+    bands: Bands | None
+    cloud: PointCloud | None
+    above: NDArray[np.float64] | None
+
+    @classmethod
+    def of(
+        cls, surface: Surface, structure: Structure, bands: Bands | None, cloud: PointCloud | None, params: Params
+    ) -> "Draft":
+        """Return a draft, with the heights of its points."""
+        above = None if cloud is None else heights_of_points(surface, cloud, params)
+        return cls(surface, structure, bands, cloud, above)
+
+
+def facts_of(cloud: PointCloud) -> PointFacts:
+    """Return what holds for all points of a cloud.
+
+    Raises
+    ------
+    NodataError
+        When there is no first echo.
+    """
+    spacing_m, typical_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
+    return PointFacts(
+        points=len(cloud),
+        density=density(cloud),
+        spacing_m=spacing_m,
+        typical_m=typical_m,
+        numbered=cloud.return_number is not None,
+        echoes=cloud.has_echoes,
+        ground_share=float(np.count_nonzero(cloud.in_class(GROUND_CLASS))) / max(len(cloud), 1),
+        colours=cloud.colour_names,
+        intensity=cloud.intensity is not None,
+        levels_m=levels_of(cloud.z),
+    )
+
+
+def joined_facts(facts: Sequence[PointFacts]) -> PointFacts:
+    """Return what holds for the points of several blocks together.
+
+    The density is that of their covered ground. Of the typical spacings the median counts, by covered ground.
+    """
+    if len(facts) == 1:
+        return facts[0]
+    points = sum(each.points for each in facts)
+    # A block covers as many square metres as its points fill at its spacing, but for later echoes.
+    covered = np.array([each.points * each.spacing_m**2 for each in facts])
+    order = np.argsort([each.typical_m for each in facts], kind="stable")
+    middle = int(np.searchsorted(np.cumsum(covered[order]), covered.sum() / 2))
+    names = [name for name in ("red", "green", "blue", "nir") if any(name in each.colours for each in facts)]
+    return PointFacts(
+        points=points,
+        density=points / sum(each.points / each.density for each in facts),
+        spacing_m=math.sqrt(float(covered.sum()) / points),
+        typical_m=facts[int(order[middle])].typical_m,
+        numbered=any(each.numbered for each in facts),
+        echoes=any(each.echoes for each in facts),
+        ground_share=sum(each.ground_share * each.points for each in facts) / points,
+        colours=tuple(names),
+        intensity=any(each.intensity for each in facts),
+        levels_m=_joined_levels([each.levels_m for each in facts]),
+    )
+
+
+def _joined_levels(levels: Sequence[tuple[tuple[float, float], ...]]) -> tuple[tuple[float, float], ...]:
+    """Return the groups of elevations of several blocks, those joined that no wide gap separates."""
+    found: list[tuple[float, float]] = []
+    for low, high in sorted(chain.from_iterable(levels)):
+        if found and low <= found[-1][1] + LONE_GAP_Z_M:
+            found[-1] = (found[-1][0], max(found[-1][1], high))
+        else:
+            found.append((low, high))
+    return tuple(found)
+
+
+def decide(drafts: Sequence[Draft], params: Params) -> tuple[Plan, list[Fitted | None]]:
+    """Fix the plan by what drafts have in common.
+
+    Parameters
+    ----------
+    drafts : sequence of Draft
+        The whole survey as one, or blocks of it; all on one lattice, their points with the facts of the survey.
+    params : Params
+        As given, before the plan.
+
+    Returns
+    -------
+    plan : Plan
+    fitted : list of Fitted or None
+        For each draft the classes of colours, and the filtered bands; None without imagery.
+    """
+    first = drafts[0]
+    scales = params.scale.scales_m2
+    if not scales:
+        sizes = [cell_sizes(each.surface.ndsm, each.structure.cover, params) for each in drafts]
+        scales = scales_of_sizes(np.concatenate(sizes), params.granulometry)
+    with_scales = with_values(params, {"scale": {"scales_m2": scales}})
+    fitted = _fit(drafts, with_scales)
+    model = next((each.model for each in fitted if each is not None), None)
+    facts = None if first.cloud is None else first.cloud.facts
+    spec = first.surface.ndsm.spec
+    plan = Plan(
+        crs=words_of(spec.crs),
+        cell_m=spec.cell_m,
+        density=first.surface.density,
+        points=facts,
+        ground_filter=first.surface.ground_filter,
+        scales_m2=tuple(map(float, scales)),
+        heights_m=_heights(drafts, params),
+        ndvi_threshold=_ndvi(drafts, params),
+        classes=None if model is None else model.plan,
+        basis=basis_of(as_dict(params)),
+    )
+    return plan, fitted
+
+
+def _fit(drafts: Sequence[Draft], params: Params) -> list[Fitted | None]:
+    """Fit the classes of colours to the cells of all drafts that have imagery."""
+    filtered: list[Bands | None] = []
+    samples = []
+    for each in drafts:
+        if each.bands is None or not is_imagery(each.bands):
+            filtered.append(None)
+            continue
+        rough = each.structure.roughness_m
+        sample, bands = sample_to_classify(each.bands, each.surface.ndsm, rough, params)
+        samples.append(sample)
+        filtered.append(bands)
+    if not samples:
+        return [None] * len(drafts)
+    sample = pooled(samples, params.spectral.sample)
+    model = fit_model(sample, params.spectral) if len(sample) else None
+    return [None if bands is None else Fitted(model, bands) for bands in filtered]
+
+
+def _heights(drafts: Sequence[Draft], params: Params) -> tuple[float, ...]:
+    """Return the height scales of area3d; none without points."""
+    above = [each.above for each in drafts if each.above is not None and len(each.above)]
+    if not above:
+        return ()
+    every = above[0] if len(above) == 1 else np.concatenate(above)
+    return height_scales(every, params.area3d, mask_m=params.surface.mask_m)
+
+
+def _ndvi(drafts: Sequence[Draft], params: Params) -> float | None:
+    """Return the threshold of the points' NDVI; None where no point above the mask has one."""
+    found = []
+    for each in drafts:
+        if each.cloud is None or each.above is None:
+            continue
+        ndvi = point_ndvi(each.bands, each.cloud)
+        if ndvi is not None:
+            found.append(ndvi[(each.above >= params.surface.mask_m) & np.isfinite(ndvi)])
+    known = np.concatenate(found) if found else np.zeros(0, dtype=np.float32)
+    return ndvi_threshold(known, params.adaptive) if len(known) else None
+
+
+def settled(params: Params, plan: Plan) -> Params:
+    """Return the parameters with the values of a plan in place of those that a build finds."""
+    area3d, adaptive = params.area3d, params.adaptive
+    if plan.heights_m:
+        area3d = replace(area3d, heights_m=plan.heights_m)
+    if plan.ndvi_threshold is not None:
+        adaptive = replace(adaptive, ndvi_bounds=(plan.ndvi_threshold, plan.ndvi_threshold))
+    return replace(params, area3d=area3d, adaptive=adaptive, scale=replace(params.scale, scales_m2=plan.scales_m2))
+
+
+def fitted_by(plan: Plan, bands: Bands | None) -> Fitted | None:
+    """Return the classes of colours of a plan.
+
+    Raises
+    ------
+    InputError
+        When the plan is for other bands.
+    """
+    if bands is None or not is_imagery(bands):
+        return None
+    if plan.classes is not None and set(plan.classes.bands) != set(bands.names):
+        msg = (
+            f"The plan has classes of the bands {', '.join(plan.classes.bands)}; the survey has "
+            f"{', '.join(bands.names)}. Give images of these bands, or make a plan of this survey."
+        )
+        raise InputError(msg)
+    return Fitted(None if plan.classes is None else ClassModel.of_plan(plan.classes))
+
+
+def require_fitting(plan: Plan, surface: Surface, cloud: PointCloud | None) -> None:
+    """Refuse a survey in another CRS, on another lattice or of another kind of source than a plan.
+
+    Raises
+    ------
+    InputError
+        With what differs.
+    """
+    from pyproj import CRS
+
+    spec = surface.ndsm.spec
+    kinds = {True: "points", False: "rasters"}
+    given = {True: "a given terrain", False: "the ground detected among the points"}
+    terrain, planned = (name == GIVEN_GROUND for name in (surface.ground_filter, plan.ground_filter))
+    differ = [
+        (words_of(spec.crs), plan.crs, same_crs(CRS.from_user_input(plan.crs), spec.crs)),
+        (kinds[cloud is not None], kinds[plan.points is not None], (cloud is None) == (plan.points is None)),
+        (given[terrain], given[planned], terrain == planned),
+        (f"cells of {spec.cell_m:g} m", f"cells of {plan.cell_m:g} m", spec.cell_m == plan.cell_m),
+    ]
+    for ours, theirs, alike in differ:
+        if not alike:
+            msg = f"The survey has {ours}, its plan {theirs}. Give a plan that was made of such a survey."
+            raise InputError(msg)
+
+
+def words_of(crs: "CRS") -> str:
+    """Return a CRS as its authority's code, or as WKT where it has none."""
+    code = crs.to_authority()
+    return crs.to_wkt() if code is None else ":".join(code)
