@@ -183,7 +183,7 @@ def test_a_link_keeps_the_view(chromium, address):
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_the_page_is_accessible(chromium, address, theme):
-    """axe finds nothing, with a building open and two dates side by side."""
+    """Axe finds nothing, with a building open and two dates side by side."""
     from axe_playwright_python.sync_playwright import Axe
 
     context = chromium.new_context(bypass_csp=True)  # axe's own script is no part of the page
