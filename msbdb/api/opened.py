@@ -85,7 +85,7 @@ class Inventory:
     def view(
         self, out: str | Path, survey: str | None = None, *, of: str = "buildings", overwrite: bool = False
     ) -> None:
-        """Draw a map on a hillshade, as PNG; ``of`` as for ``msbdb view``."""
+        """Write a page in 3-D (.html) or a map; the options are those of `msbdb.api.view`."""
         view(self.db, Path(out), survey=survey, of=of, overwrite=overwrite)
 
     def export(

@@ -108,21 +108,36 @@ def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: s
 def view(
     db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings", overwrite: bool = False
 ) -> None:
-    """Draw a map on a hillshade, as PNG.
+    """Write a page of the town in 3-D, or draw a map on a hillshade.
 
     Parameters
     ----------
     db : str or path
         The database.
     out : path
-        The picture.
+        The file: ``.html`` for the page, ``.png``, ``.svg`` or ``.pdf`` for a map.
     survey : str, optional
         By default the current inventory; without an inventory all surveys, the newest on top. Surveys too far from the
         newest one for the same map are left out, with a notice.
     of : {'buildings', 'flatregions', 'area3d', 'adaptive'}
-        Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height.
+        Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height. The
+        page has buildings.
     overwrite : bool
-        Replace the picture if it exists.
+        Replace the file if it exists.
+
+    Raises
+    ------
+    InputError
+        For another ending, an unknown survey, or a page of more buildings and parts than a browser can show.
+    FileError
+        When the file exists already, or cannot be written.
+    MissingDependencyError
+        When this copy of msbdb lacks MapLibre GL JS, which the page contains.
+
+    Notes
+    -----
+    The page is one file that opens without a network. It shows the dates of the inventory, or the surveys where there
+    is none; docs/view.md describes it.
     """
     from msbdb.run.outputs import draw
 

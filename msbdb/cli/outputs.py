@@ -218,10 +218,20 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
 
 @command(
     "view",
-    examples=("msbdb view town.sqlite --out town.png", "msbdb view town.sqlite --of flatregions --out zones.png"),
+    examples=(
+        "msbdb view town.sqlite --out town.html",
+        "msbdb view town.sqlite --out town.png",
+        "msbdb view town.sqlite --of flatregions --out zones.png",
+    ),
 )
 @shared("db")
-@click.option("--out", type=OUTPUT_FILE, required=True, metavar="PICTURE", help="The file: .png, .svg or .pdf.")
+@click.option(
+    "--out",
+    type=OUTPUT_FILE,
+    required=True,
+    metavar="FILE",
+    help="The file: .html for a page in 3-D; .png, .svg or .pdf for a map.",
+)
 @click.option(
     "--of",
     type=click.Choice(["buildings", *REGION_DETECTORS]),
@@ -231,11 +241,13 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
 )
 @shared("overwrite", "survey")
 def view(*, db: str, out: Path, of: str, overwrite: bool, survey: str | None) -> None:
-    """Draw a map of the buildings, or of the regions of another detector, on a hillshade of the surface.
+    """Write a page of the town in 3-D, or draw a map of the buildings or of the regions of another detector.
 
-    Parts of buildings are outlined by scale and filled by height. Flat regions are coloured by their zone. Candidate
-    regions are coloured by the height scale that accepted them, or by their height. Without --survey, the current
-    inventory is drawn; without an inventory all surveys near the newest, which is on top.
+    The page is one file that any browser opens without a network: parts as blocks from coarse to fine, colours, dates
+    with what changed, a building's tree and evidence, and why there is no building at a place. Maps lie on a hillshade
+    of the surface. Parts of buildings are outlined by scale and filled by height. Flat regions are coloured by their
+    zone. Candidate regions are coloured by the height scale that accepted them, or by their height. Without --survey,
+    the inventory is shown; without an inventory all surveys near the newest, which is on top.
     """
     from msbdb import api
 

@@ -124,7 +124,7 @@ def tell_choice(engine: Engine, choice: Choice, *, named: bool = False) -> None:
 
 
 def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
-    """Draw a map; see `msbdb.api.view`."""
+    """Write a page or draw a map; see `msbdb.api.view`."""
     from msbdb.io.files import PICTURES, require_output
 
     require_output(out, overwrite=overwrite, endings=(*PICTURES, PAGE), sources=[db])

@@ -535,7 +535,22 @@
     if (row === NONE) return;
     $("details-title").textContent = `Building ${buildings.id[row]}`;
     const facts = town.fields.map(([name, words, digits]) => [words, valueOf(name, row, digits)]).filter(([, value]) => value !== null);
-    $("details-body").replaceChildren(table(facts), ...support(row), ...tree(row), ...past(row));
+    const every = make("details", {}, make("summary", { text: "All columns" }), table(facts));
+    $("details-body").replaceChildren(table(summary(row)), ...support(row), ...tree(row), ...past(row), every);
+  }
+
+  // What most readers want to know first.
+  function summary(row) {
+    const digits = Object.fromEntries(town.fields.map(([name, , own]) => [name, own]));
+    const value = (name) => (name in digits ? valueOf(name, row, digits[name]) : null);
+    const length = (name, unit, places) => (value(name) === null ? null : `${Number(value(name)).toFixed(places)} ${unit}`);
+    const [least, most] = [value("storeys_min"), value("storeys_max")];
+    const range = least === null || most === null || least === most ? "" : ` (${least} to ${most})`;
+    const years = value("valid_from") === null ? null : `${value("valid_from")} to ${value("valid_to") ?? "today"}`;
+    return [["State", value("state")], ["Probability", value("probability")], ["Valid", years], ["Survey", value("survey")],
+      ["Storeys", value("storeys") === null ? null : value("storeys") + range], ["Eaves", length("eaves", "m", 1)],
+      ["Ridge", length("ridge", "m", 1)], ["Level of the ground", length("z_ground", "m", 1)], ["Footprint", length("area_m2", "m²", 0)],
+      ["Imported", value("attributes")]].filter(([, own]) => own !== null);
   }
 
   function support(row) {
@@ -682,6 +697,7 @@
     }
     makeLayers();
     listen();
+    if (window.innerWidth <= 700) $("fold").click();
     document.body.classList.toggle("two", chosen.other !== NONE);
     $("pane-b").hidden = chosen.other === NONE;
     if (chosen.other === NONE) addPane(camera, chosen.view, NONE);

@@ -47,7 +47,7 @@ class Scripts(html.parser.HTMLParser):
         if self.inside:
             self.scripts.append("")
 
-    def handle_endtag(self, tag):
+    def handle_endtag(self, tag):  # noqa: ARG002  (the parser's interface)
         """Leave a script."""
         self.inside = False
 
@@ -220,9 +220,8 @@ def test_an_imported_inventory_without_surveys_is_shown(tmp_path, library):
     assert all(f"owner: {HOSTILE}" in own for own in data["buildings"]["values"]["attributes"])
 
 
-def test_blocks_of_a_scale_neither_overlap_nor_change_the_volume(town):
+def test_blocks_of_a_scale_neither_overlap_nor_change_the_volume():
     """On each scale the blocks of a tree cover its root once, and A h adds up to the root's."""
-    rng = np.random.default_rng(3)
     boxes = [shapely.box(0, 0, 12, 10), shapely.box(0, 0, 5, 10), shapely.box(6, 0, 12, 4), shapely.box(1, 1, 3, 3)]
     area = np.array([box.area for box in boxes])
     height = np.array([9.0, 12.0, 6.0, 15.0])
@@ -235,8 +234,6 @@ def test_blocks_of_a_scale_neither_overlap_nor_change_the_volume(town):
         assert shapely.union_all(shapes).area == pytest.approx(shapely.area(shapes).sum())
         assert shapely.area(shapes).sum() == pytest.approx(120.0)
         assert (shapely.area(shapes) * found.height_m[here]).sum() == pytest.approx(9.0 * 120.0)
-    order = rng.permutation(4)
-    assert len(set(order.tolist())) == 4
 
 
 def test_shapes_come_back_to_a_centimetre():
