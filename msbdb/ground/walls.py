@@ -5,7 +5,7 @@ The progressive filter is sure of some ground. What else is ground follows from 
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -28,6 +28,9 @@ BEGINNING = 0.3
 
 WAY_PX = 3
 """Width of a way, cells."""
+
+HOLLOW_M = 180.0
+"""Side of the neighbourhood whose share of deep cells is taken: as wide as the trend looks, nine blocks of 20 m."""
 
 
 def walled_ground(surface: Grid, params: GroundParams) -> Mask:
@@ -93,7 +96,7 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     cell_m = surface.spec.cell_m
     radius = max(1, round(params.clutter_m / cell_m))
     opened = opening(heights, 2 * radius + 1, None)
-    above_trend = opened - lower_trend(surface, params)
+    above_trend = _without_hollows(opened - lower_trend(surface, params), cell_m, params)
     sure = open_progressively(above_trend, cell_m, params.slope, params)
     decided = _decide(opened, sure, cell_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
@@ -101,6 +104,24 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     ground = decided & ~clutter
     reached: Mask = ground | _reached(heights, ground, cell_m, params)
     return reached & ~_wells(surface, reached, sure, params)
+
+
+def _without_hollows(above_trend: Heights, cell_m: float, params: GroundParams) -> Heights:
+    """Fill the few cells that lie deep below the trend from their rims, for the progressive filter alone.
+
+    Its windows are as wide as halls. A pit, a sunk road or false echoes would bring all terrain around them into doubt.
+    Where more of a neighbourhood lies deep, the trend lies on roofs, and the deep cells are streets and courts.
+    """
+    deep = above_trend < -params.wall_high_m
+    if not deep.any() or deep.all():
+        return above_trend
+    width = round(HOLLOW_M / cell_m) | 1
+    share, inside = (uniform_filter(part.astype(np.float32), width, mode="constant") for part in (deep, deep | ~deep))
+    labels, count = label_zones(deep)
+    few = sums(labels, share / inside, count) <= params.hollow_share * sizes(labels, count)
+    hollows = chosen_cells(labels, few)
+    rows, cols = distance_transform_edt(hollows, return_distances=False, return_indices=True)
+    return np.asarray(above_trend[rows, cols])
 
 
 def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:
