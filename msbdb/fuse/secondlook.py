@@ -16,6 +16,9 @@ Field = NDArray[np.float32]
 MOST = 0.5
 """An object is smooth where this share of its cells is."""
 
+SOME = 0.1
+"""A large object of which less is smooth may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
+
 
 def without_crowns(
     decided: Mask, share: Field, roughness_m: Field, params: FuseParams, *, clear: float, cell_m: float
@@ -37,7 +40,8 @@ def without_crowns(
         ``smooth_m``: cells of at most this roughness are smooth, in proportion on cells above 1 m; and the odds of a
         building by support and area (`msbdb.fuse.probability.building_probability`).
     clear : float
-        Objects of 50 m² with this mean share stay, and larger ones with a smaller share of the same odds.
+        Objects of 50 m² with this mean share stay, and larger ones with a smaller share of the same odds, if a tenth of
+        them is smooth.
     cell_m : float
         Side of a cell, metres.
 
@@ -57,12 +61,12 @@ def without_crowns(
     labels, count = label_zones(decided)
     area = sizes(labels, count)
     support = sums(labels, share, count) / area
-    # Smaller objects than a house need no more support than it: their smoothness decides.
-    area_m2 = np.maximum(area * cell_m**2, HOUSE_M2)
-    enough = building_probability(np.array([clear]), np.array([HOUSE_M2]), params)
-    doubtful = building_probability(support, area_m2, params) < enough
     limit_m = params.smooth_m * max(1.0, cell_m)
     smooth = sizes(labels[roughness_m <= limit_m], count) / area
+    # Smaller objects than a house need no more support than it: their smoothness decides.
+    area_m2 = np.where(smooth >= SOME, np.maximum(area * cell_m**2, HOUSE_M2), HOUSE_M2)
+    enough = building_probability(np.array([clear]), np.array([HOUSE_M2]), params)
+    doubtful = building_probability(support, area_m2, params) < enough
     return decided & ~chosen_cells(labels, doubtful & (smooth < MOST))
 
 

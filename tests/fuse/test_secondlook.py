@@ -45,12 +45,15 @@ def test_only_rough_objects_of_few_votes_go(votes, rough_share, kept):
 
 
 @pytest.mark.parametrize(
-    ("side", "share", "kept"), [(4, 0.6, False), (10, 0.6, True), (10, 0.55, False), (30, 0.55, True)]
+    ("side", "share", "smooth_rows", "kept"),
+    [(4, 0.6, 1, False), (10, 0.6, 2, True), (10, 0.6, 0, False), (10, 0.55, 2, False), (30, 0.55, 6, True)],
 )
-def test_a_large_rough_object_needs_less_support(side, share, kept):
-    """A block of 900 m² is no crown, though half of a detector less supports it than a house of 50 m² needs."""
+def test_a_large_rough_object_needs_less_support(side, share, smooth_rows, kept):
+    """A block of 900 m² of which a fifth is smooth is no crown, though it has less support than a small house needs."""
     decided = block((40, 40), (5, 5 + side), (5, 5 + side))
-    found = without_crowns(decided, share * decided, np.ones((40, 40)), PARAMS, clear=0.625, cell_m=1.0)
+    rough = np.ones((40, 40), dtype=np.float32)
+    rough[5 : 5 + smooth_rows] = 0.02
+    found = without_crowns(decided, share * decided, rough, PARAMS, clear=0.625, cell_m=1.0)
     assert np.array_equal(found, decided if kept else np.zeros_like(decided))
 
 
