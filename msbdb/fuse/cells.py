@@ -81,7 +81,8 @@ def fuse_cells(
         return decided
     roughness_m = evidence.roughness_mm.astype(np.float32) / np.float32(1000)
     limit_m = params.smooth_m * max(1.0, heights.spec.cell_m)
-    decided = without_crowns(decided, votes, roughness_m, clear=needed + 1, limit_m=limit_m)
+    share, clear = np.asarray(votes / len(regions), dtype=np.float32), (needed + 1) / len(regions)
+    decided = without_crowns(decided, share, roughness_m, params, clear=clear, cell_m=heights.spec.cell_m)
     smooth = (votes > 0) & (roughness_m <= limit_m) & (np.asarray(heights.values) >= mask_m)
     return _tidy(with_flush_planes(decided, smooth, heights, params), heights, params, mask_m)
 

@@ -5,36 +5,45 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from msbdb.fuse.probability import HOUSE_M2, building_probability
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, neighbours, sizes, sums
 from msbdb.params import FuseParams
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
-Votes = NDArray[np.int8]
 
 MOST = 0.5
 """An object is smooth where this share of its cells is."""
 
+SOME = 0.1
+"""A large object of which less is smooth may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
 
-def without_crowns(decided: Mask, votes: Votes, roughness_m: Field, *, clear: float, limit_m: float) -> Mask:
-    """Drop the objects that hardly enough detectors support, and that are mostly rough.
+
+def without_crowns(
+    decided: Mask, share: Field, roughness_m: Field, params: FuseParams, *, clear: float, cell_m: float
+) -> Mask:
+    """Drop the objects that hardly enough detectors support for their area, and that are mostly rough.
 
     Detectors of one kind share their errors: two that look at the surface take the same dense crown for a roof. A roof
-    that two others miss, by its size or its echoes, is still smooth.
+    that two others miss, by its size or its echoes, is still smooth, or larger than crowns are.
 
     Parameters
     ----------
     decided : (H, W) ndarray of bool
         Cells of buildings; objects are 8-connected.
-    votes : (H, W) ndarray of int8
-        Number of detectors that take a cell for building.
+    share : (H, W) ndarray of float32
+        Share of the detectors that take a cell for building.
     roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small window.
+    params : FuseParams
+        ``smooth_m``: cells of at most this roughness are smooth, in proportion on cells above 1 m; and the odds of a
+        building by support and area (`msbdb.fuse.probability.building_probability`).
     clear : float
-        Objects with this mean of votes stay.
-    limit_m : float
-        Cells of at most this roughness are smooth.
+        Objects of 50 m² with this mean share stay, and larger ones with a smaller share of the same odds, if a tenth of
+        them is smooth.
+    cell_m : float
+        Side of a cell, metres.
 
     Returns
     -------
@@ -46,14 +55,19 @@ def without_crowns(decided: Mask, votes: Votes, roughness_m: Field, *, clear: fl
 
     >>> decided = np.array([[True, True, False, True, True]])
     >>> rough = np.float32([[0.02, 0.03, 1, 0.2, 0.1]])
-    >>> without_crowns(decided, 2 * np.int8(decided), rough, clear=2.5, limit_m=0.06).astype(int)
+    >>> without_crowns(decided, decided / 2, rough, FuseParams(), clear=0.625, cell_m=1.0).astype(int)
     array([[1, 1, 0, 0, 0]])
     """
     labels, count = label_zones(decided)
     area = sizes(labels, count)
-    support = sums(labels, votes, count) / area
+    support = sums(labels, share, count) / area
+    limit_m = params.smooth_m * max(1.0, cell_m)
     smooth = sizes(labels[roughness_m <= limit_m], count) / area
-    return decided & ~chosen_cells(labels, (support < clear) & (smooth < MOST))
+    # Smaller objects than a house need no more support than it: their smoothness decides.
+    area_m2 = np.where(smooth >= SOME, np.maximum(area * cell_m**2, HOUSE_M2), HOUSE_M2)
+    enough = building_probability(np.array([clear]), np.array([HOUSE_M2]), params)
+    doubtful = building_probability(support, area_m2, params) < enough
+    return decided & ~chosen_cells(labels, doubtful & (smooth < MOST))
 
 
 def with_flush_planes(decided: Mask, candidates: Mask, heights: Grid, params: FuseParams) -> Mask:

@@ -5,7 +5,7 @@ The progressive filter is sure of some ground. What else is ground follows from 
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -29,13 +29,20 @@ BEGINNING = 0.3
 WAY_PX = 3
 """Width of a way, cells."""
 
+MOST_HOUSES = 0.5
+"""A hollow lies in terrain if at most so much of its rim are houses; of a court it is nearly all."""
+
+HOLLOW_M = 180.0
+"""Side of the square in which hollows are compared with what stands: as wide as the trend looks, nine blocks."""
+
 
 def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     """Detect ground cells by the walls between cells.
 
     1. An opening with a square of half-width ``clutter_m`` removes crowns, cars and masts.
     2. The trend of the terrain is subtracted (`lower_trend`), and the progressive filter runs on the rest. It is
-       strict: what it keeps is ground.
+       strict: what it keeps is ground. Closed hollows in terrain, deeper than ``wall_high_m``, that cover at most
+       ``hollow_share`` as much as what stands around them are filled for it: pits, and false echoes from below.
     3. A minimum cut decides all other cells at once. With f the share of a wall, from 0 at a step of ``wall_low_m``
        to 1 at ``wall_high_m``, a pair of neighbours costs
 
@@ -93,7 +100,7 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     cell_m = surface.spec.cell_m
     radius = max(1, round(params.clutter_m / cell_m))
     opened = opening(heights, 2 * radius + 1, None)
-    above_trend = opened - lower_trend(surface, params)
+    above_trend = _without_hollows(opened - lower_trend(surface, params), cell_m, params)
     sure = open_progressively(above_trend, cell_m, params.slope, params)
     decided = _decide(opened, sure, cell_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
@@ -101,6 +108,32 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     ground = decided & ~clutter
     reached: Mask = ground | _reached(heights, ground, cell_m, params)
     return reached & ~_wells(surface, reached, sure, params)
+
+
+def _without_hollows(above_trend: Heights, cell_m: float, params: GroundParams) -> Heights:
+    """Fill the hollows in terrain from their rims, for the progressive filter alone: pits and false echoes from below.
+
+    The windows are as wide as halls, so that a pit would bring all terrain between it and the next low place into
+    doubt. A hollow lies deep below the trend. It is closed, few as much beside what stands around it, and its rim is no
+    wall of houses: the streets and courts of a dense town, whose trend lies near the roofs, are no hollows.
+    """
+    deep, high = above_trend < -params.wall_high_m, above_trend > params.wall_high_m
+    if not deep.any():
+        return above_trend
+    width = round(HOLLOW_M / cell_m) | 1
+    below, above = (uniform_filter(part.astype(np.float32), width, mode="constant") for part in (deep, high))
+    labels, count = label_zones(deep)
+    few = sums(labels, below - params.hollow_share * above, count) <= 0
+    rim, houses = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    for one, other in neighbours(deep.shape):
+        for here, there in ((one, other), (other, one)):
+            edge = deep[here] & ~deep[there]
+            rim += sizes(labels[here][edge], count)
+            houses += sizes(labels[here][edge & high[there]], count)
+    border = np.concatenate([labels[side].ravel() for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])])
+    hollows = chosen_cells(labels, few & (houses <= MOST_HOUSES * rim) & (sizes(border, count) == 0))
+    rows, cols = distance_transform_edt(hollows, return_distances=False, return_indices=True)
+    return np.asarray(above_trend[rows, cols])
 
 
 def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:

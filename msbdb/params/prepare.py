@@ -66,6 +66,9 @@ class GroundParams:
         low=0, high=10)
     podium_share: float = param(0.9, "1", "Filter by walls: a region that falls by walls for this share is a building.",
         ours="nearly all around; a way up, or the tile's border, is enough for terrain", low=0.5, high=1)
+    hollow_share: float = param(0.25, "1",
+        "Filter by walls: area of hollows, per area of what stands above the trend, up to which they are pits.",
+        ours="an excavation of 20 m beside two rows of houses; 0 is off", low=0, high=1)
     even_step_m: float = param(0.3, "m", "Filter by walls: what rises by more from cell to cell of 1 m is no way.",
         ours="the steepest streets; 0.2 to 0.4 m give the same", low=0.01, high=2)
     reached_share: float = param(0.75, "1",

@@ -4,6 +4,7 @@ Each measure is taken in a window around the cell. Then the best of all windows 
 edge this window lies on the roof, so that edges are not blurred (Kuwahara et al. 1976).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,14 +44,14 @@ class Echoes:
 
 
 def window_cells(window_m: float, cell_m: float) -> int:
-    """Return the odd number of cells nearest to a window, at least 3.
+    """Return the odd number of cells nearest to a window, at least 3; of two as near the larger one.
 
     Examples
     --------
-    >>> window_cells(1.5, 0.5), window_cells(1.5, 0.3), window_cells(1.5, 2.0)
-    (3, 5, 3)
+    >>> window_cells(1.5, 0.5), window_cells(1.5, 0.4), window_cells(1.5, 0.3), window_cells(1.5, 2.0)
+    (3, 3, 5, 3)
     """
-    return max(3, round(window_m / cell_m) | 1)
+    return max(3, 2 * math.floor(window_m / cell_m / 2) + 1)
 
 
 def roughness(samples: Samples, window_m: float) -> Field:

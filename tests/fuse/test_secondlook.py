@@ -39,9 +39,22 @@ def test_only_rough_objects_of_few_votes_go(votes, rough_share, kept):
     decided = block(shape, (5, 15), (5, 15))
     rough = np.full(shape, 0.02, dtype=np.float32)
     rough[5 : 5 + round(10 * rough_share), 5:15] = 0.3
-    found = without_crowns(decided, np.int8(votes) * decided, rough, clear=2.5, limit_m=0.06)
+    found = without_crowns(decided, votes / 4 * decided, rough, PARAMS, clear=0.625, cell_m=1.0)
     assert found.any() == kept
     assert np.array_equal(found, decided if kept else np.zeros(shape, dtype=bool))
+
+
+@pytest.mark.parametrize(
+    ("side", "share", "smooth_rows", "kept"),
+    [(4, 0.6, 1, False), (10, 0.6, 2, True), (10, 0.6, 0, False), (10, 0.55, 2, False), (30, 0.55, 6, True)],
+)
+def test_a_large_rough_object_needs_less_support(side, share, smooth_rows, kept):
+    """A block of 900 m² of which a fifth is smooth is no crown, though it has less support than a small house needs."""
+    decided = block((40, 40), (5, 5 + side), (5, 5 + side))
+    rough = np.ones((40, 40), dtype=np.float32)
+    rough[5 : 5 + smooth_rows] = 0.02
+    found = without_crowns(decided, share * decided, rough, PARAMS, clear=0.625, cell_m=1.0)
+    assert np.array_equal(found, decided if kept else np.zeros_like(decided))
 
 
 def test_each_object_is_judged_by_itself():
@@ -49,7 +62,7 @@ def test_each_object_is_judged_by_itself():
     shape = (10, 30)
     house, crown = block(shape, (2, 8), (2, 12)), block(shape, (2, 8), (15, 22))
     rough = np.where(crown, 0.2, 0.03).astype(np.float32)
-    found = without_crowns(house | crown, 2 * np.int8(house | crown), rough, clear=2.5, limit_m=0.06)
+    found = without_crowns(house | crown, (house | crown) / 2, rough, PARAMS, clear=0.625, cell_m=1.0)
     np.testing.assert_array_equal(found, house)
 
 

@@ -1,5 +1,7 @@
 """The ground by its walls, on small worlds in which filters with windows fail."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -155,3 +157,33 @@ def test_a_well_in_a_roof_is_ground_only_where_it_reaches_down_to_the_terrain(fl
     ground[78:83, 90:95] = False
     assert not ground[block].any()
     assert ground[:30].mean() > 0.98
+
+
+def narrow_tile(pits):
+    """Return a small tile with two rows of houses across it; some squares of the plain lie 6 m deeper."""
+    heights = np.zeros((150, 72))
+    heights[30:42], heights[110:122] = 9, 9
+    for row, col, side in pits:
+        heights[row : row + side, col : col + side] = -6
+    return heights
+
+
+@pytest.mark.parametrize("pits", [[(65, 26, 20)], [(50, 10, 4), (70, 60, 4), (75, 30, 5), (98, 12, 4), (60, 45, 4)]])
+def test_pits_and_false_echoes_do_not_lift_the_terrain_around_them(pits):
+    """An excavation of 20 m, or clusters of echoes from below, in the plain between two rows of houses."""
+    heights = narrow_tile(pits)
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[heights == 9].any()
+    assert ground[heights == 0].mean() > 0.97
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25])
+def test_courts_below_flat_roofs_are_no_hollows(share):
+    """Nothing stands on the roofs of a town, on which its trend lies: its courts and lanes stay the ground."""
+    heights = np.full((120, 120), 9.0)
+    heights[:, 40:44], heights[70:74] = 0, 0
+    for row, col in [(15, 15), (20, 80), (95, 20), (100, 90)]:
+        heights[row : row + 6, col : col + 6] = 0
+    ground = walled_ground(grid(heights), replace(PARAMS, hollow_share=share))
+    assert ground[heights == 0].mean() > 0.9
+    assert ground[heights == 9].mean() < 0.02
