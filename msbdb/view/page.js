@@ -58,9 +58,8 @@
     const values = buildings.values;
     const chance = values.probability ? values.probability[row] : null;
     return {
-      type: "Feature",
       id,
-      geometry: { type: "MultiPolygon", coordinates: shape.map((polygon) => polygon.map(ring)) },
+      shape,
       properties: {
         row, part, low, high, first: buildings.first[row], after: buildings.after[row], state: stateOf(row),
         height: height === null ? NONE : height / 100, chance: chance === null ? NONE : chance / 1000, ...more,
@@ -83,17 +82,20 @@
     })));
   const featuresOf = buildings.id.map(() => []);
   features.forEach((own) => featuresOf[own.properties.row].push(own.id));
-  const everything = { type: "FeatureCollection", features };
+  // Coordinates are made when a map takes them.
+  const asGeoJson = ({ id, shape, properties }) =>
+    ({ type: "Feature", id, properties, geometry: { type: "MultiPolygon", coordinates: shape.map((polygon) => polygon.map(ring)) } });
 
   function boundsOf(numbers) {
-    const box = [Infinity, Infinity, -Infinity, -Infinity];
+    let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
     for (const id of numbers)
-      for (const polygon of features[id].geometry.coordinates)
-        for (const [x, y] of polygon[0]) {
-          box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y);
-          box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y);
+      for (const [shell] of features[id].shape)
+        for (let at = 0, x = 0, y = 0; at < shell.length; at += 2) {
+          x += shell[at];
+          y += shell[at + 1];
+          [west, south, east, north] = [Math.min(west, x), Math.min(south, y), Math.max(east, x), Math.max(north, y)];
         }
-    return box[0] < Infinity ? [[box[0], box[1]], [box[2], box[3]]] : null;
+    return west < Infinity ? [degrees(west, south), degrees(east, north)] : null;
   }
 
   const corners = town.place.corners.map(([x, y]) => degrees(x, y)); // north-west, then clockwise
@@ -300,7 +302,7 @@
       version: 8,
       light: { anchor: "map", position: [1.3, 315, 40], intensity: 0.28 },
       sources: {
-        town: { type: "geojson", data: everything, maxzoom: 18, buffer: 32, tolerance: 0.2 },
+        town: { type: "geojson", data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) }, maxzoom: 18, buffer: 32, tolerance: 0.2 },
         ...(town.ground && { ground: image(town.ground) }),
         ...(town.reasons && { reasons: image(town.reasons.image) }),
       },
@@ -338,6 +340,8 @@
       pickAt(map, middle, map.getCenter());
     });
     const ready = new Promise((done) => map.once("load", done));
+    const late = features.filter((own) => !isEarly(own));
+    map.once("idle", () => map.getSource("town").updateData({ add: late.map(asGeoJson) }));
     const pane = { map, ready, which, marked: [] };
     panes.push(pane);
     return pane;
@@ -367,6 +371,10 @@
     const hidden = STATES.map(([name], n) => (chosen.hidden.has(name) ? n : null)).filter((n) => n !== null);
     return ["all", time, ["!", ["in", ["get", "state"], ["literal", hidden]]]];
   }
+
+  // A map begins with the blocks that it shows, and gets the others when these are seen: so the first picture comes in half
+  // of the time.
+  const isEarly = ({ properties: { low, high } }) => low <= chosen.scale && chosen.scale <= high;
 
   const levelOf = (scale) => ["all", ["<=", ["get", "low"], scale], [">=", ["get", "high"], scale]];
 
