@@ -13,11 +13,11 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import Transformer
 
+from msbdb.change.netchange import with_beginnings
 from msbdb.database import (
     Engine,
     database_crs_of,
     footprint_at,
-    read_changes,
     read_classes,
     read_pieces,
     read_rasters,
@@ -27,6 +27,7 @@ from msbdb.database import (
     summarise_inventory,
     summarise_run,
 )
+from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError, PassingNotice, counted
 from msbdb.grid import Grid
 from msbdb.kept import lattice_of
@@ -442,7 +443,8 @@ def _changes(db: str | Path, engine: Engine, stock: _Stock) -> dict[str, Any]:
             )  # fmt: skip
             table = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
             pairs[f"{first}-{second}"] = _change_rows(table, kinds, row_of)
-    each = read_changes(engine)
+    period = read_period(engine)
+    each = with_beginnings(period.changes, period.events, None)
     each = each[(each["kind"] != "unchanged") & each["date"].astype(str).isin(days)]
     number = {day: view for view, day in enumerate(days)}
     rows = _change_rows(each, kinds, row_of)

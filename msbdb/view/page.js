@@ -302,7 +302,8 @@
       version: 8,
       light: { anchor: "map", position: [1.3, 315, 40], intensity: 0.28 },
       sources: {
-        town: { type: "geojson", data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) }, maxzoom: 18, buffer: 32, tolerance: 0.2 },
+        town: { type: "geojson", maxzoom: 18, buffer: 32, tolerance: 0.2,
+          data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) } },
         ...(town.ground && { ground: image(town.ground) }),
         ...(town.reasons && { reasons: image(town.reasons.image) }),
       },
@@ -452,8 +453,10 @@
   }
 
   function makeLayers() {
-    const rows = [["blocks", "buildings in 3-D"], ["outlines", "footprints"], ...(town.ground ? [["ground", "light and shadow of the surface"]] : []),
-      ...(town.reasons ? [["reasons", "why there is no building"]] : []), ...(states.includes("refuted") ? [["refuted", "refuted buildings"]] : [])];
+    const rows = [["blocks", "buildings in 3-D"], ["outlines", "footprints"],
+      ...(town.ground ? [["ground", "light and shadow of the surface"]] : []),
+      ...(town.reasons ? [["reasons", "why there is no building"]] : []),
+      ...(states.includes("refuted") ? [["refuted", "refuted buildings"]] : [])];
     $("layers").replaceChildren(...rows.map(([name, words]) => {
       const box = make("input", { type: "checkbox", name });
       box.addEventListener("change", () => {
@@ -522,8 +525,9 @@
   }
 
   function goTo(row) {
-    const box = boundsOf(featuresOf[row]);
-    if (box) panes[0].map.fitBounds(box, { padding: 120, maxZoom: 18, pitch: panes[0].map.getPitch(), bearing: panes[0].map.getBearing(), duration: 600 });
+    const box = boundsOf(featuresOf[row]), { map } = panes[0];
+    const camera = { pitch: map.getPitch(), bearing: map.getBearing(), maxZoom: 18, duration: 600 };
+    if (box) map.fitBounds(box, { ...camera, padding: Math.min(120, map.getContainer().clientWidth / 5) });
   }
 
   function valueOf(name, row, digits) {
@@ -594,10 +598,12 @@
     if (!town.inventory) return [];
     const rows = [...buildings.id.keys()].filter((own) => buildings.id[own] === buildings.id[row]);
     const lines = rows.map((own) => {
-      const began = town.history.filter(([, , , after]) => after === own).map(([view, kind]) => `${town.kinds[kind][0]} in ${views[view].name}`);
-      const ended = town.history.filter(([, kind, before, after]) => before === own && after === NONE).map(([view]) => `demolished in ${views[view].name}`);
-      const to = valueOf("valid_to", own, 0), height = buildings.height[own];
-      const words = [`${valueOf("valid_from", own, 0)} to ${to === null ? "today" : to}`, states[own], `mean height ${metres(height)}`, ...began, ...ended];
+      const began = town.history.filter(([, , , after]) => after === own)
+        .map(([view, kind]) => `${town.kinds[kind][0]} in ${views[view].name}`);
+      const ended = town.history.filter(([, , before, after]) => before === own && after === NONE)
+        .map(([view]) => `demolished in ${views[view].name}`);
+      const days = `${valueOf("valid_from", own, 0)} to ${valueOf("valid_to", own, 0) ?? "today"}`;
+      const words = [days, states[own], `mean height ${metres(buildings.height[own])}`, ...began, ...ended];
       return make("li", { text: words.join(", ") });
     });
     return [make("h3", { text: "History" }), make("ol", { class: "history" }, ...lines)];
@@ -689,7 +695,11 @@
       if (event.target.matches("input[type=search], select") || event.ctrlKey || event.metaKey || event.altKey) return;
       const step = { "[": -1, "]": 1 }[event.key];
       if (event.key === "/") { event.preventDefault(); $("query").focus(); }
-      else if (step) { chosen.scale = Math.max(0, Math.min(finest, chosen.scale + step)); draw(); say(`Scale ${scaleWords(chosen.scale)}`); }
+      else if (step) {
+        chosen.scale = Math.max(0, Math.min(finest, chosen.scale + step));
+        draw();
+        say(`Scale ${scaleWords(chosen.scale)}`);
+      }
     });
   }
 
