@@ -27,6 +27,9 @@
   // The town as features -------------------------------------------------------------------------------------------
 
   const finest = town.scales.length;
+  const rowsOf = new Map(); // by id: a building of the inventory has a row for each of its versions
+  buildings.id.forEach((id, row) => rowsOf.set(id, [...(rowsOf.get(id) || []), row]));
+  const versionsOf = (row) => (row === NONE ? [] : rowsOf.get(buildings.id[row]));
   const partsOf = buildings.id.map(() => []);
   parts.building.forEach((row, part) => partsOf[row].push(part));
   const childrenOf = parts.id.map(() => []);
@@ -151,9 +154,9 @@
     return camera.length === 5 && camera.every(Number.isFinite) ? camera : null;
   }
 
-  // A building of the inventory has a row for each of its versions: the one that is shown, else the last.
+  // The version that is shown, else the last.
   function rowOf(id) {
-    const rows = [...buildings.id.keys()].filter((row) => buildings.id[row] === id);
+    const rows = rowsOf.get(id) || [];
     return rows.find((row) => isShown(row)) ?? rows.at(-1) ?? NONE;
   }
 
@@ -286,7 +289,7 @@
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.75, "raster-resampling": "nearest" } }] : []),
       { id: "outlines", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], filter],
         layout: isSeen("outlines"), paint: { "line-color": css("--line"), "line-width": 1 } },
-      { id: "picked", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], ["==", ["get", "row"], chosen.picked]],
+      { id: "picked", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], ["in", ["get", "row"], ["literal", versionsOf(chosen.picked)]], filter],
         layout: {}, paint: { "line-color": PICKED, "line-width": 3 } },
       { id: "blocks", type: "fill-extrusion", source: "town", filter: ["all", filter, levelOf(chosen.scale)], layout: isSeen("blocks"),
         paint: {
@@ -394,8 +397,8 @@
       const rows = side === 0 ? [before] : side === 1 ? [after] : [before, after];
       rows.filter((row) => row !== NONE).forEach((row) => featuresOf[row].forEach((id) => mark(id, { kind })));
     }
-    if (chosen.picked !== NONE)
-      featuresOf[chosen.picked].filter((id) => chosen.part === NONE || features[id].properties.part === chosen.part)
+    for (const row of versionsOf(chosen.picked))
+      featuresOf[row].filter((id) => chosen.part === NONE || row !== chosen.picked || features[id].properties.part === chosen.part)
         .forEach((id) => mark(id, { on: true }));
     $(`tag-${pane.which}`).textContent = viewWords(view);
     $(`tag-${pane.which}`).hidden = chosen.other === NONE;
@@ -526,7 +529,7 @@
 
   function goTo(row) {
     const box = boundsOf(featuresOf[row]), { map } = panes[0];
-    const camera = { pitch: map.getPitch(), bearing: map.getBearing(), maxZoom: 18, duration: 600 };
+    const camera = { pitch: Math.min(map.getPitch(), 35), bearing: map.getBearing(), maxZoom: 18, duration: 600 };
     if (box) map.fitBounds(box, { ...camera, padding: Math.min(120, map.getContainer().clientWidth / 5) });
   }
 
@@ -596,8 +599,7 @@
 
   function past(row) {
     if (!town.inventory) return [];
-    const rows = [...buildings.id.keys()].filter((own) => buildings.id[own] === buildings.id[row]);
-    const lines = rows.map((own) => {
+    const lines = versionsOf(row).map((own) => {
       const began = town.history.filter(([, , , after]) => after === own)
         .map(([view, kind]) => `${town.kinds[kind][0]} in ${views[view].name}`);
       const ended = town.history.filter(([, , before, after]) => before === own && after === NONE)
