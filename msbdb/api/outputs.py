@@ -139,6 +139,13 @@ def view(
     The page is one file that opens without a network. It shows the dates of the inventory, or the surveys where there
     is none; docs/view.md describes it.
     """
+    from msbdb.io.files import PAGE
+
+    if Path(out).suffix.lower() == PAGE:
+        from msbdb.run.page import view_page
+
+        view_page(db, Path(out), survey=survey, of=of, overwrite=overwrite)
+        return
     from msbdb.run.outputs import draw
 
     draw(db, Path(out), survey=survey, of=of, overwrite=overwrite)

@@ -18,6 +18,9 @@ SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".sh
 PICTURES = (".png", ".svg", ".pdf")
 """The endings of a map or figure."""
 
+PAGE = ".html"
+"""The ending of a page in 3-D."""
+
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
 """The beginning of a URL. A single letter is a drive, and ``Path`` makes one slash of two."""
 

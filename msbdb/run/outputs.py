@@ -26,7 +26,7 @@ from msbdb.database import (
     summarise_inventory,
     summarise_run,
 )
-from msbdb.errors import InputError, PassingNotice, counted
+from msbdb.errors import PassingNotice, counted
 from msbdb.kept import heights_of
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
@@ -40,9 +40,6 @@ Bounds = tuple[float, float, float, float]
 
 LAYERS = {"footprint": BUILDING, "part": PART, "flat_region": FLAT_REGION, "candidate_region": CANDIDATE_REGION}
 """The layers of a map and their tables."""
-
-PAGE = ".html"
-"""The ending of a page in 3-D."""
 
 EMPTY_MAP = (0.0, 0.0, 100.0, 100.0)
 """Extent of a map of nothing, metres."""
@@ -124,18 +121,15 @@ def tell_choice(engine: Engine, choice: Choice, *, named: bool = False) -> None:
 
 
 def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
-    """Write a page or draw a map; see `msbdb.api.view`."""
-    from msbdb.io.files import PICTURES, require_output
+    """Draw a map; see `msbdb.api.view`."""
+    from msbdb.io.files import PAGE, PICTURES, require_output
 
     require_output(out, overwrite=overwrite, endings=(*PICTURES, PAGE), sources=[db])
-    if out.suffix.lower() == PAGE:
-        _write_page(db, out, survey=survey, of=of)
-        return
     from msbdb.view.buildingmap import draw_map
     from msbdb.view.regionmap import draw_candidates, draw_zones
 
     with opened(db) as engine:
-        choice = _of_one_place(engine, choose(engine, survey))
+        choice = of_one_place(engine, choose(engine, survey))
         frames, thresholds = _frames(engine, choice), _thresholds(engine, choice)
         relief = relief_for(engine, choice, frames["footprint"])
         dates = [read_survey(engine, name).date for name in choice.surveys]
@@ -162,21 +156,7 @@ def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: b
     draw_map(parts, buildings, relief, out, title=title, subtitle=subtitle, thresholds_m2=thresholds)
 
 
-def _write_page(db: str | Path, out: Path, *, survey: str | None, of: str) -> None:
-    """Write the page of a database."""
-    if of != "buildings":
-        msg = f"The page shows buildings and their parts; leave out --of {of}, or write a picture: .png, .svg or .pdf."
-        raise InputError(msg)
-    from msbdb.run.page import town_of
-    from msbdb.view.page import read_library, write_page
-
-    library = read_library()
-    with opened(db) as engine:
-        town = town_of(db, engine, _of_one_place(engine, choose(engine, survey)))
-    write_page(town, out, library)
-
-
-def _of_one_place(engine: Engine, choice: Choice) -> Choice:
+def of_one_place(engine: Engine, choice: Choice) -> Choice:
     """Leave out, with a notice, surveys that are too far from the newest one for the same map.
 
     Surveys are of one place when the gap between them, or between each and the next, is less than the larger is wide.

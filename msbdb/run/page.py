@@ -13,11 +13,12 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import Transformer
 
+from msbdb.change.netchange import with_beginnings
 from msbdb.database import (
     Engine,
     database_crs_of,
     footprint_at,
-    read_changes,
+    opened,
     read_classes,
     read_pieces,
     read_rasters,
@@ -27,17 +28,19 @@ from msbdb.database import (
     summarise_inventory,
     summarise_run,
 )
+from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError, PassingNotice, counted
 from msbdb.grid import Grid
+from msbdb.io.files import require_output
 from msbdb.kept import lattice_of
 from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
-from msbdb.run.outputs import Choice, relief_for
+from msbdb.run.outputs import Choice, choose, of_one_place, relief_for
 from msbdb.tables import BUILDING, DETECTOR_SHARES, PART, REASONS, Reason
 from msbdb.tables.aliases import words_of
 from msbdb.tables.view_columns import VIEW_COLUMNS
 from msbdb.view.blocks import blocks_of
 from msbdb.view.buildingmap import KINDS, shading
-from msbdb.view.page import DEGREE, image_uri, shapes_of
+from msbdb.view.page import DEGREE, image_uri, read_library, shapes_of, write_page
 
 MOST_PARTS = 60_000
 """Buildings and parts beyond which the page would be slow (ours): 10,000 buildings have about 40,000."""
@@ -115,6 +118,18 @@ class _Stock:
     views: list[dict[str, str]]
     buildings: gpd.GeoDataFrame
     parts: gpd.GeoDataFrame
+
+
+def view_page(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
+    """Write a page; see `msbdb.api.view`."""
+    require_output(out, overwrite=overwrite, sources=[db])
+    if of != "buildings":
+        msg = f"The page shows buildings and their parts; leave out --of {of}, or write a picture: .png, .svg or .pdf."
+        raise InputError(msg)
+    library = read_library()
+    with opened(db) as engine:
+        town = town_of(db, engine, of_one_place(engine, choose(engine, survey)))
+    write_page(town, out, library)
 
 
 def town_of(db: str | Path, engine: Engine, choice: Choice) -> dict[str, Any]:
@@ -442,7 +457,8 @@ def _changes(db: str | Path, engine: Engine, stock: _Stock) -> dict[str, Any]:
             )  # fmt: skip
             table = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
             pairs[f"{first}-{second}"] = _change_rows(table, kinds, row_of)
-    each = read_changes(engine)
+    period = read_period(engine)
+    each = with_beginnings(period.changes, period.events, None)
     each = each[(each["kind"] != "unchanged") & each["date"].astype(str).isin(days)]
     number = {day: view for view, day in enumerate(days)}
     rows = _change_rows(each, kinds, row_of)

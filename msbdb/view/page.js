@@ -27,6 +27,9 @@
   // The town as features -------------------------------------------------------------------------------------------
 
   const finest = town.scales.length;
+  const rowsOf = new Map(); // by id: a building of the inventory has a row for each of its versions
+  buildings.id.forEach((id, row) => rowsOf.set(id, [...(rowsOf.get(id) || []), row]));
+  const versionsOf = (row) => (row === NONE ? [] : rowsOf.get(buildings.id[row]));
   const partsOf = buildings.id.map(() => []);
   parts.building.forEach((row, part) => partsOf[row].push(part));
   const childrenOf = parts.id.map(() => []);
@@ -58,9 +61,8 @@
     const values = buildings.values;
     const chance = values.probability ? values.probability[row] : null;
     return {
-      type: "Feature",
       id,
-      geometry: { type: "MultiPolygon", coordinates: shape.map((polygon) => polygon.map(ring)) },
+      shape,
       properties: {
         row, part, low, high, first: buildings.first[row], after: buildings.after[row], state: stateOf(row),
         height: height === null ? NONE : height / 100, chance: chance === null ? NONE : chance / 1000, ...more,
@@ -83,17 +85,20 @@
     })));
   const featuresOf = buildings.id.map(() => []);
   features.forEach((own) => featuresOf[own.properties.row].push(own.id));
-  const everything = { type: "FeatureCollection", features };
+  // Coordinates are made when a map takes them.
+  const asGeoJson = ({ id, shape, properties }) =>
+    ({ type: "Feature", id, properties, geometry: { type: "MultiPolygon", coordinates: shape.map((polygon) => polygon.map(ring)) } });
 
   function boundsOf(numbers) {
-    const box = [Infinity, Infinity, -Infinity, -Infinity];
+    let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
     for (const id of numbers)
-      for (const polygon of features[id].geometry.coordinates)
-        for (const [x, y] of polygon[0]) {
-          box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y);
-          box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y);
+      for (const [shell] of features[id].shape)
+        for (let at = 0, x = 0, y = 0; at < shell.length; at += 2) {
+          x += shell[at];
+          y += shell[at + 1];
+          [west, south, east, north] = [Math.min(west, x), Math.min(south, y), Math.max(east, x), Math.max(north, y)];
         }
-    return box[0] < Infinity ? [[box[0], box[1]], [box[2], box[3]]] : null;
+    return west < Infinity ? [degrees(west, south), degrees(east, north)] : null;
   }
 
   const corners = town.place.corners.map(([x, y]) => degrees(x, y)); // north-west, then clockwise
@@ -149,9 +154,9 @@
     return camera.length === 5 && camera.every(Number.isFinite) ? camera : null;
   }
 
-  // A building of the inventory has a row for each of its versions: the one that is shown, else the last.
+  // The version that is shown, else the last.
   function rowOf(id) {
-    const rows = [...buildings.id.keys()].filter((row) => buildings.id[row] === id);
+    const rows = rowsOf.get(id) || [];
     return rows.find((row) => isShown(row)) ?? rows.at(-1) ?? NONE;
   }
 
@@ -284,7 +289,7 @@
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.75, "raster-resampling": "nearest" } }] : []),
       { id: "outlines", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], filter],
         layout: isSeen("outlines"), paint: { "line-color": css("--line"), "line-width": 1 } },
-      { id: "picked", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], ["==", ["get", "row"], chosen.picked]],
+      { id: "picked", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], ["in", ["get", "row"], ["literal", versionsOf(chosen.picked)]], filter],
         layout: {}, paint: { "line-color": PICKED, "line-width": 3 } },
       { id: "blocks", type: "fill-extrusion", source: "town", filter: ["all", filter, levelOf(chosen.scale)], layout: isSeen("blocks"),
         paint: {
@@ -300,7 +305,8 @@
       version: 8,
       light: { anchor: "map", position: [1.3, 315, 40], intensity: 0.28 },
       sources: {
-        town: { type: "geojson", data: everything, maxzoom: 18, buffer: 32, tolerance: 0.2 },
+        town: { type: "geojson", maxzoom: 18, buffer: 32, tolerance: 0.2,
+          data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) } },
         ...(town.ground && { ground: image(town.ground) }),
         ...(town.reasons && { reasons: image(town.reasons.image) }),
       },
@@ -338,6 +344,8 @@
       pickAt(map, middle, map.getCenter());
     });
     const ready = new Promise((done) => map.once("load", done));
+    const late = features.filter((own) => !isEarly(own));
+    map.once("idle", () => map.getSource("town").updateData({ add: late.map(asGeoJson) }));
     const pane = { map, ready, which, marked: [] };
     panes.push(pane);
     return pane;
@@ -368,6 +376,10 @@
     return ["all", time, ["!", ["in", ["get", "state"], ["literal", hidden]]]];
   }
 
+  // A map begins with the blocks that it shows, and gets the others when these are seen: so the first picture comes in half
+  // of the time.
+  const isEarly = ({ properties: { low, high } }) => low <= chosen.scale && chosen.scale <= high;
+
   const levelOf = (scale) => ["all", ["<=", ["get", "low"], scale], [">=", ["get", "high"], scale]];
 
   async function drawPane(pane, view, side) {
@@ -385,8 +397,8 @@
       const rows = side === 0 ? [before] : side === 1 ? [after] : [before, after];
       rows.filter((row) => row !== NONE).forEach((row) => featuresOf[row].forEach((id) => mark(id, { kind })));
     }
-    if (chosen.picked !== NONE)
-      featuresOf[chosen.picked].filter((id) => chosen.part === NONE || features[id].properties.part === chosen.part)
+    for (const row of versionsOf(chosen.picked))
+      featuresOf[row].filter((id) => chosen.part === NONE || row !== chosen.picked || features[id].properties.part === chosen.part)
         .forEach((id) => mark(id, { on: true }));
     $(`tag-${pane.which}`).textContent = viewWords(view);
     $(`tag-${pane.which}`).hidden = chosen.other === NONE;
@@ -444,8 +456,10 @@
   }
 
   function makeLayers() {
-    const rows = [["blocks", "buildings in 3-D"], ["outlines", "footprints"], ...(town.ground ? [["ground", "light and shadow of the surface"]] : []),
-      ...(town.reasons ? [["reasons", "why there is no building"]] : []), ...(states.includes("refuted") ? [["refuted", "refuted buildings"]] : [])];
+    const rows = [["blocks", "buildings in 3-D"], ["outlines", "footprints"],
+      ...(town.ground ? [["ground", "light and shadow of the surface"]] : []),
+      ...(town.reasons ? [["reasons", "why there is no building"]] : []),
+      ...(states.includes("refuted") ? [["refuted", "refuted buildings"]] : [])];
     $("layers").replaceChildren(...rows.map(([name, words]) => {
       const box = make("input", { type: "checkbox", name });
       box.addEventListener("change", () => {
@@ -514,8 +528,9 @@
   }
 
   function goTo(row) {
-    const box = boundsOf(featuresOf[row]);
-    if (box) panes[0].map.fitBounds(box, { padding: 120, maxZoom: 18, pitch: panes[0].map.getPitch(), bearing: panes[0].map.getBearing(), duration: 600 });
+    const box = boundsOf(featuresOf[row]), { map } = panes[0];
+    const camera = { pitch: Math.min(map.getPitch(), 35), bearing: map.getBearing(), maxZoom: 18, duration: 600 };
+    if (box) map.fitBounds(box, { ...camera, padding: Math.min(120, map.getContainer().clientWidth / 5) });
   }
 
   function valueOf(name, row, digits) {
@@ -584,12 +599,13 @@
 
   function past(row) {
     if (!town.inventory) return [];
-    const rows = [...buildings.id.keys()].filter((own) => buildings.id[own] === buildings.id[row]);
-    const lines = rows.map((own) => {
-      const began = town.history.filter(([, , , after]) => after === own).map(([view, kind]) => `${town.kinds[kind][0]} in ${views[view].name}`);
-      const ended = town.history.filter(([, kind, before, after]) => before === own && after === NONE).map(([view]) => `demolished in ${views[view].name}`);
-      const to = valueOf("valid_to", own, 0), height = buildings.height[own];
-      const words = [`${valueOf("valid_from", own, 0)} to ${to === null ? "today" : to}`, states[own], `mean height ${metres(height)}`, ...began, ...ended];
+    const lines = versionsOf(row).map((own) => {
+      const began = town.history.filter(([, , , after]) => after === own)
+        .map(([view, kind]) => `${town.kinds[kind][0]} in ${views[view].name}`);
+      const ended = town.history.filter(([, , before, after]) => before === own && after === NONE)
+        .map(([view]) => `demolished in ${views[view].name}`);
+      const days = `${valueOf("valid_from", own, 0)} to ${valueOf("valid_to", own, 0) ?? "today"}`;
+      const words = [days, states[own], `mean height ${metres(buildings.height[own])}`, ...began, ...ended];
       return make("li", { text: words.join(", ") });
     });
     return [make("h3", { text: "History" }), make("ol", { class: "history" }, ...lines)];
@@ -681,7 +697,11 @@
       if (event.target.matches("input[type=search], select") || event.ctrlKey || event.metaKey || event.altKey) return;
       const step = { "[": -1, "]": 1 }[event.key];
       if (event.key === "/") { event.preventDefault(); $("query").focus(); }
-      else if (step) { chosen.scale = Math.max(0, Math.min(finest, chosen.scale + step)); draw(); say(`Scale ${scaleWords(chosen.scale)}`); }
+      else if (step) {
+        chosen.scale = Math.max(0, Math.min(finest, chosen.scale + step));
+        draw();
+        say(`Scale ${scaleWords(chosen.scale)}`);
+      }
     });
   }
 

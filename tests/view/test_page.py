@@ -20,7 +20,6 @@ from msbdb.cli.main import cli
 from msbdb.database import open_database, write_build
 from msbdb.errors import FileError, InputError, MissingDependencyError
 from msbdb.run import page as made
-from msbdb.view import page
 from msbdb.view.blocks import blocks_of
 from msbdb.view.page import DEGREE, Library, as_data, image_uri, page_of, read_library, shapes_of
 
@@ -79,7 +78,7 @@ def town(tmp_path_factory):
 @pytest.fixture
 def library(monkeypatch):
     """Let pages contain a short text in place of MapLibre GL JS, which need not be there."""
-    monkeypatch.setattr(page, "read_library", lambda: LIBRARY)
+    monkeypatch.setattr(made, "read_library", lambda: LIBRARY)
 
 
 def view(db, out, **options):
@@ -143,8 +142,7 @@ def test_without_the_library_the_message_says_what_to_do(town, tmp_path, monkeyp
     """It names the script that fetches it; nothing is written."""
     with pytest.raises(MissingDependencyError, match="scripts/fetch_maplibre"):
         read_library(tmp_path)
-    read = read_library
-    monkeypatch.setattr(page, "read_library", lambda: read(tmp_path))
+    monkeypatch.setattr(made, "read_library", lambda: read_library(tmp_path))
     done = CliRunner().invoke(cli, ["view", str(town), "--out", str(tmp_path / "town.html")])
     assert done.exit_code == 1
     assert "scripts/fetch_maplibre" in done.stderr
