@@ -100,6 +100,9 @@ class Scene:
         The points; None for a raster source.
     bands : Bands, optional
         Colours of the orthophoto or the points.
+    intensity : (H, W) ndarray of uint8, optional
+        That of the first echoes in steps of its logarithm (`msbdb.spectral.colours.kept_intensity`); None where the
+        points have none.
     """
 
     survey: Survey
@@ -111,6 +114,7 @@ class Scene:
     surface: Surface | None = None
     cloud: PointCloud | None = None
     bands: Bands | None = None
+    intensity: NDArray[np.uint8] | None = None
 
     def require_surface(self) -> Surface:
         """Return the surface.
