@@ -67,6 +67,8 @@ class Rasters:
         0 where it dropped nothing.
     parcels : (H, W) ndarray of int32, optional
         The parcel of each cell, 0 for none; None where the user gave no parcels.
+    intensity : (H, W) ndarray of uint8, optional
+        That of the first echoes in steps of its logarithm, 0 where unknown; None where the points have none.
     """
 
     heights_cm: NDArray[np.int32]
@@ -82,6 +84,7 @@ class Rasters:
     support: NDArray[np.uint8] | None = None
     answers: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
     parcels: NDArray[np.int32] | None = None
+    intensity: NDArray[np.uint8] | None = None
 
     def by_name(self) -> dict[str, NDArray[np.generic]]:
         """Return the rasters by the names of their rows in the database, those that are None left out."""
@@ -97,6 +100,7 @@ class Rasters:
             "reason": self.reason,
             "support": self.support,
             "parcels": self.parcels,
+            "intensity": self.intensity,
             **{_REGION_NAMES[method]: labels for method, labels in self.regions.items()},
             **{_ANSWER_NAMES[method]: cells for method, cells in self.answers.items()},
         }
@@ -133,6 +137,7 @@ class Rasters:
             support=rows["support"].astype(np.uint8) if "support" in rows else None,
             answers={method: rows[name].astype(np.uint8) for method, name in _ANSWER_NAMES.items() if name in rows},
             parcels=rows["parcels"].astype(np.int32) if "parcels" in rows else None,
+            intensity=rows["intensity"].astype(np.uint8) if "intensity" in rows else None,
         )
 
     @classmethod

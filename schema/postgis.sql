@@ -1324,7 +1324,7 @@ COMMENT ON COLUMN building.nodata_share IS 'share of the footprint and the ring 
 
 COMMENT ON COLUMN building.density IS 'first echoes a square metre in it; null for rasters [1/m2]';
 
-COMMENT ON COLUMN building.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall, direction; several with commas; empty for none';
+COMMENT ON COLUMN building.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall, direction, material; several with commas; empty for none';
 
 COMMENT ON COLUMN building.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
 
@@ -1486,7 +1486,7 @@ COMMENT ON COLUMN footprint.trees IS 'number of its trees of parts; one root eac
 
 COMMENT ON COLUMN footprint.parts IS 'number of parts, the roots included [count]';
 
-COMMENT ON COLUMN footprint.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall, direction; several with commas; empty for none';
+COMMENT ON COLUMN footprint.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall, direction, material; several with commas; empty for none';
 
 COMMENT ON COLUMN footprint.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
 
@@ -1606,7 +1606,7 @@ COMMENT ON COLUMN building_summary.speindex IS 'the spectral class of its larges
 
 COMMENT ON COLUMN building_summary.class_label IS 'building, vegetation, shadow, water or other';
 
-COMMENT ON COLUMN building_summary.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall, direction; several with commas; empty for none';
+COMMENT ON COLUMN building_summary.divided_by IS 'why touching houses beside it are other buildings: parcel, step, valley, wall, direction, material; several with commas; empty for none';
 
 COMMENT ON COLUMN building_summary.outline_source IS 'the outline, of roof edges: fitted to straight walls, or traced along cells where some wall would be off';
 

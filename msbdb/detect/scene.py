@@ -102,6 +102,9 @@ class Scene:
         Colours of the orthophoto or the points.
     above : (N,) ndarray of float64, optional
         Heights of the points above ground, metres.
+    intensity : (H, W) ndarray of uint8, optional
+        That of the first echoes in steps of its logarithm (`msbdb.spectral.colours.kept_intensity`); None where the
+        points have none.
     """
 
     survey: Survey
@@ -114,6 +117,7 @@ class Scene:
     cloud: PointCloud | None = None
     bands: Bands | None = None
     above: NDArray[np.float64] | None = None
+    intensity: NDArray[np.uint8] | None = None
 
     def require_surface(self) -> Surface:
         """Return the surface.

@@ -10,9 +10,9 @@ from msbdb.fuse.roofdirections import CLEAR
 from msbdb.fuse.roofpieces import KINDS, RoofPieces, Touches, spread
 from msbdb.params import TouchingParams
 
-PARCEL = "parcel"
+PARCEL, MATERIAL = "parcel", "material"
 *ROOFS, DIRECTION = KINDS
-REASONS = (PARCEL, *KINDS)
+REASONS = (PARCEL, *KINDS, MATERIAL)
 """Why touching houses are divided."""
 
 OTHER_PARCEL = 0.4
@@ -26,6 +26,9 @@ DEVIATIONS = 0.5
 
 LATE = 3.0
 """Pieces of one parcel are joined after all slivers have found their roof."""
+
+LOWER_FIRST = 1e-3
+"""Of two borders that are alike otherwise, the one with the lower step goes first: this much a metre."""
 
 PAIRS, SHOWN, FIRST_KIND, DIFFER, LOWEST, SQUARED, MOMENTS = 0, 1, 2, 6, 7, 8, 9
 """The columns of ``Touches.counts``."""
@@ -99,8 +102,10 @@ class Joining:
         """Let two nodes wait until their turn to be joined, unless there is a reason for their border."""
         counts = self.beside[one][other]
         # Evidence is as wide as its profiles; the difference of neighbouring cells shows the place itself.
-        sharp = min(counts[DIFFER] / counts[PAIRS] / self.params.step_m, 1)
-        cost = (counts[SHOWN] / counts[PAIRS] + sharp) / 2
+        differ_m = counts[DIFFER] / counts[PAIRS]
+        sharp = min(differ_m / self.params.step_m, 1)
+        # Of clear steps the lower goes first: a podium is whole before the tower on it is joined.
+        cost = (counts[SHOWN] / counts[PAIRS] + sharp) / 2 + LOWER_FIRST * differ_m
         owners = {self.owners[one], self.owners[other]} - {0}
         sliver = self.small[one] or self.small[other]
         reason = self._reason(one, other)

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, distance_transform_edt, median_filter
 
-from msbdb.fuse.joining import REASONS, Joining
+from msbdb.fuse.joining import MATERIAL, REASONS, Joining
 from msbdb.fuse.roofborders import find_roof_borders, reach_m
 from msbdb.fuse.roofdirections import find_directions
+from msbdb.fuse.roofmaterials import cut_rows
 from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_bends, cut_pieces, measure_pieces, measure_touches
 from msbdb.grid import Grid
 from msbdb.labels import Labels, boxes, label_zones, touching_pairs, widened
@@ -59,6 +60,7 @@ def divide(
     *,
     spacing_m: float,
     parcels: Labels | None = None,
+    intensity: NDArray[np.uint8] | None = None,
 ) -> Division:
     """Divide the cells of buildings into houses.
 
@@ -74,6 +76,8 @@ def divide(
         Mean distance of the points, metres; of a raster, its cell.
     parcels : (H, W) ndarray of int32, optional
         The parcel of each cell; 0 for none.
+    intensity : (H, W) ndarray of uint8, optional
+        Of the first echoes, in steps of its logarithm; 0 where unknown.
 
     Returns
     -------
@@ -92,6 +96,8 @@ def divide(
       wings that meet at a ridge stay together;
     - *direction*: along ``share`` of the border the directions of roofs and walls turn by ``turn_deg`` within a few
       metres, and so do the mean directions of the pieces. Right angles are no turn, as wings of one house have them.
+
+    - *material*: a roof goes on along a row, and the intensity changes along a line from front to back (`cut_rows`).
 
     An island that has ``round_share`` in common with an ellipse, without its courts, is one structure: nothing but
     parcels divides an arena or a tank.
@@ -144,7 +150,27 @@ def divide(
     for (one, other), reason in joining.borders().items():
         pair = int(house[one]), int(house[other])
         found[min(pair), max(pair)] = reason
-    return Division(houses, found)
+    if directions is None or intensity is None:
+        return Division(houses, found)
+    kept = ~divisible
+    if parcels is not None:
+        kept |= np.isin(houses, np.unique(houses[parcels > 0]))
+    rows = cut_rows(np.where(kept, 0, houses), smooth, intensity, directions, params, cell_m=cell_m)
+    cut, _ = label_zones(np.where(built, houses.astype(np.int64) * (int(rows.max(initial=0)) + 1) + rows, 0))
+    return Division(cut, _borders_of(cut, houses, found))
+
+
+def _borders_of(cut: Labels, houses: Labels, borders: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
+    """Return the borders of houses that were divided further; a new border is one of materials."""
+    house = np.zeros(int(cut.max(initial=0)) + 1, dtype=np.int64)
+    house[cut[cut > 0]] = houses[cut > 0]
+    found = {}
+    for one, other in zip(*(side.tolist() for side in touching_pairs(cut)), strict=True):
+        pair = min(house[one], house[other]), max(house[one], house[other])
+        reason = REASONS.index(MATERIAL) if pair[0] == pair[1] else borders.get(pair)
+        if reason is not None:
+            found[one, other] = reason
+    return found
 
 
 def _without_outliers(

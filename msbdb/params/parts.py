@@ -149,6 +149,9 @@ class TouchingParams:
         ours="wings that meet at a ridge do not", low=0, high=50)
     turn_deg: float = param(20.0, "deg", "Angle by which the directions of two houses differ, up to right angles.",
         ours="walls of one house are at right angles within a few degrees; 45 divides at no bend", low=1, high=45)
+    contrast: float = param(0.25, "1",
+        "Mean difference of ln intensity on both sides of a line across the ridge of a row that divides houses.",
+        ours="28 %, above the noise of pulses; owners renew their roofs one by one", low=0.01, high=20)
     round_share: float = param(0.92, "1",
         "An island that has this share in common with an ellipse is one round structure, which no evidence divides.",
         ours="as a regular hexagon; a rectangle has 0.83, an octagon 0.96; 1.1 divides all", low=0.5, high=1.1)

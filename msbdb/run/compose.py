@@ -201,7 +201,14 @@ def divide_houses(scene: Scene, built: NDArray[np.bool_] | None, params: Params,
         cover = scene.cover.with_buildings(built, heights, params.surface.mask_m)
         spacing_m = 1 / math.sqrt(density) if density > 0 else heights.spec.cell_m
         labelled = built & cover.classes.labelled("building")
-        return divide(heights, labelled, params.touching, spacing_m=spacing_m, parcels=scene.parcels)
+        return divide(
+            heights,
+            labelled,
+            params.touching,
+            spacing_m=spacing_m,
+            parcels=scene.parcels,
+            intensity=scene.intensity,
+        )
 
 
 def decompose(

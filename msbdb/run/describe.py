@@ -267,4 +267,5 @@ def _rasters(scene: Scene, regions: Mapping[str, Regions], reason: NDArray[np.ui
         support=support_of(regions, reason.shape),
         answers={name: found.answers for name, found in regions.items() if found.answers is not None},
         parcels=scene.parcels,
+        intensity=scene.intensity,
     )

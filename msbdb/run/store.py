@@ -188,7 +188,11 @@ def _refused_m2(kept: KeptRun) -> dict[str, float]:
 def recall_scene(kept: KeptRun) -> Scene:
     """Return the scene of a kept run, with the operator's labels so far; without surface, points and bands."""
     cover, elevations = _cover(kept, lattice_of(kept.survey)), recall_elevations(kept.survey, kept.rasters)
-    return Scene(kept.survey, kept.heights, cover, _evidence(kept.rasters), elevations, kept.rasters.parcels)
+    rasters = kept.rasters
+    evidence = _evidence(rasters)
+    return Scene(
+        kept.survey, kept.heights, cover, evidence, elevations, parcels=rasters.parcels, intensity=rasters.intensity
+    )
 
 
 def recall_elevations(survey: Survey, rasters: Rasters) -> Elevations:

@@ -21,6 +21,9 @@ Mask = NDArray[np.bool_]
 STEPS = 256
 """Bilinear weights are whole multiples of 1/256."""
 
+INTENSITY_STEPS = 10
+"""The kept intensity has so many steps for each factor of e: one is 10 %, less than the noise of a pulse."""
+
 
 def grid_colours(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Bands | None:
     """Grid the colours of the first echoes: their mean in each cell, and gaps from the nearest cell.
@@ -79,6 +82,36 @@ def grid_intensity(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> B
         return None
     values, measured = bilinear((points.x, points.y), points.first_echo, points.intensity, frame(spec), spec.shape)
     return _filled(values[None], measured, ("intensity",), spec, max_gap_m)
+
+
+def kept_intensity(bands: Bands | None) -> NDArray[np.uint8] | None:
+    """Return the intensity as a run keeps it, in steps of its logarithm; None when there is none.
+
+    Parameters
+    ----------
+    bands : Bands, optional
+        The bands of a survey.
+
+    Returns
+    -------
+    (H, W) ndarray of uint8 or None
+        0 where it is unknown or none, otherwise 1 + `INTENSITY_STEPS` ln I.
+
+    Examples
+    --------
+    >>> from affine import Affine
+    >>> from pyproj import CRS
+    >>> spec = GridSpec((1, 4), Affine(1, 0, 0, 0, -1, 4), CRS.from_epsg(2154))
+    >>> values = np.array([[[0, 1, 100, 65535]]], dtype=np.float32)
+    >>> kept_intensity(Bands(values, ("intensity",), np.ones((1, 4), dtype=bool), spec)).tolist()
+    [[0, 1, 47, 112]]
+    """
+    if bands is None or "intensity" not in bands.names:
+        return None
+    values = bands.values[bands.names.index("intensity")].astype(np.float64)
+    known = bands.valid & (values > 0)
+    steps = 1 + np.rint(INTENSITY_STEPS * np.log(np.maximum(values, 1)))
+    return np.where(known, np.minimum(steps, 255), 0).astype(np.uint8)
 
 
 def stack(*parts: Bands) -> Bands:

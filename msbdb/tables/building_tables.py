@@ -258,8 +258,8 @@ BUILDING = Table(
             "divided_by",
             "str",
             "-",
-            "why touching houses beside it are other buildings: parcel, step, valley, wall, direction; several with "
-            "commas; empty for none",
+            "why touching houses beside it are other buildings: parcel, step, valley, wall, direction, "
+            "material; several with commas; empty for none",
         ),
         OUTLINE_SOURCE,
     ),

@@ -12,6 +12,7 @@ from msbdb.fuse.touching import Division, divide
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import boxes, label_zones, sizes
 from msbdb.params import TouchingParams
+from msbdb.spectral.colours import INTENSITY_STEPS
 
 CELL_M = 0.5
 SPACING_M = 0.4
@@ -53,14 +54,18 @@ def hipped(width_m: float, depth_m: float, eaves_m: float, slope: float = 0.8) -
 
 
 def division(
-    heights: np.ndarray, params: TouchingParams = DEFAULT, parcels: np.ndarray | None = None, noise_m: float = NOISE_M
+    heights: np.ndarray,
+    params: TouchingParams = DEFAULT,
+    parcels: np.ndarray | None = None,
+    noise_m: float = NOISE_M,
+    intensity: np.ndarray | None = None,
 ) -> Division:
     """Divide what is higher than 2 m, with a scanner's noise."""
     built = heights > 2
     noisy = heights + np.random.default_rng(1).normal(0, noise_m, heights.shape).astype(np.float32)
     spec = GridSpec(heights.shape, Affine(CELL_M, 0, 0, 0, -CELL_M, 0), CRS.from_epsg(2154))
     grid = Grid(noisy, np.ones(heights.shape, dtype=bool), spec)
-    return divide(grid, built, params, spacing_m=SPACING_M, parcels=parcels)
+    return divide(grid, built, params, spacing_m=SPACING_M, parcels=parcels, intensity=intensity)
 
 
 def reasons(found: Division) -> set[str]:
@@ -259,6 +264,75 @@ def test_a_row_along_a_curve_has_no_bend():
     radius = np.hypot(row, col) * CELL_M
     heights[(radius > 80) & (radius < 90) & (col > row / 4)] = 9
     assert division(heights).houses.max() == 1
+
+
+def terrace_roof() -> np.ndarray:
+    """Return five houses of 6 m under one roof whose ridge runs along the row."""
+    heights = scene()
+    put(heights, 10, 10, gable(30, 10, 6, along_x=True))
+    return heights
+
+
+def pulses(heights: np.ndarray, factors: np.ndarray, noise: float = 0.15) -> np.ndarray:
+    """Return the kept intensity of roofs that return 100 times these factors; ``noise`` is that of its logarithm."""
+    logarithm = np.log(100 * factors) + np.random.default_rng(2).normal(0, noise, heights.shape)
+    return np.where(heights > 2, 1 + np.rint(INTENSITY_STEPS * logarithm), 0).astype(np.uint8)
+
+
+def of_houses(heights: np.ndarray) -> np.ndarray:
+    """Return a factor of 2 for the second and fourth house of 6 m from x = 10 on."""
+    house = (np.arange(heights.shape[1]) * CELL_M - 10) // 6
+    return np.where(house % 2 == 1, 2.0, 1.0) * np.ones(heights.shape)
+
+
+@pytest.mark.parametrize("angle", [0, 30])
+def test_a_row_under_one_roof_is_divided_where_its_material_changes(angle: float):
+    """Five houses with two kinds of tiles; without intensity, and where the rule is off, they are one."""
+    heights = terrace_roof()
+    factors = of_houses(heights)
+    if angle:
+        heights = rotate(heights, angle, order=0)
+        factors = np.maximum(rotate(factors, angle, order=0), 0.5)
+    intensity = pulses(heights, factors)
+    found = division(heights, intensity=intensity)
+    assert areas_m2(found) == pytest.approx([60] * 5, abs=9)
+    assert reasons(found) == {"material"}
+    assert len(found.borders) == 4
+    assert division(heights).houses.max() == 1
+    assert division(heights, TouchingParams(contrast=20), intensity=intensity).houses.max() == 1
+
+
+def slopes_of_two_kinds(heights: np.ndarray) -> np.ndarray:
+    """Return a factor of 3 for the slope behind the ridge."""
+    return np.where(np.arange(heights.shape[0]) < 30, 3.0, 1.0)[:, None] * np.ones(heights.shape)
+
+
+def panels(heights: np.ndarray) -> np.ndarray:
+    """Return a factor of 1/3 for two fields of solar panels on one slope."""
+    found = np.ones(heights.shape)
+    found[22:26, 28:40] = found[22:26, 50:62] = 1 / 3
+    return found
+
+
+@pytest.mark.parametrize("factors", [slopes_of_two_kinds, panels, np.ones_like])
+def test_the_material_of_one_house_does_not_divide_it(factors):
+    """Neither two slopes of different intensity, nor solar panels, nor the noise of the pulses."""
+    heights = terrace_roof()
+    assert division(heights, intensity=pulses(heights, factors(heights))).houses.max() == 1
+
+
+def test_materials_divide_no_level_roof():
+    """Gravel beside bitumen is one roof."""
+    heights = scene()
+    put(heights, 10, 10, flat(30, 10, 7))
+    assert division(heights, intensity=pulses(heights, of_houses(heights))).houses.max() == 1
+
+
+def test_a_parcel_is_not_divided_by_materials():
+    """The user's parcel decides."""
+    heights = terrace_roof()
+    parcels = np.ones(heights.shape, dtype=np.int32)
+    assert division(heights, parcels=parcels, intensity=pulses(heights, of_houses(heights))).houses.max() == 1
 
 
 def arena() -> np.ndarray:

@@ -20,7 +20,7 @@ from msbdb.tables import HEIGHTS
 
 EVIDENCE = {"roughness_mm": "uint16", "roof_probability": "uint8"}
 
-KEPT = EVIDENCE | {"terrain_cm": "int32", "echoes": "uint16"}
+KEPT = EVIDENCE | {"terrain_cm": "int32", "echoes": "uint16", "intensity": "uint8"}
 
 
 @pytest.fixture(scope="module")

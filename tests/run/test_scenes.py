@@ -145,7 +145,7 @@ def test_footprints_storeys_and_heights_are_the_true_ones(built, name, profile_n
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("density", [1.0, 2.0])
+@pytest.mark.parametrize("density", [1.0, 1.5, 2.0])
 def test_a_tower_stands_on_its_podium_at_few_points(built, density):
     """The tower is cut beside its plant room there, and both halves stand on the podium."""
     assert built("podium_tower", density=density).report.buildings == 1
