@@ -16,6 +16,9 @@ from msbdb.grid import Grid
 from msbdb.io.las import read_points
 from msbdb.io.vector import Area
 from msbdb.params import Params, with_values
+from msbdb.run.inputs import Inputs
+from msbdb.run.prepare import make_draft
+from msbdb.run.reports import Stages
 
 CELL = with_values(Params(), {"surface": {"cell_m": 0.8}})
 STREET_M = 100.0
@@ -49,8 +52,8 @@ def test_only_what_lies_in_the_area_is_built(scene, files, tmp_path):
     west, south, east, north = scene.points.bounds
     shape = shapely.box(west - 5, south - 5, east + 10, north + 5)
     area = district(tmp_path / "district.geojson", shape, crs)
-    msbdb.build(files, db=tmp_path / "all.sqlite", survey="town", params=CELL)
-    msbdb.build(files, db=tmp_path / "some.sqlite", survey="town", params=CELL, aoi=area)
+    msbdb.build(files, db=tmp_path / "all.sqlite", survey="town", params=CELL, extract="multiscale")
+    msbdb.build(files, db=tmp_path / "some.sqlite", survey="town", params=CELL, extract="multiscale", aoi=area)
     with msbdb.open(tmp_path / "all.sqlite") as town, msbdb.open(tmp_path / "some.sqlite") as part:
         every, some = town.buildings(), part.buildings()
     inside = every[every.within(shape)]
@@ -72,18 +75,16 @@ def test_the_edge_of_an_area_cuts_a_building(scene, tmp_path):
     crs, spec = scene.points.crs, scene.spec
     file = write_heights(tmp_path / "ndsm.tif", Grid(scene.heights, np.ones(spec.shape, bool), spec))
     west, south, east, north = spec.bounds
-    middle = west + (np.flatnonzero((scene.heights > 3).any(axis=0)).mean() + 0.25) * spec.cell_m
-    areas = []
-    for number, (left, right) in enumerate([(west, middle), (middle, east)]):
-        shape = district(tmp_path / f"{number}.gpkg", shapely.box(left, south, right, north), crs, crs)
-        db = tmp_path / f"{number}.sqlite"
-        msbdb.build(ndsm=file, aoi=shape, db=db, survey="half", extract="multiscale")
-        engine = open_database(db)
-        areas.append(read_rasters(engine).valid)
-        engine.dispose()
-        assert msbdb.info(db)["runs"][0]["buildings"] > 0
-    assert not (areas[0] & areas[1]).any()
-    assert (areas[0] | areas[1]).all()
+    column = round(np.flatnonzero((scene.heights > 3).any(axis=0)).mean())
+    found = []
+    for left, right in ((west, west + (column + 0.4) * spec.cell_m), (west + (column + 0.4) * spec.cell_m, east)):
+        shape = district(tmp_path / f"{len(found)}.gpkg", shapely.box(left, south, right, north), crs, crs)
+        inputs = Inputs.of(ndsm=file, aoi=shape)
+        found.append(make_draft(inputs, None, Params(), Stages(None)).surface.ndsm)
+    first, other = (each.valid for each in found)
+    assert np.array_equal(first, np.arange(spec.shape[1]) < column + np.zeros((spec.shape[0], 1)))
+    assert np.array_equal(other, ~first)
+    assert all((np.asarray(each.values) > 3).any() for each in found)
 
 
 def test_an_area_elsewhere_is_refused(scene, files, tmp_path):
