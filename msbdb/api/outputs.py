@@ -230,7 +230,7 @@ def qgis(db: str | Path, out: str | Path, *, overwrite: bool = False) -> list[st
     FileError
         When the file exists already, or cannot be written.
     """
-    from msbdb.run.qgisproject import write_project
+    from msbdb.run.export import write_project
 
     return write_project(db, Path(out), overwrite=overwrite)
 

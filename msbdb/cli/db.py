@@ -1,4 +1,4 @@
-"""``msbdb db``: the commands that look after a database."""
+"""``msbdb db`` and ``doctor``: the commands that look after a database, and after what is installed."""
 
 import sys
 from collections.abc import Iterable
@@ -14,6 +14,9 @@ from msbdb.errors import counted
 
 UNSOUND = 1
 """Exit code of a check with findings."""
+
+INCOMPLETE = 1
+"""Exit code where something that msbdb needs is missing."""
 
 
 class Commands(click.Group):
@@ -206,3 +209,32 @@ def _write_lines(lines: Iterable[bytes], file: Any) -> None:  # noqa: ANN401  (a
     for line in lines:
         file.write(line)
     file.flush()
+
+
+@command("doctor", examples=("msbdb doctor", "msbdb doctor --json"))
+@click.option(
+    "--db", type=DATABASE, metavar="FILE|URL", help="A database to look at too: its server, PostGIS and schema."
+)
+@shared("json")
+def doctor(*, db: str | None, as_json: bool) -> None:
+    """List what is installed, with versions, and what to do about what is missing.
+
+    With --db the server, PostGIS and the schema of a database are looked at too. Nothing is changed. The exit code is
+    1 when something that msbdb needs is missing or faulty.
+    """
+    from dataclasses import asdict
+
+    from msbdb.database.admin.installation import installation
+
+    found = installation(db)
+    lacking = [component for component in found if component.state not in ("ok", "optional")]
+    if as_json:
+        emit_json({"complete": not lacking, "components": [asdict(component) for component in found]})
+    else:
+        emit_table([{"component": one.name, "version": one.version, "state": one.state} for one in found])
+        for component in found:
+            if component.advice:
+                click.echo(f"{component.name}: {component.advice}")
+        click.echo("Something is missing or faulty, see above." if lacking else "All that msbdb needs is installed.")
+    if lacking:
+        sys.exit(INCOMPLETE)

@@ -4,11 +4,9 @@ import click
 
 from msbdb.cli.build import build, classify
 from msbdb.cli.command import INTERRUPTED
-from msbdb.cli.db import db
-from msbdb.cli.doctor import doctor
+from msbdb.cli.db import db, doctor
 from msbdb.cli.export import export, qgis
-from msbdb.cli.inventory import changes, import_, state, update
-from msbdb.cli.measure import measure
+from msbdb.cli.inventory import changes, import_, measure, state, update
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params, plan
 from msbdb.threads import end_now, share_one_heap

@@ -9,11 +9,20 @@ from msbdb.database.admin.copying import canonical_dump, copy_database
 from msbdb.database.admin.findings import Finding
 from msbdb.database.admin.lifecycle import Loss, create_database, downgrade_schema, upgrade_schema
 from msbdb.database.admin.soundness import CHECKS, check_database
-from msbdb.database.dialects.clientplace import ClientPlace, client_place
-from msbdb.database.dialects.connection import PATIENCE_S, check_target, open_database, opened
-from msbdb.database.dialects.databasecrs import crs_words_of, database_crs_of, read_fallback
+from msbdb.database.dialects.connection import (
+    PATIENCE_S,
+    ClientPlace,
+    check_target,
+    client_place,
+    crs_words_of,
+    database_crs_of,
+    open_database,
+    opened,
+    read_fallback,
+)
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
+from msbdb.database.examples import ExampleQuery, example_queries, find_example, run_example
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.joins import Seams, current_pieces
@@ -61,7 +70,6 @@ from msbdb.database.runs.reading import (
     summarise_run,
 )
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
-from msbdb.database.schema.sqlfiles import ExampleQuery, example_queries, find_example, run_example
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [

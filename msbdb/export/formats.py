@@ -8,11 +8,16 @@ from typing import Protocol
 
 from msbdb.errors import InputError
 from msbdb.export.content import Content
-from msbdb.export.geojson import write_geojson
 from msbdb.export.geopackage import write_geopackage
-from msbdb.export.parquet import write_parquet
-from msbdb.export.plainfiles import write_csv, write_dxf, write_flatgeobuf, write_kml
-from msbdb.export.shapefile import write_shapefile
+from msbdb.export.plainfiles import (
+    write_csv,
+    write_dxf,
+    write_flatgeobuf,
+    write_geojson,
+    write_kml,
+    write_parquet,
+    write_shapefile,
+)
 from msbdb.export.standards.cityjson import write_cityjson, write_cityjsonseq
 from msbdb.export.standards.exposure import OPTIONS as EXPOSURE
 from msbdb.export.standards.exposure import write_exposure

@@ -1,4 +1,4 @@
-"""Files of one layer that GDAL writes as they are: FlatGeobuf, CSV, KML and DXF."""
+"""Files of one layer: Shapefile, GeoJSON, GeoParquet, FlatGeobuf, CSV, KML and DXF."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,8 +10,69 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError
 from msbdb.export.content import IDS, ROOF_EDGES, Content
+from msbdb.export.fields import short_name
+from msbdb.io.files import write_atomic
 from msbdb.io.layers import Layer, write_layers
 from msbdb.tables.aliases import LAYER_WORDS
+
+
+def write_shapefile(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
+    """Write the first layer; of parts, the footprints are those with SUPID '0' (V49).
+
+    Parameters
+    ----------
+    content : Content
+        The layer.
+    path : Path
+        The .shp; .shx, .dbf, .prj and .cpg (UTF-8) lie beside it.
+    options : mapping
+        None.
+
+    Notes
+    -----
+    The names are those of `msbdb.export.fields.short_name`. Ids are texts, because programs read long numbers of a DBF
+    as floating point. The format cuts texts at 254 characters, and has no place for a description: the outlines are
+    edges of roofs.
+    """
+    name = next(iter(content.layers))
+    layer = content.textual(name)
+    columns = {short_name(own): values for own, values in layer.columns.items()}
+    write_layers(path, {path.stem: replace(layer, columns=columns)}, "ESRI Shapefile", encoding="UTF-8")
+
+
+def write_geojson(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
+    """Write the first layer as one FeatureCollection.
+
+    Coordinates are WGS 84 longitude and latitude with 7 decimals (about 1 cm), shells counter-clockwise; all other
+    columns keep their metric units. With a CRS of the user's choice the file has its coordinates and names it in a
+    member ``crs``, as before RFC 7946. The ids are strings, and so is each feature's ``id``: they exceed 2^53, and
+    browsers round larger JSON numbers.
+    """
+    name = next(iter(content.layers))
+    layer = content.textual(name)
+    columns = dict(layer.columns)
+    settings = {"DESCRIPTION": ROOF_EDGES} | ({} if content.chosen_crs else {"RFC7946": "YES"})
+    key = next((own for own in IDS if own in columns), None)
+    if key is not None:
+        columns["id"] = columns[key]  # the driver takes the field of the id out of the properties
+        settings |= {"ID_FIELD": "id", "ID_TYPE": "String"}
+    write_layers(path, {path.stem: replace(layer, columns=columns)}, "GeoJSON", **settings)
+
+
+def write_parquet(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
+    """Write the first layer as GeoParquet 1.1: geometries as WKB, the column ``bbox`` named as their covering.
+
+    Readers skip groups of rows by their bounds, so a window of a large file is read quickly. The CRS is in the file as
+    PROJJSON. Ids are texts.
+    """
+    import geopandas as gpd
+
+    name = next(iter(content.layers))
+    frame: gpd.GeoDataFrame = content.textual(name).frame()
+    with write_atomic(path) as temporary:
+        frame.to_parquet(
+            temporary, index=False, geometry_encoding="WKB", schema_version="1.1.0", write_covering_bbox=True
+        )
 
 
 def write_flatgeobuf(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)

@@ -18,7 +18,7 @@ from msbdb.grid import Grid
 from msbdb.kept import PER_METRE
 from msbdb.labels import Labels, boxes, label_zones, neighbours, quantiles, sizes, sums, widened
 from msbdb.params import HeightParams, SurfaceParams
-from msbdb.parts.slices import storeys
+from msbdb.parts.clusters import storeys
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -65,7 +65,7 @@ def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[Labels,
            [0, 1, 2]], dtype=int32), 2)
     """
     # Compiled kernels take longer to load than a command that labels nothing.
-    from msbdb.labels.unionfind import label_cells
+    from msbdb.labels.cellkernels import label_cells
 
     require_image(values)
     require_connectivity(connectivity)
@@ -133,7 +133,7 @@ def sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     array([1, 3, 0])
     """
     if _is_large(labels, count):
-        from msbdb.labels.lookup import counted
+        from msbdb.labels.cellkernels import counted
 
         return counted(labels.ravel(), count)[1:]
     found: NDArray[np.int64] = np.bincount(labels.ravel(), minlength=count + 1)[1:]
@@ -149,7 +149,7 @@ def sums(labels: NDArray[np.integer], values: NDArray[Any], count: int) -> NDArr
     array([5., 6.])
     """
     if _is_large(labels, count) and values.dtype in (np.bool_, np.float64):
-        from msbdb.labels.lookup import added
+        from msbdb.labels.cellkernels import added
 
         return added(labels.ravel(), values.ravel(), count)[1:]
     inside = labels != 0
@@ -178,7 +178,7 @@ def look_up(table: NDArray[T], labels: NDArray[np.integer]) -> NDArray[T]:
     """
     found: NDArray[T]
     if _is_large(labels, len(table) - 1):
-        from msbdb.labels.lookup import looked_up
+        from msbdb.labels.cellkernels import looked_up
 
         found = looked_up(table, labels.ravel()).reshape(labels.shape)
     else:

@@ -65,10 +65,6 @@ class ComponentTree:
         """Return (N,) what the node around each node has; a root has its own."""
         return values[self.parent]
 
-    def innermost(self, selected: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """Return (N,) the smallest of the selected nodes that holds each node, itself included; -1 where none."""
-        return _innermost(self.parent, self._of_nodes(selected))
-
     def outermost(self, selected: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return (N,) the largest of the selected nodes that holds each node, itself included; -1 where none."""
         return _outermost(self.parent, self._of_nodes(selected))
@@ -268,18 +264,6 @@ def _sum_up(parent: NDArray[np.int32], total: NDArray[Any]) -> NDArray[Any]:
         if parent[node] != node:
             total[parent[node]] += total[node]
     return total
-
-
-@kernel
-def _innermost(parent: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Take a selected node itself, else what was found for its parent, which has a lower number."""
-    found = np.empty(parent.size, dtype=np.int32)
-    for node in range(parent.size):
-        if selected[node]:
-            found[node] = node
-        else:
-            found[node] = NONE if parent[node] == node else found[parent[node]]
-    return found
 
 
 @kernel

@@ -6,7 +6,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from msbdb.labels import sums
-from msbdb.outline.chains import Chains
+from msbdb.outline.arcs import Chains
 from msbdb.outline.runs import WallRuns
 
 Floats = NDArray[np.float64]

@@ -7,14 +7,12 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError
 from msbdb.grid import GridSpec
 from msbdb.labels import Labels
-from msbdb.outline.arcs import Arcs, Drawn, assembled, at_fault, broken, cut
-from msbdb.outline.chains import Chains, from_corners, traced_chains
+from msbdb.outline.arcs import Arcs, Chains, Drawn, assembled, at_fault, broken, cut, from_corners, traced_chains
 from msbdb.outline.corners import drawn_arcs, joined_walls, placed_nodes
 from msbdb.outline.directions import arc_frames, no_frames
-from msbdb.outline.polygons import Geometries, polygonise
+from msbdb.outline.polygons import Geometries, polygonise, tidied
 from msbdb.outline.runs import WallCosts, divide, redivided
 from msbdb.outline.simplification import LEVELS, redrawn, simplify_coverage
-from msbdb.outline.tidying import tidied
 from msbdb.params import VectorParams
 
 Ints = NDArray[np.int64]
@@ -64,7 +62,7 @@ def outline_labels(labels: Labels, count: int, spec: GridSpec, params: VectorPar
 
     Notes
     -----
-    The labels are tidied first (`msbdb.outline.tidying`), in both ways alike: no holes or loose pieces below
+    The labels are tidied first (`msbdb.outline.polygons`), in both ways alike: no holes or loose pieces below
     ``court_m2``.
     """
     if not count:

@@ -20,10 +20,9 @@ from msbdb.labels import (
 )
 from msbdb.landcover import ClassMap
 from msbdb.params import SurfaceParams
-from msbdb.parts.clusters import ClusterLedger, Clusters
+from msbdb.parts.clusters import ClusterLedger, Clusters, storeys
 from msbdb.parts.fakefathers import spread_of_children
 from msbdb.parts.links import NONE, find_roots, link
-from msbdb.parts.slices import storeys
 from msbdb.parts.spectrum import measure_spectrum, spectral_modes
 from msbdb.tables import PART, REJECTION, validate_parts
 

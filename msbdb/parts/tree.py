@@ -13,13 +13,11 @@ from msbdb.labels import Labels, around, chosen_cells, colour_touching, label_zo
 from msbdb.landcover import ClassMap
 from msbdb.morphology.scalespace import build_scale_space, scales_of_sizes, sizes_of_cells
 from msbdb.params import Params, ScaleParams, with_values
-from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters
+from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters, slice_heights
 from msbdb.parts.fakefathers import drop_fake_fathers
 from msbdb.parts.forest import Context, Forest, grow_forest
 from msbdb.parts.links import NONE, drop_duplicates, link
-from msbdb.parts.reshaping import cut_vegetation, joined
-from msbdb.parts.settling import settle
-from msbdb.parts.slices import slice_heights
+from msbdb.parts.reshaping import cut_vegetation, joined, settle
 from msbdb.parts.spectrum import drop_unlike, split_by_classes
 from msbdb.tables import SCALE, Reason
 from msbdb.threads import in_threads

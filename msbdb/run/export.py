@@ -1,5 +1,6 @@
-"""From a database to a file: which layers, of which surveys or day, where, in which CRS."""
+"""From a database to a file: layers of surveys or of a day; and a project of QGIS that reads the database itself."""
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,16 +9,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from msbdb.database import Engine, ShownLayers, crs_words_of, opened, read_shown
+from msbdb.database import (
+    ClientPlace,
+    Engine,
+    ShownLayers,
+    client_place,
+    crs_words_of,
+    database_crs_of,
+    opened,
+    read_shown,
+)
+from msbdb.database.history.shownlayers import columns_of
 from msbdb.errors import InputError, PassingNotice
 from msbdb.export import Content, check_options, choose_layers, export, find_format
-from msbdb.identity import to_json
-from msbdb.io.files import require_input, require_output
+from msbdb.export.qgis.project import Bounds, layers_of, project
+from msbdb.io.files import require_input, require_output, write_atomic
 from msbdb.io.layers import Layer, crs_text
 from msbdb.run.outputs import Choice, tell_choice
+from msbdb.tables import Column, Survey
+from msbdb.tables.view_columns import VIEW_COLUMNS
 
 if TYPE_CHECKING:
-    import geopandas as gpd
+    pass
 
 _BUILDINGS = ("footprint", "part", "flat_region", "candidate_region")
 
@@ -32,6 +45,15 @@ LAYERS_OF: Mapping[str, tuple[str, ...]] = {
 
 PLACES = (("xo", "yo"), ("xcen", "ycen"), ("xin", "yin"))
 """Columns with the coordinates of a place."""
+
+SHOWN = {"footprint": "by height"}
+"""The style that is visible when the project is opened."""
+
+_CHANGED = (
+    "(began_as NOT IN ('imported', 'unchanged') AND valid_from > (SELECT min(date) FROM inventory_event)) "
+    "OR ended_as = 'demolished'"
+)
+"""The versions that show a change: the first state of the inventory is a beginning."""
 
 
 def export_database(
@@ -86,19 +108,9 @@ def read_content(
     return Content("current" if found.present and what == "current" else what, layers, found.surveys, at or "")
 
 
-def change_content(table: "gpd.GeoDataFrame") -> Content:
-    """Return changes as the layer of a file; imported attributes are JSON."""
-    frame = table.copy()
-    for column in ("attributes_before", "attributes_after"):
-        words = np.empty(len(frame), dtype=object)
-        words[:] = [None if value is None else to_json(value) for value in frame[column]]
-        frame[column] = words
-    return Content("changes", {"change": Layer.of(frame)})
-
-
 def _changes(db: str | Path, until: str | None) -> Content:
     """Return the net changes since the first state of each place."""
-    from msbdb.run.inventory.changed import changes_of
+    from msbdb.run.inventory.changed import change_content, changes_of
 
     found = changes_of(
         db, since=None, until=until, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
@@ -186,3 +198,75 @@ def _tell_lost(out: Path, content: Content) -> None:
         some = "1 building of the inventory has" if without == 1 else f"{without} buildings of the inventory have"
         msg = f"{some} no parts, so {out} has none of it. --layer footprint writes all buildings."
         warnings.warn(msg, PassingNotice, stacklevel=3)
+
+
+def write_project(db: str | Path, out: Path, *, overwrite: bool) -> list[str]:
+    """Write a project, and return the titles of its layers; see `msbdb.api.qgis`."""
+    require_output(out, overwrite=overwrite, endings=(".qgz",), sources=[db])
+    with opened(db) as engine:
+        found = read_shown(engine, ())
+        crs = database_crs_of(engine)
+        code = crs.to_epsg()
+        place = client_place(engine)
+    layers = [
+        layer
+        for name, table, key, columns, only in _tables(present=found.present)
+        for layer in layers_of(
+            name,
+            _source(place, out, (table, key, only), _kind(name), found.srid),
+            "spatialite" if place.file else "postgres",
+            columns,
+            SHOWN.get(name, ""),
+        )
+    ]
+    packed = project(out.stem, layers, crs.to_wkt("WKT2_2019"), f"EPSG:{code}" if code else "", _bounds(found.surveys))
+    with write_atomic(out) as temporary:
+        temporary.write_bytes(packed)
+    return [layer.title for layer in layers]
+
+
+def _tables(*, present: bool) -> list[tuple[str, str, str, tuple[Column, ...], str]]:
+    """Return the layers: name of the style, table or view, its key, its columns, and the condition of its rows."""
+    buildings, parts = ("footprint_current", "part_current") if present else ("footprint", "part")
+    history = [("history", "building_history", "version_id", VIEW_COLUMNS["building_history"], _CHANGED)]
+    return [
+        *(history if present else []),
+        ("footprint", buildings, VIEW_COLUMNS[buildings][0].name, VIEW_COLUMNS[buildings], ""),
+        ("part", parts, "part_id", columns_of("part")[1:], ""),
+        ("building_evidence", "building_evidence", "building_id", columns_of("building_evidence"), ""),
+        ("part_evidence", "part_evidence", "part_id", columns_of("part_evidence"), ""),
+        ("flat_region", "flat_region", "region_id", columns_of("flat_region")[1:], ""),
+        ("candidate_evidence", "candidate_evidence", "candidate_id", columns_of("candidate_evidence"), ""),
+        ("rejection", "rejection", "rejection_id", columns_of("rejection")[1:], ""),
+    ]
+
+
+def _kind(name: str) -> str:
+    """Return the type of a layer's geometries."""
+    return "Point" if name == "rejection" else "MultiPolygon"
+
+
+def _source(place: ClientPlace, out: Path, layer: tuple[str, str, str], kind: str, srid: int) -> str:
+    """Return where QGIS reads a table or view, its key and its rows given, in the words of its provider."""
+    table, key, only = layer
+    rows = f" sql={only}" if only else ""
+    if place.file:
+        path = os.path.relpath(place.file, out.absolute().parent)
+        near = path if path.startswith("..") else f"./{path}"
+        return f'dbname={_quoted(near)} table="{table}" (geometry){rows}'
+    words = " ".join(f"{name}={_quoted(value)}" for name, value in place.server.items())
+    shown = f'table="{place.schema}"."{table}" (geometry){rows}'
+    return f"{words} key={_quoted(key)} srid={srid} type={kind} checkPrimaryKeyUnicity='0' {shown}"
+
+
+def _quoted(value: str) -> str:
+    """Return a value as QGIS quotes it in a source."""
+    return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def _bounds(surveys: tuple[Survey, ...]) -> Bounds | None:
+    """Return the extent of all surveys; None without one, and QGIS shows the layers' own."""
+    if not surveys:
+        return None
+    wests, souths, easts, norths = zip(*(survey.bounds for survey in surveys), strict=True)
+    return min(wests), min(souths), max(easts), max(norths)

@@ -23,8 +23,7 @@ from msbdb.tables.inventory_tables import (
     ROW_DIGEST,
     SURVEY_OFFSET,
 )
-from msbdb.tables.reasons import REASONS, Reason
-from msbdb.tables.records import Counts, Run, Source, Survey
+from msbdb.tables.records import REASONS, Counts, Reason, Run, Source, Survey
 from msbdb.tables.region_tables import (
     CANDIDATE_REGION,
     FLAT_REGION,

@@ -17,7 +17,7 @@ from support.latermigration import LATER, TODAY, migrations_of_tomorrow
 from msbdb.cli.db import db as commands
 from msbdb.cli.main import cli
 from msbdb.database import CHECKS, ROLES, Finding, canonical_dump, check_database, open_database, write_build
-from msbdb.database.schema import migration as upgrade
+from msbdb.database.dialects import migration as upgrade
 
 
 def run(*args: str) -> Any:

@@ -28,7 +28,7 @@ from msbdb.database import (
     write_build,
 )
 from msbdb.database.admin.lifecycle import open_any, version_of
-from msbdb.database.schema import migration as upgrade
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionError
 

@@ -24,8 +24,8 @@ from msbdb.database import (
     write_build,
 )
 from msbdb.database.admin.lifecycle import open_any
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.rights import written_by_operators
-from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
 from msbdb.database.schema.sqltables import METADATA, VERSION_TABLE
 from msbdb.errors import DatabaseError, ParameterError

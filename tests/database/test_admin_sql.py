@@ -11,7 +11,7 @@ from sqlalchemy import Engine, text
 from support.sizes import sample
 
 from msbdb.database import list_runs, open_database, read_build, write_build
-from msbdb.database.schema.ddl import statements
+from msbdb.database.admin.ddl import statements
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.tables.view_columns import VIEW_COLUMNS
@@ -35,8 +35,8 @@ ALLOWED = {
     "history/periods.py": OUR_NAMES,
     "history/shownlayers.py": OUR_NAMES,
     "runs/reading.py": OUR_NAMES,
-    "schema/ddl.py": OUR_NAMES,
-    "schema/migration.py": "comments of the declared tables, quoted; the table of the version",
+    "admin/ddl.py": OUR_NAMES,
+    "dialects/migration.py": "comments of the declared tables, quoted; the table of the version",
     "schema/srid.py": "columns of spatial_ref_sys",
     "msbdb/export/standards/inspire.py": "the columns of INSPIRE's table of heights",
 }

@@ -28,7 +28,8 @@ from simulated.builds import (
 from sqlalchemy import Engine
 
 from msbdb.database import example_queries, run_example
-from msbdb.database.schema.sqlfiles import _column, packaged
+from msbdb.database.examples import _column
+from msbdb.database.schema.sqlfiles import packaged
 from msbdb.errors import InputError, ParameterError
 
 KNOWN: list[tuple[str, dict[str, Any], list[str], list[tuple[Any, ...]]]] = [

@@ -11,8 +11,8 @@ from simulated.builds import EPSG
 
 from msbdb.cli.main import cli
 from msbdb.database import open_database
-from msbdb.database.dialects import sqliteconnection
-from msbdb.database.schema import migration
+from msbdb.database.admin import installation as installed
+from msbdb.database.dialects import migration, sqliteconnection
 
 
 def found(*args: object, code: int = 0) -> dict[str, dict[str, Any]]:
@@ -51,7 +51,16 @@ def test_without_spatialite_the_command_to_install_it_is_given(monkeypatch: pyte
     printed = CliRunner().invoke(cli, ["doctor"])
     assert printed.exit_code == 1
     assert "apt-get install libsqlite3-mod-spatialite" in printed.stdout
-    assert printed.stdout.endswith("Something is missing, see above.\n")
+    assert printed.stdout.endswith("Something is missing or faulty, see above.\n")
+
+
+def test_a_version_of_sqlite_that_blocks_is_faulty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the command that installs another one."""
+    used = found()["SQLite"]["version"]
+    monkeypatch.setattr(installed, "BLOCKING_SQLITE", (used,))
+    component = found(code=1)["SQLite"]
+    assert (component["state"], component["version"]) == ("faulty", used)
+    assert "pip install" in component["advice"]
 
 
 def test_an_older_schema_is_to_be_upgraded(town: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,8 @@ from support.latermigration import LATER, TODAY, migrations_of_tomorrow
 from support.schemaobjects import objects
 
 from msbdb.database import canonical_dump, downgrade_schema, open_database, read_buildings, upgrade_schema, write_build
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.dialect import database_url, dialect_of
-from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqlfiles import parse_sql, sql_names
 from msbdb.errors import DatabaseError
 

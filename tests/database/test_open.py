@@ -15,9 +15,9 @@ from sqlalchemy import Engine, event, text
 from support.latermigration import LATER, migrations_of_tomorrow
 
 from msbdb.database import canonical_dump, open_database, read_build, srid_of, write_build
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects import sqliteconnection
 from msbdb.database.dialects.dialect import database_url, dialect_of, shown
-from msbdb.database.schema import migration as upgrade
 from msbdb.errors import CRSError, DatabaseError, MissingDependencyError, ParameterError, SchemaVersionError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -298,7 +298,7 @@ def test_odd_paths_are_just_paths(tmp_path: Path) -> None:
 KILLED_CREATION = """
 import os, signal, sys
 from msbdb.database import open_database
-from msbdb.database.schema import migration
+from msbdb.database.dialects import migration
 def die(*args):
     os.kill(os.getpid(), signal.SIGKILL)
 migration.{function} = die

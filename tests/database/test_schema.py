@@ -13,9 +13,9 @@ from sqlalchemy import Engine, text
 from support.schemaobjects import objects
 
 from msbdb.database import open_database
+from msbdb.database.admin.ddl import ddl, dictionary, statements
 from msbdb.database.dialects.dialect import database_url, dialect_of
 from msbdb.database.schema import sqlfiles
-from msbdb.database.schema.ddl import ddl, dictionary, statements
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, footprint_at_query
 from msbdb.database.schema.sqltables import METADATA, SPATIAL, VERSION_TABLE, Geometry
 from msbdb.database.schema.srid import crs_from, register

@@ -28,8 +28,8 @@ from msbdb.database import (
     upgrade_schema,
     write_build,
 )
+from msbdb.database.dialects.migration import head_version
 from msbdb.database.runs.digests import digest_again
-from msbdb.database.schema.migration import head_version
 from msbdb.database.schema.sqltables import SQL
 from msbdb.errors import DatabaseError, InputError, SchemaVersionError
 from msbdb.tables import HEIGHTS

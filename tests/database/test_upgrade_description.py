@@ -20,7 +20,7 @@ from msbdb.database import (
     upgrade_schema,
     write_build,
 )
-from msbdb.database.schema.migration import head_version
+from msbdb.database.dialects.migration import head_version
 from msbdb.errors import SchemaVersionError
 from msbdb.params import Params, with_values
 

@@ -17,8 +17,16 @@ from support.exported import town_content
 from msbdb.errors import FileError, InputError, PassingNotice
 from msbdb.export import export
 from msbdb.export.standards.exposure import NRML
-from msbdb.export.standards.planshape import BAYS, plan_shape, positions
-from msbdb.export.standards.taxonomy import OCCUPANCIES, Described, height_atoms, occupancy_atom, year_atom
+from msbdb.export.standards.taxonomy import (
+    BAYS,
+    OCCUPANCIES,
+    Described,
+    height_atoms,
+    occupancy_atom,
+    plan_shape,
+    positions,
+    year_atom,
+)
 
 BOX = shapely.box(0, 0, 20, 20)
 

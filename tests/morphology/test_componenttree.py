@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import oracles
 from support.strategies import CONNECTIVITIES, fields, images, surfaces
-from support.trees import opened
+from support.trees import innermost, opened
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import area_opening, areas, build_tree, is_increasing, sums
@@ -18,7 +18,7 @@ def masks_of(tree):
     """Return the cells of each node: its own, and those of all nodes in it."""
     masks = np.zeros((tree.size, *tree.node_of.shape), dtype=bool)
     for node in range(tree.size):
-        inside = tree.innermost(np.arange(tree.size) == node) == node
+        inside = innermost(tree, np.arange(tree.size) == node) == node
         masks[node] = tree.paint(inside)
     return masks
 
@@ -60,7 +60,7 @@ def test_descendants_follow_a_node_without_a_gap(surface, connectivity):
     """The nodes within a node have the numbers next to it."""
     tree = build_tree(*surface, connectivity=connectivity)
     for node in range(tree.size):
-        inside = np.flatnonzero(tree.innermost(np.arange(tree.size) == node) == node)
+        inside = np.flatnonzero(innermost(tree, np.arange(tree.size) == node) == node)
         np.testing.assert_array_equal(inside, np.arange(node, node + inside.size))
 
 
@@ -96,17 +96,16 @@ def test_sums_of_what_is_not_negative_are_increasing(surface, connectivity, seed
 
 
 @given(surfaces(), CONNECTIVITIES, SEEDS)
-def test_innermost_and_outermost_are_the_nearest_and_the_last_on_the_way_to_the_root(surface, connectivity, seed):
-    """Both are found by walking up, the node itself included; -1 where no selected node is met."""
+def test_the_outermost_is_the_last_on_the_way_to_the_root(surface, connectivity, seed):
+    """It is found by walking up, the node itself included; -1 where no selected node is met."""
     tree = build_tree(*surface, connectivity=connectivity)
     selected = np.random.default_rng(seed).random(tree.size) < 0.4
-    inner, outer = tree.innermost(selected), tree.outermost(selected)
+    outer = tree.outermost(selected)
     for node in range(tree.size):
         way = [node]
         while tree.parent[way[-1]] != way[-1]:
             way.append(tree.parent[way[-1]])
         met = [other for other in way if selected[other]]
-        assert inner[node] == (met[0] if met else -1)
         assert outer[node] == (met[-1] if met else -1)
 
 

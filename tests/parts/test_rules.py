@@ -14,12 +14,10 @@ from msbdb.labels import central_cells, height_statistics, measure, order_height
 from msbdb.landcover import ClassMap
 from msbdb.params import ScaleParams, SurfaceParams
 from msbdb.parts.adjacency import grow
-from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters
+from msbdb.parts.clusters import ClusterLedger, Clusters, label_clusters, slice_heights, storeys
 from msbdb.parts.fakefathers import FAKE, GAP, drop_fake_fathers, spread_of_children
 from msbdb.parts.links import SAME_AREA, SAME_STOREYS, drop_duplicates, find_roots, link
-from msbdb.parts.reshaping import FRAGMENT, cut, cut_vegetation
-from msbdb.parts.settling import settle
-from msbdb.parts.slices import slice_heights, storeys
+from msbdb.parts.reshaping import FRAGMENT, cut, cut_vegetation, settle
 from msbdb.parts.spectrum import drop_unlike, measure_spectrum, spectral_modes, split_by_classes
 from msbdb.parts.tree import number_scales
 

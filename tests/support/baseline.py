@@ -8,7 +8,7 @@ import pytest
 import sqlalchemy as sa
 
 from msbdb.database import open_database
-from msbdb.database.schema import migration as upgrade
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA
 
 ROOT = Path(__file__).resolve().parents[2]

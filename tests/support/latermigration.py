@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from msbdb.database.schema import migration as upgrade
+from msbdb.database.dialects import migration as upgrade
 
 ROOT = Path(__file__).resolve().parents[2]
 TODAY = upgrade.head_version()

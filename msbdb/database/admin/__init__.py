@@ -1,1 +1,1 @@
-"""Care of a database: create, upgrade, copy, dump, check, and grant rights."""
+"""Care of a database: create, upgrade, copy, dump, check, grant rights, and the files of ``schema/``."""

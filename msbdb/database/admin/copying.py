@@ -14,10 +14,10 @@ import numpy as np
 import shapely
 from sqlalchemy import JSON, URL, Connection, Engine, LargeBinary, Row, Table, func, literal_column, select, text
 
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require_srid, snapshot
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.runs.packing import unpack
-from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.database.schema.srid import FIRST_OWN_SRID
 from msbdb.errors import DatabaseError, ParameterError

@@ -29,7 +29,7 @@ from sqlalchemy import (
 from sqlalchemy import text as sql
 
 from msbdb.database.admin.findings import Finding, key_columns, key_of, keyed, tables
-from msbdb.database.schema.migration import head_version
+from msbdb.database.dialects.migration import head_version
 from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
 
 CHECK = "schema"

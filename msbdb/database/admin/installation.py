@@ -4,15 +4,15 @@ import platform
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 
 from sqlalchemy import Connection, text
 
 from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
+from msbdb.database.dialects.migration import head_version, schema_version
 from msbdb.database.dialects.sqliteconnection import driver, prepare
-from msbdb.database.schema.migration import head_version, schema_version
 from msbdb.errors import MsbdbError
 from msbdb.version import __version__
 
@@ -22,6 +22,9 @@ PROGRAMS = {
     "psql": "Not needed by msbdb; the client of PostGIS ('apt-get install postgresql-client').",
     "qgis": "Not needed by msbdb; it opens its databases ('apt-get install qgis').",
 }
+
+BLOCKING_SQLITE = ("3.51.0", "3.51.1")
+"""Versions in which two threads that open and close one file may block each other for ever; 3.51.2 mended it."""
 
 WAIT_S = 5.0
 """How long to wait for a database, seconds."""
@@ -37,8 +40,8 @@ class Component:
     version : str
         Empty where it is missing.
     state : str
-        'ok'; 'missing', where msbdb needs it; 'optional', where it is missing and not needed; 'old' or 'newer' of the
-        schema of a database.
+        'ok'; 'missing', where msbdb needs it; 'faulty', where it may fail; 'optional', where it is missing and not
+        needed; 'old' or 'newer' of the schema of a database.
     advice : str
         What to do; empty where it is there.
     """
@@ -77,7 +80,8 @@ def _components(db: str | None) -> Iterator[Component]:
     yield _checked("PROJ", _proj, again)
     yield _checked("GEOS", _geos, again)
     yield _checked("LAZ (lazrs)", partial(version, "lazrs"), "Install it: pip install 'laspy[lazrs]'")
-    yield _checked("SQLite", lambda: str(driver().sqlite_version), "Use a Python whose sqlite3 can load extensions.")
+    sqlite = _checked("SQLite", lambda: str(driver().sqlite_version), "Use a Python whose sqlite3 can load extensions.")
+    yield _usable(sqlite)
     yield _checked("SpatiaLite", _spatialite, "Install it: apt-get install libsqlite3-mod-spatialite")
     yield _checked("PostGIS driver (psycopg)", partial(version, "psycopg"), "Install it: pip install 'psycopg[binary]'")
     for name, advice in PROGRAMS.items():
@@ -97,6 +101,17 @@ def _checked(name: str, look: Callable[[], str], advice: str) -> Component:
         return Component(name, "", "missing", str(error))
     except (ImportError, OSError) as error:
         return Component(name, "", "missing", f"{advice} ({error})")
+
+
+def _usable(sqlite: Component) -> Component:
+    """Return SQLite as it is, or as faulty with what to do."""
+    if sqlite.version not in BLOCKING_SQLITE:
+        return sqlite
+    advice = (
+        "In this version threads that use one file may block each other for ever. "
+        "Install another one: pip install 'pysqlite3-binary!=0.5.4.post2', or a Python with SQLite 3.51.2 or newer."
+    )
+    return replace(sqlite, state="faulty", advice=advice)
 
 
 def _gdal_of_rasterio() -> str:

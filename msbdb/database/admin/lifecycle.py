@@ -8,11 +8,11 @@ from typing import Any
 from sqlalchemy import URL, Connection, Engine, column, func, inspect, select
 from sqlalchemy import table as sql_table
 
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.connection import TIMEOUT_S, open_database, upgrade_database
 from msbdb.database.dialects.dialect import database_url, dialect_of, guarded, shown
 from msbdb.database.dialects.rights import kept_rights
 from msbdb.database.runs.digests import COLUMN
-from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.database.schema.srid import horizontal
 from msbdb.errors import CRSError, DatabaseError, SchemaVersionError

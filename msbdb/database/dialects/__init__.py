@@ -1,1 +1,1 @@
-"""SpatiaLite and PostGIS behind one interface, and opening a database."""
+"""SpatiaLite and PostGIS behind one interface: opening a database, and the versions of its schema."""

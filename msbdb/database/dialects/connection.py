@@ -1,17 +1,25 @@
-"""Opening and creating databases, and reading one committed state by several queries."""
+"""Opening and creating databases, their CRS and their place for other programs, and reading one committed state."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from os import PathLike
+from typing import TYPE_CHECKING
 
 from sqlalchemy import URL, Connection, Engine, text
 
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
+from msbdb.database.dialects.migration import require_version
 from msbdb.database.dialects.rights import kept_rights
-from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.srid import FIRST_OWN_SRID, srid_of
 from msbdb.errors import CRSError, DatabaseError, ParameterError, SchemaVersionError
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+    from msbdb.io.crs import Fallback
 
 logger = logging.getLogger(__name__)
 
@@ -182,3 +190,74 @@ def connected(target: str | PathLike[str] | URL) -> Iterator[Connection | None]:
             return
         with dialect.make_engine(url, TIMEOUT_S).connect() as connection:
             yield connection
+
+
+@dataclass(frozen=True, slots=True)
+class ClientPlace:
+    """Where another program finds a database.
+
+    Parameters
+    ----------
+    file : str
+        The path of a file; empty for a server.
+    server : mapping of str to str
+        In PostgreSQL's words: dbname, host, port, user, sslmode and service, where they are known.
+    schema : str
+        The schema of the tables; empty for a file.
+    """
+
+    file: str
+    server: Mapping[str, str]
+    schema: str
+
+
+def client_place(engine: Engine) -> ClientPlace:
+    """Return where another program finds a database; never with the password."""
+    url = engine.url
+    if engine.dialect.name == "sqlite":
+        return ClientPlace(str(url.database), {}, "")
+    query = {name: str(value) for name, value in url.query.items() if name in ("host", "port", "sslmode", "service")}
+    found = {
+        "dbname": url.database, "host": url.host or query.get("host"), "port": url.port or query.get("port"),
+        "user": url.username, "sslmode": query.get("sslmode"), "service": query.get("service"),
+    }  # fmt: skip
+    with guarded(url), engine.connect() as connection:
+        schema = str(connection.scalar(text("SELECT current_schema()")))
+    return ClientPlace("", {name: str(value) for name, value in found.items() if value}, schema)
+
+
+def database_crs_of(engine: Engine) -> "CRS":
+    """Return the database's CRS."""
+    with guarded(engine.url), engine.connect() as connection:
+        return database_crs(connection)
+
+
+def read_fallback(target: str | PathLike[str] | URL) -> "Fallback | None":
+    """Return the CRS of a database of any schema, for files that state none; None where there is no database."""
+    from msbdb.io.crs import Fallback
+
+    with connected(target) as connection:
+        if connection is None:
+            return None
+        require_version(connection, shown(connection.engine.url))
+        return Fallback(database_crs(connection), "the database")
+
+
+def database_crs(connection: Connection) -> "CRS":
+    """Return the database's registered CRS."""
+    from pyproj import CRS
+
+    return CRS.from_user_input(_words(connection))
+
+
+def crs_words_of(engine: Engine) -> str:
+    """Return the database's CRS as GDAL takes it, by its EPSG code or as WKT, without loading PROJ."""
+    with guarded(engine.url), engine.connect() as connection:
+        return _words(connection)
+
+
+def _words(connection: Connection) -> str:
+    srid = dialect_of(connection.engine.url).database_srid(connection)
+    if srid < FIRST_OWN_SRID:
+        return f"EPSG:{srid}"
+    return str(connection.scalar(text("SELECT srtext FROM spatial_ref_sys WHERE srid = :srid"), {"srid": srid}))

@@ -7,7 +7,6 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
@@ -167,19 +166,3 @@ def guarded(url: URL) -> Iterator[None]:
         yield
     except errors as error:
         raise dialect.explain(error, shown(url)) from error
-
-
-def plain_rows(columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> list[tuple[Any, ...]]:
-    """Return the rows of columns as plain Python values, with None for NaN."""
-    return list(zip(*(_plain(values) for values in columns.values()), strict=True))
-
-
-def _plain(values: Sequence[Any] | NDArray[Any]) -> Sequence[Any]:
-    """Return a column as plain Python values."""
-    if not isinstance(values, np.ndarray):
-        return values
-    found: list[Any] = values.tolist()
-    if values.dtype.kind == "f":
-        for row in np.flatnonzero(np.isnan(values)).tolist():
-            found[row] = None
-    return found

@@ -29,9 +29,8 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects import setkeys
-from msbdb.database.dialects.dialect import plain_rows
 from msbdb.database.schema.sqlfiles import read_sql
-from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
+from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry, plain_rows
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
 from msbdb.identity import to_json
 

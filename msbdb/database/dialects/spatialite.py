@@ -15,9 +15,8 @@ from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, event, 
 from sqlalchemy.exc import DBAPIError, IntegrityError
 
 from msbdb.database.dialects import bulk
-from msbdb.database.dialects.dialect import plain_rows
 from msbdb.database.dialects.sqliteconnection import begin, driver, journal_mode, prepare
-from msbdb.database.schema.sqltables import VERSION_TABLE
+from msbdb.database.schema.sqltables import VERSION_TABLE, plain_rows
 from msbdb.errors import DatabaseError, LoadError, MsbdbError, SchemaVersionError
 from msbdb.identity import to_json
 

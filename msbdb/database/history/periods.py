@@ -23,8 +23,7 @@ from sqlalchemy import (
     union,
 )
 
-from msbdb.database.dialects.connection import snapshot
-from msbdb.database.dialects.databasecrs import database_crs
+from msbdb.database.dialects.connection import database_crs, snapshot
 from msbdb.database.dialects.dialect import dialect_of, guarded
 from msbdb.database.history.days import first_day
 from msbdb.database.history.joins import batches

@@ -10,13 +10,13 @@ import shapely
 from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine, delete, func, insert, select, text, update
 
+from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require_srid
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_build, geometries
 from msbdb.database.runs.digests import RunContent, portable, source_rows, survey_row
 from msbdb.database.runs.packing import pack
-from msbdb.database.schema import migration as upgrade
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
 from msbdb.identity import plain, text_id

@@ -1,1 +1,1 @@
-"""The tables, views and queries of the database, generated from their declarations, and its versions."""
+"""The tables, views and SQL texts of the database, generated from their declarations, and its one CRS."""

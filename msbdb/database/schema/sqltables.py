@@ -1,8 +1,11 @@
-"""The SQLAlchemy tables, generated from the declarations of ``msbdb.tables``."""
+"""The SQLAlchemy tables, generated from the declarations of ``msbdb.tables``, and rows as their drivers take them."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import sqlalchemy as sa
+from numpy.typing import NDArray
 from sqlalchemy.types import TypeEngine, UserDefinedType
 
 from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Check, Column, Index, KeyReference, Table, Unique
@@ -130,3 +133,19 @@ def _table(table: Table) -> sa.Table:
 
 SQL: dict[str, sa.Table] = {table.name: _table(table) for table in DATABASE_TABLES}
 """The tables by name."""
+
+
+def plain_rows(columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> list[tuple[Any, ...]]:
+    """Return the rows of columns as plain Python values, with None for NaN."""
+    return list(zip(*(_plain(values) for values in columns.values()), strict=True))
+
+
+def _plain(values: Sequence[Any] | NDArray[Any]) -> Sequence[Any]:
+    """Return a column as plain Python values."""
+    if not isinstance(values, np.ndarray):
+        return values
+    found: list[Any] = values.tolist()
+    if values.dtype.kind == "f":
+        for row in np.flatnonzero(np.isnan(values)).tolist():
+            found[row] = None
+    return found

@@ -17,13 +17,14 @@ import shapely
 
 from msbdb.errors import InputError, PassingNotice, counted
 from msbdb.export.content import Content
-from msbdb.export.standards.planshape import plan_shape, positions
 from msbdb.export.standards.taxonomy import (
     UNKNOWN,
     Described,
     height_atoms,
     occupancy_atom,
     other_atoms,
+    plan_shape,
+    positions,
     year_atom,
 )
 from msbdb.export.standards.town import Building, Town

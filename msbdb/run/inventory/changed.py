@@ -24,12 +24,13 @@ from msbdb.database import (
 )
 from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError
-from msbdb.export import choose_layers, export, find_format
+from msbdb.export import Content, choose_layers, export, find_format
 from msbdb.grid import Grid, lattice
+from msbdb.identity import to_json
 from msbdb.io.files import PICTURES, require_output
+from msbdb.io.layers import Layer
 from msbdb.io.vector import read_polygons
 from msbdb.kept import heights_of
-from msbdb.run.export import change_content
 from msbdb.run.reports import Changes
 from msbdb.view.buildingmap import draw_changes
 
@@ -169,3 +170,13 @@ def records_of(found: Changes) -> list[dict[str, Any]]:
         {str(name): value for name, value in row.items()}
         for row in plain.where(plain.notna(), None).to_dict(orient="records")
     ]
+
+
+def change_content(table: gpd.GeoDataFrame) -> Content:
+    """Return changes as the layer of a file; imported attributes are JSON."""
+    frame = table.copy()
+    for column in ("attributes_before", "attributes_after"):
+        words = np.empty(len(frame), dtype=object)
+        words[:] = [None if value is None else to_json(value) for value in frame[column]]
+        frame[column] = words
+    return Content("changes", {"change": Layer.of(frame)})

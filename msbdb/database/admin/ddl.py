@@ -5,9 +5,10 @@ from sqlalchemy.schema import CreateIndex, CreateTable
 
 from msbdb.database.dialects import postgis, spatialite
 from msbdb.database.dialects.dialect import Dialect as Hooks
+from msbdb.database.dialects.migration import comment_ddl, head_version
+from msbdb.database.examples import example_queries
 from msbdb.database.runs.digests import COLUMN, TABLES
-from msbdb.database.schema.migration import comment_ddl, head_version
-from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS, example_queries
+from msbdb.database.schema.sqlfiles import TABLE_VIEWS, VIEWS
 from msbdb.database.schema.sqltables import METADATA, SPATIAL, VERSION_TABLE
 from msbdb.tables.view_columns import VIEW_COLUMNS
 
