@@ -254,7 +254,7 @@ def _of_points(facts: PointFacts) -> dict[str, str]:
     has = {"several echoes a pulse": facts.echoes, "intensity": facts.intensity} | dict.fromkeys(facts.colours, True)
     return {
         "points": f"{facts.points:,}, {100 * facts.ground_share:.0f} % in class 2",
-        "density": f"{facts.density:.1f} first echoes a m²",
+        "density": f"{facts.density:.1f} first echoes",
         "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground",
         "points have": ", ".join(name for name, there in has.items() if there) or "coordinates alone",
         "elevations": "; ".join(f"{low:.1f} to {high:.1f} m" for low, high in facts.levels_m),

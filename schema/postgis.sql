@@ -1000,7 +1000,7 @@ COMMENT ON COLUMN source.number IS '1 to n, in the order of role, name and check
 
 COMMENT ON COLUMN source.name IS 'name of the file';
 
-COMMENT ON COLUMN source.role IS 'what the file provides: points, ortho, dsm, dtm, ndsm, parcels';
+COMMENT ON COLUMN source.role IS 'what the file provides: points, ortho, dsm, dtm, ndsm, parcels, aoi';
 
 COMMENT ON COLUMN source.sha256 IS 'checksum of the file';
 

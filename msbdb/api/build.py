@@ -28,6 +28,7 @@ def build(
     dtm: File | None = None,
     ndsm: File | None = None,
     parcels: File | None = None,
+    aoi: File | None = None,
     db: str | Path,
     survey: str | None = None,
     date: str | None = None,
@@ -57,6 +58,9 @@ def build(
         Rasters of heights. With points, ``dtm`` is the ground, and none is detected.
     parcels : path, optional
         Polygons of any vector format and CRS that divide touching houses: parcels, cadastre or footprints.
+    aoi : path, optional
+        Polygons of any vector format and CRS: only what lies in them is built. A cell is inside where its centre is.
+        Points up to 50 m beyond are read, because they help to find the ground.
     db : str or path
         A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
     survey : str, optional
@@ -120,7 +124,7 @@ def build(
     stated = {"crs": crs, "ortho_crs": ortho_crs, "z_unit": z_unit}
     notices, stages = Notices(), Stages(progress)
     with collect_notices(notices):
-        inputs = Inputs.of(points, ortho, **heights, **stated, parcels=parcels, skip_bad=skip_bad)
+        inputs = Inputs.of(points, ortho, **heights, **stated, parcels=parcels, aoi=aoi, skip_bad=skip_bad)
     if denoising_figure is not None:
         sources = [db, *(path for path, _ in inputs.files())]
         require_output(denoising_figure, overwrite=overwrite, endings=PICTURES, sources=sources)
@@ -149,6 +153,7 @@ def plan(
     dsm: File | None = None,
     dtm: File | None = None,
     ndsm: File | None = None,
+    aoi: File | None = None,
     crs: str | None = None,
     ortho_crs: str | None = None,
     z_unit: str = "auto",
@@ -164,7 +169,7 @@ def plan(
 
     Parameters
     ----------
-    points, ortho, dsm, dtm, ndsm, crs, ortho_crs, z_unit, params, profile, skip_bad, progress
+    points, ortho, dsm, dtm, ndsm, aoi, crs, ortho_crs, z_unit, params, profile, skip_bad, progress
         As for `build`.
 
     Returns
@@ -184,7 +189,8 @@ def plan(
 
     heights = {"dsm": dsm, "dtm": dtm, "ndsm": ndsm}
     with collect_notices(Notices()), memory_reused():
-        inputs = Inputs.of(points, ortho, **heights, crs=crs, ortho_crs=ortho_crs, z_unit=z_unit, skip_bad=skip_bad)
+        stated = {"crs": crs, "ortho_crs": ortho_crs, "z_unit": z_unit}
+        inputs = Inputs.of(points, ortho, **heights, **stated, aoi=aoi, skip_bad=skip_bad)
         inputs.require_files()
         inputs.require_one_place()
         return make_plan(inputs, params or named_profile(profile), Stages(progress))

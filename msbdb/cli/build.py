@@ -151,6 +151,12 @@ def inputs(function: F) -> F:
     return _decorated(function, _HEIGHTS)
 
 
+def aoi(function: F) -> F:
+    """Decorate a command with the option of an area that is built."""
+    words = "Polygons of any vector format and CRS: only what lies in them is built. Points up to 50 m beyond are read."
+    return click.option("--aoi", type=INPUT_FILE, metavar="FILE", help=words)(function)
+
+
 def sources(function: F) -> F:
     """Decorate a command with the options of what a plan is made from."""
     return _decorated(function, (*_SOURCES, *_STATED, _SKIP_BAD))
@@ -177,6 +183,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --dsm dsm.tif --dtm dtm.tif --db town.sqlite --survey spring --date 2021-04-20",
         "msbdb build --points town.laz --dtm terrain.tif --db town.sqlite",
         "msbdb build --points town.laz --parcels cadastre.gpkg --db town.sqlite",
+        "msbdb build --points tiles --aoi district.gpkg --db district.sqlite",
         "msbdb build --points town.laz --db postgresql://me@localhost/town --scales 30,100,1000",
         "msbdb build --points town.laz --db town.sqlite --profile vu2009 --set surface.storey_m=2.7",
         "msbdb build --points town.laz --db town.sqlite --outline traced",
@@ -185,6 +192,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
     ),
 )
 @inputs
+@aoi
 @click.option(
     "--survey",
     metavar="NAME",
@@ -335,7 +343,7 @@ def check_figure(figure: Path | None, inputs: dict[str, Any]) -> None:
     if figure == inputs["denoising_figure"]:
         msg = f"--figure and --denoising-figure name the same file, {figure}. Give each a name of its own."
         raise click.UsageError(msg)
-    single = [inputs[name] for name in ("dsm", "dtm", "ndsm", "parcels", "db") if inputs[name]]
+    single = [inputs[name] for name in ("dsm", "dtm", "ndsm", "parcels", "aoi", "db") if inputs.get(name)]
     sources = [*inputs["points"], *inputs["ortho"], *single]
     require_output(figure, overwrite=inputs["overwrite"], endings=PICTURES, sources=sources)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from msbdb.cli.build import check_inputs, parameters, sources
+from msbdb.cli.build import aoi, check_inputs, parameters, sources
 from msbdb.cli.command import DATABASE, command, shared
 from msbdb.cli.output import emit_json, emit_pairs, emit_table
 from msbdb.cli.progress import SECONDS, progress_bar
@@ -72,6 +72,7 @@ def params(*, profile: str, form: str | None) -> None:
 @click.argument("db", type=DATABASE, metavar="DB", required=False)
 @click.option("--survey", metavar="NAME", help="The survey in the database; needed where there are several.")
 @sources
+@aoi
 @shared("json")
 def plan(*, db: str | None, survey: str | None, as_json: bool, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Show the plan of a survey: all values that a tile of it cannot know by itself.

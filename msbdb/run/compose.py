@@ -27,8 +27,7 @@ from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.run.describe import Description, count_cells, describe, describe_choices
 from msbdb.run.inputs import Inputs
-from msbdb.run.planning import is_sampled
-from msbdb.run.prepare import Label, make_plan, note_missing_sources, prepare, read_cloud
+from msbdb.run.prepare import Label, is_large, make_plan, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
@@ -88,7 +87,7 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
         Receives the notices that arise; those that it has already are kept, too.
     """
     planned = job.plan
-    if planned is None and is_sampled(job.inputs.points):
+    if planned is None and is_large(job.inputs):
         with collect_notices(Notices()), memory_reused():
             planned = make_plan(job.inputs, job.params, stages)
     facts = None if planned is None else planned.points

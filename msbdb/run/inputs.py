@@ -23,10 +23,13 @@ from msbdb.io.extents import (
 from msbdb.io.files import describe_source, require_input
 from msbdb.io.pointfiles import point_files, sound_files
 from msbdb.io.raster import open_raster, states_crs
-from msbdb.io.vector import read_polygons
+from msbdb.io.vector import Area, read_polygons
 from msbdb.tables import Source
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
+AOI_MARGIN_M = 50.0
+"""Ours: points so far beyond the area of interest help to find its ground: the windows of the filters reach less."""
 
 ANYWHERE = re.compile(
     r"(points?|point_?cloud|cloud|lidar|las|laz|dsm|dtm|dem|ndsm|chm|surface|terrain|ground|heights?|tiles?|data|input"
@@ -49,6 +52,7 @@ class Inputs:
     ortho_crs: str | None = None
     z_unit: str = "auto"
     parcels: Path | None = None
+    aoi: Path | None = None
     fallback: Fallback | None = None
 
     @classmethod
@@ -68,7 +72,7 @@ class Inputs:
         clouds = point_files(_paths(points))
         if clouds:
             clouds = sound_files(clouds, skip_bad=skip_bad)
-        files = {name: given[name] for name in ("dsm", "dtm", "ndsm", "parcels") if given.get(name) is not None}
+        files = {name: given[name] for name in ("dsm", "dtm", "ndsm", "parcels", "aoi") if given.get(name) is not None}
         return cls(clouds, _paths(ortho), **given | {name: Path(file) for name, file in files.items()})
 
     def __post_init__(self) -> None:
@@ -103,7 +107,7 @@ class Inputs:
                     msg = f"The same file is given as {roles}: {one} and {other}. Leave one out, or correct its name."
                     raise InputError(msg)
         for path, role in self.files():
-            if role == "parcels":
+            if role in ("parcels", "aoi"):
                 require_polygons(path)
             elif role != "points":
                 with open_raster(path):
@@ -117,7 +121,7 @@ class Inputs:
         CRSError
             For another CRS than that of the database.
         GridMismatchError
-            For a DTM, orthophotos or parcels that lie apart from the heights.
+            For a DTM, orthophotos, parcels or an area of interest that lie apart from the heights.
         InputError
             For the same points in two files, such as a LAZ and the COPC made from it.
         """
@@ -137,8 +141,9 @@ class Inputs:
             crs = None if states_crs(self.dtm) else self.any_crs
             require_common_place(first, [extent_of_raster(self.dtm, crs, "DTM")])
         require_common_place(first, [extent_of_raster(path, self.any_ortho_crs, "image") for path in self.ortho])
-        parcels = None if self.parcels is None else extent_of_polygons(self.parcels)
-        require_common_place(first, [] if parcels is None else [parcels])
+        for polygons in (self.parcels, self.aoi):
+            extent = None if polygons is None else extent_of_polygons(polygons)
+            require_common_place(first, [] if extent is None else [extent])
 
     def extent(self) -> Extent | None:
         """Return what the heights cover by their headers; None where these are wrong."""
@@ -146,6 +151,12 @@ class Inputs:
             if path is not None:
                 return extent_of_raster(path, self.any_crs, role)
         return extent_of_points(self.points, self.any_crs)
+
+    def area(self) -> Area | None:
+        """Return the area of interest with its margin; None where the user gave none."""
+        if self.aoi is None:
+            return None
+        return Area(read_polygons(self.aoi).geometry, AOI_MARGIN_M, f"the area of interest {self.aoi}")
 
     def files(self) -> Iterator[tuple[Path, str]]:
         """Yield each file with its role."""
@@ -155,6 +166,8 @@ class Inputs:
         yield from ((Path(path), "ortho") for path in self.ortho)
         if self.parcels is not None:
             yield Path(self.parcels), "parcels"
+        if self.aoi is not None:
+            yield Path(self.aoi), "aoi"
 
     def stated(self) -> dict[str, str]:
         """Return what the user stated about the files, where it is not the default."""

@@ -17,7 +17,7 @@ from msbdb.detect.adaptive.offground import ndvi_threshold
 from msbdb.detect.area3d.heightscales import height_scales
 from msbdb.detect.pointregions import heights_of_points, point_ndvi
 from msbdb.errors import InputError, MsbdbWarning
-from msbdb.grid import Bands
+from msbdb.grid import Bands, Grid
 from msbdb.io.crs import CrsLike, reference, same_crs
 from msbdb.io.extents import extent_of_points
 from msbdb.io.lasheader import read_las_header
@@ -144,6 +144,27 @@ class Draft:
         """Return a draft, with the heights of its points."""
         above = None if cloud is None else heights_of_points(surface, cloud, params)
         return cls(surface, structure, bands, cloud, above)
+
+    def within(self, inside: NDArray[np.bool_]) -> "Draft":
+        """Return the draft without all that lies outside of the (H, W) cells of an area; the terrain stays."""
+        surface, cover, cloud, bands = self.surface, self.structure.cover, self.cloud, self.bands
+        points = None if cloud is None else surface.ndsm.spec.sample(inside, cloud.x, cloud.y, outside=False)
+        cover = replace(cover, index=np.where(inside, cover.index, np.uint8(0)))
+        if bands is not None:
+            bands = Bands(np.where(inside, bands.values, np.float32(0)), bands.names, bands.valid & inside, bands.spec)
+        return Draft(
+            replace(surface, dsm=_cut(surface.dsm, inside), ndsm=_cut(surface.ndsm, inside)),
+            replace(self.structure, cover=cover),
+            bands,
+            None if cloud is None or points is None else cloud.take(points),
+            None if self.above is None or points is None else self.above[points],
+        )
+
+
+def _cut(grid: Grid, inside: NDArray[np.bool_]) -> Grid:
+    """Return a grid that is valid inside an area alone."""
+    values = np.where(inside, np.asarray(grid.values), np.float32(0)).astype(np.float32)
+    return grid.with_values(values, grid.valid & inside)
 
 
 def facts_of(cloud: PointCloud) -> PointFacts:
@@ -309,7 +330,7 @@ def fitted_by(plan: Plan, bands: Bands | None) -> Fitted | None:
     """
     if bands is None or not is_imagery(bands):
         return None
-    if plan.classes is not None and set(plan.classes.bands) != set(bands.names):
+    if plan.classes is not None and plan.classes.bands != bands.names:
         msg = (
             f"The plan has classes of the bands {', '.join(plan.classes.bands)}; the survey has "
             f"{', '.join(bands.names)}. Give images of these bands, or make a plan of this survey."

@@ -10,7 +10,7 @@ import pandas as pd
 
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
-from msbdb.errors import GridMismatchError, InputError, MsbdbWarning
+from msbdb.errors import GridMismatchError, InputError, MsbdbWarning, NodataError
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
@@ -29,6 +29,7 @@ from msbdb.run.planning import (
     decide,
     facts_of,
     fitted_by,
+    is_sampled,
     joined_facts,
     require_fitting,
     settled,
@@ -63,10 +64,12 @@ def read_cloud(
 ) -> PointCloud | None:
     """Read the points, where the build is from points.
 
-    ``facts`` are those of a survey that they are a part of; in an ``area`` only its points are read.
+    ``facts`` are those of a survey that they are a part of. Only points in the ``area`` are read, by default that of
+    interest with its margin.
     """
     if not inputs.points:
         return None
+    area = inputs.area() if area is None else area
     return read_points(
         inputs.points, crs=inputs.any_crs, z_unit=inputs.z_unit, facts=facts, area=area, progress=progress
     )
@@ -160,13 +163,18 @@ def prepare(
     return scene, params, plan
 
 
+def is_large(inputs: Inputs) -> bool:
+    """Return whether a plan looks at a sample of the points; in an area of interest it looks at all."""
+    return inputs.aoi is None and is_sampled(inputs.points)
+
+
 def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     """Return the plan of a survey: that which a build of it makes and keeps.
 
     Where the headers promise more points than a plan looks at, a seeded hash draws blocks that hold about as many, and
     one pass over the files reads these.
     """
-    blocks = blocks_to_sample(inputs.points, inputs.any_crs, seed=params.spectral.seed)
+    blocks = blocks_to_sample(inputs.points, inputs.any_crs, seed=params.spectral.seed) if is_large(inputs) else None
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
     if cloud is None or blocks is None:
@@ -201,7 +209,14 @@ def make_draft(
             if not sampled:
                 raise
             bands = None
-    return Draft.of(surface, structure, bands, cloud, params)
+    draft, area = Draft.of(surface, structure, bands, cloud, params), inputs.area()
+    if area is None:
+        return draft
+    inside = rasterise([area.shape_in(spec.crs, margin=False)], spec) > 0
+    if not (inside & surface.ndsm.valid).any():
+        msg = f"No cell of the survey has its centre in {area.what}. Check the area, its CRS, and that of the heights."
+        raise NodataError(msg)
+    return draft.within(inside)
 
 
 def read_parcels(path: Path, spec: GridSpec) -> Labels:

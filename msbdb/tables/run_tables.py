@@ -54,7 +54,7 @@ SOURCE = Table(
         Column("survey_id", "int64", "-", "the survey", primary=True, refers="survey.survey_id", cascade=True),
         Column("number", "int32", "-", "1 to n, in the order of role, name and checksum", primary=True),
         Column("name", "str", "-", "name of the file"),
-        Column("role", "str", "-", "what the file provides: points, ortho, dsm, dtm, ndsm, parcels"),
+        Column("role", "str", "-", "what the file provides: points, ortho, dsm, dtm, ndsm, parcels, aoi"),
         Column("sha256", "str", "-", "checksum of the file"),
         Column("bytes", "int64", "bytes", "size of the file"),
     ),
