@@ -10,6 +10,7 @@
 
   const DEGREE = 1e7; // steps of a degree
   const GREY = "#b5b8bc"; // a value that is not known
+  const OTHERS = "#5d6269"; // classes that have no colour of their own
   const PICKED = "#ff4fa3";
   const UNKNOWN_M = 0.4; // height of a block whose height is not known
   const MOST_HITS = 30;
@@ -214,7 +215,10 @@
   const ramp = (value, colours, low, high) =>
     ["interpolate", ["linear"], value, ...colours.flatMap((own, n) => [low + ((high - low) * n) / (colours.length - 1), own])];
   const known = (name, colour) => ["case", ["<", ["get", name], 0], GREY, colour];
-  const classColour = (kind) => (kind === 0 ? GREY : CLASSES[(kind - 1) % CLASSES.length]);
+  // The classes of most parts have colours of their own; the others share one.
+  const often = town.classes.map((_, kind) => parts.kind.filter((own) => own === kind).length);
+  const coloured = [...town.classes.keys()].slice(1).sort((a, b) => often[b] - often[a]).slice(0, CLASSES.length).sort((a, b) => a - b);
+  const classColour = (kind) => (kind === 0 ? GREY : CLASSES[coloured.indexOf(kind)] || OTHERS);
 
   function colourOf(name) {
     const get = ["get", { class: "kind", probability: "chance" }[name] || name];
@@ -251,7 +255,11 @@
         return key(own, to === null ? `${from} and more` : to === from ? `${from}` : `${from} to ${to}`);
       }),
       scale: () => [...bar(SCALES, "1, coarsest", `${finest}, finest`), key(GREY, "building without parts")],
-      class: () => town.classes.map((words, kind) => key(classColour(kind), words)),
+      class: () => {
+        const others = town.classes.filter((_, kind) => classColour(kind) === OTHERS);
+        return [...coloured.map((kind) => key(classColour(kind), town.classes[kind])),
+          ...(others.length ? [key(OTHERS, others.join(", "))] : []), key(GREY, "none")];
+      },
       probability: () => bar(CHANCES, "0", "1"),
       state: () => STATES.map(([words, own]) => key(own, words)),
       change: () => {
@@ -409,6 +417,7 @@
     const isTwo = chosen.other !== NONE;
     document.documentElement.dataset.theme = chosen.dark ? "dark" : "light";
     document.body.classList.toggle("two", isTwo);
+    document.body.classList.toggle("open", !$("details").hidden);
     $("pane-b").hidden = !isTwo;
     if (isTwo && panes.length < 2) {
       const { lng, lat } = panes[0].map.getCenter(), from = panes[0].map;
