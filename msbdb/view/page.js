@@ -217,7 +217,8 @@
   const known = (name, colour) => ["case", ["<", ["get", name], 0], GREY, colour];
   // The classes of most parts have colours of their own; the others share one.
   const often = town.classes.map((_, kind) => parts.kind.filter((own) => own === kind).length);
-  const coloured = [...town.classes.keys()].slice(1).sort((a, b) => often[b] - often[a]).slice(0, CLASSES.length).sort((a, b) => a - b);
+  const byNumber = [...town.classes.keys()].slice(1).sort((a, b) => often[b] - often[a]);
+  const coloured = byNumber.slice(0, CLASSES.length).sort((a, b) => a - b);
   const classColour = (kind) => (kind === 0 ? GREY : CLASSES[coloured.indexOf(kind)] || OTHERS);
 
   function colourOf(name) {
@@ -297,8 +298,9 @@
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.75, "raster-resampling": "nearest" } }] : []),
       { id: "outlines", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], filter],
         layout: isSeen("outlines"), paint: { "line-color": css("--line"), "line-width": 1 } },
-      { id: "picked", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], ["in", ["get", "row"], ["literal", versionsOf(chosen.picked)]], filter],
-        layout: {}, paint: { "line-color": PICKED, "line-width": 3 } },
+      { id: "picked", type: "line", source: "town", layout: {},
+        filter: ["all", ["==", ["get", "part"], NONE], ["in", ["get", "row"], ["literal", versionsOf(chosen.picked)]], filter],
+        paint: { "line-color": PICKED, "line-width": 3 } },
       { id: "blocks", type: "fill-extrusion", source: "town", filter: ["all", filter, levelOf(chosen.scale)], layout: isSeen("blocks"),
         paint: {
           "fill-extrusion-color": ["case", on, PICKED, colourOf(chosen.colour)],
@@ -335,7 +337,7 @@
       : { center: [(whole[0][0] + whole[1][0]) / 2, (whole[0][1] + whole[1][1]) / 2], zoom: 15 };
     const map = new maplibregl.Map({
       container: `map-${which}`, style: styleOf(view, side), maxPitch: 80, maxZoom: 22, attributionControl: false, renderWorldCopies: false,
-      fadeDuration: 0, canvasContextAttributes: { antialias: !isSoftware() }, ...options,
+      fadeDuration: 0, trackResize: false, canvasContextAttributes: { antialias: !isSoftware() }, ...options,
       locale: { "Map.Title": which === "a" ? "Map of the town" : "Map of the town at the later date" },
     });
     if (!camera) map.fitBounds(whole, { ...beginning(), animate: false });
@@ -412,6 +414,14 @@
     $(`tag-${pane.which}`).hidden = chosen.other === NONE;
   }
 
+  // Only where its size changed: it would end a movement of the camera.
+  function fitPanes() {
+    for (const { map } of panes) {
+      const { clientWidth, clientHeight } = map.getContainer(), canvas = map.getCanvas();
+      if (clientWidth && (clientWidth !== canvas.clientWidth || clientHeight !== canvas.clientHeight)) map.resize();
+    }
+  }
+
   let drawing = Promise.resolve();
   function draw() {
     const isTwo = chosen.other !== NONE;
@@ -423,7 +433,7 @@
       const { lng, lat } = panes[0].map.getCenter(), from = panes[0].map;
       addPane([lng, lat, from.getZoom(), from.getBearing(), from.getPitch()], pair()[1], 1);
     }
-    panes.forEach((pane) => pane.map.resize());
+    fitPanes();
     drawControls();
     drawLegend();
     drawChanges();
@@ -701,6 +711,7 @@
       $("fold").textContent = isOpen ? "+" : "−";
       $("controls").hidden = isOpen;
     });
+    window.addEventListener("resize", fitPanes);
     document.addEventListener("keydown", (event) => {
       if (event.key === "Escape" && !$("details").hidden) { closeDetails(); return; }
       if (event.target.matches("input[type=search], select") || event.ctrlKey || event.metaKey || event.altKey) return;
