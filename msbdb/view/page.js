@@ -10,6 +10,7 @@
 
   const DEGREE = 1e7; // steps of a degree
   const GREY = "#b5b8bc"; // a value that is not known
+  const OTHERS = "#5d6269"; // classes that have no colour of their own
   const PICKED = "#ff4fa3";
   const UNKNOWN_M = 0.4; // height of a block whose height is not known
   const MOST_HITS = 30;
@@ -214,7 +215,11 @@
   const ramp = (value, colours, low, high) =>
     ["interpolate", ["linear"], value, ...colours.flatMap((own, n) => [low + ((high - low) * n) / (colours.length - 1), own])];
   const known = (name, colour) => ["case", ["<", ["get", name], 0], GREY, colour];
-  const classColour = (kind) => (kind === 0 ? GREY : CLASSES[(kind - 1) % CLASSES.length]);
+  // The classes of most parts have colours of their own; the others share one.
+  const often = town.classes.map((_, kind) => parts.kind.filter((own) => own === kind).length);
+  const byNumber = [...town.classes.keys()].slice(1).sort((a, b) => often[b] - often[a]);
+  const coloured = byNumber.slice(0, CLASSES.length).sort((a, b) => a - b);
+  const classColour = (kind) => (kind === 0 ? GREY : CLASSES[coloured.indexOf(kind)] || OTHERS);
 
   function colourOf(name) {
     const get = ["get", { class: "kind", probability: "chance" }[name] || name];
@@ -251,7 +256,11 @@
         return key(own, to === null ? `${from} and more` : to === from ? `${from}` : `${from} to ${to}`);
       }),
       scale: () => [...bar(SCALES, "1, coarsest", `${finest}, finest`), key(GREY, "building without parts")],
-      class: () => town.classes.map((words, kind) => key(classColour(kind), words)),
+      class: () => {
+        const others = town.classes.filter((_, kind) => classColour(kind) === OTHERS);
+        return [...coloured.map((kind) => key(classColour(kind), town.classes[kind])),
+          ...(others.length ? [key(OTHERS, others.join(", "))] : []), key(GREY, "none")];
+      },
       probability: () => bar(CHANCES, "0", "1"),
       state: () => STATES.map(([words, own]) => key(own, words)),
       change: () => {
@@ -289,8 +298,9 @@
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.75, "raster-resampling": "nearest" } }] : []),
       { id: "outlines", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], filter],
         layout: isSeen("outlines"), paint: { "line-color": css("--line"), "line-width": 1 } },
-      { id: "picked", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], ["in", ["get", "row"], ["literal", versionsOf(chosen.picked)]], filter],
-        layout: {}, paint: { "line-color": PICKED, "line-width": 3 } },
+      { id: "picked", type: "line", source: "town", layout: {},
+        filter: ["all", ["==", ["get", "part"], NONE], ["in", ["get", "row"], ["literal", versionsOf(chosen.picked)]], filter],
+        paint: { "line-color": PICKED, "line-width": 3 } },
       { id: "blocks", type: "fill-extrusion", source: "town", filter: ["all", filter, levelOf(chosen.scale)], layout: isSeen("blocks"),
         paint: {
           "fill-extrusion-color": ["case", on, PICKED, colourOf(chosen.colour)],
@@ -327,7 +337,7 @@
       : { center: [(whole[0][0] + whole[1][0]) / 2, (whole[0][1] + whole[1][1]) / 2], zoom: 15 };
     const map = new maplibregl.Map({
       container: `map-${which}`, style: styleOf(view, side), maxPitch: 80, maxZoom: 22, attributionControl: false, renderWorldCopies: false,
-      fadeDuration: 0, canvasContextAttributes: { antialias: !isSoftware() }, ...options,
+      fadeDuration: 0, trackResize: false, canvasContextAttributes: { antialias: !isSoftware() }, ...options,
       locale: { "Map.Title": which === "a" ? "Map of the town" : "Map of the town at the later date" },
     });
     if (!camera) map.fitBounds(whole, { ...beginning(), animate: false });
@@ -404,17 +414,26 @@
     $(`tag-${pane.which}`).hidden = chosen.other === NONE;
   }
 
+  // Only where its size changed: it would end a movement of the camera.
+  function fitPanes() {
+    for (const { map } of panes) {
+      const { clientWidth, clientHeight } = map.getContainer(), canvas = map.getCanvas();
+      if (clientWidth && (clientWidth !== canvas.clientWidth || clientHeight !== canvas.clientHeight)) map.resize();
+    }
+  }
+
   let drawing = Promise.resolve();
   function draw() {
     const isTwo = chosen.other !== NONE;
     document.documentElement.dataset.theme = chosen.dark ? "dark" : "light";
     document.body.classList.toggle("two", isTwo);
+    document.body.classList.toggle("open", !$("details").hidden);
     $("pane-b").hidden = !isTwo;
     if (isTwo && panes.length < 2) {
       const { lng, lat } = panes[0].map.getCenter(), from = panes[0].map;
       addPane([lng, lat, from.getZoom(), from.getBearing(), from.getPitch()], pair()[1], 1);
     }
-    panes.forEach((pane) => pane.map.resize());
+    fitPanes();
     drawControls();
     drawLegend();
     drawChanges();
@@ -692,6 +711,7 @@
       $("fold").textContent = isOpen ? "+" : "−";
       $("controls").hidden = isOpen;
     });
+    window.addEventListener("resize", fitPanes);
     document.addEventListener("keydown", (event) => {
       if (event.key === "Escape" && !$("details").hidden) { closeDetails(); return; }
       if (event.target.matches("input[type=search], select") || event.ctrlKey || event.metaKey || event.altKey) return;

@@ -91,6 +91,11 @@ def address_of(page):
     return page.evaluate("location.hash")
 
 
+def zoom(address):
+    """Return the zoom that an address keeps."""
+    return float(address.split("at=")[1].split("&")[0].split("+")[2])
+
+
 def until(holds, seconds=60.0):
     """Wait until something holds, and return whether it does."""
     end = time.monotonic() + seconds
@@ -162,8 +167,10 @@ def test_two_dates_stand_side_by_side(opened):
     listed = opened.locator("#change-list li").count()
     assert listed >= 3
     assert f"{listed} changes" in opened.locator("#changes-title").text_content()
+    before = address_of(opened)
     opened.locator("#change-list button").first.click()
     assert opened.locator("#details").is_visible()
+    assert until(lambda: zoom(address_of(opened)) > zoom(before) + 0.2), "the camera goes there"
 
 
 def test_a_link_keeps_the_view(chromium, address):
