@@ -41,7 +41,7 @@ from msbdb.tables.view_columns import VIEW_COLUMNS
 from msbdb.view.blocks import blocks_of
 from msbdb.view.buildingmap import KINDS
 from msbdb.view.groundimages import extent_of, light_image, reason_image
-from msbdb.view.page import DEGREE, read_library, shapes_of, write_page
+from msbdb.view.page import DEGREE, read_library, shapes_of, texts, whole_numbers, write_page
 
 MOST_PARTS = 60_000
 """Buildings and parts beyond which the page would be slow (ours): 10,000 buildings have about 40,000."""
@@ -53,32 +53,10 @@ DIGITS = {"m": 2, "m2": 1, "m3": 0, "1": 3, "1/m2": 2}
 """Digits of a number behind the point by its unit; the page has whole numbers."""
 
 SHOWN = (
-    "survey",
-    "state",
-    "found_state",
-    "operator",
-    "note",
-    "probability",
-    "valid_from",
-    "valid_to",
-    "storeys",
-    "storeys_min",
-    "storeys_max",
-    "storeys_top",
-    "eaves",
-    "ridge",
-    "h_mean",
-    "z_ground",
-    "z_ridge",
-    "area_m2",
-    "volume_m3",
-    "floor_area_m2",
-    "coverage",
-    "density",
-    "divided_by",
-    "outline_source",
-    "attributes",
-)
+    "survey", "state", "found_state", "operator", "note", "probability", "valid_from", "valid_to", "storeys",
+    "storeys_min", "storeys_max", "storeys_top", "eaves", "ridge", "h_mean", "z_ground", "z_ridge", "area_m2",
+    "volume_m3", "floor_area_m2", "coverage", "density", "divided_by", "outline_source", "attributes",
+)  # fmt: skip
 """The columns of a building that the page shows, in this order."""
 
 
@@ -269,26 +247,26 @@ def _rows(
         "classes": classes,
         "buildings": {
             "id": buildings["key"].tolist(),
-            "first": _whole(buildings["first"]),
-            "after": _whole(buildings["after"]),
-            "height": _whole(_heights(buildings), 2),
-            "version": _texts(buildings["version_id"]) if "version_id" in buildings else [],
+            "first": whole_numbers(buildings["first"]),
+            "after": whole_numbers(buildings["after"]),
+            "height": whole_numbers(_heights(buildings), 2),
+            "version": texts(buildings["version_id"]) if "version_id" in buildings else [],
             "shape": shapes(np.array(buildings.geometry.to_numpy(), dtype=object)),
             "values": {column.name: _values(buildings[column.name], column.dtype, column.unit) for column in columns},
             "shares": {
-                column: _whole(buildings[column], 3) if column in buildings else [None] * len(buildings)
+                column: whole_numbers(buildings[column], 3) if column in buildings else [None] * len(buildings)
                 for column in DETECTOR_SHARES.values()
             },
         },
         "parts": {
-            "id": _texts(parts["part_id"]),
-            "building": _whole(parts["row"]),
+            "id": texts(parts["part_id"]),
+            "building": whole_numbers(parts["row"]),
             "father": fathers,
-            "scale": _whole(parts["scale"]),
-            "storeys": _whole(parts["hindex"]),
-            "height": _whole(parts["h_mean"], 2),
-            "top": _whole(parts["h_max"], 2),
-            "area": _whole(parts["area_m2"]),
+            "scale": whole_numbers(parts["scale"]),
+            "storeys": whole_numbers(parts["hindex"]),
+            "height": whole_numbers(parts["h_mean"], 2),
+            "top": whole_numbers(parts["h_max"], 2),
+            "area": whole_numbers(parts["area_m2"]),
             "kind": class_of,
         },
         "blocks": {
@@ -310,25 +288,8 @@ def _columns() -> list[Any]:
 def _values(values: pd.Series, dtype: str, unit: str) -> list[Any]:
     """Return a column of any kind: whole numbers, or texts; None for null."""
     if dtype in ("int64", "Int64", "float64"):
-        return _whole(values, DIGITS.get(unit, 0))
-    return _texts(values)
-
-
-def _whole(values: pd.Series, digits: int = 0) -> list[int | None]:
-    """Return numbers as whole numbers of the last digit; None for null."""
-    numbers = pd.to_numeric(values).to_numpy(dtype=np.float64, na_value=np.nan)
-    return [None if np.isnan(number) else round(number * 10**digits) for number in numbers.tolist()]
-
-
-def _texts(values: pd.Series) -> list[str | None]:
-    """Return values as texts, because ids exceed 2^53; imported attributes as lines; None for null."""
-    return [_text(value) for value in values.tolist()]
-
-
-def _text(value: object) -> str | None:
-    if isinstance(value, Mapping):
-        return "\n".join(f"{key}: {own}" for key, own in value.items())
-    return None if value is None or value is pd.NA or value != value else str(value)  # noqa: PLR0124  (NaN)
+        return whole_numbers(values, DIGITS.get(unit, 0))
+    return texts(values)
 
 
 def _heights(buildings: gpd.GeoDataFrame) -> pd.Series:
@@ -422,4 +383,7 @@ def _change_rows(table: gpd.GeoDataFrame, kinds: list[str], row_of: Mapping[int,
         for name in ("version_before", "version_after")
     ]
     number = [kinds.index(kind) for kind in table["kind"]]
-    return [list(row) for row in zip(number, *sides, _whole(table["dh_m"], 2), _whole(table["darea_m2"]), strict=True)]
+    return [
+        list(row)
+        for row in zip(number, *sides, whole_numbers(table["dh_m"], 2), whole_numbers(table["darea_m2"]), strict=True)
+    ]
