@@ -35,12 +35,13 @@ from msbdb.io.files import require_output
 from msbdb.kept import lattice_of
 from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
 from msbdb.run.outputs import Choice, choose, of_one_place, relief_for
-from msbdb.tables import BUILDING, DETECTOR_SHARES, PART, REASONS, Reason
+from msbdb.tables import BUILDING, DETECTOR_SHARES, PART
 from msbdb.tables.aliases import words_of
 from msbdb.tables.view_columns import VIEW_COLUMNS
 from msbdb.view.blocks import blocks_of
-from msbdb.view.buildingmap import KINDS, shading
-from msbdb.view.page import DEGREE, image_uri, read_library, shapes_of, write_page
+from msbdb.view.buildingmap import KINDS
+from msbdb.view.groundimages import extent_of, light_image, reason_image
+from msbdb.view.page import DEGREE, read_library, shapes_of, texts, whole_numbers, write_page
 
 MOST_PARTS = 60_000
 """Buildings and parts beyond which the page would be slow (ours): 10,000 buildings have about 40,000."""
@@ -48,56 +49,14 @@ MOST_PARTS = 60_000
 MOST_DATES = 8
 """Dates of the inventory on the page, the newest ones (ours): each pair has its list of changes."""
 
-LARGEST_IMAGE = 2000
-"""Cells a side beyond which the ground is thinned."""
-
-REASON_COLOURS = {
-    Reason.NO_DATA: "#c6dbef",
-    Reason.LOW: "#d9d9d9",
-    Reason.SMALL: "#f0e442",
-    Reason.VEGETATION_BY_STRUCTURE: "#009e73",
-    Reason.VEGETATION_BY_COLOUR: "#66c2a5",
-    Reason.OTHER_CLASS: "#a6761d",
-    Reason.UNSUPPORTED: "#cc79a7",
-    Reason.HARDLY_SUPPORTED: "#e69f00",
-    Reason.OUTVOTED: "#d55e00",
-    Reason.SMALL_PART: "#56b4e9",
-    Reason.UNLIKE_PART: "#0072b2",
-    Reason.GAP: "#999999",
-    Reason.NO_PARTS: "#666666",
-}
-"""Colours by Okabe and Ito; cells of buildings stay clear."""
-
 DIGITS = {"m": 2, "m2": 1, "m3": 0, "1": 3, "1/m2": 2}
 """Digits of a number behind the point by its unit; the page has whole numbers."""
 
 SHOWN = (
-    "survey",
-    "state",
-    "found_state",
-    "operator",
-    "note",
-    "probability",
-    "valid_from",
-    "valid_to",
-    "storeys",
-    "storeys_min",
-    "storeys_max",
-    "storeys_top",
-    "eaves",
-    "ridge",
-    "h_mean",
-    "z_ground",
-    "z_ridge",
-    "area_m2",
-    "volume_m3",
-    "floor_area_m2",
-    "coverage",
-    "density",
-    "divided_by",
-    "outline_source",
-    "attributes",
-)
+    "survey", "state", "found_state", "operator", "note", "probability", "valid_from", "valid_to", "storeys",
+    "storeys_min", "storeys_max", "storeys_top", "eaves", "ridge", "h_mean", "z_ground", "z_ridge", "area_m2",
+    "volume_m3", "floor_area_m2", "coverage", "density", "divided_by", "outline_source", "attributes",
+)  # fmt: skip
 """The columns of a building that the page shows, in this order."""
 
 
@@ -154,7 +113,6 @@ def town_of(db: str | Path, engine: Engine, choice: Choice) -> dict[str, Any]:
     relief = relief_for(engine, choice, stock.buildings)
     to_degrees = Transformer.from_crs(relief.spec.crs, 4326, always_xy=True)
     origin = _origin(relief, to_degrees)
-    image, place = _ground(relief, to_degrees, origin)
     inventory = _changes(db, engine, stock) if choice.present else {}
     name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(choice.surveys)} surveys"
     return {
@@ -166,8 +124,8 @@ def town_of(db: str | Path, engine: Engine, choice: Choice) -> dict[str, Any]:
         "inventory": choice.present,
         "scales": _scales(engine, choice, stock.parts),
         "detectors": [[name, column] for name, column in DETECTOR_SHARES.items()],
-        "place": place,
-        "ground": image,
+        "place": _place(relief, to_degrees, origin),
+        "ground": light_image(relief),
         "reasons": _reasons(engine, choice, relief),
         **_rows(engine, choice, stock, to_degrees, origin),
         **inventory,
@@ -289,26 +247,26 @@ def _rows(
         "classes": classes,
         "buildings": {
             "id": buildings["key"].tolist(),
-            "first": _whole(buildings["first"]),
-            "after": _whole(buildings["after"]),
-            "height": _whole(_heights(buildings), 2),
-            "version": _texts(buildings["version_id"]) if "version_id" in buildings else [],
+            "first": whole_numbers(buildings["first"]),
+            "after": whole_numbers(buildings["after"]),
+            "height": whole_numbers(_heights(buildings), 2),
+            "version": texts(buildings["version_id"]) if "version_id" in buildings else [],
             "shape": shapes(np.array(buildings.geometry.to_numpy(), dtype=object)),
             "values": {column.name: _values(buildings[column.name], column.dtype, column.unit) for column in columns},
             "shares": {
-                column: _whole(buildings[column], 3) if column in buildings else [None] * len(buildings)
+                column: whole_numbers(buildings[column], 3) if column in buildings else [None] * len(buildings)
                 for column in DETECTOR_SHARES.values()
             },
         },
         "parts": {
-            "id": _texts(parts["part_id"]),
-            "building": _whole(parts["row"]),
+            "id": texts(parts["part_id"]),
+            "building": whole_numbers(parts["row"]),
             "father": fathers,
-            "scale": _whole(parts["scale"]),
-            "storeys": _whole(parts["hindex"]),
-            "height": _whole(parts["h_mean"], 2),
-            "top": _whole(parts["h_max"], 2),
-            "area": _whole(parts["area_m2"]),
+            "scale": whole_numbers(parts["scale"]),
+            "storeys": whole_numbers(parts["hindex"]),
+            "height": whole_numbers(parts["h_mean"], 2),
+            "top": whole_numbers(parts["h_max"], 2),
+            "area": whole_numbers(parts["area_m2"]),
             "kind": class_of,
         },
         "blocks": {
@@ -330,25 +288,8 @@ def _columns() -> list[Any]:
 def _values(values: pd.Series, dtype: str, unit: str) -> list[Any]:
     """Return a column of any kind: whole numbers, or texts; None for null."""
     if dtype in ("int64", "Int64", "float64"):
-        return _whole(values, DIGITS.get(unit, 0))
-    return _texts(values)
-
-
-def _whole(values: pd.Series, digits: int = 0) -> list[int | None]:
-    """Return numbers as whole numbers of the last digit; None for null."""
-    numbers = pd.to_numeric(values).to_numpy(dtype=np.float64, na_value=np.nan)
-    return [None if np.isnan(number) else round(number * 10**digits) for number in numbers.tolist()]
-
-
-def _texts(values: pd.Series) -> list[str | None]:
-    """Return values as texts, because ids exceed 2^53; imported attributes as lines; None for null."""
-    return [_text(value) for value in values.tolist()]
-
-
-def _text(value: object) -> str | None:
-    if isinstance(value, Mapping):
-        return "\n".join(f"{key}: {own}" for key, own in value.items())
-    return None if value is None or value is pd.NA or value != value else str(value)  # noqa: PLR0124  (NaN)
+        return whole_numbers(values, DIGITS.get(unit, 0))
+    return texts(values)
 
 
 def _heights(buildings: gpd.GeoDataFrame) -> pd.Series:
@@ -394,49 +335,18 @@ def _origin(relief: Grid, to_degrees: Transformer) -> tuple[int, int]:
     return round(min(lon) * DEGREE), round(min(lat) * DEGREE)
 
 
-def _ground(relief: Grid, to_degrees: Transformer, origin: tuple[int, int]) -> tuple[str | None, dict[str, Any]]:
-    """Return light and shadow of the surface as an image, and where the images and the database's CRS lie."""
-    step = _step(relief)
-    heights = np.asarray(relief.values)[::step, ::step].astype(np.float32)
-    valid = relief.valid[::step, ::step]
-    west, _, _, north = relief.spec.bounds
-    cell = relief.spec.cell_m * step
-    east, south = west + heights.shape[1] * cell, north - heights.shape[0] * cell
+def _place(relief: Grid, to_degrees: Transformer, origin: tuple[int, int]) -> dict[str, Any]:
+    """Return where the images lie: corners in steps, from the north-west clockwise, and edges in centimetres."""
+    west, south, east, north = extent_of(relief)
     lon, lat = to_degrees.transform([west, east, east, west], [north, north, south, south])
     corners = [[round(x * DEGREE) - origin[0], round(y * DEGREE) - origin[1]] for x, y in zip(lon, lat, strict=True)]
-    metres = [round(100 * edge) for edge in (west, south, east, north)]
-    place = {"corners": corners, "bounds_cm": metres, "size": [heights.shape[1], heights.shape[0]]}
-    if min(heights.shape) < 2 or not valid.any():
-        return None, place
-    light = shading(heights, valid, cell)
-    levels = np.arange(64, dtype=np.uint8)
-    palette = np.stack([levels // 32 * 255] * 3 + [levels % 32 * 8], axis=-1).astype(np.uint8)
-    return image_uri((light[..., 0] // 255 * 32 + light[..., 3] // 8).astype(np.uint8), palette), place
-
-
-def _step(relief: Grid) -> int:
-    """Return by how many cells the images are thinned."""
-    return -(-max(relief.spec.shape) // LARGEST_IMAGE)
+    return {"corners": corners, "bounds_cm": [round(100 * edge) for edge in (west, south, east, north)]}
 
 
 def _reasons(engine: Engine, choice: Choice, relief: Grid) -> dict[str, Any] | None:
-    """Return the raster of reasons as an image, the newest survey on top, and its legend; None where none is kept."""
-    step = _step(relief)
-    rows, cols = (np.arange(0, side, step) for side in relief.spec.shape)
-    east, north = relief.spec.xy(*np.meshgrid(rows, cols, indexing="ij"))
-    found = np.full(east.shape, Reason.NO_DATA, dtype=np.uint8)
-    for name in choice.surveys:
-        own = read_rasters(engine, name).reason
-        if own is not None:
-            here = lattice_of(read_survey(engine, name)).sample(own, east, north, outside=0)
-            np.copyto(found, here, where=(found == Reason.NO_DATA))
-    if not found.any():
-        return None
-    colours = np.zeros((len(Reason), 4), dtype=np.uint8)
-    for reason, colour in REASON_COLOURS.items():
-        colours[reason] = [*bytes.fromhex(colour[1:]), 255]
-    legend = [[int(own), REASON_COLOURS.get(own), REASONS[own]] for own in Reason if (found == own).any()]
-    return {"image": image_uri(found, colours), "legend": legend}
+    """Return the raster of reasons as an image and its legend; None where no run kept one."""
+    rasters = ((lattice_of(read_survey(engine, name)), read_rasters(engine, name).reason) for name in choice.surveys)
+    return reason_image(relief, [(spec, own) for spec, own in rasters if own is not None])
 
 
 def _changes(db: str | Path, engine: Engine, stock: _Stock) -> dict[str, Any]:
@@ -473,4 +383,7 @@ def _change_rows(table: gpd.GeoDataFrame, kinds: list[str], row_of: Mapping[int,
         for name in ("version_before", "version_after")
     ]
     number = [kinds.index(kind) for kind in table["kind"]]
-    return [list(row) for row in zip(number, *sides, _whole(table["dh_m"], 2), _whole(table["darea_m2"]), strict=True)]
+    return [
+        list(row)
+        for row in zip(number, *sides, whole_numbers(table["dh_m"], 2), whole_numbers(table["darea_m2"]), strict=True)
+    ]

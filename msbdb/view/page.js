@@ -548,7 +548,7 @@
 
   function goTo(row) {
     const box = boundsOf(featuresOf[row]), { map } = panes[0];
-    const camera = { pitch: Math.min(map.getPitch(), 35), bearing: map.getBearing(), maxZoom: 18, duration: 600 };
+    const camera = { pitch: Math.min(map.getPitch(), 20), bearing: map.getBearing(), maxZoom: 18, duration: 600 };
     if (box) map.fitBounds(box, { ...camera, padding: Math.min(120, map.getContainer().clientWidth / 5) });
   }
 

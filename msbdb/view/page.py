@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import shapely
 from numpy.typing import NDArray
 from PIL import Image
@@ -157,6 +158,23 @@ def shapes_of(geometry: NDArray[np.object_], origin: tuple[int, int]) -> list[li
         if made:
             found[own].append(made)
     return found
+
+
+def whole_numbers(values: pd.Series, digits: int = 0) -> list[int | None]:
+    """Return numbers as whole numbers of the last digit; None for null."""
+    numbers = pd.to_numeric(values).to_numpy(dtype=np.float64, na_value=np.nan)
+    return [None if np.isnan(number) else round(number * 10**digits) for number in numbers.tolist()]
+
+
+def texts(values: pd.Series) -> list[str | None]:
+    """Return values as texts, because ids exceed 2^53; imported attributes as lines; None for null."""
+    return [_text(value) for value in values.tolist()]
+
+
+def _text(value: object) -> str | None:
+    if isinstance(value, Mapping):
+        return "\n".join(f"{key}: {own}" for key, own in value.items())
+    return None if value is None or value is pd.NA or value != value else str(value)  # noqa: PLR0124  (NaN)
 
 
 def image_uri(cells: NDArray[np.uint8], palette: NDArray[np.uint8]) -> str:

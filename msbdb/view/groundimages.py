@@ -1,0 +1,78 @@
+"""The ground of a page as images: light and shadow of the surface, and the reasons why there is no building."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.grid import Bounds, Grid, GridSpec
+from msbdb.tables import REASONS, Reason
+from msbdb.view.buildingmap import shading
+from msbdb.view.page import image_uri
+
+LARGEST_IMAGE = 2000
+"""Cells a side beyond which the ground is thinned."""
+
+REASON_COLOURS = {
+    Reason.NO_DATA: "#c6dbef",
+    Reason.LOW: "#d9d9d9",
+    Reason.SMALL: "#f0e442",
+    Reason.VEGETATION_BY_STRUCTURE: "#009e73",
+    Reason.VEGETATION_BY_COLOUR: "#66c2a5",
+    Reason.OTHER_CLASS: "#a6761d",
+    Reason.UNSUPPORTED: "#cc79a7",
+    Reason.HARDLY_SUPPORTED: "#e69f00",
+    Reason.OUTVOTED: "#d55e00",
+    Reason.SMALL_PART: "#56b4e9",
+    Reason.UNLIKE_PART: "#0072b2",
+    Reason.GAP: "#999999",
+    Reason.NO_PARTS: "#666666",
+}
+"""Colours by Okabe and Ito; cells of buildings stay clear."""
+
+
+def extent_of(relief: Grid) -> Bounds:
+    """Return west, south, east and north of the images, metres: those of the grid, or a part of a cell more."""
+    step = _step(relief)
+    west, _, _, north = relief.spec.bounds
+    rows, cols = (-(-side // step) for side in relief.spec.shape)
+    return west, north - rows * step * relief.spec.cell_m, west + cols * step * relief.spec.cell_m, north
+
+
+def light_image(relief: Grid) -> str | None:
+    """Return light and shadow of a surface as an image in a URI; None without heights."""
+    step = _step(relief)
+    heights = np.asarray(relief.values)[::step, ::step].astype(np.float32)
+    valid = relief.valid[::step, ::step]
+    if min(heights.shape) < 2 or not valid.any():
+        return None
+    light = shading(heights, valid, relief.spec.cell_m * step)
+    levels = np.arange(64, dtype=np.uint8)
+    palette = np.stack([levels // 32 * 255] * 3 + [levels % 32 * 8], axis=-1).astype(np.uint8)
+    return image_uri((light[..., 0] // 255 * 32 + light[..., 3] // 8).astype(np.uint8), palette)
+
+
+def reason_image(relief: Grid, rasters: Sequence[tuple[GridSpec, NDArray[np.uint8]]]) -> dict[str, Any] | None:
+    """Return rasters of reasons as one image, the first one on top, and its legend; None without any.
+
+    The legend has the number, the colour and the meaning of each reason that occurs; the colour is None where clear.
+    """
+    step = _step(relief)
+    rows, cols = (np.arange(0, side, step) for side in relief.spec.shape)
+    east, north = relief.spec.xy(*np.meshgrid(rows, cols, indexing="ij"))
+    found = np.full(east.shape, Reason.NO_DATA, dtype=np.uint8)
+    for spec, own in rasters:
+        np.copyto(found, spec.sample(own, east, north, outside=0), where=(found == Reason.NO_DATA))
+    if not found.any():
+        return None
+    colours = np.zeros((len(Reason), 4), dtype=np.uint8)
+    for reason, colour in REASON_COLOURS.items():
+        colours[reason] = [*bytes.fromhex(colour[1:]), 255]
+    legend = [[int(own), REASON_COLOURS.get(own), REASONS[own]] for own in Reason if (found == own).any()]
+    return {"image": image_uri(found, colours), "legend": legend}
+
+
+def _step(relief: Grid) -> int:
+    """Return by how many cells the images are thinned."""
+    return -(-max(relief.spec.shape) // LARGEST_IMAGE)
