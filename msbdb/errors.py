@@ -1,7 +1,13 @@
 """The errors of msbdb: one root, so that a caller can catch all of them or one kind; numbers in messages.
 
-Every message says what is wrong, what was found, what was expected and what to do next.
+Every message says what is wrong, what was found, what was expected and what to do next. A notice goes to the run that
+collects them, also from a thread: the filters of Python's warnings belong to all threads, and libraries change them.
 """
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 
 class MsbdbError(Exception):
@@ -58,6 +64,37 @@ class MsbdbWarning(UserWarning):
 
 class PassingNotice(MsbdbWarning):
     """A notice of one call alone, which the run does not keep."""
+
+
+_COLLECTED: ContextVar[list[MsbdbWarning] | None] = ContextVar("collected notices", default=None)
+
+
+def give_notice(message: str, kind: type[MsbdbWarning] = MsbdbWarning, *, stacklevel: int = 2) -> None:
+    """Give a notice: to the block that collects them, else as a warning of Python."""
+    collected = _COLLECTED.get()
+    if collected is None:
+        warnings.warn(message, kind, stacklevel=stacklevel + 1)
+    else:
+        collected.append(kind(message))
+
+
+@contextmanager
+def collected_notices() -> Iterator[list[MsbdbWarning]]:
+    """Collect the notices that are given inside, in their order; none becomes a warning.
+
+    Examples
+    --------
+    >>> with collected_notices() as found:
+    ...     give_notice("Colours are missing.")
+    >>> found
+    [MsbdbWarning('Colours are missing.')]
+    """
+    found: list[MsbdbWarning] = []
+    before = _COLLECTED.set(found)
+    try:
+        yield found
+    finally:
+        _COLLECTED.reset(before)
 
 
 def counted(number: int, noun: str) -> str:

@@ -10,6 +10,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from threading import local
 from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
+from msbdb.errors import MsbdbWarning, collected_notices, give_notice
+
 P = ParamSpec("P")
 T = TypeVar("T")
 R = TypeVar("R")
@@ -56,16 +58,26 @@ def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
     with nullcontext() if inside else _hiding():
         pool, waits = ThreadPoolExecutor(threads, initializer=_enter_pool), True
         try:
-            results = [pool.submit(work, item) for item in tasks]
+            results = [pool.submit(_with_notices, work, item) for item in tasks]
             while wait(results, timeout=PATIENCE_S, return_when=FIRST_EXCEPTION).not_done:
                 if any(one.done() and one.exception() for one in results):
                     break
-            return [one.result() for one in results]
+            found = [one.result() for one in results]
         except KeyboardInterrupt:
             waits = False
             raise
         finally:
             pool.shutdown(wait=waits, cancel_futures=True)
+    for _, notices in found:
+        for notice in notices:
+            give_notice(str(notice), type(notice), stacklevel=3)
+    return [result for result, _ in found]
+
+
+def _with_notices(work: Callable[[T], R], item: T) -> tuple[R, list[MsbdbWarning]]:
+    """Return a result, and the notices that were given on the way: they are given again in the order of the items."""
+    with collected_notices() as notices:
+        return work(item), notices
 
 
 def _enter_pool() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from msbdb import threads
+from msbdb.errors import MsbdbWarning, PassingNotice, collected_notices, give_notice
 from msbdb.run.reports import Stages
 from msbdb.threads import in_threads, memory_reused
 
@@ -53,6 +54,7 @@ def test_the_first_error_is_told(monkeypatch):
 ENDLESS = """
 import signal, threading
 from msbdb import threads
+from msbdb.errors import MsbdbWarning, PassingNotice, collected_notices, give_notice
 threads.cores = lambda: 2
 at_work = threading.Barrier(3)
 def interrupt():
@@ -140,3 +142,25 @@ def test_freed_memory_serves_the_next_array():
         held = Path("/proc/self/statm").read_text().split()[1]
     assert second < first / 10
     assert int(Path("/proc/self/statm").read_text().split()[1]) < int(held) - size / page / 2
+
+
+def test_notices_of_threads_come_in_the_order_of_the_items(monkeypatch):
+    """Also while another thread records all warnings, as compilers do: each notice is collected once."""
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+    others_record, told = threading.Event(), threading.Event()
+
+    def work(item):
+        if item == 0:
+            with warnings.catch_warnings(record=True):
+                others_record.set()
+                told.wait(10)
+            give_notice("first")
+        else:
+            others_record.wait(10)
+            give_notice("second", PassingNotice)
+            told.set()
+        return item
+
+    with collected_notices() as found:
+        assert in_threads(work, range(2)) == [0, 1]
+    assert [(type(notice), str(notice)) for notice in found] == [(MsbdbWarning, "first"), (PassingNotice, "second")]

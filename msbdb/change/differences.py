@@ -1,6 +1,5 @@
 """What differs between two surveys: their offset, the pieces built or gone, and the links between footprints."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from skimage.morphology import isotropic_dilation, isotropic_opening
 
-from msbdb.errors import PassingNotice
+from msbdb.errors import PassingNotice, give_notice
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import Labels, boxes, chosen_cells, label_zones, renumber, shared_cells, sizes
 from msbdb.params import ChangeParams
@@ -175,7 +174,7 @@ def _agreed(rise: NDArray[np.float64], least_pairs: int) -> float:
             f"The heights of the survey and of the inventory agree on no offset: of {len(rise)} buildings that are "
             f"alike, {count} differ by the same. The offset of heights is not measured, and taken as 0."
         )
-        warnings.warn(msg, PassingNotice, stacklevel=2)
+        give_notice(msg, PassingNotice)
         return 0.0
     return float(np.median(rise[near[first]]))
 

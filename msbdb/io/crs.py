@@ -8,7 +8,6 @@ are scaled. A geographic CRS is refused, because reprojecting is the user's deci
 import copy
 import math
 import re
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,7 +20,7 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError as ProjError
 
-from msbdb.errors import CRSError, MsbdbWarning
+from msbdb.errors import CRSError, give_notice
 from msbdb.grid import Bounds
 
 Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": 1200 / 3937}
@@ -192,7 +191,7 @@ def settle(found: CRS | None, stated: CrsLike | None, where: str) -> CRS:
     wanted = parse_crs(stated)
     if own is None and isinstance(stated, Fallback):
         msg = f"{where} states no CRS; that of {stated.whose} is used, {name_of(wanted)}. State another with --crs."
-        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+        give_notice(msg)
     if own is None:
         return wanted
     if isinstance(stated, Fallback):

@@ -4,7 +4,6 @@ Headers of points may be wrong. Only one that holds the first points of its file
 """
 
 import struct
-import warnings
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from msbdb.errors import GridMismatchError, InputError, MsbdbWarning
+from msbdb.errors import GridMismatchError, InputError, collected_notices
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, name_of, reference, same_crs, settle, split_crs
 from msbdb.io.las import is_believed
@@ -89,7 +88,7 @@ def extent_of_raster(path: Path, crs: CrsLike | None, role: str) -> Extent:
     FileError, CRSError
         As `msbdb.io.raster.read_grid`; an image may be in degrees.
     """
-    with open_raster(path) as dataset, warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+    with open_raster(path) as dataset, collected_notices():
         bounds, own = raster_bounds(dataset), raster_crs(dataset, crs)
         if role != IMAGE:
             reference(own, bounds=bounds, where=path.name, what=f"cells of the {role}")
@@ -158,7 +157,7 @@ def same_points(infos: Mapping[int, LasInfo]) -> Iterator[tuple[int, tuple[LasIn
 
 def _settled(found: CRS | None, stated: CrsLike | None, path: Path) -> CRS:
     """Return the horizontal CRS of a file, without the notices that come when it is read."""
-    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+    with collected_notices():
         return split_crs(settle(found, stated, path.name))[0]
 
 

@@ -7,7 +7,6 @@ surveys mark strip overlap with it, roofs included. What a person should know is
 
 import logging
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,7 @@ import shapely
 from laspy import DecompressionSelection as Fields
 from numpy.typing import NDArray
 
-from msbdb.errors import CRSError, InputError, MsbdbWarning, NodataError
+from msbdb.errors import CRSError, InputError, NodataError, give_notice
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
 from msbdb.io.lascolumns import COLOURS, Columns, as_cloud, settle_echoes, widen_colours
@@ -190,7 +189,7 @@ def _read(
     if wrong_place is not None:
         columns.note(wrong_place)
     for notice in columns.notices:
-        warnings.warn(notice, MsbdbWarning, stacklevel=3)
+        give_notice(notice, stacklevel=3)
     return cloud, index
 
 

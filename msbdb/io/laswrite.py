@@ -7,7 +7,6 @@ knows, and wave packets. These are given to it, or written again after it, as th
 import os
 import shutil
 import struct
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from laspy.header import Version
 from laspy.vlrs.vlrlist import VLRList
 from numpy.typing import NDArray
 
-from msbdb.errors import FileError, InputError, MsbdbWarning
+from msbdb.errors import FileError, InputError, give_notice
 from msbdb.io.files import require_output, write_atomic
 from msbdb.io.las import Progress, read_chunks
 from msbdb.io.lasheader import COMPRESSION, COPC, LasInfo, decoding, read_las_header
@@ -134,7 +133,7 @@ def write_classes(
         _finish(target, info, header)
     if info.is_copc:
         msg = f"{source.name} is COPC; {out.name} has its points in the same order, but not its octree."
-        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+        give_notice(msg)
     return Written(info.points, changed)
 
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +9,15 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbError, MsbdbWarning, counted
+from msbdb.errors import (
+    CRSError,
+    FileError,
+    GridMismatchError,
+    InputError,
+    MsbdbError,
+    counted,
+    give_notice,
+)
 from msbdb.io.crs import name_of, same_crs, split_crs
 from msbdb.io.extents import same_points, twice
 from msbdb.io.files import require_input
@@ -138,7 +145,7 @@ def sound_files(paths: Sequence[Path], *, skip_bad: bool) -> tuple[Path, ...]:
         kind = type(bad[min(bad)])
         msg = f"{which} cannot be used: {told}"
         raise kind(msg if skip_bad else f"{msg} Mend them, or leave them out with --skip-bad.")
-    warnings.warn(f"{which} are left out: {told}", MsbdbWarning, stacklevel=3)
+    give_notice(f"{which} are left out: {told}", stacklevel=3)
     return tuple(path for number, path in enumerate(paths) if number not in bad)
 
 

@@ -18,7 +18,7 @@ from pyproj import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.warp import Resampling, reproject
 
-from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbWarning, NodataError
+from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, NodataError, give_notice
 from msbdb.grid import Bounds, Grid, GridSpec
 from msbdb.io.crs import CrsLike, reference, same_crs, settle
 
@@ -98,7 +98,7 @@ def read_grid(
         )
         raise CRSError(msg)
     for notice in how.notices:
-        warnings.warn(f"{name}: {notice}", MsbdbWarning, stacklevel=2)
+        give_notice(f"{name}: {notice}")
     side = (transform.a - transform.e) / 2 * how.xy_factor
     metric = Affine(side, 0.0, transform.c * how.xy_factor, 0.0, -side, transform.f * how.xy_factor)
     if not valid.any():
@@ -174,7 +174,7 @@ def align_grid(grid: Grid, onto: GridSpec, *, role: str = "DTM", resampling: str
         raise GridMismatchError(msg)
     if not valid.all():
         missing = 100.0 * float(np.mean(~valid))
-        warnings.warn(f"The {role} leaves {missing:.1f} % of the lattice without a value.", MsbdbWarning, stacklevel=2)
+        give_notice(f"The {role} leaves {missing:.1f} % of the lattice without a value.")
     return Grid(np.where(valid, values, np.float32(0)), valid, onto)
 
 

@@ -2,7 +2,6 @@
 
 import logging
 import os
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS
 
-from msbdb.errors import FileError, InputError, MsbdbWarning, NodataError
+from msbdb.errors import FileError, InputError, MsbdbWarning, NodataError, give_notice
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, parse_crs, settle
 
@@ -116,7 +115,7 @@ def read_polygons(
         (int((~kept).sum()), "left out, because they are no polygons"),
     ):
         if count:
-            warnings.warn(f"{path.name}: {count} geometries were {what}.", MsbdbWarning, stacklevel=2)
+            give_notice(f"{path.name}: {count} geometries were {what}.")
     if not kept.any():
         msg = f"{path} holds no polygons. Give a layer of polygons."
         raise NodataError(msg)
@@ -165,7 +164,7 @@ def read_point_features(
         msg = f"{path} holds no points. Give a layer of points."
         raise NodataError(msg)
     if not kept.all():
-        warnings.warn(
+        give_notice(
             f"{path.name}: {(~kept).sum()} geometries were left out, because they are no points.",
             MsbdbWarning,
             stacklevel=2,

@@ -5,7 +5,6 @@ kept run, detects parts under the new labels, and shares all later steps.
 """
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from msbdb.detect.detectors import DETECTORS
 from msbdb.detect.flatregions.initialisation import denoise
 from msbdb.detect.flatregions.mongus2013 import lowest_surface
 from msbdb.detect.scene import Regions, Scene
-from msbdb.errors import MsbdbWarning, ParameterError
+from msbdb.errors import ParameterError, give_notice
 from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.fuse.touching import Division, divide
 from msbdb.grid import Grid
@@ -279,7 +278,7 @@ def choose_detectors(names: str | Sequence[str], inputs: Inputs) -> tuple[str, .
     if not left:
         msg = f"{notice} Or ask for multiscale or flatregions, which work on rasters."
         raise ParameterError(msg)
-    warnings.warn(notice, MsbdbWarning, stacklevel=2)
+    give_notice(notice)
     return left
 
 

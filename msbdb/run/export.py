@@ -1,7 +1,6 @@
 """From a database to a file: layers of surveys or of a day; and a project of QGIS that reads the database itself."""
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from msbdb.database import (
     read_shown,
 )
 from msbdb.database.history.shownlayers import columns_of
-from msbdb.errors import InputError, PassingNotice
+from msbdb.errors import InputError, PassingNotice, give_notice
 from msbdb.export import Content, check_options, choose_layers, export, find_format
 from msbdb.export.qgis.project import Bounds, layers_of, project
 from msbdb.io.files import require_input, require_output, write_atomic
@@ -197,7 +196,7 @@ def _tell_lost(out: Path, content: Content) -> None:
     if without:
         some = "1 building of the inventory has" if without == 1 else f"{without} buildings of the inventory have"
         msg = f"{some} no parts, so {out} has none of it. --layer footprint writes all buildings."
-        warnings.warn(msg, PassingNotice, stacklevel=3)
+        give_notice(msg, PassingNotice, stacklevel=3)
 
 
 def write_project(db: str | Path, out: Path, *, overwrite: bool) -> list[str]:

@@ -3,14 +3,13 @@
 import filecmp
 import os
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Self
 
-from msbdb.errors import CRSError, InputError, MsbdbWarning
+from msbdb.errors import CRSError, InputError, collected_notices
 from msbdb.io.crs import CrsLike, Fallback, name_of, reference, same_crs
 from msbdb.io.extents import (
     Extent,
@@ -211,5 +210,5 @@ def _paths(given: Paths) -> tuple[Path, ...]:
 
 def require_polygons(path: Path) -> None:
     """Refuse a file without polygons; notices of the polygons come when they are used."""
-    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+    with collected_notices():
         read_polygons(path)

@@ -3,7 +3,6 @@
 Each function imports what it alone needs, so that a summary is quick.
 """
 
-import warnings
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +25,7 @@ from msbdb.database import (
     summarise_inventory,
     summarise_run,
 )
-from msbdb.errors import PassingNotice, counted
+from msbdb.errors import PassingNotice, counted, give_notice
 from msbdb.kept import heights_of
 from msbdb.params import POINT_DETECTORS
 from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
@@ -117,7 +116,7 @@ def tell_choice(engine: Engine, choice: Choice, *, named: bool = False) -> None:
     else:
         msg = f"The database has {several}. All are taken, the newest first; --survey NAME takes one."
     if not choice.is_one and not named:
-        warnings.warn(msg, PassingNotice, stacklevel=3)
+        give_notice(msg, PassingNotice, stacklevel=3)
 
 
 def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
@@ -168,7 +167,7 @@ def of_one_place(engine: Engine, choice: Choice) -> Choice:
     away = [name for name in choice.surveys if name not in near]
     if away:
         msg = f"Too far away for this map, and not drawn: {', '.join(away)}. --survey NAME draws one of them."
-        warnings.warn(msg, PassingNotice, stacklevel=2)
+        give_notice(msg, PassingNotice)
     return replace(choice, surveys=tuple(name for name in choice.surveys if name in near))
 
 

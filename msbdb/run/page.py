@@ -1,6 +1,5 @@
 """A database as the values of a page in 3-D: buildings, their parts as blocks on each scale, dates and changes."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,7 @@ from msbdb.database import (
     summarise_run,
 )
 from msbdb.database.history.periods import read_period
-from msbdb.errors import InputError, PassingNotice, counted
+from msbdb.errors import InputError, PassingNotice, counted, give_notice
 from msbdb.grid import Grid
 from msbdb.io.files import require_output
 from msbdb.kept import lattice_of
@@ -160,7 +159,7 @@ def _inventory(engine: Engine, choice: Choice) -> _Stock:
         msg = (
             f"The inventory has {len(days)} dates; the page shows the newest {MOST_DATES}, from {days[-MOST_DATES]} on."
         )
-        warnings.warn(msg, PassingNotice, stacklevel=3)
+        give_notice(msg, PassingNotice, stacklevel=3)
         days = days[-MOST_DATES:]
     names = {day: ", ".join(str(event["name"]) for event in events if str(event["date"]) == day) for day in days}
     frames = []

@@ -1,7 +1,6 @@
 """The plan of a survey: what its drafts give together, from the whole of it or from a sample of blocks."""
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from msbdb.detect.adaptive.offground import ndvi_threshold
 from msbdb.detect.area3d.heightscales import height_scales
 from msbdb.detect.pointregions import heights_of_points, point_ndvi
-from msbdb.errors import InputError, MsbdbWarning
+from msbdb.errors import InputError, collected_notices
 from msbdb.grid import Bands, Grid
 from msbdb.io.crs import CrsLike, reference, same_crs
 from msbdb.io.extents import extent_of_points
@@ -90,7 +89,7 @@ def blocks_to_sample(paths: Sequence[Path], crs: CrsLike | None, *, seed: int) -
     extent = extent_of_points(paths, crs)
     if extent is None:
         return None
-    with warnings.catch_warnings(action="ignore", category=MsbdbWarning):
+    with collected_notices():
         how = reference(extent.crs, bounds=extent.bounds, where=paths[0].name)
     if how.transformer is not None:
         return None

@@ -1,7 +1,6 @@
 """Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
 import logging
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pandas as pd
 
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
-from msbdb.errors import GridMismatchError, InputError, MsbdbWarning, NodataError
+from msbdb.errors import GridMismatchError, InputError, NodataError, give_notice
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
@@ -240,9 +239,9 @@ def note_missing_sources(scene: Scene) -> None:
     """Give notice of sources that are missing, without which buildings are harder to recognise."""
     echoes = scene.cloud is not None and scene.cloud.has_echoes
     if scene.cover.spectral is None:
-        warnings.warn(NO_IMAGERY, MsbdbWarning, stacklevel=2)
+        give_notice(NO_IMAGERY)
     if not echoes:
-        warnings.warn(NO_ECHOES, MsbdbWarning, stacklevel=2)
+        give_notice(NO_ECHOES)
 
 
 def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Surface:
@@ -275,7 +274,7 @@ def note_sparse(points_m2: float, what: str) -> None:
             f"The {what} are {spacing:.1f} m apart on average, too far for buildings, at most {largest:g} m. "
             "Check the CRS and the unit of the coordinates, or give denser data."
         )
-        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+        give_notice(msg)
 
 
 def build_surface(points: PointCloud, params: Params, given: Grid | None = None) -> Surface:
@@ -323,7 +322,7 @@ def note_offset(surface: Surface) -> Surface:
             f"Of the surface, {share:.0f} % are {abs(low):.0f} m or more {where} the given DTM. "
             "Check its place, its unit and its height reference."
         )
-        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+        give_notice(msg)
     return surface
 
 
@@ -334,7 +333,7 @@ def without_gaps(dtm: Grid, dsm: Grid) -> Grid:
         return dtm
     share = 100 * gaps / np.count_nonzero(dsm.valid)
     msg = f"The DTM has no value in {gaps} cells of the DSM ({share:.1f} %); they were interpolated."
-    warnings.warn(msg, MsbdbWarning, stacklevel=2)
+    give_notice(msg)
     return interpolate_ground(dtm.values, dtm.valid, dtm.spec)
 
 

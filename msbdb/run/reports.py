@@ -2,13 +2,12 @@
 
 import logging
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from msbdb.errors import MsbdbWarning, PassingNotice
+from msbdb.errors import PassingNotice, collected_notices
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -107,23 +106,17 @@ class Notices:
 
 @contextmanager
 def collect_notices(notices: Notices) -> Iterator[None]:
-    """Collect the notices that arise inside: warnings of the kind `MsbdbWarning`. Other warnings pass.
+    """Collect the notices that arise inside, also in threads.
 
     Parameters
     ----------
     notices : Notices
         Receives them when the block ends without an error.
     """
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", MsbdbWarning)
+    with collected_notices() as found:
         yield
-    for warning in caught:
-        if issubclass(warning.category, PassingNotice):
-            notices.passing.append(str(warning.message))
-        elif issubclass(warning.category, MsbdbWarning):
-            notices.kept.append(str(warning.message))
-        else:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    for notice in found:
+        (notices.passing if isinstance(notice, PassingNotice) else notices.kept).append(str(notice))
 
 
 @dataclass(frozen=True, slots=True)

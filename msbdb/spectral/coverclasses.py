@@ -1,6 +1,5 @@
 """Land cover of a survey: structure, classes of colours, and the operator's labels, in one class map (V34 to V36)."""
 
-import warnings
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -9,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from msbdb.errors import GridMismatchError, InputError, PassingNotice
+from msbdb.errors import GridMismatchError, InputError, PassingNotice, give_notice
 from msbdb.grid import Bands, Grid
 from msbdb.labels import sizes, sums
 from msbdb.landcover import LABELS, ClassMap, overlay
@@ -317,7 +316,7 @@ def keep_labels(cover: Cover, labelled: pd.DataFrame) -> Cover:
         if number in now and _is_same(old, now[number]):
             kept[number] = label
         else:
-            warnings.warn(LOST.format(label=label, number=number), PassingNotice, stacklevel=2)
+            give_notice(LOST.format(label=label, number=number), PassingNotice)
     return cover.relabelled(kept) if kept else cover
 
 

@@ -1,7 +1,6 @@
 """The detector of flat regions, from a surface to regions of compact shape (Mongus et al. 2013, section 3)."""
 
 import logging
-import warnings
 from dataclasses import dataclass
 
 import geopandas as gpd
@@ -13,7 +12,7 @@ from msbdb.detect.flatregions.binarisation import Binarised, binarise
 from msbdb.detect.flatregions.initialisation import Denoised, denoise, initialise
 from msbdb.detect.flatregions.recognition import FlatRegionLedger, clean, describe, grow, measure_shapes
 from msbdb.detect.scene import Regions, Scene
-from msbdb.errors import GridMismatchError, MsbdbWarning, NodataError
+from msbdb.errors import GridMismatchError, NodataError, give_notice
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, reorder, sizes
 from msbdb.ledger import Answers
@@ -97,7 +96,7 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
     if params.flatregions.on == "surface" and len(found.regions):
         share = sizes(found.labels, len(found.regions)).max() / np.count_nonzero(scene.heights.valid)
         if share > MOST_OF_SURVEY:
-            warnings.warn(GROUND_IS_FLAT.format(share=share), MsbdbWarning, stacklevel=2)
+            give_notice(GROUND_IS_FLAT.format(share=share))
     order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
     labels = reorder(found.labels, order, len(order))
     traced = polygonise(labels, spec, len(order))

@@ -6,7 +6,6 @@ that of the building.
 """
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from msbdb.errors import PassingNotice, counted
+from msbdb.errors import PassingNotice, counted, give_notice
 from msbdb.export.content import Content
 from msbdb.export.standards.solids import GRID_M, Block, Vertices, block_of, on_grid, outlines_of
 from msbdb.export.standards.town import ROOF_EDGE, Building, Record, Town
@@ -132,7 +131,7 @@ def _placed(town: Town) -> tuple[Building, ...]:
     missing = len(town.buildings) - len(town.blocks)
     if missing:
         msg = f"{counted(missing, 'building')} without a level of the ground or a height: written without a block."
-        warnings.warn(msg, PassingNotice, stacklevel=3)
+        give_notice(msg, PassingNotice, stacklevel=3)
     return town.buildings
 
 

@@ -6,7 +6,6 @@ of construction, material, system, and the people by day, at night and in transi
 
 import csv
 import json
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import shapely
 
-from msbdb.errors import InputError, PassingNotice, counted
+from msbdb.errors import InputError, PassingNotice, counted, give_notice
 from msbdb.export.content import Content
 from msbdb.export.standards.taxonomy import (
     UNKNOWN,
@@ -96,7 +95,7 @@ def _facts(town: Town, options: Mapping[str, str]) -> tuple[list[dict[str, str]]
         missing = sum(building.id not in joined for building in town.buildings)
         if missing:
             msg = f"{counted(missing, 'building')} of {len(town.buildings)} not in {options['join']}: {UNKNOWN} there."
-            warnings.warn(msg, PassingNotice, stacklevel=3)
+            give_notice(msg, PassingNotice, stacklevel=3)
     facts = []
     for building, attributes in zip(town.buildings, imported, strict=True):
         row = attributes | joined.get(building.id, {})
@@ -150,7 +149,7 @@ def _assets(town: Town, facts: list[dict[str, str]], periods: list[str]) -> list
     for name, count in unread.items():
         if count:
             msg = f"{counted(count, 'value')} of {name} could not be read as one of the taxonomy: {UNKNOWN} there."
-            warnings.warn(msg, PassingNotice, stacklevel=3)
+            give_notice(msg, PassingNotice, stacklevel=3)
     return rows
 
 

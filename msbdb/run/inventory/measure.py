@@ -33,7 +33,7 @@ from msbdb.database import (
     write_import,
 )
 from msbdb.detect.scene import Elevations
-from msbdb.errors import DatabaseError, InputError, PassingNotice
+from msbdb.errors import DatabaseError, InputError, PassingNotice, collected_notices, give_notice
 from msbdb.fuse.buildings import covered_shares
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid
@@ -279,7 +279,7 @@ def check_footprints(
     ParameterError, InputError
         For an id column that is none, and where the inventory knows the place from another import or from an update.
     """
-    with warnings.catch_warnings(action="ignore"):
+    with collected_notices(), warnings.catch_warnings(action="ignore"):
         frame = read_polygons(file, layer=layer, crs=crs or read_fallback(db))
     keys_of(frame, id_column)
     if place is not None:
@@ -329,7 +329,7 @@ def take_measures(
     if unseen:
         some = "1 footprint is" if unseen == 1 else f"{unseen} footprints are"
         msg = f"{some} mostly outside of the survey, or without heights, and unsure for that reason."
-        warnings.warn(msg, PassingNotice, stacklevel=2)
+        give_notice(msg, PassingNotice)
     states = found.footprints["state"].value_counts()
     return MeasureReport(
         survey=survey,

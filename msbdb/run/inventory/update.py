@@ -1,7 +1,6 @@
 """The update of the inventory by a survey: compared with the buildings before, and written as versions."""
 
 import logging
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -34,7 +33,7 @@ from msbdb.database import (
     survey_key,
     write_advance,
 )
-from msbdb.errors import DatabaseError, InputError, MsbdbWarning
+from msbdb.errors import DatabaseError, InputError, give_notice
 from msbdb.grid import Grid
 from msbdb.identity import to_json
 from msbdb.io.vector import read_polygons
@@ -364,7 +363,7 @@ def _report(
             f"Too few buildings are alike in the survey and the inventory ({pairs}). The offset between them is not "
             "measured, and taken as 0."
         )
-        warnings.warn(msg, MsbdbWarning, stacklevel=2)
+        give_notice(msg)
     plain = {name: None if pd.isna(value) else float(value) for name, value in offset.items()}
     plain["pairs"] = int(offset["pairs"])
     return AdvanceReport(record.name, date, status, dict(counts), plain, ())
