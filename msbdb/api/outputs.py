@@ -1,6 +1,6 @@
 """What comes out of a database: data frames, plain values, maps, files, and the comparison with a reference."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -149,6 +149,54 @@ def view(
     from msbdb.run.outputs import draw
 
     draw(db, Path(out), survey=survey, of=of, overwrite=overwrite)
+
+
+def serve(
+    db: str | Path,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    url: str | None = None,
+    started: Callable[[str], None] = print,
+) -> None:
+    """Serve a database to browsers and GIS clients until an interrupt; nothing can be written through it.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    host : str
+        The address to listen at. The default one is reached from this machine alone.
+    port : int
+        0 takes a free one.
+    url : str, optional
+        The address at which clients find the server, where it stands behind another one.
+    started : callable
+        Called with the address as soon as the server listens.
+
+    Raises
+    ------
+    DatabaseError
+        When the database cannot be read.
+    InputError
+        When the server cannot listen at this address.
+    MissingDependencyError
+        When pygeoapi or waitress is not installed.
+
+    Notes
+    -----
+    At ``/`` is OGC API Features, at ``/page`` the page in 3-D; docs/serve.md describes both.
+    """
+    try:
+        from msbdb.serve.httpserver import run_server
+    except ModuleNotFoundError as error:
+        if str(error.name).startswith("msbdb"):
+            raise
+        from msbdb.errors import MissingDependencyError
+
+        msg = f'The server needs the library {error.name}. Install it with: pip install "msbdb[serve]"'
+        raise MissingDependencyError(msg) from error
+    run_server(str(db), host=host, port=port, url=url, started=started)
 
 
 def export(
