@@ -106,7 +106,13 @@ def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: s
 
 
 def view(
-    db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings", overwrite: bool = False
+    db: str | Path,
+    out: Path,
+    *,
+    survey: str | None = None,
+    what: str = "parts",
+    aoi: Path | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a page of the town in 3-D, or draw a map on a hillshade.
 
@@ -119,16 +125,20 @@ def view(
     survey : str, optional
         By default the current inventory; without an inventory all surveys, the newest on top. Surveys too far from the
         newest one for the same map are left out, with a notice.
-    of : {'buildings', 'flatregions', 'area3d', 'adaptive'}
-        Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height. The
-        page has buildings.
+    what : str
+        Of a map: 'parts' by scale and height; 'footprints' by height; 'detectors', how many support each building;
+        'change', the net changes of the inventory; 'probability'; 'reasons', why there is no building; 'flatregions' by
+        their zone; candidate regions of 'area3d' or 'adaptive' by their height. The page has them all but regions.
+    aoi : path, optional
+        A file of polygons: draw what meets them, and the surface within their bounds.
     overwrite : bool
         Replace the file if it exists.
 
     Raises
     ------
     InputError
-        For another ending, an unknown survey, or a page of more buildings and parts than a browser can show.
+        For another ending, an unknown survey or map, an area beside the surveys, or a page of more buildings and parts
+        than a browser can show.
     FileError
         When the file exists already, or cannot be written.
     MissingDependencyError
@@ -141,14 +151,15 @@ def view(
     """
     from msbdb.io.files import PAGE
 
+    aoi = None if aoi is None else Path(aoi)
     if Path(out).suffix.lower() == PAGE:
         from msbdb.run.page import view_page
 
-        view_page(db, Path(out), survey=survey, of=of, overwrite=overwrite)
+        view_page(db, Path(out), survey=survey, what=what, aoi=aoi, overwrite=overwrite)
         return
     from msbdb.run.outputs import draw
 
-    draw(db, Path(out), survey=survey, of=of, overwrite=overwrite)
+    draw(db, Path(out), survey=survey, what=what, aoi=aoi, overwrite=overwrite)
 
 
 def serve(

@@ -180,9 +180,14 @@ class FakeApi(types.ModuleType):
         self._note("classes", db=db, survey=survey)
         return pd.DataFrame({"speindex": [1, 2], "label": ["building", "other"], "ndvi": [0.25, float("nan")]})
 
-    def view(self, db, out, *, survey=None, of="buildings", overwrite=False):
+    def serve(self, db, *, host="127.0.0.1", port=8080, url=None, started=print):
+        """Note the call, and report an address."""
+        self._note("serve", db=db, host=host, port=port, url=url)
+        started(url or f"http://{host}:{port}")
+
+    def view(self, db, out, *, survey=None, what="parts", aoi=None, overwrite=False):
         """Draw nothing."""
-        self._note("view", db=db, out=out, survey=survey, of=of, overwrite=overwrite)
+        self._note("view", db=db, out=out, survey=survey, what=what, aoi=aoi, overwrite=overwrite)
 
     def why(self, db, x, y, *, survey=None, crs=None):
         """Return a place without a building."""
@@ -493,7 +498,7 @@ def test_build_reports_and_draws(api):
         assert expected in said
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
-    called = {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings", "overwrite": False}
+    called = {"db": "x", "out": Path("f.png"), "survey": "spring", "what": "parts", "aoi": None, "overwrite": False}
     assert api.calls[1] == ("view", called)
 
 
@@ -742,7 +747,7 @@ def test_export_view_and_evaluate_pass_their_options(api):
     assert result.exit_code == 0
     plain = {"db": "x", "out": Path("o.gpkg"), "survey": "s", "overwrite": True, "options": {}}
     assert api.calls[0] == ("export", plain)
-    called = {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings", "overwrite": False}
+    called = {"db": "x", "out": Path("f.png"), "survey": None, "what": "parts", "aoi": None, "overwrite": False}
     assert api.calls[1] == ("view", called)
     values = api.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
@@ -881,7 +886,7 @@ def test_the_shell_completes_commands_and_choices(shell, monkeypatch):
     script = CliRunner().invoke(cli, prog_name="msbdb")
     assert "_MSBDB_COMPLETE=" in script.output
     monkeypatch.setenv("_MSBDB_COMPLETE", "bash_complete")
-    for words, expected in (("msbdb ex", "export"), ("msbdb view --of ar", "area3d")):
+    for words, expected in (("msbdb ex", "export"), ("msbdb view --what ar", "area3d")):
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
         assert f"plain,{expected}" in CliRunner().invoke(cli, prog_name="msbdb").output.splitlines()
