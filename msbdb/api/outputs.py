@@ -146,8 +146,8 @@ def view(
 
     Notes
     -----
-    The page is one file that opens without a network. It shows the dates of the inventory, or the surveys where there
-    is none; docs/view.md describes it.
+    The page is one file that opens without a network. It shows the dates of the inventory, or the surveys of a database
+    without an inventory; docs/view.md describes it.
     """
     from msbdb.io.files import PAGE
 

@@ -17,7 +17,7 @@ MOST = 0.5
 """An object is smooth where this share of its cells is."""
 
 SOME = 0.1
-"""A large object of which less is smooth may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
+"""A large object with a smaller smooth share may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
 
 
 def without_crowns(

@@ -77,7 +77,7 @@ class FuseParams:
     flush_m: float = param(0.3, "m", "Neighbouring cells are flush, of one roof, up to this step of height.",
         ours="less than a parapet or an eave over a lower roof; 0.2 and 0.5 m do alike", low=0, high=10)
     flush_share: float = param(0.2, "1",
-        "Smooth regions of which this share of the edge is flush with a building belong to it.",
+        "A smooth region belongs to a building if this share of its edge is flush with it.",
         ours="less than one side of a square; 0.1 does alike, 0.3 loses blocks of glass", low=0, high=1)
     support_even: float = param(0.51, "1", "s₀: mean share that the detectors cover of 50 m² of even odds.",
         ours="fitted to 2405 objects of seven places; 0.49 to 0.53 with any of them left out", low=0, high=1)

@@ -48,7 +48,7 @@ class Scripts(html.parser.HTMLParser):
         if self.inside:
             self.scripts.append("")
 
-    def handle_endtag(self, tag):  # noqa: ARG002  (the parser's interface)
+    def handle_endtag(self, tag):
         """Leave a script."""
         self.inside = False
 
