@@ -158,6 +158,11 @@ class FakeApi(types.ModuleType):
         return pd.DataFrame({"speindex": [1, 2], "label": ["building", "other"], "ndvi": [0.25, float("nan")]})
 
     @as_called
+    def serve(self, given):
+        """Report an address."""
+        given["started"](given["url"] or f"http://{given['host']}:{given['port']}")
+
+    @as_called
     def view(self, given):
         """Draw nothing."""
 
@@ -388,7 +393,7 @@ def test_build_reports_and_draws(api):
         assert expected in said
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
-    called = {"db": "x", "out": Path("f.png"), "survey": "spring", "of": "buildings", "overwrite": False}
+    called = {"db": "x", "out": Path("f.png"), "survey": "spring", "what": "parts", "aoi": None, "overwrite": False}
     assert api.calls[1] == ("view", called)
 
 
@@ -639,7 +644,7 @@ def test_export_view_and_evaluate_pass_their_options(api):
     assert name == "export"
     given = {"db": "x", "out": Path("o.gpkg"), "layers": (), "survey": "s", "overwrite": True, "options": {}}
     assert {word: value for word, value in values.items() if value is not None} == given
-    called = {"db": "x", "out": Path("f.png"), "survey": None, "of": "buildings", "overwrite": False}
+    called = {"db": "x", "out": Path("f.png"), "survey": None, "what": "parts", "aoi": None, "overwrite": False}
     assert api.calls[1] == ("view", called)
     values = api.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)
@@ -778,7 +783,7 @@ def test_the_shell_completes_commands_and_choices(shell, monkeypatch):
     script = CliRunner().invoke(cli, prog_name="msbdb")
     assert "_MSBDB_COMPLETE=" in script.output
     monkeypatch.setenv("_MSBDB_COMPLETE", "bash_complete")
-    for words, expected in (("msbdb ex", "export"), ("msbdb view --of ar", "area3d")):
+    for words, expected in (("msbdb ex", "export"), ("msbdb view --what ar", "area3d")):
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
         assert f"plain,{expected}" in CliRunner().invoke(cli, prog_name="msbdb").output.splitlines()
