@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Evidence, Regions
-from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green
+from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green, without_rough
 from msbdb.grid import Grid
 from msbdb.labels import Labels, Pairs, around, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
@@ -86,6 +86,7 @@ def fuse_cells(
     limit_m = params.smooth_m * max(1.0, heights.spec.cell_m)
     share, clear = np.asarray(votes / len(regions), dtype=np.float32), (needed + 1) / len(regions)
     decided = without_crowns(decided, share, roughness_m, params, clear=clear, cell_m=heights.spec.cell_m)
+    decided = without_rough(decided, roughness_m, heights, params)
     if green is not None and "multiscale" in regions:
         multiscale = regions["multiscale"].labels > 0
         decided = without_green(decided, multiscale, green, roughness_m, params, cell_m=heights.spec.cell_m)

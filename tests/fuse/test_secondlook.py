@@ -8,17 +8,18 @@ from pyproj import CRS
 
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.cells import fuse_cells
-from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green
+from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green, without_rough
 from msbdb.grid import Grid, lattice
 from msbdb.params import FuseParams
+from msbdb.surface.texture import NO_PLANE_M
 
 PARAMS = FuseParams()
 
 
-def grid(heights):
-    """Heights on cells of 1 m, all valid."""
+def grid(heights, cell_m=1.0):
+    """Heights on cells of a size, all valid."""
     rows, cols = heights.shape
-    spec = lattice((0, 0.1, cols - 0.1, rows), 1.0, CRS.from_epsg(2154))
+    spec = lattice((0, 0.1, (cols - 0.1) * cell_m, rows * cell_m), cell_m, CRS.from_epsg(2154))
     return Grid(np.asarray(heights, dtype=np.float32), np.ones(heights.shape, dtype=bool), spec)
 
 
@@ -87,6 +88,33 @@ def test_a_house_that_trees_touch_stays():
     fused = fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence, green=~house)
     np.testing.assert_array_equal(fused, house)
     np.testing.assert_array_equal(fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence), decided)
+
+
+@pytest.mark.parametrize(
+    ("roof_m", "ground_m", "cell_m", "kept"),
+    [(0.3, 0.02, 0.5, False), (0.02, 0.02, 0.5, True), (0.3, 0.12, 0.5, True), (0.3, 0.02, 1.0, True)],
+    ids=["hedge", "roof", "noisy survey", "coarse cells"],
+)
+def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept):
+    """Whatever supports it, unless the bare ground around it is nearly as rough, or cells are too large to say."""
+    shape = (60, 60)
+    decided = block(shape, (20, 40), (20, 40))
+    rough = np.where(decided, np.float32(roof_m), np.float32(ground_m))
+    found = without_rough(decided, rough, grid(np.where(decided, 5.0, 0.0), cell_m), PARAMS)
+    np.testing.assert_array_equal(found, decided if kept else np.zeros_like(decided))
+
+
+def test_an_object_whose_roughness_is_not_known_stays():
+    """Too few samples for planes say nothing, neither on a roof nor on the ground."""
+    shape = (60, 60)
+    decided = block(shape, (20, 40), (20, 40))
+    heights = grid(np.where(decided, 5.0, 0.0), 0.5)
+    unknown = np.full(shape, NO_PLANE_M, dtype=np.float32)
+    np.testing.assert_array_equal(without_rough(decided, unknown, heights, PARAMS), decided)
+    hedge = np.where(decided, np.float32(0.3), unknown)
+    assert not without_rough(decided, hedge, heights, PARAMS).any()
+    few = without_crowns(decided, 0.5 * decided, unknown, PARAMS, clear=0.625, cell_m=0.5)
+    np.testing.assert_array_equal(few, decided)
 
 
 def test_each_object_is_judged_by_itself():
