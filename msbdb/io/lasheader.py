@@ -23,6 +23,7 @@ from pyproj.exceptions import CRSError as ProjError
 
 from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.grid import Bounds
+from msbdb.io.files import open_input, shown, url_of
 
 logger = logging.getLogger(__name__)
 
@@ -98,6 +99,8 @@ class LasInfo:
 def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
     """Return the header of a LAS, LAZ or COPC file, after checking it against the file.
 
+    A remote file must be COPC. What its chunks hold is checked when they are read.
+
     Raises
     ------
     FileError
@@ -107,9 +110,8 @@ def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
     """
     path = Path(path)
     try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            return _Checker(path, size, file).run()
+        with open_input(path) as file:
+            return _Checker(path, file.seek(0, os.SEEK_END), file).run()
     except FileNotFoundError as error:
         msg = f"{path} does not exist. Check the path."
         raise FileError(msg) from error
@@ -135,7 +137,7 @@ def decoding(path: Path) -> Iterator[None]:
         panic = type(error).__module__ == "pyo3_runtime"
         if not panic and not isinstance(error, lazrs.LazrsError | laspy.LaspyException | ValueError | OSError):
             raise
-        msg = f"{path} cannot be decoded, it is damaged ({error}). Fetch or export it again."
+        msg = f"{shown(path)} cannot be decoded, it is damaged ({error}). Fetch or export it again."
         raise FileError(msg) from error
 
 
@@ -152,7 +154,7 @@ class _Checker:
     def require(self, holds: bool, otherwise: str) -> None:
         """Raise for a damaged file unless the condition holds."""
         if not holds:
-            msg = f"{self.path} is not a valid LAS or LAZ file: {otherwise}. Fetch or export it again."
+            msg = f"{shown(self.path)} is not a valid LAS or LAZ file: {otherwise}. Fetch or export it again."
             raise FileError(msg)
 
     def read(self, offset: int, count: int) -> bytes:
@@ -175,6 +177,9 @@ class _Checker:
         self.require(in_order, f"the header has {header_size} bytes and the points begin at {start} of {self.size}")
         point_format, record_size, points = self._points(head, minor)
         records = tuple(self._records(header_size, vlrs, start))
+        if url_of(self.path) is not None and not any(record.user_id == COPC for record in records):
+            msg = f"{shown(self.path)} is not COPC; of URLs only COPC files are read. Download it, and give its path."
+            raise FileError(msg)
         extended: tuple[laspy.VLR, ...] = ()
         evlr_start, evlrs = struct.unpack_from("<QI", head, 235) if minor == 4 else (0, 0)
         if evlrs:
@@ -182,7 +187,7 @@ class _Checker:
             extended = tuple(self._extended_records(evlr_start, evlrs, of_all=is_copc))
         compressed = bool(head[104] & 0xC0)
         if points == 0:
-            msg = f"{self.path} holds no points. Leave it out."
+            msg = f"{shown(self.path)} holds no points. Leave it out."
             raise NodataError(msg)
         if compressed:
             points_end = self._check_compressed(start, points, record_size, records)
@@ -281,8 +286,8 @@ class _Checker:
         possible = 1 <= chunks <= (table - start - 8) // record_size
         self.require(possible, f"{chunks} chunks of points cannot be in {table - start - 8} bytes")
         lengths = self._check_chunks(start, table, points, chunk_size, laz)
-        if compressor == 3:
-            self._check_layers(start + 8, lengths, record_size, kinds)
+        if compressor == 3 and url_of(self.path) is None:
+            self._check_layers(start + 8, lengths, record_size, count_layers(laz))
         return int(table)
 
     def _check_chunks(self, start: int, table: int, points: int, chunk_size: int, laz: bytes) -> list[int]:
@@ -297,14 +302,25 @@ class _Checker:
         self.require(full, f"the header promises {points} points, but the chunks hold {room}")
         return [length for _, length in chunks]
 
-    def _check_layers(self, offset: int, lengths: list[int], record_size: int, kinds: list[tuple[int, int]]) -> None:
+    def _check_layers(self, offset: int, lengths: list[int], record_size: int, layers: int) -> None:
         """Check that every chunk's layers fill the chunk, as the decompressor allocates what they claim."""
-        layers = sum(LAYERS.get(kind, size) for kind, size in kinds)
         for length in lengths:
-            sizes = struct.unpack(f"<{layers}I", self.read(offset + record_size + 4, 4 * layers))
-            whole = record_size + 4 + 4 * layers + sum(sizes) == length
+            whole = is_whole(self.read(offset, record_size + 4 + 4 * layers), length, record_size, layers)
             self.require(whole, f"the layers of the chunk at byte {offset} do not fill its {length} bytes")
             offset += length
+
+
+def is_whole(chunk: bytes, length: int, record_size: int, layers: int) -> bool:
+    """Return whether the layers of a chunk fill it, by its beginning: one point, the number of points, and sizes."""
+    head = record_size + 4 + 4 * layers
+    return len(chunk) >= head and head + sum(struct.unpack_from(f"<{layers}I", chunk, record_size + 4)) == length
+
+
+def count_layers(laz: bytes) -> int:
+    """Return the number of layers in a chunk, of a LAZ record that was checked."""
+    items = struct.unpack_from("<H", laz, 32)[0]
+    kinds = [struct.unpack_from("<HH", laz, 34 + 6 * i) for i in range(items)]
+    return sum(LAYERS.get(kind, size) for kind, size in kinds)
 
 
 def header_crs(projection: Mapping[int, bytes]) -> CRS | None:
