@@ -31,7 +31,7 @@ PAGE = ".html"
 """The ending of a page in 3-D."""
 
 BLOCK_BYTES = 65_536
-"""Read of a remote file at a time: its header, and what is near."""
+"""Read of a remote file at a time; those at its beginning are kept, as they hold its header."""
 
 TIMEOUT_S, RETRIES = 60.0, 3
 """For an answer of a server; a request that fails for its own reasons is repeated."""
@@ -79,14 +79,14 @@ class RemoteFile(io.RawIOBase):
         from requests.adapters import HTTPAdapter
         from urllib3.util import Retry
 
-        self.url, self.place, self.size = url, 0, -1
+        self.url, self.place, self.size, self.version = url, 0, -1, ""
         self._failed = requests.RequestException
         self._session = requests.Session()
         again = HTTPAdapter(max_retries=Retry(RETRIES, backoff_factor=0.3, status_forcelist=(500, 502, 503, 504)))
         for scheme in ("http://", "https://"):
             self._session.mount(scheme, again)
         try:
-            self._fetch(0, 1)
+            self._head = self._fetch(0, BLOCK_BYTES)
         except FileError:
             self.close()
             raise
@@ -108,6 +108,7 @@ class RemoteFile(io.RawIOBase):
                     )
                     raise FileError(msg)
                 size, data = int(found[1]), answer.content
+                self.version = f"{size} {answer.headers.get('ETag')} {answer.headers.get('Last-Modified')}"
         except self._failed as error:
             why = type(error).__name__
             msg = f"{shown(self.url)} cannot be read: {why}. Check the URL and the network, or try again."
@@ -136,7 +137,8 @@ class RemoteFile(io.RawIOBase):
         target = memoryview(buffer).cast("B")
         count = max(0, min(len(target), self.size - self.place))
         if count:
-            target[:count] = self._fetch(self.place, count)
+            near = self.place + count <= len(self._head)
+            target[:count] = self._head[self.place :][:count] if near else self._fetch(self.place, count)
         self.place += count
         return count
 
@@ -145,6 +147,15 @@ class RemoteFile(io.RawIOBase):
         if not self.closed:
             self._session.close()
         super().close()
+
+
+def remote_version(path: str | os.PathLike[str]) -> str:
+    """Return what a server says of the version of a file: size, tag and time; empty for a local file."""
+    url = url_of(path)
+    if url is None:
+        return ""
+    with RemoteFile(url) as file:
+        return file.version
 
 
 def open_input(path: str | os.PathLike[str]) -> BinaryIO:

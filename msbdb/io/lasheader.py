@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,7 +24,7 @@ from pyproj.exceptions import CRSError as ProjError
 
 from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.grid import Bounds
-from msbdb.io.files import open_input, shown, url_of
+from msbdb.io.files import open_input, remote_version, shown, url_of
 
 logger = logging.getLogger(__name__)
 
@@ -110,8 +111,7 @@ def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
     """
     path = Path(path)
     try:
-        with open_input(path) as file:
-            return _Checker(path, file.seek(0, os.SEEK_END), file).run()
+        return _read_header(path) if url_of(path) is None else _read_remote(path, remote_version(path))
     except FileNotFoundError as error:
         msg = f"{path} does not exist. Check the path."
         raise FileError(msg) from error
@@ -121,6 +121,18 @@ def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
     except PermissionError as error:
         msg = f"{path} may not be read. Check its permissions."
         raise FileError(msg) from error
+
+
+def _read_header(path: Path) -> LasInfo:
+    """Check a file, and return its header."""
+    with open_input(path) as file:
+        return _Checker(path, file.seek(0, os.SEEK_END), file).run()
+
+
+@lru_cache(maxsize=10_000)
+def _read_remote(path: Path, version: str) -> LasInfo:  # noqa: ARG001  (another version is another header)
+    """Return the header of a remote file, which a build asks for several times."""
+    return _read_header(path)
 
 
 @contextmanager
@@ -177,13 +189,13 @@ class _Checker:
         self.require(in_order, f"the header has {header_size} bytes and the points begin at {start} of {self.size}")
         point_format, record_size, points = self._points(head, minor)
         records = tuple(self._records(header_size, vlrs, start))
-        if url_of(self.path) is not None and not any(record.user_id == COPC for record in records):
+        is_copc = any(record.user_id == COPC for record in records)
+        if url_of(self.path) is not None and not is_copc:
             msg = f"{shown(self.path)} is not COPC; of URLs only COPC files are read. Download it, and give its path."
             raise FileError(msg)
         extended: tuple[laspy.VLR, ...] = ()
         evlr_start, evlrs = struct.unpack_from("<QI", head, 235) if minor == 4 else (0, 0)
         if evlrs:
-            is_copc = any(record.user_id == COPC for record in records)
             extended = tuple(self._extended_records(evlr_start, evlrs, of_all=is_copc))
         compressed = bool(head[104] & 0xC0)
         if points == 0:
@@ -273,8 +285,7 @@ class _Checker:
             msg = f"{self.path} cannot be read: {what}. Write it again with a current LASzip, for instance laszip64."
             raise FileError(msg)
         self.require(len(laz) >= 34 + 6 * items, f"its LAZ record is too short for {items} items")
-        kinds = [struct.unpack_from("<HHH", laz, 34 + 6 * i)[:2] for i in range(items)]
-        packed = sum(size for _, size in kinds)
+        packed = sum(size for _, size, _ in struct.iter_unpack("<HHH", laz[34 : 34 + 6 * items]))
         self.require(packed == record_size, f"a compressed point has {packed} bytes, but the header says {record_size}")
         table = struct.unpack("<q", self.read(start, 8))[0]
         if table == -1:
@@ -318,9 +329,8 @@ def is_whole(chunk: bytes, length: int, record_size: int, layers: int) -> bool:
 
 def count_layers(laz: bytes) -> int:
     """Return the number of layers in a chunk, of a LAZ record that was checked."""
-    items = struct.unpack_from("<H", laz, 32)[0]
-    kinds = [struct.unpack_from("<HH", laz, 34 + 6 * i) for i in range(items)]
-    return sum(LAYERS.get(kind, size) for kind, size in kinds)
+    kinds = struct.iter_unpack("<HHH", laz[34 : 34 + 6 * struct.unpack_from("<H", laz, 32)[0]])
+    return sum(LAYERS.get(kind, size) for kind, size, _ in kinds)
 
 
 def header_crs(projection: Mapping[int, bytes]) -> CRS | None:
@@ -334,9 +344,7 @@ def header_crs(projection: Mapping[int, bytes]) -> CRS | None:
             return CRS.from_wkt(text)
         except ProjError:
             logger.info("A WKT record is not understood: %.80s", text)
-    if DIRECTORY not in projection:
-        return None
-    return _crs_of_keys(projection)
+    return _crs_of_keys(projection) if DIRECTORY in projection else None
 
 
 def vertical_unit(projection: Mapping[int, bytes]) -> str | None:

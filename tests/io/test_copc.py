@@ -11,7 +11,7 @@ from support.copcfile import write_copc
 from support.rangeserver import serving
 
 from msbdb.errors import FileError
-from msbdb.io.files import describe_source
+from msbdb.io.files import describe_source, open_input
 from msbdb.io.las import read_points
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.laspoints import is_believed, read_chunks
@@ -100,12 +100,27 @@ def test_what_a_server_cannot_give_is_said(copc, tmp_path):
         read_points("s3://bucket/town.copc.laz")
 
 
+def test_a_header_is_fetched_once_for_each_version(copc):
+    """The server is asked for the version; a file that was written again has another header."""
+    with serving(copc.parent) as sent:
+        url = f"{sent.url}/town.copc.laz"
+        first = read_las_header(url)
+        asked = len(sent.answers)
+        assert read_las_header(url) is first
+        assert len(sent.answers) == asked + 1
+        las = laspy.read(copc)
+        plain = laspy.LasData(laspy.LasHeader(version="1.4", point_format=7))
+        plain.header.offsets, plain.header.scales = las.header.offsets, las.header.scales
+        plain.points = las.points[:20_000]
+        write_copc(copc, plain)
+        assert (first.points, read_las_header(url).points) == (40_000, 20_000)
+
+
 def test_a_file_that_changes_is_refused(copc):
     """Its size is another one than at first."""
-    from msbdb.io.files import open_input
-
     with serving(copc.parent) as sent, open_input(f"{sent.url}/town.copc.laz") as file:
         copc.write_bytes(copc.read_bytes() + b"more")
+        file.seek(100_000)
         with pytest.raises(FileError, match=r"changed while it was read"):
             file.read(10)
 

@@ -43,6 +43,7 @@ class Handler(BaseHTTPRequestHandler):
         if wanted and self.sent.ranges:
             self.send_header("Content-Range", f"bytes {wanted[1]}-{int(wanted[1]) + len(part) - 1}/{len(data)}")
         self.send_header("Content-Length", str(len(part)))
+        self.send_header("ETag", f'"{file.stat().st_mtime_ns}"')
         self.end_headers()
         self.wfile.write(part)
         self.sent.answers.append(len(part))
