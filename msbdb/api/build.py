@@ -51,7 +51,8 @@ def build(
     ----------
     points : path or sequence of path
         LAS, LAZ or COPC files, with or without ``dtm``; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF. A
-        folder, a pattern such as ``tiles/*.laz``, or a virtual point cloud (``.vpc``) stands for its files.
+        folder, a pattern such as ``tiles/*.laz``, a virtual point cloud (``.vpc``), or a tile index with a column
+        ``location`` or ``url`` stands for its files. COPC files may be at http and https URLs.
     ortho : path or sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional

@@ -1,13 +1,17 @@
 """An area of interest: what lies in it is built as without it, and nothing beyond is read or written."""
 
+import json
 from dataclasses import replace
 
 import geopandas as gpd
+import laspy
 import numpy as np
 import pytest
 import shapely
 from simulated import scenes
 from simulated.files import write_heights, write_points
+from support.copcfile import write_copc
+from support.rangeserver import serving
 
 import msbdb
 from msbdb.database import open_database, read_rasters
@@ -44,6 +48,36 @@ def district(path, shape, crs, to="EPSG:4326"):
     """Write a polygon in another CRS."""
     gpd.GeoDataFrame(geometry=[shape], crs=crs).to_crs(to).to_file(path)
     return path
+
+
+def test_a_build_reads_its_area_alone_from_a_server(scene, files, tmp_path):
+    """Of a virtual point cloud of COPC files: the content is that of the files, and the record has no address."""
+    links = []
+    for file in files:
+        write_copc(tmp_path / f"{file.stem}.copc.laz", laspy.read(file))
+        data, picture = {"href": f"{file.stem}.copc.laz", "roles": ["data"]}, {"href": "a.png", "roles": ["thumbnail"]}
+        links.append({"type": "Feature", "assets": {"data": data, "picture": picture}})
+    west, south, east, north = scene.points.bounds
+    area = district(tmp_path / "district.gpkg", shapely.box(west - 5, south - 5, east + 5, north + 5), scene.points.crs)
+    given = {"survey": "town", "params": CELL, "extract": "multiscale", "aoi": area}
+    cloud = tmp_path / "town.vpc"
+    cloud.write_text(json.dumps({"type": "FeatureCollection", "features": links}))
+    msbdb.build(cloud, db=tmp_path / "files.sqlite", **given)
+    with serving(tmp_path) as sent:
+        for link in links:
+            link["assets"]["data"]["href"] = f"{sent.url}/{link['assets']['data']['href']}?key=secret"
+        cloud.write_text(json.dumps({"type": "FeatureCollection", "features": links}))
+        msbdb.build(cloud, db=tmp_path / "server.sqlite", **given)
+        assert not msbdb.build(cloud, db=tmp_path / "server.sqlite", **given).changed
+    with msbdb.open(tmp_path / "files.sqlite") as one, msbdb.open(tmp_path / "server.sqlite") as other:
+        assert (
+            other.buildings()
+            .drop(columns="run_id", errors="ignore")
+            .equals(one.buildings().drop(columns="run_id", errors="ignore"))
+        )
+    said = json.dumps(msbdb.info(tmp_path / "server.sqlite"), default=str)
+    assert "tower.copc.laz" in said
+    assert "secret" not in said
 
 
 def test_only_what_lies_in_the_area_is_built(scene, files, tmp_path):
