@@ -112,7 +112,7 @@ class ServedTown:
             if self._page is None or self._page[0] != token:
                 with tempfile.TemporaryDirectory() as folder, collected_notices() as notices:
                     out = Path(folder) / "town.html"
-                    view_page(self.db, out, survey=None, what="parts", aoi=None, overwrite=False)
+                    view_page(self.db, out, survey=None, what="parts", aoi=None, ortho=None, overwrite=False)
                     self._page = token, out.read_bytes()
                 for notice in notices:
                     logger.info("The page: %s", notice)
