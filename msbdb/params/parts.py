@@ -158,6 +158,10 @@ class TouchingParams:
     enclosed_share: float = param(0.75, "1",
         "A piece with this share of its outline beside one other stands on it or in it, and is no house of its own.",
         ours="stairs, towers and tiers; a house in a row has half at most", low=0.1, high=1.1)
+    single_m2: float = param(300.0, "m2", "Islands up to this area are one house, unless their pieces are alike.",
+        ours="a large single house with its garage; 0 divides all", low=0, high=1e5)
+    alike_share: float = param(0.6, "1", "Least area of the smallest of alike pieces, of that of the largest.",
+        ours="semi-detached houses are mirrored; a garage has half of its house at most", low=0, high=1)
     house_m2: float = param(30.0, "m2", "Smaller pieces are no house.", ours="the smallest houses of old towns",
         low=0, high=1e5)
     width_m: float = param(3.0, "m", "Narrower pieces are no house.", ours="the narrowest houses of old towns",
