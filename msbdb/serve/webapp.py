@@ -207,6 +207,9 @@ def make_app(town: ServedTown, hosts: list[str] | None) -> Flask:
         if "sortby" in request.args and not all(word.strip("+-") for word in request.args["sortby"].split(",")):
             msg = "sortby has an empty name; write it as sortby=-h_max,uid."
             raise BadRequest(msg)
+        if request.args.get("f") == "csv" and "skipGeometry" in request.args:
+            msg = "CSV has the outlines of the features. Leave out skipGeometry, or ask for f=json."
+            raise BadRequest(msg)
         return answer(itemtypes.get_collection_items, name, formats=("json", "html", "csv"))
 
     def page() -> Response:

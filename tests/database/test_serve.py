@@ -1,6 +1,8 @@
 """The server: what clients read is what the database holds, nothing is written, and what they send stays data."""
 
+import csv
 import hashlib
+import io
 import json
 import re
 import subprocess
@@ -332,11 +334,24 @@ def test_conformance_claims_nothing_that_writes(client):
         ({"filter": "uid = 'a'"}, "does not fit"),
         ({"f": "../../etc/passwd"}, "is not offered"),
         ({"f": "jsonld"}, "is not offered"),
+        ({"f": "csv", "skipGeometry": "true"}, "Leave out skipGeometry"),
+        ({"filter": "NOT " * 2000 + "h_max > 1"}, "Bad CQL"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_plain_words(client, query, words):
     """Wrong bounds, times, numbers, columns and filters end with 400 and a sentence."""
     assert words in refused(client, ITEMS, **query)
+
+
+def test_csv_has_the_rows(client, place):
+    """A table of the same features, with their outlines."""
+    expected = rows_of(place, "footprint_current")
+    answer = client.get(ITEMS, query_string={"f": "csv"}, headers={"Host": "127.0.0.1"})
+    assert answer.mimetype == "text/csv"
+    rows = list(csv.DictReader(io.StringIO(answer.text)))
+    assert {row["uid"] for row in rows} == set(expected)
+    assert all(float(row["h_max"]) == expected[row["uid"]]["h_max"] for row in rows)
+    assert HOSTILE in {row["survey"] for row in rows}
 
 
 def test_hostile_values_stay_data(client, place):
