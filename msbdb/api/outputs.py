@@ -112,6 +112,7 @@ def view(
     survey: str | None = None,
     what: str = "parts",
     aoi: Path | None = None,
+    ortho: Path | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a page of the town in 3-D, or draw a map on a hillshade.
@@ -131,6 +132,8 @@ def view(
         their zone; candidate regions of 'area3d' or 'adaptive' by their height. The page has them all but regions.
     aoi : path, optional
         A file of polygons: draw what meets them, and the surface within their bounds.
+    ortho : path, optional
+        An orthophoto of any bands, grid and CRS, which the page contains as a layer of the ground.
     overwrite : bool
         Replace the file if it exists.
 
@@ -151,12 +154,17 @@ def view(
     """
     from msbdb.io.files import PAGE
 
-    aoi = None if aoi is None else Path(aoi)
+    aoi, ortho = (None if path is None else Path(path) for path in (aoi, ortho))
     if Path(out).suffix.lower() == PAGE:
         from msbdb.run.page import view_page
 
-        view_page(db, Path(out), survey=survey, what=what, aoi=aoi, overwrite=overwrite)
+        view_page(db, Path(out), survey=survey, what=what, aoi=aoi, ortho=ortho, overwrite=overwrite)
         return
+    if ortho is not None:
+        from msbdb.errors import InputError
+
+        msg = "An orthophoto is a layer of the page. Leave out --ortho, or write a page: .html."
+        raise InputError(msg)
     from msbdb.run.outputs import draw
 
     draw(db, Path(out), survey=survey, what=what, aoi=aoi, overwrite=overwrite)

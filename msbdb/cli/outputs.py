@@ -220,6 +220,7 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
     "view",
     examples=(
         "msbdb view town.sqlite --out town.html",
+        "msbdb view town.sqlite --ortho rgb.tif --out town.html",
         "msbdb view town.sqlite --out town.png",
         "msbdb view town.sqlite --what reasons --out reasons.pdf",
         "msbdb view town.sqlite --what flatregions --aoi centre.gpkg --out zones.png",
@@ -241,8 +242,11 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
     help="What a map shows; the page has all but regions.",
 )
 @click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: draw what meets them, within their bounds.")
+@click.option("--ortho", type=INPUT_FILE, metavar="FILE", help="An orthophoto as a layer of the page.")
 @shared("overwrite", "survey")
-def view(*, db: str, out: Path, what: str, aoi: Path | None, overwrite: bool, survey: str | None) -> None:
+def view(
+    *, db: str, out: Path, what: str, aoi: Path | None, ortho: Path | None, overwrite: bool, survey: str | None
+) -> None:
     """Write a page of the town in 3-D, or draw a map of its buildings, of the reasons for none, or of regions.
 
     The page is one file that any browser opens without a network: parts as blocks from coarse to fine, colours, dates
@@ -254,7 +258,7 @@ def view(*, db: str, out: Path, what: str, aoi: Path | None, overwrite: bool, su
     """
     from msbdb import api
 
-    api.view(db, out, survey=survey, what=what, aoi=aoi, overwrite=overwrite)
+    api.view(db, out, survey=survey, what=what, aoi=aoi, ortho=ortho, overwrite=overwrite)
     say(f"Wrote {out}.")
 
 

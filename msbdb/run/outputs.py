@@ -3,6 +3,7 @@
 Each function imports what it alone needs, so that a summary is quick.
 """
 
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     import shapely
     from numpy.typing import NDArray
 
-    from msbdb.grid import Grid, GridSpec
+    from msbdb.grid import Bands, Grid, GridSpec
 
     Rasters = list[tuple[GridSpec, NDArray[np.uint8]]]
 
@@ -47,6 +48,12 @@ LAYERS = {"footprint": BUILDING, "part": PART, "flat_region": FLAT_REGION, "cand
 
 MAPS = ("parts", "footprints", "detectors", "change", "probability", "reasons", *REGION_DETECTORS)
 """What a map shows."""
+
+LARGEST_PHOTO = 2000
+"""Most cells a side of an orthophoto on the page (ours), as of the light and shadow."""
+
+FINEST_PHOTO = 0.1
+"""Finest cell of an orthophoto on the page, metres (ours); finer pixels are averaged."""
 
 EMPTY_MAP = (0.0, 0.0, 100.0, 100.0)
 """Extent of a map of nothing, metres."""
@@ -247,6 +254,22 @@ def within(relief: "Grid", area: "shapely.Geometry") -> "Grid":
     last = np.ceil([(edge_north - south) / cell, (east - edge_west) / cell]).astype(int).clip(1, (rows, cols))
     window = tuple(slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
     return Grid(relief.values[window], relief.valid[window], relief.spec.crop(*window))
+
+
+def photo_on(relief: "Grid", ortho: Path) -> "Bands":
+    """Return an orthophoto within the bounds of heights, on cells that suit a picture of a page.
+
+    Raises
+    ------
+    GridMismatchError
+        When the orthophoto is of another place.
+    """
+    from msbdb.grid import lattice
+    from msbdb.io.ortho import read_bands
+
+    west, south, east, north = relief.spec.bounds
+    cell = max(math.ceil(100 * max(east - west, north - south) / LARGEST_PHOTO) / 100, FINEST_PHOTO)
+    return read_bands(ortho, lattice(relief.spec.bounds, cell, relief.spec.crs))
 
 
 def of_one_place(engine: Engine, choice: Choice) -> Choice:

@@ -31,14 +31,14 @@ from msbdb.errors import InputError, PassingNotice, counted, give_notice
 from msbdb.grid import Grid
 from msbdb.io.files import require_output
 from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
-from msbdb.run.outputs import Choice, area_of, choose, of_one_place, reason_rasters, relief_for, within
+from msbdb.run.outputs import Choice, area_of, choose, of_one_place, photo_on, reason_rasters, relief_for, within
 from msbdb.tables import BUILDING, DETECTOR_SHARES, PART
 from msbdb.tables.aliases import words_of
 from msbdb.tables.view_columns import VIEW_COLUMNS
 from msbdb.view.blocks import blocks_of
 from msbdb.view.buildingmap import KINDS
-from msbdb.view.groundimages import extent_of, light_image, reason_image
-from msbdb.view.page import DEGREE, read_library, shapes_of, texts, whole_numbers, write_page
+from msbdb.view.groundimages import light_image, origin_of, photo_image, place_of, reason_image
+from msbdb.view.page import read_library, shapes_of, texts, whole_numbers, write_page
 
 MOST_PARTS = 60_000
 """Buildings and parts beyond which the page would be slow (ours): 10,000 buildings have about 40,000."""
@@ -76,9 +76,11 @@ class _Stock:
     parts: gpd.GeoDataFrame
 
 
-def view_page(db: str | Path, out: Path, *, survey: str | None, what: str, aoi: Path | None, overwrite: bool) -> None:
+def view_page(
+    db: str | Path, out: Path, *, survey: str | None, what: str, aoi: Path | None, ortho: Path | None, overwrite: bool
+) -> None:
     """Write a page; see `msbdb.api.view`."""
-    require_output(out, overwrite=overwrite, sources=[db, *([aoi] if aoi else [])])
+    require_output(out, overwrite=overwrite, sources=[db, *(path for path in (aoi, ortho) if path)])
     if what != "parts":
         msg = (
             f"The page shows buildings and their parts; leave out --what {what}, or write a picture: .png, .svg, .pdf."
@@ -86,11 +88,13 @@ def view_page(db: str | Path, out: Path, *, survey: str | None, what: str, aoi: 
         raise InputError(msg)
     library = read_library()
     with opened(db) as engine:
-        town = town_of(db, engine, of_one_place(engine, choose(engine, survey)), aoi)
+        town = town_of(db, engine, of_one_place(engine, choose(engine, survey)), aoi, ortho)
     write_page(town, out, library)
 
 
-def town_of(db: str | Path, engine: Engine, choice: Choice, aoi: Path | None = None) -> dict[str, Any]:
+def town_of(
+    db: str | Path, engine: Engine, choice: Choice, aoi: Path | None = None, ortho: Path | None = None
+) -> dict[str, Any]:
     """Return what the page of a database shows, as values of JSON.
 
     Parameters
@@ -103,6 +107,8 @@ def town_of(db: str | Path, engine: Engine, choice: Choice, aoi: Path | None = N
         The surveys, and whether the buildings are those of the inventory.
     aoi : path, optional
         A file of polygons: the buildings that meet them, and the ground within their bounds.
+    ortho : path, optional
+        An orthophoto, as a layer of the ground.
 
     Raises
     ------
@@ -120,7 +126,7 @@ def town_of(db: str | Path, engine: Engine, choice: Choice, aoi: Path | None = N
         stock, relief = _inside(stock, area), within(relief, area)
         _require_few(len(stock.buildings) + len(stock.parts))
     to_degrees = Transformer.from_crs(relief.spec.crs, 4326, always_xy=True)
-    origin = _origin(relief, to_degrees)
+    origin = origin_of(relief, to_degrees)
     inventory = _changes(db, engine, stock) if choice.present else {}
     name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(choice.surveys)} surveys"
     return {
@@ -132,8 +138,9 @@ def town_of(db: str | Path, engine: Engine, choice: Choice, aoi: Path | None = N
         "inventory": choice.present,
         "scales": _scales(engine, choice, stock.parts),
         "detectors": [[name, column] for name, column in DETECTOR_SHARES.items()],
-        "place": _place(relief, to_degrees, origin),
+        "place": place_of(relief, to_degrees, origin),
         "ground": light_image(relief),
+        "photo": None if ortho is None else photo_image(photo_on(relief, ortho), to_degrees, origin),
         "reasons": reason_image(relief, reason_rasters(engine, choice)),
         **_rows(engine, choice, stock, to_degrees, origin),
         **inventory,
@@ -342,21 +349,6 @@ def _scales(engine: Engine, choice: Choice, parts: gpd.GeoDataFrame) -> list[lis
             areas.setdefault(int(scale), set()).add(round(area))
     finest = int(parts["scale"].max()) if len(parts) else 0
     return [[scale, min(areas[scale]) if len(areas.get(scale, ())) == 1 else None] for scale in range(1, finest + 1)]
-
-
-def _origin(relief: Grid, to_degrees: Transformer) -> tuple[int, int]:
-    """Return the south-western corner of all that is shown, steps of longitude and latitude."""
-    west, south, east, north = relief.spec.bounds
-    lon, lat = to_degrees.transform([west, east, west, east], [south, south, north, north])
-    return round(min(lon) * DEGREE), round(min(lat) * DEGREE)
-
-
-def _place(relief: Grid, to_degrees: Transformer, origin: tuple[int, int]) -> dict[str, Any]:
-    """Return where the images lie: corners in steps, from the north-west clockwise, and edges in centimetres."""
-    west, south, east, north = extent_of(relief)
-    lon, lat = to_degrees.transform([west, east, east, west], [north, north, south, south])
-    corners = [[round(x * DEGREE) - origin[0], round(y * DEGREE) - origin[1]] for x, y in zip(lon, lat, strict=True)]
-    return {"corners": corners, "bounds_cm": [round(100 * edge) for edge in (west, south, east, north)]}
 
 
 def _changes(db: str | Path, engine: Engine, stock: _Stock) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import shapely
@@ -13,15 +13,15 @@ from pygeofilter.ast import Node
 from pygeofilter.backends.sqlalchemy import to_filter
 from pyproj import CRS, Transformer
 
-from msbdb.database import LAYERS, FeatureLayer, FeatureQuery, Rows, database_crs_of, read_feature, read_page
+from msbdb.database import LAYERS, FeatureLayer, FeatureQuery, Rows, read_feature, read_page
 from msbdb.errors import InputError
 from msbdb.identity import to_json
 from msbdb.tables import Column
 from msbdb.tables.aliases import words_of
 from msbdb.tables.view_columns import IDS
 
-ENGINE = "MSBDB_ENGINE"
-"""Where the app keeps the database."""
+ENGINE, SYSTEM = "MSBDB_ENGINE", "MSBDB_CRS"
+"""Where the app keeps the database, and its CRS."""
 
 TYPES: Mapping[str, str] = {
     "int64": "integer", "Int64": "integer", "int32": "integer", "float64": "number", "str": "string",
@@ -46,7 +46,7 @@ class FeatureProvider(BaseProvider):  # type: ignore[misc]  # the library has no
         super().__init__(provider_def)
         self.layer: FeatureLayer = LAYERS[self.data]
         self._fields = {column.name: field_of(column) for column in self.layer.columns}
-        self.engine = current_app.config[ENGINE]
+        self.engine, self.crs = current_app.config[ENGINE], current_app.config[SYSTEM]
         self.is_stored = "storage_crs" in provider_def
 
     def query(
@@ -120,7 +120,7 @@ class FeatureProvider(BaseProvider):  # type: ignore[misc]  # the library has no
         """Return rows as features, in the CRS that is asked for."""
         shapes: list[Any] = [None] * len(rows)
         if rows and "wkb" in rows[0]:
-            shapes = _shapes([bytes(row.pop("wkb")) for row in rows], database_crs_of(self.engine), self._target(spec))
+            shapes = _shapes([bytes(row.pop("wkb")) for row in rows], self.crs, self._target(spec))
         return [
             {"type": "Feature", "id": row[self.layer.key], "geometry": shape, "properties": _plain(row)}
             for row, shape in zip(rows, shapes, strict=True)
@@ -195,14 +195,22 @@ def north_first(crs: CRS) -> bool:
     return bool(crs.axis_info) and crs.axis_info[0].direction.lower() == "north"
 
 
+@cache
+def transformer(own: CRS, target: CRS) -> Transformer:
+    """Return the transformation between two CRSs, easting or longitude first; PROJ looks long for the best one.
+
+    Few CRSs are offered, so that few are kept. Each thread makes its own inside of it.
+    """
+    return Transformer.from_crs(own, target, always_xy=True)
+
+
 def _shapes(wkb: list[bytes], own: CRS, target: CRS | None) -> list[dict[str, Any]]:
     """Return geometries as GeoJSON, coordinates in the order of the target's axes."""
     shown = own if target is None else target
     steps = STEPS[0] if shown.is_geographic else STEPS[1]
     shapes = shapely.from_wkb(wkb)
     if target is not None:
-        to_target = Transformer.from_crs(own, target, always_xy=True)
-        shapes = shapely.transform(shapes, to_target.transform, interleaved=False)
+        shapes = shapely.transform(shapes, transformer(own, target).transform, interleaved=False)
     turned = north_first(shown)
     shapes = shapely.transform(shapes, lambda xy: (xy[:, ::-1] if turned else xy).round(steps))
     return [shapely.geometry.mapping(shape) for shape in shapes]

@@ -18,14 +18,13 @@ from flask import Flask, Response, g, render_template, request
 from pygeoapi.api import API, APIRequest, itemtypes
 from pygeoapi.openapi import get_oas
 from pygeoapi.util import get_crs_from_uri
-from pyproj import Transformer
 from werkzeug.exceptions import BadRequest, HTTPException, NotFound
 from werkzeug.wrappers import Request
 
 from msbdb.database import LAYERS, Engine, FeatureLayer, ServedState, database_crs_of, read_state
 from msbdb.errors import DatabaseError, MsbdbError, collected_notices
 from msbdb.run.page import view_page
-from msbdb.serve.featureprovider import ENGINE, FeatureProvider, field_of, north_first
+from msbdb.serve.featureprovider import ENGINE, SYSTEM, FeatureProvider, field_of, north_first, transformer
 
 logger = logging.getLogger(__name__)
 
@@ -112,7 +111,7 @@ class ServedTown:
             if self._page is None or self._page[0] != token:
                 with tempfile.TemporaryDirectory() as folder, collected_notices() as notices:
                     out = Path(folder) / "town.html"
-                    view_page(self.db, out, survey=None, what="parts", aoi=None, overwrite=False)
+                    view_page(self.db, out, survey=None, what="parts", aoi=None, ortho=None, overwrite=False)
                     self._page = token, out.read_bytes()
                 for notice in notices:
                     logger.info("The page: %s", notice)
@@ -123,7 +122,7 @@ class ServedTown:
         if bounds is None:
             return shapely.Polygon()
         crs = get_crs_from_uri(uri)
-        west, south, east, north = Transformer.from_crs(self.crs, crs, always_xy=True).transform_bounds(*bounds)
+        west, south, east, north = transformer(self.crs, crs).transform_bounds(*bounds)
         dx, dy = MARGIN * (east - west), MARGIN * (north - south)
         x0, y0, x1, y1 = (box[1], box[0], box[3], box[2]) if north_first(crs) else box
         cut = shapely.intersection(
@@ -132,16 +131,14 @@ class ServedTown:
         if cut.is_empty:
             return shapely.Polygon()
         pieces = shapely.segmentize(cut, max(east - west, north - south) / SEGMENTS)
-        return shapely.transform(
-            pieces, Transformer.from_crs(crs, self.crs, always_xy=True).transform, interleaved=False
-        )
+        return shapely.transform(pieces, transformer(crs, self.crs).transform, interleaved=False)
 
     def _configuration(self, state: ServedState) -> dict[str, Any]:
         """Return the configuration of pygeoapi."""
         extent = [-180.0, -90.0, 180.0, 90.0]
         if state.bounds is not None:
-            to_degrees = Transformer.from_crs(self.crs, 4326, always_xy=True)
-            extent = [round(edge, 6) for edge in to_degrees.transform_bounds(*state.bounds)]
+            bounds = transformer(self.crs, get_crs_from_uri(CRS84)).transform_bounds(*state.bounds)
+            extent = [round(edge, 6) for edge in bounds]
         title = f"msbdb: {unquote(Path(str(self.engine.url.database)).stem)}"
         return {
             "server": {
@@ -186,7 +183,7 @@ def make_app(town: ServedTown, hosts: list[str] | None) -> Flask:
         for all.
     """
     app = Flask(__name__)
-    app.config[ENGINE] = town.engine
+    app.config[ENGINE], app.config[SYSTEM] = town.engine, town.crs
     app.config["TRUSTED_HOSTS"] = hosts
     app.config["MAX_CONTENT_LENGTH"] = MOST_BYTES
 
@@ -209,6 +206,9 @@ def make_app(town: ServedTown, hosts: list[str] | None) -> Flask:
     def items(name: str) -> Response:
         if "sortby" in request.args and not all(word.strip("+-") for word in request.args["sortby"].split(",")):
             msg = "sortby has an empty name; write it as sortby=-h_max,uid."
+            raise BadRequest(msg)
+        if request.args.get("f") == "csv" and "skipGeometry" in request.args:
+            msg = "CSV has the outlines of the features. Leave out skipGeometry, or ask for f=json."
             raise BadRequest(msg)
         return answer(itemtypes.get_collection_items, name, formats=("json", "html", "csv"))
 

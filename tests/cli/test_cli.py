@@ -106,6 +106,10 @@ def as_called(reply: Callable[..., Any]) -> Callable[..., Any]:
     return called
 
 
+NO_FILES = {"aoi": None, "ortho": None}
+"""What msbdb.api.view is given without an area and an orthophoto."""
+
+
 class FakeApi(types.ModuleType):
     """Stands for msbdb.api: remembers its calls, and returns or raises what a test sets."""
 
@@ -393,7 +397,15 @@ def test_build_reports_and_draws(api):
         assert expected in said
     assert "Notice" not in result.stdout
     assert result.stderr.count("Notice: No imagery") == 1
-    called = {"db": "x", "out": Path("f.png"), "survey": "spring", "what": "parts", "aoi": None, "overwrite": False}
+    called = {
+        "db": "x",
+        "out": Path("f.png"),
+        "survey": "spring",
+        "what": "parts",
+        "aoi": None,
+        "ortho": None,
+        "overwrite": False,
+    }
     assert api.calls[1] == ("view", called)
 
 
@@ -644,7 +656,15 @@ def test_export_view_and_evaluate_pass_their_options(api):
     assert name == "export"
     given = {"db": "x", "out": Path("o.gpkg"), "layers": (), "survey": "s", "overwrite": True, "options": {}}
     assert {word: value for word, value in values.items() if value is not None} == given
-    called = {"db": "x", "out": Path("f.png"), "survey": None, "what": "parts", "aoi": None, "overwrite": False}
+    called = {
+        "db": "x",
+        "out": Path("f.png"),
+        "survey": None,
+        "what": "parts",
+        "aoi": None,
+        "ortho": None,
+        "overwrite": False,
+    }
     assert api.calls[1] == ("view", called)
     values = api.calls[2][1]
     assert (values["layer"], values["overlap"], values["cell_m"], values["aoi"]) == ("b", 0.3, 1.0, None)

@@ -1,6 +1,8 @@
 """The server: what clients read is what the database holds, nothing is written, and what they send stays data."""
 
+import csv
 import hashlib
+import io
 import json
 import re
 import subprocess
@@ -14,20 +16,24 @@ import numpy as np
 import pyogrio
 import pytest
 import shapely
+from axe_playwright_python.sync_playwright import Axe
 from click.testing import CliRunner
 from owslib.ogcapi.features import Features
 from pyproj import CRS, Transformer
 from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
+from support.browser import PATIENCE_MS, browser
 from support.processes import environment
 from support.towns import EPSG, ROW, SOUTH, WEST, town_build
 
 from msbdb import api
 from msbdb.cli.main import cli
 from msbdb.database import LAYERS, database_crs_of, open_database, open_to_read, read_state, write_build
-from msbdb.errors import InputError
+from msbdb.errors import InputError, MissingDependencyError
+from msbdb.run import page
 from msbdb.serve.httpserver import address_of, listening_socket, trusted_names
 from msbdb.serve.webapp import CRS84, HEADERS, ServedTown, make_app
+from msbdb.view.page import Library, read_library
 
 HOSTILE = "</script><script>alert(1)</script>'; DROP TABLE survey; -- {{ 7 * 7 }} ../"
 
@@ -61,6 +67,12 @@ def place(request, tmp_path_factory):
     url = databases.acquire()
     yield filled(url)
     databases.release([url])
+
+
+@pytest.fixture(autouse=True)
+def library(monkeypatch):
+    """Let the page contain a short text in place of MapLibre GL JS, which need not be there."""
+    monkeypatch.setattr(page, "read_library", lambda: Library("var maplibregl = {};", "", ""))
 
 
 @pytest.fixture
@@ -322,11 +334,24 @@ def test_conformance_claims_nothing_that_writes(client):
         ({"filter": "uid = 'a'"}, "does not fit"),
         ({"f": "../../etc/passwd"}, "is not offered"),
         ({"f": "jsonld"}, "is not offered"),
+        ({"f": "csv", "skipGeometry": "true"}, "Leave out skipGeometry"),
+        ({"filter": "NOT " * 2000 + "h_max > 1"}, "Bad CQL"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_plain_words(client, query, words):
     """Wrong bounds, times, numbers, columns and filters end with 400 and a sentence."""
     assert words in refused(client, ITEMS, **query)
+
+
+def test_csv_has_the_rows(client, place):
+    """A table of the same features, with their outlines."""
+    expected = rows_of(place, "footprint_current")
+    answer = client.get(ITEMS, query_string={"f": "csv"}, headers={"Host": "127.0.0.1"})
+    assert answer.mimetype == "text/csv"
+    rows = list(csv.DictReader(io.StringIO(answer.text)))
+    assert {row["uid"] for row in rows} == set(expected)
+    assert all(float(row["h_max"]) == expected[row["uid"]]["h_max"] for row in rows)
+    assert HOSTILE in {row["survey"] for row in rows}
 
 
 def test_hostile_values_stay_data(client, place):
@@ -465,3 +490,33 @@ def test_a_missing_database_is_an_error(tmp_path):
     done = CliRunner().invoke(cli, ["serve", str(tmp_path / "none.sqlite")])
     assert done.exit_code == 1
     assert "no msbdb database" in done.output
+
+
+@pytest.mark.long
+def test_a_browser_shows_the_pages(tmp_path):
+    """Chromium opens every kind of page and the town in 3-D: no message, no request elsewhere, nothing for axe."""
+    try:
+        read_library()
+    except MissingDependencyError as error:
+        pytest.skip(str(error))
+    filled(tmp_path / "town.sqlite")
+    with started(tmp_path / "town.sqlite") as address, browser() as chromium:
+        sheet = chromium.new_page(bypass_csp=True)  # axe is a script; the policy is on the page of the town
+        complaints = []
+        sheet.on("console", lambda message: complaints.append(message.text))
+        own = (address, "data:", "blob:")
+        sheet.on("request", lambda asked: asked.url.startswith(own) or complaints.append(asked.url))
+        for path in ("/", "/collections", "/collections/part/schema", f"{ITEMS}?limit=5", "/conformance", "/openapi"):
+            sheet.goto(address + path)
+            assert Axe().run(sheet).violations_count == 0, path
+        sheet.goto(f"{address}{ITEMS}?limit=5")
+        sheet.click("text=Items (next)")
+        assert sheet.locator("table tr").count() == 1 + len(rows_of(tmp_path / "town.sqlite", "footprint_current")) - 5
+        sheet.close()
+        sheet = chromium.new_page()
+        sheet.on("console", lambda message: complaints.append(message.text))
+        sheet.goto(address)
+        sheet.click("text=The town in 3-D")
+        sheet.wait_for_selector("html[data-ready]", timeout=PATIENCE_MS)
+        sheet.close()
+    assert complaints == []

@@ -10,9 +10,13 @@ import re
 import geopandas as gpd
 import numpy as np
 import pytest
+import rasterio
 import shapely
+from affine import Affine
 from click.testing import CliRunner
 from matplotlib.image import imread
+from PIL import Image
+from rasterio.enums import ColorInterp
 from support.notices import with_notices
 from support.towns import EPSG, ROW, footprints, town_build
 
@@ -314,3 +318,50 @@ def test_an_unknown_map_is_refused(town, tmp_path):
         api.view(town, tmp_path / "town.png", what="trees")
     [option] = [own for own in cli.commands["view"].params if own.name == "what"]
     assert tuple(option.type.choices) == MAPS
+
+
+def orthophoto(path, shift=0.0, scale=1.0):
+    """Write an orthophoto of the western half of the town: red in the south, blue in the north, 0.5 m a pixel."""
+    pixels = np.zeros((3, 240, 200), dtype=np.uint16)
+    pixels[2, :120], pixels[0, 120:] = 200 * scale, 200 * scale
+    transform = Affine(0.5, 0, 500_000 + shift, 0, -0.5, 4_000_120)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=200, height=240, count=3, dtype="uint16", crs=EPSG, transform=transform
+    ) as made_file:
+        made_file.write(pixels)
+        made_file.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    return path
+
+
+@pytest.mark.parametrize("scale", [1.0, 20.0])
+def test_an_orthophoto_is_a_layer_of_the_ground(scale, town, tmp_path, library):
+    """Its colours are at their places, it is clear where it has no pixel, and its corners are those of the heights."""
+    photo = orthophoto(tmp_path / "rgb.tif", scale=scale)
+    engine = open_database(town)
+    shown = made.town_of(town, engine, made.Choice((HOSTILE, "first"), present=True), None, photo)
+    engine.dispose()
+    kind, _, data = shown["photo"]["image"].partition(";base64,")
+    assert kind == "data:image/webp"
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGBA")).astype(int)
+    rows, cols, _ = picture.shape
+    south, north, east = (
+        picture[3 * rows // 4, cols // 4],
+        picture[rows // 4, cols // 4],
+        picture[rows // 2, -cols // 4],
+    )
+    assert south[0] > south[2] + 100
+    assert north[2] > north[0] + 100
+    assert (south[3], north[3], east[3]) == (255, 255, 0)
+    for own, other in zip(shown["photo"]["corners"], shown["place"]["corners"], strict=True):
+        assert np.abs(np.subtract(own, other)).max() < 100  # a metre
+    with_notices(api.view, town, tmp_path / "town.html", ortho=photo)
+    assert "data:image/webp" in (tmp_path / "town.html").read_text(encoding="utf-8")
+
+
+def test_an_orthophoto_of_another_place_or_in_a_map_is_refused(town, tmp_path, library):
+    """Both before anything is written."""
+    with pytest.raises(InputError, match="same place"):
+        with_notices(api.view, town, tmp_path / "town.html", ortho=orthophoto(tmp_path / "far.tif", shift=9000))
+    with pytest.raises(InputError, match="Leave out --ortho"):
+        api.view(town, tmp_path / "town.png", ortho=orthophoto(tmp_path / "rgb.tif"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["far.tif", "rgb.tif"]
