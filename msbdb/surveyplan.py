@@ -44,8 +44,8 @@ class PointFacts:
         Points from which it is known.
     density : float
         First echoes a square metre of covered ground.
-    spacing_m, typical_m : float
-        Mean and median spacing of the first echoes, metres (`msbdb.points.cloud.measure_spacing`).
+    spacing_m, typical_m, link_m : float
+        Mean and median spacing of the first echoes, and their least link, metres (`msbdb.points.cloud.Density`).
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
     ground_share : float
@@ -63,6 +63,7 @@ class PointFacts:
     density: float
     spacing_m: float
     typical_m: float
+    link_m: float
     numbered: bool
     echoes: bool
     ground_share: float
@@ -255,7 +256,8 @@ def _of_points(facts: PointFacts) -> dict[str, str]:
     return {
         "points": f"{facts.points:,}, {100 * facts.ground_share:.0f} % in class 2",
         "density": f"{facts.density:.1f} first echoes",
-        "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground",
+        "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground, "
+        f"links of {facts.link_m:.2f} m",
         "points have": ", ".join(name for name, there in has.items() if there) or "coordinates alone",
         "elevations": "; ".join(f"{low:.1f} to {high:.1f} m" for low, high in facts.levels_m),
     }

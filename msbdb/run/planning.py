@@ -174,12 +174,13 @@ def facts_of(cloud: PointCloud) -> PointFacts:
     NodataError
         When there is no first echo.
     """
-    spacing_m, typical_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
+    spacing_m, typical_m, link_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
     return PointFacts(
         points=len(cloud),
-        density=density(cloud),
+        density=density(cloud, link_m),
         spacing_m=spacing_m,
         typical_m=typical_m,
+        link_m=link_m,
         numbered=cloud.return_number is not None,
         echoes=cloud.has_echoes,
         ground_share=float(np.count_nonzero(cloud.in_class(GROUND_CLASS))) / max(len(cloud), 1),
@@ -192,21 +193,26 @@ def facts_of(cloud: PointCloud) -> PointFacts:
 def joined_facts(facts: Sequence[PointFacts]) -> PointFacts:
     """Return what holds for the points of several blocks together.
 
-    The density is that of their covered ground. Of the typical spacings the median counts, by covered ground.
+    The density is that of their covered ground. Of the typical spacings and of the links the median counts, by
+    covered ground.
     """
     if len(facts) == 1:
         return facts[0]
     points = sum(each.points for each in facts)
     # A block covers as many square metres as its points fill at its spacing, but for later echoes.
     covered = np.array([each.points * each.spacing_m**2 for each in facts])
-    order = np.argsort([each.typical_m for each in facts], kind="stable")
-    middle = int(np.searchsorted(np.cumsum(covered[order]), covered.sum() / 2))
+
+    def middle(values: list[float]) -> float:
+        order = np.argsort(values, kind="stable")
+        return values[int(order[np.searchsorted(np.cumsum(covered[order]), covered.sum() / 2)])]
+
     names = [name for name in ("red", "green", "blue", "nir") if any(name in each.colours for each in facts)]
     return PointFacts(
         points=points,
         density=points / sum(each.points / each.density for each in facts),
         spacing_m=math.sqrt(float(covered.sum()) / points),
-        typical_m=facts[int(order[middle])].typical_m,
+        typical_m=middle([each.typical_m for each in facts]),
+        link_m=middle([each.link_m for each in facts]),
         numbered=any(each.numbered for each in facts),
         echoes=any(each.echoes for each in facts),
         ground_share=sum(each.ground_share * each.points for each in facts) / points,

@@ -48,6 +48,9 @@ NO_IMAGERY = "There is no imagery: height texture and echoes alone separate roof
 
 NO_ECHOES = "No pulse has a second echo, or none is recorded: height texture alone separates roofs from vegetation."
 
+WINDOW_CELLS = 3
+"""Least width of a window of the texture, cells."""
+
 LARGEST_OFFSET_M = 10.0
 """Ours: a surface has open ground somewhere, and other height references are farther away, such as the ellipsoid."""
 
@@ -298,7 +301,7 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
     """
     points_m2 = density(points)
     note_sparse(points_m2, "first echoes")
-    cell_m = params.surface.cell_m or cell_size(points_m2, literal=params.surface.cell_rule == "literal")
+    cell_m = params.surface.cell_m or cell_of_points(points, points_m2, params)
     spec = lattice(points.bounds, cell_m, points.crs)
     aligned = None if given is None else align_grid(given, spec, role="DTM")
     dsm, samples = grid_surface(points, spec, params)
@@ -310,6 +313,18 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
     logger.info(surface_is, *spec.shape, cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
     return surface if given is None else note_offset(surface)
+
+
+def cell_of_points(points: PointCloud, points_m2: float, params: Params) -> float:
+    """Return the cell size by the mean spacing; a larger one where the texture would see single scan lines, metres.
+
+    A window of the texture needs points of two lines for a plane. It is three cells wide at least.
+    """
+    cell_m = cell_size(points_m2, literal=params.surface.cell_rule == "literal")
+    two_lines_m = 0.0 if points.facts is None else 2 * points.facts.link_m
+    if two_lines_m <= params.cover.window_m or params.surface.cell_rule == "literal":
+        return cell_m
+    return max(cell_m, cell_size((WINDOW_CELLS / two_lines_m) ** 2))
 
 
 def note_offset(surface: Surface) -> Surface:
