@@ -48,6 +48,9 @@ class PointFacts:
         Mean and median spacing of the first echoes, and their least link, metres (`msbdb.points.cloud.Density`).
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
+    under_m : float
+        Where echoes have no numbers, points that lie under others within this distance are later ones, metres; 0 where
+        none are (`msbdb.points.laterechoes`).
     ground_share : float
         Share of the points in class 2.
     colours : tuple of str
@@ -66,6 +69,7 @@ class PointFacts:
     link_m: float
     numbered: bool
     echoes: bool
+    under_m: float
     ground_share: float
     colours: tuple[str, ...]
     intensity: bool
@@ -252,7 +256,8 @@ def _listed(values: tuple[float, ...]) -> str:
 
 def _of_points(facts: PointFacts) -> dict[str, str]:
     """Return the facts of points in words."""
-    has = {"several echoes a pulse": facts.echoes, "intensity": facts.intensity} | dict.fromkeys(facts.colours, True)
+    has = {"several echoes a pulse": facts.echoes, "later echoes without numbers": facts.under_m > 0}
+    has |= {"intensity": facts.intensity} | dict.fromkeys(facts.colours, True)
     return {
         "points": f"{facts.points:,}, {100 * facts.ground_share:.0f} % in class 2",
         "density": f"{facts.density:.1f} first echoes",

@@ -32,6 +32,8 @@ from msbdb.run.planning import (
     joined_facts,
     require_fitting,
     settled,
+    told_apart,
+    with_facts,
 )
 from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import kept_intensity, spectral_bands
@@ -123,8 +125,7 @@ def prepare(
     plan : Plan
         That given, or that of the survey.
     """
-    if cloud is not None and cloud.facts is None:
-        cloud = replace(cloud, facts=facts_of(cloud))
+    cloud = None if cloud is None else with_facts(cloud)
     draft = make_draft(inputs, cloud, params, stages)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
@@ -180,11 +181,12 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
     if cloud is None or blocks is None:
-        cloud = None if cloud is None else replace(cloud, facts=facts_of(cloud))
+        cloud = None if cloud is None else with_facts(cloud)
         plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)
         return plan
+    cloud, under_m = told_apart(cloud)
     clouds = blocks.cut(cloud)
-    facts = joined_facts([facts_of(each) for each in clouds.values()])
+    facts = joined_facts([facts_of(each, under_m) for each in clouds.values()])
     drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each in clouds.values()]
     with stages.stage("classes"):
         plan, _ = decide(drafts, params)
