@@ -1,9 +1,9 @@
-"""What users call: build, plan, update, measure, classify, evaluate, view, export, changes, imports, open, query, why.
+"""What users call: build, plan, tiles, update, measure, classify, evaluate, view, export, changes, open, query, why.
 
 The modules here declare the public functions. Libraries that take time to load are imported when they are used.
 """
 
-from msbdb.api.build import build, classes, classify, plan, read_plan, relabel
+from msbdb.api.build import build, classes, classify, plan, read_plan, relabel, tiles
 from msbdb.api.inventory import (
     advance,
     changes,
@@ -56,6 +56,7 @@ __all__ = [
     "relabel",
     "set_state",
     "summary",
+    "tiles",
     "update",
     "view",
     "why",

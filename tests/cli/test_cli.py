@@ -27,7 +27,7 @@ from msbdb import params as declared
 from msbdb.cli import output
 from msbdb.cli.main import cli
 from msbdb.cli.output import emit, text
-from msbdb.database import example_queries
+from msbdb.database import TileStatus, example_queries
 from msbdb.database.runs.places import Place
 from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
 from msbdb.params import DETECTORS
@@ -118,6 +118,10 @@ class FakeApi(types.ModuleType):
         replace=False,
         skip_bad=False,
         plan=None,
+        tile=None,
+        workers=None,
+        scheduler=None,
+        resume=False,
         overwrite=False,
         progress=None,
     ):
@@ -155,6 +159,11 @@ class FakeApi(types.ModuleType):
         """Return a plan of one value."""
         self._note("read_plan", source=source, survey=survey)
         return types.SimpleNamespace(as_dict=lambda: {"cell_m": 0.5}, pairs=lambda: {"cells": "0.5 m"})
+
+    def tiles(self, db, survey=None):
+        """Return one tile that is done."""
+        self._note("tiles", db=db, survey=survey)
+        return [TileStatus("town", 97_017, 6_484, 0.0, 0.0, 60.0, 60.0, "done", 4_000, 100.0, 2.5)]
 
     def info(self, db):
         """Return two levels of plain and numpy values."""
