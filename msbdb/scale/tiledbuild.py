@@ -1,7 +1,6 @@
 """A build in tiles: the plan first, then every tile by itself, then one run of all of them in the database."""
 
 import hashlib
-import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -50,8 +49,6 @@ from msbdb.scale.tiling import HALO_M, Tile, tiles_over
 from msbdb.surveyplan import Plan
 from msbdb.tables import BUILDING, Reason
 from msbdb.version import __version__
-
-logger = logging.getLogger(__name__)
 
 MOST_HALO_M = 250.0
 """Ours: a tile sees at most so far beyond; a larger block of houses is cut, and counted."""
@@ -321,8 +318,6 @@ def build_tiles(
 
 def _run(build: TiledBuild, waiting: Sequence[Tile], runner: Runner, stages: Stages, notices: Notices) -> None:
     """Build the tiles that are not done, and keep how far each is."""
-    if len(waiting) < len(build.tiles):
-        logger.info("%d of %d tiles are done already", len(build.tiles) - len(waiting), len(build.tiles))
     tasks = [build.task(tile) for tile in waiting]
     failed: list[tuple[Tile, str]] = []
 
