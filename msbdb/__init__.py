@@ -34,6 +34,7 @@ from msbdb.api import (
     relabel,
     set_state,
     summary,
+    tiles,
     update,
     why,
 )
@@ -69,6 +70,7 @@ __all__ = [
     "relabel",
     "set_state",
     "summary",
+    "tiles",
     "update",
     "why",
 ]

@@ -54,6 +54,10 @@ class LoadError(DatabaseError):
     """The database refused rows; it is unchanged."""
 
 
+class TilesError(MsbdbError):
+    """Some tiles of a survey could not be built; the others are done, and wait."""
+
+
 class MissingDependencyError(MsbdbError, ImportError):
     """An optional library or a system package is not installed."""
 

@@ -99,6 +99,12 @@ class GridSpec:
         lie: NDArray[np.bool_] = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
         return lie
 
+    def holding(self, bounds: "Bounds") -> NDArray[np.bool_]:
+        """Return which (H, W) cells have their centre in bounds; one on the west or south edge counts."""
+        west, south, east, north = bounds
+        x, y = self.centres()
+        return (x >= west) & (x < east) & (y >= south) & (y < north)
+
     def sample(
         self, values: NDArray[S], easting: NDArray[np.float64], northing: NDArray[np.float64], *, outside: float
     ) -> NDArray[S]:

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 PER_METRE = 100
 """Heights above ground are whole centimetres, finer than any scanner, so that they are kept without loss."""
 
-_REGION_NAMES = {"flatregions": "flat", "area3d": "area3d", "adaptive": "adaptive"}
+REGION_NAMES = {"flatregions": "flat", "area3d": "area3d", "adaptive": "adaptive"}
 """Names of the detectors' label rasters in the database."""
 
-_ANSWER_NAMES = {method: f"{name}_answer" for method, name in _REGION_NAMES.items()}
+ANSWER_NAMES = {method: f"{name}_answer" for method, name in REGION_NAMES.items()}
 """Names of the rasters of the detectors' answers in the database."""
 
 REQUIRED_RASTERS = ("ndsm_cm", "structure", "valid")
@@ -101,8 +101,8 @@ class Rasters:
             "support": self.support,
             "parcels": self.parcels,
             "intensity": self.intensity,
-            **{_REGION_NAMES[method]: labels for method, labels in self.regions.items()},
-            **{_ANSWER_NAMES[method]: cells for method, cells in self.answers.items()},
+            **{REGION_NAMES[method]: labels for method, labels in self.regions.items()},
+            **{ANSWER_NAMES[method]: cells for method, cells in self.answers.items()},
         }
         return {name: values for name, values in named.items() if values is not None}
 
@@ -128,14 +128,14 @@ class Rasters:
             valid=rows["valid"].astype(np.bool_),
             structure=rows["structure"].astype(np.uint8),
             spectral=rows["spectral"].astype(np.uint8) if "spectral" in rows else None,
-            regions={method: rows[name].astype(np.int32) for method, name in _REGION_NAMES.items() if name in rows},
+            regions={method: rows[name].astype(np.int32) for method, name in REGION_NAMES.items() if name in rows},
             roughness_mm=rows["roughness_mm"].astype(np.uint16) if "roughness_mm" in rows else None,
             roof_probability=rows["roof_probability"].astype(np.uint8) if "roof_probability" in rows else None,
             terrain_cm=rows["terrain_cm"].astype(np.int32) if "terrain_cm" in rows else None,
             echoes=rows["echoes"].astype(np.uint16) if "echoes" in rows else None,
             reason=rows["reason"].astype(np.uint8) if "reason" in rows else None,
             support=rows["support"].astype(np.uint8) if "support" in rows else None,
-            answers={method: rows[name].astype(np.uint8) for method, name in _ANSWER_NAMES.items() if name in rows},
+            answers={method: rows[name].astype(np.uint8) for method, name in ANSWER_NAMES.items() if name in rows},
             parcels=rows["parcels"].astype(np.int32) if "parcels" in rows else None,
             intensity=rows["intensity"].astype(np.uint8) if "intensity" in rows else None,
         )

@@ -1,4 +1,4 @@
--- The schema 0007 of msbdb for postgis.
+-- The schema 0008 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -50,6 +50,26 @@ CREATE TABLE survey (
   CONSTRAINT ck_survey_name CHECK (name <> ''),
   CONSTRAINT ck_survey_density CHECK (density >= 0 AND cell_m > 0),
   CONSTRAINT ck_survey_bounds CHECK (west < east AND south < north)
+);
+
+CREATE TABLE tile (
+  survey TEXT NOT NULL,
+  tile_row BIGINT NOT NULL,
+  tile_column BIGINT NOT NULL,
+  west DOUBLE PRECISION NOT NULL,
+  south DOUBLE PRECISION NOT NULL,
+  east DOUBLE PRECISION NOT NULL,
+  north DOUBLE PRECISION NOT NULL,
+  state TEXT NOT NULL,
+  points BIGINT NOT NULL,
+  halo_m DOUBLE PRECISION NOT NULL,
+  seconds DOUBLE PRECISION NOT NULL,
+  reason TEXT NOT NULL,
+  build TEXT NOT NULL,
+  result BYTEA,
+  CONSTRAINT pk_tile PRIMARY KEY (survey, tile_row, tile_column),
+  CONSTRAINT ck_tile_tile_bounds CHECK (west < east AND south < north),
+  CONSTRAINT ck_tile_state CHECK (state IN ('queued', 'running', 'done', 'failed'))
 );
 
 CREATE TABLE building_version (
@@ -280,6 +300,18 @@ CREATE TABLE flat_region (
 );
 
 CREATE INDEX ix_flat_region_run_id_zone ON flat_region (run_id, zone);
+
+CREATE TABLE raster_tile (
+  run_id BIGINT NOT NULL,
+  name TEXT NOT NULL,
+  lattice_row BIGINT NOT NULL,
+  lattice_column BIGINT NOT NULL,
+  dtype TEXT NOT NULL,
+  shape JSON NOT NULL,
+  data BYTEA NOT NULL,
+  CONSTRAINT pk_raster_tile PRIMARY KEY (run_id, name, lattice_row, lattice_column),
+  CONSTRAINT fk_raster_tile_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
 
 CREATE TABLE rejection (
   rejection_id BIGINT NOT NULL,
@@ -882,6 +914,36 @@ COMMENT ON COLUMN survey.east IS 'eastern edge [m]';
 
 COMMENT ON COLUMN survey.north IS 'northern edge [m]';
 
+COMMENT ON TABLE tile IS 'A tile of a survey that is built in tiles: how far it is; its result waits here until all tiles are merged';
+
+COMMENT ON COLUMN tile.survey IS 'name of the survey, which may not be built yet';
+
+COMMENT ON COLUMN tile.tile_row IS 'row of the tile, northwards from northing 0';
+
+COMMENT ON COLUMN tile.tile_column IS 'column of the tile, from easting 0';
+
+COMMENT ON COLUMN tile.west IS 'western edge of its own ground [m]';
+
+COMMENT ON COLUMN tile.south IS 'southern edge [m]';
+
+COMMENT ON COLUMN tile.east IS 'eastern edge [m]';
+
+COMMENT ON COLUMN tile.north IS 'northern edge [m]';
+
+COMMENT ON COLUMN tile.state IS 'queued, running, done or failed';
+
+COMMENT ON COLUMN tile.points IS 'points on its own ground [count]';
+
+COMMENT ON COLUMN tile.halo_m IS 'how far it saw beyond [m]';
+
+COMMENT ON COLUMN tile.seconds IS 'time that it took [s]';
+
+COMMENT ON COLUMN tile.reason IS 'why it failed, or has no building; empty otherwise';
+
+COMMENT ON COLUMN tile.build IS 'digest of the files, values and plan of the build that it belongs to';
+
+COMMENT ON COLUMN tile.result IS 'what it found, until it is merged';
+
 COMMENT ON TABLE building_version IS 'A state of a building of the inventory, with the interval in which it is valid';
 
 COMMENT ON COLUMN building_version.version_id IS 'from the building and the survey or import that made it';
@@ -1141,6 +1203,22 @@ COMMENT ON COLUMN flat_region.xcen IS 'easting of the centroid of its cells [m]'
 COMMENT ON COLUMN flat_region.ycen IS 'northing of the centroid of its cells [m]';
 
 COMMENT ON COLUMN flat_region.geometry IS 'in the database''s CRS [m]';
+
+COMMENT ON TABLE raster_tile IS 'A tile''s piece of a named raster of a run that was built in tiles; together they are a raster as in run_state';
+
+COMMENT ON COLUMN raster_tile.run_id IS 'the run that made the row';
+
+COMMENT ON COLUMN raster_tile.name IS 'name of the raster';
+
+COMMENT ON COLUMN raster_tile.lattice_row IS 'row of its first cell, southwards from northing 0 [cells]';
+
+COMMENT ON COLUMN raster_tile.lattice_column IS 'column of its first cell, from easting 0 [cells]';
+
+COMMENT ON COLUMN raster_tile.dtype IS 'numpy dtype of the cells, with byte order';
+
+COMMENT ON COLUMN raster_tile.shape IS 'lengths of the axes [cells]';
+
+COMMENT ON COLUMN raster_tile.data IS 'the cells in C order, packed as in msbdb.database.runs.packing';
 
 COMMENT ON TABLE rejection IS 'The ledger: a region that could have been a building by its area, but that a stage dropped, and the reason';
 
@@ -1996,5 +2074,5 @@ COMMENT ON COLUMN building_piece.building_id IS 'the building of a run, which a 
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0007');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0008');
 

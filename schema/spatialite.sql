@@ -1,4 +1,4 @@
--- The schema 0007 of msbdb for spatialite.
+-- The schema 0008 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -50,6 +50,26 @@ CREATE TABLE survey (
   CONSTRAINT ck_survey_name CHECK (name <> ''),
   CONSTRAINT ck_survey_density CHECK (density >= 0 AND cell_m > 0),
   CONSTRAINT ck_survey_bounds CHECK (west < east AND south < north)
+);
+
+CREATE TABLE tile (
+  survey TEXT NOT NULL,
+  tile_row BIGINT NOT NULL,
+  tile_column BIGINT NOT NULL,
+  west DOUBLE NOT NULL,
+  south DOUBLE NOT NULL,
+  east DOUBLE NOT NULL,
+  north DOUBLE NOT NULL,
+  state TEXT NOT NULL,
+  points BIGINT NOT NULL,
+  halo_m DOUBLE NOT NULL,
+  seconds DOUBLE NOT NULL,
+  reason TEXT NOT NULL,
+  build TEXT NOT NULL,
+  result BLOB,
+  CONSTRAINT pk_tile PRIMARY KEY (survey, tile_row, tile_column),
+  CONSTRAINT ck_tile_tile_bounds CHECK (west < east AND south < north),
+  CONSTRAINT ck_tile_state CHECK (state IN ('queued', 'running', 'done', 'failed'))
 );
 
 CREATE TABLE building_version (
@@ -280,6 +300,18 @@ CREATE TABLE flat_region (
 );
 
 CREATE INDEX ix_flat_region_run_id_zone ON flat_region (run_id, zone);
+
+CREATE TABLE raster_tile (
+  run_id BIGINT NOT NULL,
+  name TEXT NOT NULL,
+  lattice_row BIGINT NOT NULL,
+  lattice_column BIGINT NOT NULL,
+  dtype TEXT NOT NULL,
+  shape JSON NOT NULL,
+  data BLOB NOT NULL,
+  CONSTRAINT pk_raster_tile PRIMARY KEY (run_id, name, lattice_row, lattice_column),
+  CONSTRAINT fk_raster_tile_run FOREIGN KEY(run_id) REFERENCES run (run_id) ON DELETE CASCADE
+);
 
 CREATE TABLE rejection (
   rejection_id INTEGER NOT NULL,
@@ -820,5 +852,5 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0007');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0008');
 

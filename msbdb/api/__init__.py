@@ -1,9 +1,9 @@
-"""What users call: build, plan, update, measure, classify, evaluate, view, serve, export, changes, open, query, why.
+"""What users call: build, plan, tiles, update, measure, classify, evaluate, view, serve, export, open, query, why.
 
 The modules here declare the public functions. Libraries that take time to load are imported when they are used.
 """
 
-from msbdb.api.build import build, classes, classify, plan, read_plan, relabel
+from msbdb.api.build import build, classes, classify, plan, read_plan, relabel, tiles
 from msbdb.api.inventory import (
     advance,
     changes,
@@ -57,6 +57,7 @@ __all__ = [
     "serve",
     "set_state",
     "summary",
+    "tiles",
     "update",
     "view",
     "why",

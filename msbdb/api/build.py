@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msbdb.errors import ParameterError
 from msbdb.params import DETECTORS, Params, as_dict
 from msbdb.params import profile as named_profile
 from msbdb.run.reports import BuildReport, ClassifyReport, Notices, Progress, Stages
@@ -12,6 +13,7 @@ from msbdb.run.reports import BuildReport, ClassifyReport, Notices, Progress, St
 if TYPE_CHECKING:
     import pandas as pd
 
+    from msbdb.database import TileStatus
     from msbdb.surveyplan import Plan
 
 File = str | Path
@@ -42,6 +44,10 @@ def build(
     replace: bool = False,
     skip_bad: bool = False,
     plan: "Plan | str | Path | None" = None,
+    tile: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    resume: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> BuildReport:
@@ -94,6 +100,14 @@ def build(
     plan : Plan or path or str, optional
         The plan of a larger survey that this one is a part of, or of an earlier one of the place. It is what
         `msbdb.plan` returns, its JSON file, or a database whose survey has one. By default the survey makes its own.
+    tile : float, optional
+        Build in square tiles of this side, metres: a tile is in memory at a time, whatever the area (docs/scale.md).
+    workers : int, optional
+        Build the tiles by so many processes of this machine; needs ``msbdb[cluster]``.
+    scheduler : str, optional
+        Build the tiles by the workers of a scheduler of dask.distributed: its address, or its JSON file.
+    resume : bool
+        Repeat only the tiles that an interrupted build of the same files and values did not finish.
     overwrite : bool
         Replace the figure if it exists.
     progress : callable, optional
@@ -117,6 +131,9 @@ def build(
     from msbdb.run.reports import collect_notices
     from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
+    if tile is None and (workers is not None or scheduler is not None or resume):
+        msg = "Workers, a scheduler and --resume are for a build in tiles. Add --tile 1000 for instance."
+        raise ParameterError(msg)
     values = params or named_profile(profile)
     known = read_plan(plan) if isinstance(plan, str | Path) else plan
     if known is not None:
@@ -140,6 +157,14 @@ def build(
     labelled = read_labelled_classes(db, label.name)
     label = dataclasses.replace(label, classes=labelled)
     job = Job(inputs, values, profile, label, methods, denoising_figure, known)
+    if tile is not None:
+        from msbdb.database import BuildBasis
+        from msbdb.scale.tiledbuild import build_with
+
+        basis = BuildBasis(labelled=labelled, replace=replace)
+        return build_with(
+            job, str(db), tile, stages, notices, basis=basis, resume=resume, workers=workers, scheduler=scheduler
+        )
     kept = run_survey(job, stages, notices)
     with stages.stage("write"):
         changed = store_survey(kept, db, labelled, replace=replace)
@@ -230,6 +255,17 @@ def read_plan(source: File, survey: str | None = None) -> "Plan":
             msg = f"The survey in {shown(engine.url)} has no plan: an older msbdb built it. Build the survey again."
             raise InputError(msg)
         return found
+
+
+def tiles(db: str | Path, survey: str | None = None) -> "list[TileStatus]":
+    """Return how far the tiles of a survey are, or those of all surveys that are built in tiles; in order.
+
+    Each has its place, its state (queued, running, done or failed), points, seconds and the reason of a failure.
+    """
+    from msbdb.database import opened, read_tile_status
+
+    with opened(db) as engine:
+        return read_tile_status(engine, survey)
 
 
 def classes(db: str | Path, survey: str | None = None) -> "pd.DataFrame":

@@ -23,6 +23,7 @@ from msbdb.cli.command import (
 )
 from msbdb.cli.output import emit_json, emit_pairs, is_quiet, refused
 from msbdb.cli.progress import notice, progress_bar, stages_of
+from msbdb.cli.tiles import tiled
 from msbdb.errors import counted
 from msbdb.params import DETECTORS, PROFILES, Params
 
@@ -190,6 +191,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
         "msbdb build --points town.laz --db town.sqlite --outline traced",
         "msbdb build --points town_corrected.laz --db town.sqlite --survey town --replace",
         "msbdb build --points east.laz --db town.sqlite --plan town.json",
+        "msbdb build --points tiles --db town.sqlite --tile 1000 --workers 4",
     ),
 )
 @inputs
@@ -201,6 +203,7 @@ def _decorated(function: F, options: tuple[Callable[[F], F], ...]) -> F:
 )
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
 @values
+@tiled
 @shared("overwrite", "json")
 def build(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Build or extend a database of buildings from one survey.

@@ -10,6 +10,7 @@ from msbdb.cli.inventory import changes, import_, measure, state, update
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params, plan
 from msbdb.cli.serve import serve
+from msbdb.cli.tiles import tiles
 from msbdb.threads import end_now, share_one_heap
 from msbdb.version import __version__
 
@@ -26,6 +27,7 @@ def cli() -> None:
 for _command in (
     build,
     plan,
+    tiles,
     info,
     query,
     why,

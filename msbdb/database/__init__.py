@@ -57,6 +57,8 @@ from msbdb.database.runs.basis import (
     read_former,
     read_labelled_classes,
 )
+from msbdb.database.runs.merging import LINKS, METHODS, ROWS, MergeReport, Piece, merge_tiles
+from msbdb.database.runs.mosaics import read_value_counts
 from msbdb.database.runs.places import DetectorAnswer, Place, explain_places
 from msbdb.database.runs.reading import (
     RunSummary,
@@ -80,6 +82,14 @@ from msbdb.database.runs.reading import (
     run_heads,
     summarise_run,
 )
+from msbdb.database.runs.tiles import (
+    TileStatus,
+    begin_tiles,
+    note_tile,
+    read_result,
+    read_tile_status,
+    tiles_with_results,
+)
 from msbdb.database.runs.writing import WriteReport, store_build, write_build
 from msbdb.database.schema.srid import srid_of
 
@@ -87,8 +97,11 @@ __all__ = [
     "CHECKS",
     "LAST_DAY",
     "LAYERS",
+    "LINKS",
+    "METHODS",
     "PATIENCE_S",
     "ROLES",
+    "ROWS",
     "Advance",
     "BuildBasis",
     "ClientPlace",
@@ -100,7 +113,9 @@ __all__ = [
     "Finding",
     "Former",
     "Loss",
+    "MergeReport",
     "OutdatedError",
+    "Piece",
     "Place",
     "Rows",
     "RunSummary",
@@ -108,7 +123,9 @@ __all__ = [
     "ServedState",
     "ShownLayers",
     "Standing",
+    "TileStatus",
     "WriteReport",
+    "begin_tiles",
     "canonical_dump",
     "check_database",
     "check_target",
@@ -129,6 +146,8 @@ __all__ = [
     "has_inventory",
     "identities",
     "list_runs",
+    "merge_tiles",
+    "note_tile",
     "open_database",
     "open_to_read",
     "opened",
@@ -153,6 +172,7 @@ __all__ = [
     "read_rasters",
     "read_rejection_counts",
     "read_rejections",
+    "read_result",
     "read_run",
     "read_scales",
     "read_shown",
@@ -161,6 +181,8 @@ __all__ = [
     "read_states",
     "read_survey",
     "read_tables",
+    "read_tile_status",
+    "read_value_counts",
     "require_past",
     "run_example",
     "run_heads",
@@ -170,6 +192,7 @@ __all__ = [
     "summarise_inventory",
     "summarise_run",
     "survey_key",
+    "tiles_with_results",
     "upgrade_schema",
     "write_advance",
     "write_build",

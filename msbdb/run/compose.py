@@ -19,14 +19,15 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import ParameterError, give_notice
 from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.fuse.touching import Division, divide
-from msbdb.grid import Grid
+from msbdb.grid import Bounds, Grid
 from msbdb.kept import KeptRun
 from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
+from msbdb.points.cloud import PointCloud
 from msbdb.run.describe import Description, count_cells, describe, describe_choices
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, is_large, make_plan, note_missing_sources, prepare, read_cloud
+from msbdb.run.prepare import Label, Window, is_large, make_plan, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
@@ -89,19 +90,68 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     if planned is None and is_large(job.inputs):
         with collect_notices(Notices()), memory_reused():
             planned = make_plan(job.inputs, job.params, stages)
-    facts = None if planned is None else planned.points
     with collect_notices(notices), memory_reused():
-        with stages.stage("read"):
-            cloud = read_cloud(job.inputs, stages.progress, facts)
-        scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned)
-        del cloud
-        note_missing_sources(scene)
-        choices = describe_choices(scene, params)
-        regions = detect(scene, job.methods, params, stages)
-        if job.denoising_figure is not None and "flatregions" in job.methods:
-            _draw_denoising(scene, params, job.denoising_figure)
-        scene = scene.without_sources()
-        found = fuse_and_describe(scene, regions, params, stages)
+        found = find_buildings(job, stages, planned)
+    run = record_run(job, found.counts, stages.timings, notices)
+    return KeptRun(found.scene.survey, run, found.description.frames, found.description.rasters, found.plan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What the steps found in a survey, or in a window of it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Without its sources.
+    plan : Plan
+        That given, or that of the survey.
+    description : Description
+        Tables, rasters and counts.
+    counts : Counts
+        What the run keeps of them.
+    points : int
+        Points in the own ground of the window.
+    reach : tuple of float or None
+        West, south, east and north of these points, metres; None without any.
+    """
+
+    scene: Scene
+    plan: Plan
+    description: Description
+    counts: Counts
+    points: int = 0
+    reach: Bounds | None = None
+
+
+def find_buildings(job: Job, stages: Stages, planned: Plan | None, window: Window | None = None) -> Found:
+    """Take a survey, or a window of it, through all steps from reading to description.
+
+    Parameters
+    ----------
+    job : Job
+        What to do.
+    stages : Stages
+        For timings and progress.
+    planned : Plan or None
+        The plan; None where the survey makes its own.
+    window : Window, optional
+        The part that is built; then the classes count the cells of its own ground alone.
+    """
+    facts, area = (None if planned is None else planned.points), (None if window is None else window.area)
+    with stages.stage("read"):
+        cloud = read_cloud(job.inputs, stages.progress, facts, area)
+    own = None if window is None else window.own
+    scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, own=own)
+    own_points = None if window is None or cloud is None else _held_by(cloud, window.own)
+    del cloud
+    note_missing_sources(scene)
+    choices = describe_choices(scene, params)
+    regions = detect(scene, job.methods, params, stages)
+    if job.denoising_figure is not None and "flatregions" in job.methods:
+        _draw_denoising(scene, params, job.denoising_figure)
+    scene = scene.without_sources()
+    found = fuse_and_describe(scene, regions, params, stages)
     counts = Counts(
         regions=found.counts,
         cells=count_cells(scene.heights, scene.cover),
@@ -109,9 +159,23 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
         stated=job.inputs.stated(),
         chosen=choices,
     )
+    if own_points is None or not len(own_points):
+        return Found(scene, plan, found, counts)
+    low, high = own_points.min(axis=0).tolist(), own_points.max(axis=0).tolist()
+    return Found(scene, plan, found, counts, len(own_points), (*low, *high))
+
+
+def _held_by(cloud: PointCloud, own: Bounds) -> NDArray[np.float64]:
+    """Return easting and northing of the points in bounds; those on the west or south edge count."""
+    west, south, east, north = own
+    held = (cloud.x >= west) & (cloud.x < east) & (cloud.y >= south) & (cloud.y < north)
+    return np.column_stack([cloud.x[held], cloud.y[held]])
+
+
+def record_run(job: Job, counts: Counts, timings: dict[str, float], notices: Notices) -> Run:
+    """Return the record of a run."""
     values: dict[str, object] = dict(as_dict(job.params))
-    run = Run(job.methods, job.profile, __version__, values, counts, stages.timings, tuple(notices.kept))
-    return KeptRun(scene.survey, run, found.frames, found.rasters, plan)
+    return Run(job.methods, job.profile, __version__, values, counts, timings, tuple(notices.kept))
 
 
 def relabelled(

@@ -54,11 +54,14 @@ class Description:
         The kept rasters of the scene and the regions.
     counts : dict
         By detector and stage: regions in, kept and dropped.
+    dropped : DataFrame
+        ``tables.REJECTION`` of all detectors without geometry, also of regions that are too small for a row.
     """
 
     frames: dict[str, pd.DataFrame]
     rasters: Rasters
     counts: dict[str, dict[str, dict[str, int]]]
+    dropped: pd.DataFrame
 
 
 def describe(
@@ -99,7 +102,8 @@ def describe(
     some = {name: stages for name, stages in counts.items() if stages}
     frames = make_frames(scene, regions, forest, parts, params, division=division)
     reason = explain_cells(scene, regions, built, forest, params)
-    return Description(frames, _rasters(scene, regions, reason), some)
+    ledgers = [found.ledger for name, found in sorted(regions.items()) if name != "multiscale"]
+    return Description(frames, _rasters(scene, regions, reason), some, _joined(forest.rejections, ledgers))
 
 
 def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDataFrame:

@@ -40,7 +40,10 @@ ANYWHERE = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """The files of a build, and what the user states about them; ``fallback`` is the CRS where nothing states one."""
+    """The files of a build, and what the user states about them; ``fallback`` is the CRS where nothing states one.
+
+    ``known`` describes the files of a whole survey, of which these are a part.
+    """
 
     points: tuple[Path, ...] = ()
     ortho: tuple[Path, ...] = ()
@@ -53,6 +56,7 @@ class Inputs:
     parcels: Path | None = None
     aoi: Path | None = None
     fallback: Fallback | None = None
+    known: tuple[Source, ...] | None = None
 
     @classmethod
     def of(
@@ -203,6 +207,8 @@ class Inputs:
 
     def sources(self) -> tuple[Source, ...]:
         """Describe every file by name, role, size and checksum, in an order of content."""
+        if self.known is not None:
+            return self.known
         described = [describe_source(path, role) for path, role in self.files()]
         return tuple(sorted(described, key=lambda source: (source.role, source.sha256)))
 

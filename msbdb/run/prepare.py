@@ -10,7 +10,7 @@ import pandas as pd
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
 from msbdb.errors import GridMismatchError, InputError, NodataError, give_notice
-from msbdb.grid import Grid, GridSpec, lattice
+from msbdb.grid import Bounds, Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.las import read_points
@@ -79,6 +79,22 @@ def read_cloud(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """A part of a survey that is built by itself.
+
+    Parameters
+    ----------
+    area : Area
+        Points in it are read.
+    own : tuple of float
+        West, south, east and north of the ground whose cells count, metres; what lies beyond is seen, and not counted.
+    """
+
+    area: Area
+    own: Bounds
+
+
 @dataclass(frozen=True, slots=True)
 class Label:
     """The name and date of a survey, and the classes that an operator labelled in it before.
@@ -97,7 +113,14 @@ class Label:
 
 
 def prepare(
-    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, label: Label, *, plan: Plan | None = None
+    inputs: Inputs,
+    cloud: PointCloud | None,
+    params: Params,
+    stages: Stages,
+    label: Label,
+    *,
+    plan: Plan | None = None,
+    own: Bounds | None = None,
 ) -> tuple[Scene, Params, Plan]:
     """Bring the files of a survey onto one lattice, for the detectors.
 
@@ -115,6 +138,8 @@ def prepare(
         Name, date and operator's labels.
     plan : Plan, optional
         The plan of a survey that this one is a part of; without it the survey itself decides.
+    own : tuple of float, optional
+        Bounds of a window's own ground: the classes count its cells alone, and images may lie beyond it.
 
     Returns
     -------
@@ -126,9 +151,10 @@ def prepare(
         That given, or that of the survey.
     """
     cloud = None if cloud is None else with_facts(cloud)
-    draft = make_draft(inputs, cloud, params, stages)
+    draft = make_draft(inputs, cloud, params, stages, sampled=own is not None)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
+    counted = None if own is None else spec.holding(own)
     with stages.stage("classes"):
         if plan is None:
             plan, [fitted] = decide([draft], params)
@@ -138,7 +164,14 @@ def prepare(
         params = settled(params, plan)
         echoes = cloud is not None and cloud.has_echoes
         cover = classify_cover(
-            structure.cover, bands, surface.ndsm, structure.roughness_m, params, echoes=echoes, fitted=fitted
+            structure.cover,
+            bands,
+            surface.ndsm,
+            structure.roughness_m,
+            params,
+            echoes=echoes,
+            fitted=fitted,
+            counted=counted,
         )
         if label.classes is not None:
             cover = keep_labels(cover, label.classes)

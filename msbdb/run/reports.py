@@ -37,6 +37,7 @@ STAGES = {
 """The stages of a build in their order, in words; those of the detectors have the detectors' names."""
 
 WORDS = STAGES | {
+    "tiles": "Building the tiles",
     "inventory": "Updating the inventory",
     "measure": "Measuring the footprints",
     "check": "Checking",

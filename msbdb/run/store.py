@@ -8,6 +8,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from msbdb.database import (
     PATIENCE_S,
@@ -135,13 +136,13 @@ def report_of(
         timings=stages.rounded(),
         changed=changed,
         database=shown(database_url(db)),
-        overview=overview_of(kept),
+        overview=overview_of(kept.frames["building"], refused_m2(kept), len(kept.frames["rejection"])),
     )
 
 
-def overview_of(kept: KeptRun) -> Overview:
-    """Return what a person wants to know of a run first."""
-    buildings = pd.DataFrame(kept.frames["building"].drop(columns="geometry"))
+def overview_of(found: pd.DataFrame, refused: dict[str, float], refused_regions: int) -> Overview:
+    """Return what a person wants to know of a run first: its buildings, and what was refused, square metres."""
+    buildings = pd.DataFrame(found.drop(columns="geometry"))
     by_area = buildings.sort_values(["area_m2", "building_id"], ascending=[False, True])
     by_ridge = buildings.sort_values(["ridge", "building_id"], ascending=[False, True])
     states = {state: int((buildings["state"] == state).sum()) for state in BUILDING_STATES}
@@ -153,8 +154,8 @@ def overview_of(kept: KeptRun) -> Overview:
         states={state: count for state, count in states.items() if count},
         largest=next(iter(_named(by_area)), {}),
         highest=next(iter(_named(by_ridge[by_ridge["ridge"].notna()])), {}),
-        refused_m2=_refused_m2(kept),
-        refused_regions=len(kept.frames["rejection"]),
+        refused_m2=refused,
+        refused_regions=refused_regions,
         unsure=tuple(_named(unsure, "probability")),
         uneven=tuple(_named(uneven, "ground_range_m")),
         counts={"unsure": len(unsure), "uneven": len(uneven)},
@@ -176,12 +177,17 @@ def _named(buildings: pd.DataFrame, *more: str) -> list[dict[str, Any]]:
     ]
 
 
-def _refused_m2(kept: KeptRun) -> dict[str, float]:
+def refused_m2(kept: KeptRun) -> dict[str, float]:
     """Return the area that is as high as a building and is none, by reason, the largest first."""
     if kept.rasters.reason is None:
         return {}
     cells = np.bincount(kept.rasters.reason.ravel(), minlength=len(Reason))
-    area_m2 = {REASONS[why]: float(cells[why] * kept.heights.spec.cell_area_m2) for why in Reason if why not in AS_IS}
+    return refused_areas(cells, kept.heights.spec.cell_area_m2)
+
+
+def refused_areas(cells: NDArray[np.integer], cell_area_m2: float) -> dict[str, float]:
+    """Return the areas by reason from the number of cells of each reason, as `refused_m2` does."""
+    area_m2 = {REASONS[why]: float(cells[why] * cell_area_m2) for why in Reason if why not in AS_IS}
     return {why: round(found, 1) for why, found in sorted(area_m2.items(), key=lambda item: -item[1]) if found}
 
 

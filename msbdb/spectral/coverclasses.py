@@ -258,25 +258,32 @@ def classify_cover(
     *,
     echoes: bool,
     fitted: Fitted | None = None,
+    counted: NDArray[np.bool_] | None = None,
 ) -> Cover:
-    """Classify the colours, if given, and describe all classes in one table; see `classify`."""
+    """Classify the colours, if given, and describe all classes in one table; see `classify`.
+
+    Where ``counted`` is given, (H, W), the table counts these cells alone.
+    """
     spectral, table, band_table, model = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), None
     if bands is not None and is_imagery(bands):
         spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params, fitted)
+        if counted is not None:
+            table, _ = class_tables(model, sizes(np.where(counted, spectral.index, 0), len(spectral.labels)))
     colours_decide = spectral is not None and params.spectral.decides == "spectral"
     if spectral is not None:
         structure = drop_green_regions(structure, spectral.labelled("vegetation"), roughness_m, params.cover)
-    table = pd.concat([table, _structure_rows(structure, len(table), ndsm, roughness_m)], ignore_index=True)
+    own = structure.index if counted is None else np.where(counted, structure.index, np.uint8(0))
+    table = pd.concat([table, _structure_rows(own, len(table), ndsm, roughness_m)], ignore_index=True)
     green = bands is not None and "nir" in bands.names and not echoes
     return Cover(structure, spectral, table, band_table, colours_decide, green, {}, model)
 
 
-def _structure_rows(structure: ClassMap, count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:
+def _structure_rows(index: NDArray[np.uint8], count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:
     """Describe the two structural classes, which follow the spectral ones; one without cells is 0 m high."""
-    cells = sizes(structure.index, 2)
+    cells = sizes(index, 2)
     size = np.where(cells > 0, cells, np.nan)
-    heights = sums(structure.index, np.asarray(ndsm.values, dtype=np.float64), 2)
-    rough = sums(structure.index, roughness_m.astype(np.float64), 2)
+    heights = sums(index, np.asarray(ndsm.values, dtype=np.float64), 2)
+    rough = sums(index, roughness_m.astype(np.float64), 2)
     rows = pd.DataFrame(
         {
             "speindex": np.array([count + 1, count + 2], dtype=np.int64),

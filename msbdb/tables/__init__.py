@@ -33,6 +33,7 @@ from msbdb.tables.region_tables import (
 )
 from msbdb.tables.run_tables import (
     CLASS_LABELS,
+    RASTER_TILE,
     REJECTION,
     REJECTION_COUNT,
     RUN,
@@ -44,6 +45,7 @@ from msbdb.tables.run_tables import (
     SPECTRAL_CLASS_BAND,
     SURVEY,
     SURVEY_PLAN,
+    TILE,
 )
 
 TABLES = (
@@ -68,7 +70,9 @@ RUN_TABLES = (
     RUN,
     RUN_METHOD,
     RUN_STATE,
+    RASTER_TILE,
     SURVEY_PLAN,
+    TILE,
     SCALE,
     SPECTRAL_CLASS,
     SPECTRAL_CLASS_BAND,
@@ -109,6 +113,7 @@ __all__ = [
     "PART",
     "PART_CANDIDATE",
     "PART_FLAT_REGION",
+    "RASTER_TILE",
     "REASONS",
     "REJECTION",
     "REJECTION_COUNT",
@@ -126,6 +131,7 @@ __all__ = [
     "SURVEY_OFFSET",
     "SURVEY_PLAN",
     "TABLES",
+    "TILE",
     "Check",
     "Column",
     "Counts",

@@ -111,6 +111,49 @@ SURVEY_PLAN = Table(
     ),
 )
 
+RASTER_TILE = Table(
+    "raster_tile",
+    "A tile's piece of a named raster of a run that was built in tiles; together they are a raster as in run_state",
+    (
+        RUN_KEY,
+        *only_stored(
+            Column("name", "str", "-", "name of the raster", primary=True),
+            Column("lattice_row", "int64", "cells", "row of its first cell, southwards from northing 0", primary=True),
+            Column("lattice_column", "int64", "cells", "column of its first cell, from easting 0", primary=True),
+            Column("dtype", "str", "-", "numpy dtype of the cells, with byte order"),
+            Column("shape", "json", "cells", "lengths of the axes"),
+            Column("data", "bytes", "-", "the cells in C order, packed as in msbdb.database.runs.packing"),
+        ),
+    ),
+)
+
+TILE_STATES = ("queued", "running", "done", "failed")
+
+TILE = Table(
+    "tile",
+    "A tile of a survey that is built in tiles: how far it is; its result waits here until all tiles are merged",
+    only_stored(
+        Column("survey", "str", "-", "name of the survey, which may not be built yet", primary=True),
+        Column("tile_row", "int64", "-", "row of the tile, northwards from northing 0", primary=True),
+        Column("tile_column", "int64", "-", "column of the tile, from easting 0", primary=True),
+        Column("west", "float64", "m", "western edge of its own ground"),
+        Column("south", "float64", "m", "southern edge"),
+        Column("east", "float64", "m", "eastern edge"),
+        Column("north", "float64", "m", "northern edge"),
+        Column("state", "str", "-", "queued, running, done or failed"),
+        Column("points", "int64", "count", "points on its own ground"),
+        Column("halo_m", "float64", "m", "how far it saw beyond"),
+        Column("seconds", "float64", "s", "time that it took"),
+        Column("reason", "str", "-", "why it failed, or has no building; empty otherwise"),
+        Column("build", "str", "-", "digest of the files, values and plan of the build that it belongs to"),
+        Column("result", "bytes", "-", "what it found, until it is merged", nullable=True),
+    ),
+    rules=(
+        Check("tile_bounds", "west < east AND south < north"),
+        one_of("state", TILE_STATES),
+    ),
+)
+
 SCALE = Table(
     "scale",
     "A scale of a run's scale-space",

@@ -29,7 +29,7 @@ from msbdb import params as declared
 from msbdb.cli import output
 from msbdb.cli.main import cli
 from msbdb.cli.output import emit, text
-from msbdb.database import example_queries
+from msbdb.database import TileStatus, example_queries
 from msbdb.database.runs.places import Place
 from msbdb.errors import DatabaseError, MsbdbWarning, ParameterError
 from msbdb.params import DETECTORS
@@ -136,6 +136,11 @@ class FakeApi(types.ModuleType):
     def read_plan(self, given):
         """Return a plan of one value."""
         return types.SimpleNamespace(as_dict=lambda: {"cell_m": 0.5}, pairs=lambda: {"cells": "0.5 m"})
+
+    @as_called
+    def tiles(self, given):
+        """Return one tile that is done."""
+        return [TileStatus("town", 97_017, 6_484, 0.0, 0.0, 60.0, 60.0, "done", 4_000, 100.0, 2.5)]
 
     @as_called
     def info(self, given):

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 import shapely
-from sqlalchemy import JSON, URL, Connection, Engine, LargeBinary, Row, Table, func, literal_column, select, text
+from sqlalchemy import JSON, URL, Connection, Engine, Row, Table, func, literal_column, select, text
 
 from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require_srid, snapshot
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
+from msbdb.database.runs.mosaics import mosaics_of
 from msbdb.database.runs.packing import unpack
 from msbdb.database.schema.sqltables import METADATA
 from msbdb.database.schema.srid import FIRST_OWN_SRID
@@ -33,6 +34,9 @@ _LEFT_OUT = {"timings", "content_sha256", "row_digest", "decided_at"}
 
 _OF_FILES = {"source"}
 """The table of source files: the same points in another order are another file."""
+
+_OF_TILES = {"tile", "raster_tile"}
+"""Tables of surveys that were built in tiles: how they were cut is not content; rasters are shown as in `run_state`."""
 
 _ON_FILES = {"notices"}
 """The column that contains names of files."""
@@ -59,7 +63,7 @@ def canonical_dump(engine: Engine, *, provenance: bool = False) -> Iterator[str]
     with snapshot(engine) as connection:
         left_out = _LEFT_OUT if provenance else _LEFT_OUT | _ON_FILES
         for table in sorted(METADATA.tables.values(), key=lambda t: t.name):
-            if provenance or table.name not in _OF_FILES:
+            if table.name not in _OF_TILES and (provenance or table.name not in _OF_FILES):
                 yield from _table_lines(connection, table, left_out)
 
 
@@ -70,21 +74,34 @@ def _table_lines(connection: Connection, table: Table, left_out: set[str]) -> It
     query = select(*plain)
     if "geometry" in table.columns:
         query = query.add_columns(text("ST_AsBinary(geometry)"))
-    blobs = {i for i, c in enumerate(plain) if isinstance(c.type, LargeBinary)}
     keys = [i for i, c in enumerate(plain) if c.primary_key]
     # Texts are sorted here, because servers sort them differently.
     rows = sorted(connection.execute(query), key=lambda row: [row[i] for i in keys])
+    if table.name == "run_state":
+        named = {(row.run_id, row.name): _raster_line(row) for row in rows} | _mosaic_lines(connection)
+        yield from (named[key] for key in sorted(named))
+        return
     for row in rows:
-        values = enumerate(row[: len(plain)])
-        cells = [_digest(row) if place in blobs else _shown(value) for place, value in values]
+        cells = [_shown(value) for value in row[: len(plain)]]
         if len(row) > len(plain):
             cells.append(_shown_geometry(bytes(row[-1])))
         yield json.dumps([table.name, *cells], ensure_ascii=False)
 
 
-def _digest(row: Row[Any]) -> str:
-    """Return the checksum of the cells of a raster's row, however they are packed."""
-    return hashlib.sha256(unpack(row.data, row.dtype, row.shape).tobytes()).hexdigest()
+def _raster_line(row: Row[Any]) -> str:
+    """Return the line of a raster's row, with the checksum of its cells, however they are packed."""
+    digest = hashlib.sha256(unpack(row.data, row.dtype, row.shape).tobytes()).hexdigest()
+    return json.dumps(["run_state", row.run_id, row.name, row.dtype, to_json(row.shape), digest], ensure_ascii=False)
+
+
+def _mosaic_lines(connection: Connection) -> dict[tuple[int, str], str]:
+    """Return the lines of rasters in pieces by run and name, as if they were whole."""
+    lines = {}
+    for run_id in connection.scalars(select(METADATA.tables["run"].c.run_id)).all():
+        for name, raster in mosaics_of(connection, run_id).items():
+            cells = [run_id, name, raster.dtype.str, to_json(raster.shape), raster.sha256()]
+            lines[run_id, name] = json.dumps(["run_state", *cells], ensure_ascii=False)
+    return lines
 
 
 def _shown(value: Any) -> Any:  # noqa: ANN401  (any column's value)

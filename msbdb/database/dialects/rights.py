@@ -48,7 +48,7 @@ def kept_rights(connection: Connection, *, but: str = "") -> Iterator[None]:
 
 def written_by_operators(table: str) -> bool:
     """Return whether operators may change rows of a table: those of builds, and their own."""
-    return table in ("survey", "source", *OPERATORS_OWN) or "run_id" in SQL[table].columns
+    return table in ("survey", "source", "tile", *OPERATORS_OWN) or "run_id" in SQL[table].columns
 
 
 def give(connection: Connection, role: str, user: str) -> None:

@@ -47,15 +47,27 @@ def check_build(build: KeptRun) -> None:
     if set(build.frames) != expected:
         msg = f"A build needs the tables {sorted(expected)}; got {sorted(build.frames)}."
         raise TableError(msg)
-    for table in TABLES:
-        frame = build.frames[table.name]
-        validate(frame, table)
-        _check_numbers(frame, table)
-        if table.geometry:
-            _check_geometries(frame, table)
+    check_frames(build.frames)
     _check_keys(build.frames)
     _check_references(build.frames, build.run.methods)
     validate_parts(build.frames["part"])
+
+
+def check_frames(frames: "dict[str, pd.DataFrame]") -> None:
+    """Check the declared columns, numbers and geometries of some tables.
+
+    Raises
+    ------
+    TableError
+        With the table, the column and the first wrong rows.
+    """
+    for table in TABLES:
+        if table.name in frames:
+            frame = frames[table.name]
+            validate(frame, table)
+            _check_numbers(frame, table)
+            if table.geometry:
+                _check_geometries(frame, table)
 
 
 def _check_names(build: KeptRun) -> None:

@@ -27,6 +27,7 @@ from sqlalchemy import (
 from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects.dialect import Dialect
+from msbdb.database.runs.mosaics import Mosaic
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import exact_json, plain, text_id, to_json
 from msbdb.surveyplan import Plan
@@ -152,7 +153,7 @@ class RunContent:
         The columns of each of ``tables.TABLES`` by their names: int64, float64 with NaN for null, or objects for texts
         and geometries; whole numbers that may be null are int64 where all are known.
         Rows are in the table's order, polygons are multipolygons.
-    rasters : mapping of str to (H, W) ndarray
+    rasters : mapping of str to (H, W) ndarray or Mosaic
         Heights, classes and labels of the regions, by the names of their rows.
     plan : Plan, optional
         The plan by which it was built.
@@ -161,7 +162,7 @@ class RunContent:
     survey: Survey
     run: Run
     columns: Mapping[str, Mapping[str, NDArray[Any]]]
-    rasters: Mapping[str, NDArray[Any]]
+    rasters: Mapping[str, NDArray[Any] | Mosaic]
     plan: Plan | None = None
 
     def digest(self) -> str:
@@ -176,9 +177,10 @@ class RunContent:
                 digest.update(_column_bytes(name, values))
         for name, raster in sorted(self.rasters.items()):
             # Equal numbers are equal content, in 16 bits or 32.
-            cells = portable(raster.astype(np.int32) if raster.dtype == np.int16 else raster)
-            digest.update(f"\0{name}\0{cells.dtype.str}\0{cells.shape}\0".encode())
-            digest.update(cells.ravel().data)
+            dtype = np.dtype("<i4") if raster.dtype == np.int16 else raster.dtype.newbyteorder("<")
+            digest.update(f"\0{name}\0{dtype.str}\0{tuple(raster.shape)}\0".encode())
+            for cells in raster.bands() if isinstance(raster, Mosaic) else (raster,):
+                digest.update(portable(cells.astype(dtype, copy=False)).ravel().data)
         if self.plan is not None:
             digest.update(f"\0plan\0{self.plan.as_json()}".encode())
         return digest.hexdigest()

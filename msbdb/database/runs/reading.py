@@ -1,6 +1,6 @@
 """Reading runs: tables as frames, rasters, and a summary in numbers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Engine, func, select, text
 from msbdb.database.dialects.connection import snapshot
 from msbdb.database.dialects.dialect import guarded, shown
 from msbdb.database.runs.digests import RunContent
+from msbdb.database.runs.mosaics import Mosaic, mosaics_of
 from msbdb.database.runs.packing import unpack
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import crs_from, horizontal
@@ -131,9 +132,29 @@ def content_of(connection: Connection, survey: str | None, tables: Sequence[Tabl
         survey=survey_record(connection, run.survey_id),
         run=_run_record(connection, run),
         columns={table.name: _columns_of(connection, table, run.run_id) for table in tables or TABLES},
-        rasters=_read_rasters(connection, run.run_id),
+        rasters=_read_rasters(connection, run.run_id, pieces=tables is None),
         plan=_plan_of(connection, run.run_id) if tables is None else None,
     )
+
+
+class LazyTables(Mapping[str, "dict[str, NDArray[Any]]"]):
+    """The tables of a run as plain columns, each read when it is asked for."""
+
+    def __init__(self, connection: Connection, run_id: int) -> None:
+        self._connection, self._run_id = connection, run_id
+        self._tables = {table.name: table for table in TABLES}
+
+    def __getitem__(self, name: str) -> dict[str, NDArray[Any]]:
+        """Return the columns of a table."""
+        return _columns_of(self._connection, self._tables[name], self._run_id)
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names of the tables."""
+        return iter(self._tables)
+
+    def __len__(self) -> int:
+        """Return the number of tables."""
+        return len(self._tables)
 
 
 def read_survey(engine: Engine, survey: str | None = None) -> Survey:
@@ -402,16 +423,17 @@ def crs_of(survey: Survey) -> "CRS":
     return horizontal(crs_from(survey.epsg, survey.crs_wkt))
 
 
-def _read_rasters(connection: Connection, run_id: int) -> dict[str, NDArray[Any]]:
-    """Return a run's rasters by the names of their rows."""
+def _read_rasters(connection: Connection, run_id: int, *, pieces: bool = True) -> dict[str, NDArray[Any]]:
+    """Return a run's rasters by the names of their rows; those in pieces only where the schema has them."""
     rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name))
-    return {row.name: unpack(row.data, row.dtype, row.shape) for row in rows}
+    found = {row.name: unpack(row.data, row.dtype, row.shape) for row in rows}
+    return found | {name: each.whole() for name, each in (mosaics_of(connection, run_id) if pieces else {}).items()}
 
 
-def _known_rasters(named: Mapping[str, NDArray[Any]], survey: str, engine: Engine) -> Rasters:
+def _known_rasters(named: Mapping[str, NDArray[Any] | Mosaic], survey: str, engine: Engine) -> Rasters:
     """Return rasters as one value; refuse missing and unknown ones."""
     try:
-        return Rasters.from_names(named)
+        return Rasters.from_names({name: own for name, own in named.items() if not isinstance(own, Mosaic)})
     except TableError as error:
         msg = f"The survey '{survey}' of {shown(engine.url)} cannot be read. {error}"
         raise TableError(msg) from error

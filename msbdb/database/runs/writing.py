@@ -17,6 +17,7 @@ from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_build, geometries
 from msbdb.database.runs.digests import RunContent, portable, source_rows, survey_row
 from msbdb.database.runs.packing import pack
+from msbdb.database.runs.tiles import forget_tiles
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
 from msbdb.identity import plain, text_id
@@ -43,7 +44,7 @@ logger = logging.getLogger(__name__)
 
 _FRAMES = {table.name for table in TABLES}
 
-_LOADED = [table.name for table in METADATA.sorted_tables if table.name in _FRAMES]
+LOADED = [table.name for table in METADATA.sorted_tables if table.name in _FRAMES]
 """The tables of a build's frames; a table comes after those that it refers to."""
 
 
@@ -148,7 +149,7 @@ def _write(engine: Engine, build: KeptRun, basis: BuildBasis | None) -> WriteRep
     """Write a build that was checked."""
     dialect = dialect_of(engine.url)
     rows = _Rows.of(build)
-    _, run_id = _keys(build)
+    _, run_id = keys_of(build)
     srid = srid_of(build.survey.epsg, build.survey.crs_wkt)
     with guarded(engine.url), engine.connect() as reading:
         with reading.begin():
@@ -175,7 +176,7 @@ class _Rows:
     @classmethod
     def of(cls, build: KeptRun) -> Self:
         """Return the rows of a build in the tables' order."""
-        frames = {table.name: _ordered(build.frames[table.name], table) for table in TABLES}
+        frames = {table.name: ordered(build.frames[table.name], table) for table in TABLES}
         counts = {name: len(frame) for name, frame in frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
         counts["survey_plan"] = int(build.plan is not None)
@@ -195,44 +196,52 @@ def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:
     """Sum up a load."""
     logger.info("The survey %s by %s is %s", build.survey.name, ", ".join(build.run.methods), status)
     logger.debug("Rows by table: %s", rows.counts)
-    return WriteReport(build.survey.name, build.run.methods, *_keys(build), status, rows.counts)
+    return WriteReport(build.survey.name, build.run.methods, *keys_of(build), status, rows.counts)
 
 
 def _fill(
     connection: Connection, dialect: Dialect, build: KeptRun, rows: _Rows, *, rasters: list[dict[str, Any]], srid: int
 ) -> int:
     """Write all of a build's rows in the caller's transaction; return how many runs they replace."""
-    survey_id, run_id = _keys(build)
+    _, run_id = keys_of(build)
     with dialect.in_bulk(connection, rows.counts):
-        removed = connection.execute(delete(RUN).where(RUN.c.survey_id == survey_id)).rowcount
-        dialect.settle(connection)
-        _write_survey(connection, survey_id, build)
-        run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": rows.digest}
-        methods = [{"run_id": run_id, "method": method} for method in run.pop("methods")]
-        connection.execute(insert(RUN), [plain(run)])
-        connection.execute(insert(RUN_METHOD), methods)
-        if build.plan is not None:
-            connection.execute(insert(SURVEY_PLAN), [{"run_id": run_id, "plan": build.plan.as_dict()}])
-        with dialect.keys_in_sets(connection, _LOADED, run_id):
-            for name in _LOADED:
-                _write_frame(connection, dialect, build, name, rows.frames[name], run_id=run_id, srid=srid)
+        removed = write_head(connection, dialect, build, rows.digest)
+        forget_tiles(connection, build.survey.name)
+        with dialect.keys_in_sets(connection, LOADED, run_id):
+            for name in LOADED:
+                write_frame(connection, dialect, build.survey.name, name, rows.frames[name], run_id=run_id, srid=srid)
     for raster in rasters:
         connection.execute(insert(RUN_STATE), [{"run_id": run_id, **raster}])
     dialect.after_load(connection)
     return removed
 
 
-def _keys(build: KeptRun) -> tuple[int, int]:
+def write_head(connection: Connection, dialect: Dialect, build: KeptRun, digest: str) -> int:
+    """Write the survey, the run, its detectors and its plan in place of those before; return how many runs went."""
+    survey_id, run_id = keys_of(build)
+    removed = connection.execute(delete(RUN).where(RUN.c.survey_id == survey_id)).rowcount
+    dialect.settle(connection)
+    _write_survey(connection, survey_id, build)
+    run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": digest}
+    methods = [{"run_id": run_id, "method": method} for method in run.pop("methods")]
+    connection.execute(insert(RUN), [plain(run)])
+    connection.execute(insert(RUN_METHOD), methods)
+    if build.plan is not None:
+        connection.execute(insert(SURVEY_PLAN), [{"run_id": run_id, "plan": build.plan.as_dict()}])
+    return removed
+
+
+def keys_of(build: KeptRun) -> tuple[int, int]:
     """Return the keys of a build's survey and run, which do not depend on its detectors."""
     return text_id("survey", build.survey.name), text_id("run", build.survey.name)
 
 
 def _packed(build: KeptRun) -> list[dict[str, Any]]:
     """Return the columns of the rasters' rows except the run's key."""
-    return in_threads(_raster_row, sorted(build.rasters.by_name().items()))
+    return in_threads(raster_row, sorted(build.rasters.by_name().items()))
 
 
-def _raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
+def raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
     """Return the columns of a raster's row except the run's key; the cells are compressed.
 
     Whole numbers of 32 bits are written in 16 bits where all of them fit: heights then take a fifth less space.
@@ -272,20 +281,24 @@ def _write_survey(connection: Connection, survey_id: int, build: KeptRun) -> Non
         connection.execute(insert(SOURCE), sources)
 
 
-def _write_frame(
+def write_frame(
     connection: Connection,
     dialect: Dialect,
-    build: KeptRun,
+    survey: str,
     name: str,
     frame: "pd.DataFrame",
     *,
     run_id: int,
     srid: int,
+    ids: NDArray[np.int64] | None = None,
 ) -> None:
-    """Write one table's rows in bulk, in the order of their keys, which is the quickest."""
+    """Write one table's rows in bulk, in the order of their keys, which is the quickest.
+
+    ``ids`` are the keys of the ledger's rows, where they are known already.
+    """
     columns: dict[str, Any] = {"run_id": np.full(len(frame), run_id)}
     if name == "rejection":
-        ids = _rejection_ids(build, frame)
+        ids = rejection_ids(survey, frame) if ids is None else ids
         order = np.argsort(ids)
         frame, columns["rejection_id"] = frame.iloc[order], ids[order]
     for column in frame.columns:
@@ -306,7 +319,7 @@ def _values(values: "pd.Series") -> "NDArray[Any] | list[Any]":
     return found
 
 
-def _rejection_ids(build: KeptRun, frame: "pd.DataFrame") -> NDArray[np.int64]:
+def rejection_ids(survey: str, frame: "pd.DataFrame") -> NDArray[np.int64]:
     """Return keys of ledger rows; rows with the same region, stage and reason are numbered.
 
     A region's id is a digest already. The key is this id XOR a digest of method, stage, reason and number. So it is
@@ -318,12 +331,12 @@ def _rejection_ids(build: KeptRun, frame: "pd.DataFrame") -> NDArray[np.int64]:
     _, first, group = np.unique(both, return_index=True, return_inverse=True)
     kinds = frame[["method", "stage", "reason"]].iloc[first]
     words = zip(*(kinds[name] for name in kinds), again[first], strict=True)
-    digests = np.array([text_id("rejection", build.survey.name, *row) for row in words], dtype=np.int64)
+    digests = np.array([text_id("rejection", survey, *row) for row in words], dtype=np.int64)
     ids: NDArray[np.int64] = np.maximum(frame["region_id"].to_numpy(np.int64) ^ digests[group], 1)
     return ids
 
 
-def _ordered(frame: "pd.DataFrame", table: Table) -> "pd.DataFrame":
+def ordered(frame: "pd.DataFrame", table: Table) -> "pd.DataFrame":
     """Return the rows in the table's order, with polygons as multipolygons."""
     import pandas as pd
 

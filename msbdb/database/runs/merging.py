@@ -1,0 +1,285 @@
+"""Merging the tiles of a survey into one run, in one transaction, with a tile in memory at a time."""
+
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import URL, Connection, insert, select, update
+
+from msbdb.database.dialects.connection import PATIENCE_S, open_database, require_srid
+from msbdb.database.dialects.dialect import Dialect, dialect_of, guarded, shown
+from msbdb.database.runs.basis import BuildBasis
+from msbdb.database.runs.checks import check_frames
+from msbdb.database.runs.digests import RunContent
+from msbdb.database.runs.mosaics import mosaics_of
+from msbdb.database.runs.reading import LazyTables
+from msbdb.database.runs.tiles import forget_results
+from msbdb.database.runs.writing import (
+    LOADED,
+    keys_of,
+    ordered,
+    raster_row,
+    rejection_ids,
+    write_frame,
+    write_head,
+)
+from msbdb.database.schema.sqltables import SQL
+from msbdb.database.schema.srid import srid_of
+from msbdb.identity import text_id
+from msbdb.kept import ANSWER_NAMES, REGION_NAMES, KeptRun
+from msbdb.tables import TABLES
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+RUN, RASTER_TILE = SQL["run"], SQL["raster_tile"]
+
+WHOLE = ("scale", "spectral_class", "spectral_class_band", "rejection_count")
+"""Tables of the run as a whole."""
+
+LINKS = {
+    "part_flat_region": ("part", "flat_region"),
+    "part_candidate": ("part", "candidate_region"),
+    "flat_region_candidate": ("flat_region", "candidate_region"),
+}
+"""Tables of links, each with the tables that it refers to by its first two columns."""
+
+ROWS = ("building", "part", "flat_region", "candidate_region", "rejection")
+"""Tables whose rows belong to one tile each."""
+
+METHODS = {name: method for method, name in REGION_NAMES.items()}
+"""The detector of each raster of regions."""
+
+ANSWERED = {name: method for method, name in ANSWER_NAMES.items()}
+"""The detector of each raster of answers."""
+
+NOTHING = np.zeros(0, dtype=np.int64)
+
+BY_NAME = {table.name: table for table in TABLES}
+
+KEYS = {"building": "building_id", "part": "part_id", "flat_region": "region_id", "candidate_region": "candidate_id"}
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """What a tile found on its own ground.
+
+    Parameters
+    ----------
+    key : tuple of int
+        Row and column of the tile.
+    frames : dict of str to DataFrame
+        The rows that it owns of `ROWS` and `LINKS`.
+    origin : tuple of int
+        Absolute row and column of the first cell of its rasters.
+    rasters : mapping of str to (H, W) ndarray
+        Its own cells, by the names of the rows in the database.
+    ids : mapping of str to (N,) ndarray of int64
+        By detector: the id of the region with label n at place n - 1, for the labels of its raster.
+    kinds : mapping of str to list of (str, str)
+        By detector: stage and reason of number n at place n - 1, for the numbers of its raster of answers.
+    """
+
+    key: tuple[int, int]
+    frames: "dict[str, pd.DataFrame]"
+    origin: tuple[int, int]
+    rasters: Mapping[str, NDArray[Any]]
+    ids: Mapping[str, NDArray[np.int64]]
+    kinds: Mapping[str, list[tuple[str, str]]]
+
+
+@dataclass(slots=True)
+class MergeReport:
+    """What a merge did.
+
+    Attributes
+    ----------
+    status : str
+        'created', 'replaced' or 'unchanged'.
+    twice : int
+        Parts, buildings and regions that two tiles claim; the first tile in order has them.
+    unlinked : int
+        Links to parts or regions that no tile has.
+    rows : dict of str to int
+        Rows by table.
+    """
+
+    status: str = "created"
+    twice: int = 0
+    unlinked: int = 0
+    rows: dict[str, int] = field(default_factory=dict)
+
+
+class _UnchangedError(Exception):
+    """The database has this content already."""
+
+
+@dataclass(eq=False)
+class _Merge:
+    """A merge in an open transaction."""
+
+    connection: Connection
+    dialect: Dialect
+    head: KeptRun
+    srid: int
+    report: MergeReport
+
+    def __post_init__(self) -> None:
+        """Begin without rows."""
+        self.run_id = keys_of(self.head)[1]
+        self.seen = dict.fromkeys(ROWS, NOTHING)
+        self.of_method: dict[str, NDArray[np.int64]] = {}
+        counted = self.head.frames["rejection_count"]
+        names = (counted[name].tolist() for name in ("method", "stage", "reason", "number"))
+        self.numbers = {(method, stage, why): int(number) for method, stage, why, number in zip(*names, strict=True)}
+
+    def write_whole(self) -> None:
+        """Write the tables of the run as a whole."""
+        for name in WHOLE:
+            self._write(name, self.head.frames[name])
+
+    def write_rows(self, piece: Piece) -> None:
+        """Write what a tile owns, but for what an earlier tile has."""
+        frames = {name: piece.frames[name] for name in ROWS}
+        taken = {name: np.isin(frames[name][key], self.seen[name]) for name, key in KEYS.items()}
+        parts, buildings = frames["part"], frames["building"]
+        # A building goes as a whole, with all of its parts.
+        lost = {*parts.loc[taken["part"], "building_id"], *buildings.loc[taken["building"], "building_id"]}
+        taken |= {name: frames[name]["building_id"].isin(lost).to_numpy() for name in ("part", "building")}
+        for name, key in KEYS.items():
+            self.report.twice += int(taken[name].sum())
+            frames[name] = frames[name][~taken[name]].reset_index(drop=True)
+            self.seen[name] = np.union1d(self.seen[name], frames[name][key].to_numpy(np.int64))
+        for method, rows in frames["candidate_region"].groupby("method"):
+            known = self.of_method.get(str(method), NOTHING)
+            self.of_method[str(method)] = np.union1d(known, rows["candidate_id"].to_numpy(np.int64))
+        ids = rejection_ids(self.head.survey.name, frames["rejection"])
+        again = np.isin(ids, self.seen["rejection"])
+        ids[again] = [text_id("rejection", int(one), *piece.key) for one in ids[again]]
+        self.seen["rejection"] = np.union1d(self.seen["rejection"], ids)
+        check_frames(frames)
+        # Buildings come before the parts that refer to them.
+        for name in ROWS:
+            self._write(name, frames[name], ids if name == "rejection" else None)
+
+    def write_rest(self, piece: Piece) -> None:
+        """Write the links and the rasters of a tile, after the rows of all tiles."""
+        frames = {}
+        for name, (one, other) in LINKS.items():
+            frame = piece.frames[name]
+            first, second = frame.columns[:2]
+            known = np.isin(frame[first], self.seen[one]) & np.isin(frame[second], self.seen[other])
+            self.report.unlinked += int((~known).sum())
+            frames[name] = frame[known].reset_index(drop=True)
+        check_frames(frames)
+        for name, frame in frames.items():
+            self._write(name, frame)
+        row, column = piece.origin
+        place = {"run_id": self.run_id, "lattice_row": row, "lattice_column": column}
+        for name, cells in piece.rasters.items():
+            named = name, self._renumbered(piece, name, cells)
+            self.connection.execute(insert(RASTER_TILE), [place | raster_row(named)])
+
+    def _renumbered(self, piece: Piece, name: str, cells: NDArray[Any]) -> NDArray[Any]:
+        """Return the cells with the labels of the run in place of those of the tile."""
+        method = METHODS.get(name, "")
+        if method in piece.ids:
+            own = piece.ids[method]
+            known = self.seen["flat_region"] if method == "flatregions" else self.of_method.get(method, NOTHING)
+            places = np.where(np.isin(own, known), np.searchsorted(known, own) + 1, 0)
+            labels: NDArray[Any] = np.concatenate([[0], places]).astype(np.int32)[cells]
+            return labels
+        method = ANSWERED.get(name, "")
+        if method in piece.kinds:
+            numbers = [self.numbers.get((method, *kind), 0) for kind in piece.kinds[method]]
+            answers: NDArray[Any] = np.array([0, *numbers], dtype=np.uint8)[cells]
+            return answers
+        return cells
+
+    def _write(self, name: str, frame: "pd.DataFrame", ids: NDArray[np.int64] | None = None) -> None:
+        """Write rows of a table."""
+        self.report.rows[name] = self.report.rows.get(name, 0) + len(frame)
+        if not len(frame):
+            return
+        if ids is None:
+            frame = ordered(frame, BY_NAME[name])
+        survey = self.head.survey.name
+        write_frame(self.connection, self.dialect, survey, name, frame, run_id=self.run_id, srid=self.srid, ids=ids)
+
+
+def merge_tiles(
+    target: str | PathLike[str] | URL,
+    head: KeptRun,
+    pieces: Callable[[], Iterable[Piece]],
+    *,
+    coming: Mapping[str, int],
+    basis: BuildBasis,
+) -> MergeReport:
+    """Write the tiles of a survey as its run, in one transaction; the pieces are taken twice, one at a time.
+
+    Parameters
+    ----------
+    target : str, path or URL
+        The database, which has the tiles' rows.
+    head : KeptRun
+        The survey, the run and the tables of `WHOLE`; it has no rasters.
+    pieces : callable
+        Returns the pieces of all tiles, in order of the tiles.
+    coming : mapping of str to int
+        About how many rows each table gets.
+    basis : BuildBasis
+        What may be replaced.
+
+    Raises
+    ------
+    OutdatedError
+        When the basis has changed; nothing was written.
+    InputError
+        When the basis keeps what the build would replace; nothing was written.
+    DatabaseError
+        When the database cannot be written.
+    """
+    srid = srid_of(head.survey.epsg, head.survey.crs_wkt)
+    engine = open_database(
+        target, create=True, srid=head.survey.epsg, crs_wkt=head.survey.crs_wkt, timeout_s=PATIENCE_S
+    )
+    dialect, report = dialect_of(engine.url), MergeReport()
+    try:
+        with guarded(engine.url), suppress(_UnchangedError), dialect.writing(engine) as connection:
+            require_srid(connection, dialect, srid, shown(engine.url))
+            basis.require(connection, head)
+            _merge(_Merge(connection, dialect, head, srid, report), pieces, coming)
+        with guarded(engine.url), dialect.writing(engine) as connection:
+            forget_results(connection, head.survey.name)
+    finally:
+        engine.dispose()
+    return report
+
+
+def _merge(merge: _Merge, pieces: Callable[[], Iterable[Piece]], coming: Mapping[str, int]) -> None:
+    """Write all in the caller's transaction; raise where the database has the same already."""
+    connection, dialect, head, report, run_id = merge.connection, merge.dialect, merge.head, merge.report, merge.run_id
+    before = connection.scalar(select(RUN.c.content_sha256).where(RUN.c.run_id == run_id))
+    with dialect.in_bulk(connection, coming):
+        report.status = "replaced" if write_head(connection, dialect, head, "") else "created"
+        with dialect.keys_in_sets(connection, LOADED, run_id):
+            merge.write_whole()
+            for piece in pieces():
+                merge.write_rows(piece)
+            for piece in pieces():
+                merge.write_rest(piece)
+    tables, rasters = LazyTables(connection, run_id), mosaics_of(connection, run_id)
+    digest = RunContent(head.survey, head.run, tables, rasters, head.plan).digest()
+    if digest == before:
+        report.status = "unchanged"
+        raise _UnchangedError
+    connection.execute(update(RUN).where(RUN.c.run_id == run_id).values(content_sha256=digest))
+    dialect.after_load(connection)
+    logger.info("Merged the tiles of the survey %s: %s", head.survey.name, report)

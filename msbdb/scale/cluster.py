@@ -1,0 +1,128 @@
+"""Workers for tiles: a cluster of dask.distributed on this machine, or one that is there; the only home of dask."""
+
+import json
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msbdb.errors import FileError, MissingDependencyError, ParameterError
+from msbdb.scale.tilework import Outcome, TileTask, work
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+logger = logging.getLogger(__name__)
+
+RETRIES = 1
+"""Ours: a tile is tried so often again: a network drive or a server may fail once."""
+
+AHEAD = 2
+"""Tiles that are given to the cluster for each worker, so that none waits for the next."""
+
+TIMEOUT_S = 20.0
+"""Seconds to wait for a scheduler."""
+
+MISSING = 'A build by workers needs dask.distributed, which is not installed. Install it: pip install "msbdb[cluster]".'
+
+
+@contextmanager
+def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = True) -> Iterator["Client"]:
+    """Start workers on this machine, or connect to a scheduler that is there, while the block runs.
+
+    Parameters
+    ----------
+    workers : int or None
+        Number of workers on this machine, each a process. They listen on the loopback interface alone.
+    scheduler : str or None
+        Address of a scheduler, such as ``tcp://10.0.0.5:8786``, or its file.
+    processes : bool
+        False has the workers be threads of this process, which is for tests.
+
+    Raises
+    ------
+    MissingDependencyError
+        When dask.distributed is not installed.
+    ParameterError
+        For no worker.
+    FileError
+        When the scheduler cannot be reached.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise MissingDependencyError(MISSING) from error
+    if scheduler is not None:
+        try:
+            # A client would wait for ever for a file that does not come.
+            address = json.loads(Path(scheduler).read_text())["address"] if scheduler.endswith(".json") else scheduler
+            client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
+        except (OSError, ValueError, KeyError) as error:
+            msg = f"The scheduler {scheduler} cannot be reached: {error}. Check its address, and that it runs."
+            raise FileError(msg) from error
+        with client:
+            logger.info("Dashboard of the cluster: %s", client.dashboard_link)
+            yield client
+        return
+    if workers is None or workers < 1:
+        msg = f"A build needs one worker or more; got {workers}. Give --workers 2 for instance."
+        raise ParameterError(msg)
+    shown = logger.isEnabledFor(logging.INFO)
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=processes,
+            host="127.0.0.1" if processes else None,
+            dashboard_address="127.0.0.1:0" if shown else None,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        if shown:
+            logger.info("Dashboard of the cluster: %s", client.dashboard_link)
+        yield client
+
+
+def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:
+    """Have a cluster build tiles, and yield what became of each as it ends.
+
+    Parameters
+    ----------
+    client : Client
+        From `cluster_of`.
+    tasks : sequence of TileTask
+        The tiles in order.
+    begin : callable
+        Called when a tile is given to the cluster.
+    """
+    from distributed import as_completed
+
+    waiting = list(reversed(tasks))
+    running = {}
+    room = AHEAD * max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
+    completed = as_completed(loop=client.loop)
+
+    def give() -> None:
+        task = waiting.pop()
+        begin(task)
+        key = f"msbdb-{task.status.survey}-{task.tile}-{os.getpid()}"
+        future = client.submit(work, task, key=key, pure=False, retries=RETRIES)
+        running[future.key] = task
+        completed.add(future)
+
+    for _ in range(min(room, len(waiting))):
+        give()
+    for future in completed:
+        task = running.pop(future.key)
+        error = future.exception()
+        if error is None:
+            yield task, future.result(), ""
+        else:
+            yield task, None, f"{type(error).__name__}: {error}"
+        future.release()
+        if waiting:
+            give()

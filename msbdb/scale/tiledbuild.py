@@ -1,0 +1,396 @@
+"""A build in tiles: the plan first, then every tile by itself, then one run of all of them in the database."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msbdb.database import (
+    LINKS,
+    ROWS,
+    BuildBasis,
+    Engine,
+    MergeReport,
+    OutdatedError,
+    Piece,
+    TileStatus,
+    begin_tiles,
+    merge_tiles,
+    note_tile,
+    open_database,
+    read_result,
+    read_tables,
+    read_value_counts,
+    shown,
+    summarise_run,
+    tiles_with_results,
+)
+from msbdb.database.dialects.dialect import database_url
+from msbdb.errors import DatabaseError, InputError, TilesError, counted
+from msbdb.grid import Bounds
+from msbdb.identity import plain, to_json
+from msbdb.io.crs import reference
+from msbdb.io.extents import extent_of_points
+from msbdb.io.lasheader import read_las_header
+from msbdb.params import as_dict
+from msbdb.run.compose import Job
+from msbdb.run.prepare import make_plan
+from msbdb.run.reports import BuildReport, Notices, Stages, collect_notices
+from msbdb.run.store import overview_of, refused_areas
+from msbdb.scale.tileresults import Result
+from msbdb.scale.tilesums import sum_up_tiles
+from msbdb.scale.tilework import Outcome, TileTask, one_by_one, result_file
+from msbdb.scale.tiling import HALO_M, Tile, tiles_over
+from msbdb.surveyplan import Plan
+from msbdb.tables import BUILDING, Reason
+from msbdb.version import __version__
+
+MOST_HALO_M = 250.0
+"""Ours: a tile sees at most so far beyond; a larger block of houses is cut, and counted."""
+
+FOLDER = ".tiles"
+"""What the name of a file of SpatiaLite gets for the folder of its tiles' results."""
+
+Runner = Callable[[Sequence[TileTask], Callable[[TileTask], None]], Iterable[Outcome]]
+"""Builds tiles, and yields what became of each; calls its second argument when one begins."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiledBuild:
+    """A build in tiles, as it is decided before the first of them.
+
+    Parameters
+    ----------
+    job : Job
+        What to do, with the sources of all files.
+    plan : Plan
+        The plan of the survey.
+    target : str
+        The database.
+    tiles : tuple of Tile
+        All tiles, in order.
+    boxes : tuple of tuple of float
+        West, south, east and north of each point file, metres.
+    build : str
+        Digest of all that decides the result.
+    """
+
+    job: Job
+    plan: Plan
+    target: str
+    tiles: tuple[Tile, ...]
+    boxes: tuple[Bounds, ...]
+    build: str
+
+    @classmethod
+    def of(cls, job: Job, target: str, side_m: float, stages: Stages) -> "TiledBuild":
+        """Make the plan of a survey where none is given, and cut the survey.
+
+        Raises
+        ------
+        InputError, ParameterError
+            For what cannot be built in tiles, and for tiles that are too small.
+        """
+        inputs = replace(job.inputs, known=job.inputs.sources())
+        job = replace(job, inputs=inputs)
+        boxes = _boxes(job)
+        plan = make_plan(inputs, job.params, stages) if job.plan is None else job.plan
+        interest = inputs.area()
+        tiles = tiles_over(boxes, side_m, None if interest is None else interest.shape_in(plan_crs(plan)))
+        words = {
+            "sources": sorted((source.role, source.sha256) for source in inputs.sources()),
+            "stated": inputs.stated(),
+            "values": as_dict(job.params),
+            "build": [job.profile, job.label.name, job.label.date, list(job.methods), __version__],
+            "plan": plan.as_dict(),
+            "tiles": [side_m, HALO_M, MOST_HALO_M],
+        }
+        build = hashlib.sha256(to_json(plain(words)).encode()).hexdigest()
+        return cls(job, plan, target, tiles, boxes, build)
+
+    @property
+    def name(self) -> str:
+        """Name of the survey."""
+        return self.job.label.name
+
+    @property
+    def survey(self) -> Bounds:
+        """What the files cover together, metres."""
+        west, south, east, north = np.array(self.boxes).T
+        return (float(west.min()), float(south.min()), float(east.max()), float(north.max()))
+
+    @property
+    def place(self) -> str:
+        """Where the results wait: a folder beside the file, or the server."""
+        url = database_url(self.target)
+        return f"{url.database}{FOLDER}" if url.get_backend_name() == "sqlite" else self.target
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the results are files."""
+        return self.place != self.target
+
+    def queued(self, tile: Tile) -> TileStatus:
+        """Return the row of a tile that waits."""
+        return TileStatus(self.name, tile.row, tile.column, *tile.bounds)
+
+    def task(self, tile: Tile) -> TileTask:
+        """Return what a worker needs for a tile: of the files those that its widest window meets."""
+        west, south, east, north = tile.window(MOST_HALO_M)
+        inputs = self.job.inputs
+        near = tuple(
+            path
+            for path, box in zip(inputs.points, self.boxes, strict=True)
+            if box[0] <= east and box[2] >= west and box[1] <= north and box[3] >= south
+        )
+        job = replace(self.job, inputs=replace(inputs, points=near), plan=self.plan)
+        return TileTask(tile, job, self.plan, self.survey, HALO_M, MOST_HALO_M, self.queued(tile), self.place)
+
+    def results(self, engine: Engine) -> Iterator[Result]:
+        """Yield the results of all tiles in order, one in memory at a time, without those that have no points."""
+        for tile in self.tiles:
+            content = self.content(tile, engine)
+            if content is None:
+                msg = f"The result of the tile {tile} of '{self.name}' is gone. Repeat the command with --resume."
+                raise DatabaseError(msg)
+            found = Result.of((tile.row, tile.column), content)
+            if not found.is_empty:
+                yield found
+
+    def content(self, tile: Tile, engine: Engine) -> bytes | None:
+        """Return the result of a tile; None where there is none."""
+        if not self.is_file:
+            return read_result(engine, self.name, (tile.row, tile.column))
+        path = result_file(self.place, tile)
+        return path.read_bytes() if path.exists() else None
+
+    def with_results(self, engine: Engine) -> set[Tile]:
+        """Return the tiles whose results wait."""
+        if self.is_file:
+            return {tile for tile in self.tiles if result_file(self.place, tile).exists()}
+        there = tiles_with_results(engine, self.name)
+        return {tile for tile in self.tiles if (tile.row, tile.column) in there}
+
+    def clear(self) -> None:
+        """Take the files of results away, once they are merged."""
+        if self.is_file:
+            for tile in self.tiles:
+                result_file(self.place, tile).unlink(missing_ok=True)
+            with suppress(OSError):
+                Path(self.place).rmdir()
+
+
+def plan_crs(plan: Plan) -> Any:  # noqa: ANN401  (pyproj loads late)
+    """Return the CRS of a plan."""
+    from pyproj import CRS
+
+    return CRS.from_user_input(plan.crs)
+
+
+def _boxes(job: Job) -> tuple[Bounds, ...]:
+    """Return the box of each point file, metres; refuse what cannot be cut."""
+    inputs = job.inputs
+    for given, words in (
+        (not inputs.points, "rasters of heights: give points"),
+        (inputs.parcels is not None, "parcels"),
+        (job.denoising_figure is not None, "a picture of the denoising"),
+    ):
+        if given:
+            msg = f"A build in tiles does not take {words}. Leave --tile out, or what it does not take."
+            raise InputError(msg)
+    extent = extent_of_points(inputs.points, inputs.any_crs)
+    with collect_notices(Notices()):
+        how = None if extent is None else reference(extent.crs, bounds=extent.bounds, where=inputs.points[0].name)
+    if how is None or how.transformer is not None:
+        msg = (
+            "A build in tiles needs the bounds of each point file in a metric CRS, and some header is wrong or in "
+            "another CRS. Write the files again, for instance with 'pdal translate' and filters.reprojection."
+        )
+        raise InputError(msg)
+    boxes = (read_las_header(path).bounds for path in inputs.points)
+    return tuple(
+        (west * how.xy_factor, south * how.xy_factor, east * how.xy_factor, north * how.xy_factor)
+        for west, south, east, north in boxes
+    )
+
+
+def build_with(
+    job: Job,
+    target: str,
+    side_m: float,
+    stages: Stages,
+    notices: Notices,
+    *,
+    basis: BuildBasis,
+    resume: bool,
+    workers: int | None,
+    scheduler: str | None,
+) -> BuildReport:
+    """Build a survey in tiles, one by one in this process, or by a cluster; see `build_tiles` and `cluster_of`."""
+    if workers is None and scheduler is None:
+        return build_tiles(job, target, side_m, stages, notices, runner=one_by_one, resume=resume, basis=basis)
+    from msbdb.scale.cluster import cluster_of, work_on
+
+    with cluster_of(workers, scheduler) as client:
+        runner = partial(work_on, client)
+        return build_tiles(job, target, side_m, stages, notices, runner=runner, resume=resume, basis=basis)
+
+
+def build_tiles(
+    job: Job,
+    target: str,
+    side_m: float,
+    stages: Stages,
+    notices: Notices,
+    *,
+    runner: Runner,
+    resume: bool,
+    basis: BuildBasis,
+) -> BuildReport:
+    """Build a survey in tiles, and write it as one run.
+
+    Parameters
+    ----------
+    job : Job
+        What to do.
+    target : str
+        Path or URL of the database.
+    side_m : float
+        Side of a tile, metres.
+    stages : Stages
+        For timings and progress.
+    notices : Notices
+        Receives the notices.
+    runner : Runner
+        Builds the tiles: `one_by_one`, or a cluster.
+    resume : bool
+        Repeat only the tiles that an interrupted build of the same did not finish.
+    basis : BuildBasis
+        What may be replaced.
+
+    Raises
+    ------
+    TilesError
+        When tiles failed. The others are done; the survey is written when all are.
+    MsbdbError
+        As `msbdb.run.store.store_survey`.
+    """
+    if basis.labelled is not None and len(basis.labelled) and not basis.replace:
+        msg = (
+            f"An operator labelled classes of the survey '{job.label.name}', and a build in tiles would lose the "
+            "labels. Build it without --tile, or give the labels up by --replace."
+        )
+        raise InputError(msg)
+    with collect_notices(notices):
+        build = TiledBuild.of(job, target, side_m, stages)
+    epsg, wkt = plan_crs(build.plan).to_epsg() or 0, plan_crs(build.plan).to_wkt()
+    if build.is_file:
+        Path(build.place).mkdir(exist_ok=True)
+    rows = [build.queued(tile) for tile in build.tiles]
+    begun = begin_tiles(target, rows, build.build, epsg=epsg, crs_wkt=wkt, resume=resume)
+    engine = open_database(target)
+    try:
+        there = build.with_results(engine)
+        done = [tile for tile, status in zip(build.tiles, begun, strict=True) if status.state == "done"]
+        merged = MergeReport("unchanged")
+        # The results go when they are merged.
+        if len(done) < len(build.tiles) or there:
+            with stages.stage("tiles"):
+                _run(
+                    build,
+                    [tile for tile in build.tiles if tile not in done or tile not in there],
+                    runner,
+                    stages,
+                    notices,
+                )
+            with stages.stage("write"):
+                merged = _merge(build, engine, stages, notices, basis)
+        build.clear()
+        return _report(engine, build, merged, stages, notices)
+    finally:
+        engine.dispose()
+
+
+def _run(build: TiledBuild, waiting: Sequence[Tile], runner: Runner, stages: Stages, notices: Notices) -> None:
+    """Build the tiles that are not done, and keep how far each is."""
+    tasks = [build.task(tile) for tile in waiting]
+    failed: list[tuple[Tile, str]] = []
+
+    def begin(task: TileTask) -> None:
+        note_tile(build.target, replace(task.status, state="running"))
+
+    done = len(build.tiles) - len(waiting)
+    for ended, (task, summary, reason) in enumerate(runner(tasks, begin), start=done + 1):
+        if summary is None:
+            failed.append((task.tile, reason))
+            note_tile(build.target, replace(task.status, state="failed", reason=reason))
+        else:
+            if build.is_file:
+                note_tile(build.target, summary.status)
+            # What counts points of one tile would be told for each.
+            new = [each for each in summary.notices if not any(letter.isdigit() for letter in each)]
+            notices.kept += [each for each in new if each not in notices.kept]
+        if stages.progress is not None:
+            stages.progress("tiles", ended, len(build.tiles))
+    notices.kept.sort()
+    if failed:
+        tile, reason = min(failed)
+        msg = (
+            f"{counted(len(failed), 'tile')} of {len(build.tiles)} of '{build.name}' failed, the first at {tile}: "
+            f"{reason} The others are done, and wait. 'msbdb tiles {shown(database_url(build.target))}' shows all. "
+            "Remove the cause, and repeat the command with --resume."
+        )
+        raise TilesError(msg)
+
+
+def _merge(build: TiledBuild, engine: Engine, stages: Stages, notices: Notices, basis: BuildBasis) -> MergeReport:
+    """Write the run from the results of all tiles."""
+    head = sum_up_tiles(
+        build.results(engine), build.job, build.plan, timings=stages.timings, notices=notices, most_m=MOST_HALO_M
+    )
+    coming: dict[str, int] = {}
+    for found in build.results(engine):
+        for name, count in found.about["rows"].items():
+            coming[name] = coming.get(name, 0) + count
+
+    def pieces() -> Iterator[Piece]:
+        return (found.piece((*ROWS, *LINKS)) for found in build.results(engine))
+
+    try:
+        return merge_tiles(build.target, head, pieces, coming=coming, basis=basis)
+    except OutdatedError as error:
+        msg = (
+            f"An operator labelled classes of the survey '{build.name}' while it was built. The database is "
+            "unchanged. Build it without --tile, or give the labels up by --replace."
+        )
+        raise DatabaseError(msg) from error
+
+
+def _report(engine: Engine, build: TiledBuild, merged: MergeReport, stages: Stages, notices: Notices) -> BuildReport:
+    """Sum up the run as the database has it."""
+    name = build.name
+    found = summarise_run(engine, name)
+    buildings = read_tables(engine, (BUILDING,), name)["building"]
+    cells = read_value_counts(engine, name, "reason", len(Reason))
+    if merged.twice:
+        notices.passing.append(f"{counted(merged.twice, 'row')} that two tiles claim went to the first of them.")
+    if merged.unlinked:
+        notices.passing.append(f"{counted(merged.unlinked, 'link')} to what a neighbouring tile sees otherwise went.")
+    return BuildReport(
+        survey=name,
+        buildings=found.rows["building"],
+        parts=found.rows["part"],
+        flat_regions=found.rows["flat_region"],
+        candidate_regions=found.candidates,
+        rejected=found.rejected,
+        notices=(*found.run.notices, *notices.passing),
+        timings=stages.rounded(),
+        changed=merged.status != "unchanged",
+        database=shown(engine.url),
+        overview=overview_of(buildings, refused_areas(cells, build.plan.cell_m**2), found.rejected_rows),
+    )

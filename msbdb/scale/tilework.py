@@ -1,0 +1,194 @@
+"""What one worker does for one tile: paths and keys come in, the result goes to its place, a summary comes out."""
+
+import logging
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import geopandas as gpd
+from pyproj import CRS
+
+from msbdb.database import TileStatus, note_tile
+from msbdb.errors import NodataError, collected_notices
+from msbdb.grid import Bounds, lattice
+from msbdb.ground.trend import KNOWN_PX
+from msbdb.io.vector import Area
+from msbdb.params import GroundParams
+from msbdb.run.compose import Found, Job, find_buildings
+from msbdb.run.prepare import Window
+from msbdb.run.reports import Stages
+from msbdb.scale.tileresults import packed
+from msbdb.scale.tiling import STEP_M, Tile, cut_islands
+from msbdb.surveyplan import Plan
+from msbdb.tables import Reason
+from msbdb.threads import memory_reused
+
+logger = logging.getLogger(__name__)
+
+METRIC = CRS.from_epsg(32631)
+"""Some CRS in metres, for lattices of which only the corner counts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TileTask:
+    """One tile of a survey, for a worker.
+
+    Parameters
+    ----------
+    tile : Tile
+        Which.
+    job : Job
+        What to do; its files are those that the tile may need.
+    plan : Plan
+        The plan of the survey.
+    survey : tuple of float
+        West, south, east and north of the whole survey by the headers, metres.
+    halo_m, most_m : float
+        How far the tile sees beyond its own ground at first, and at most, metres.
+    status : TileStatus
+        As it is queued.
+    place : str
+        A folder for the result, or the URL of a server that keeps it.
+    """
+
+    tile: Tile
+    job: Job
+    plan: Plan
+    survey: Bounds
+    halo_m: float
+    most_m: float
+    status: TileStatus
+    place: str
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the result is a file."""
+        return "://" not in self.place
+
+
+@dataclass(frozen=True, slots=True)
+class TileSummary:
+    """What a worker tells of a tile: how far it is, and what a person should know."""
+
+    status: TileStatus
+    notices: tuple[str, ...] = ()
+
+
+Outcome = tuple[TileTask, TileSummary | None, str]
+"""A task, its summary, and why there is none."""
+
+
+def work(task: TileTask) -> TileSummary:
+    """Build a tile, and put its result in its place; a repetition puts the same there.
+
+    Raises
+    ------
+    MsbdbError
+        When the files or the database cannot be used.
+    """
+    begin = time.perf_counter()
+    found, reason, halo_m, cut = None, "", task.halo_m, 0
+    with collected_notices() as notices, memory_reused():
+        while True:
+            try:
+                found = _in_window(task, halo_m)
+            except NodataError as error:
+                reason = str(error)
+                break
+            cut = _cut(task, found, halo_m)
+            if not cut or halo_m >= task.most_m:
+                break
+            halo_m = min(halo_m + STEP_M, task.most_m)
+            logger.info("Tile %s: %d islands reach beyond its window; it sees %g m now", task.tile, cut, halo_m)
+    content = packed(task.tile, found, halo_m=halo_m, cut=cut, least_m2=task.job.params.fuse.piece_m2)
+    status = replace(
+        task.status,
+        state="done",
+        points=0 if found is None else found.points,
+        halo_m=halo_m,
+        seconds=round(time.perf_counter() - begin, 3),
+        reason=reason,
+    )
+    if task.is_file:
+        put_file(result_file(task.place, task.tile), content)
+    else:
+        note_tile(task.place, status, content)
+    return TileSummary(status, tuple(str(notice) for notice in notices))
+
+
+def result_file(folder: str, tile: Tile) -> Path:
+    """Return the file of a tile's result."""
+    return Path(folder) / f"{tile.row}_{tile.column}.zip"
+
+
+def put_file(path: Path, content: bytes) -> None:
+    """Write a file completely or not at all."""
+    growing = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        growing.write_bytes(content)
+        growing.replace(path)
+    finally:
+        growing.unlink(missing_ok=True)
+
+
+def _in_window(task: TileTask, halo_m: float) -> Found:
+    """Return what the steps find in the tile and its halo."""
+    bounds = aligned(task.tile.window(halo_m), task.survey, task.plan.cell_m, task.job.params.ground)
+    crs = CRS.from_user_input(task.plan.crs)
+    area = Area.of_box(bounds, crs)
+    interest = task.job.inputs.area()
+    if interest is not None:
+        shape = interest.shape_in(crs).intersection(area.shape_in(crs))
+        if shape.is_empty:
+            msg = f"The tile {task.tile} has no ground in {interest.what}."
+            raise NodataError(msg)
+        area = Area(gpd.GeoSeries([shape], crs=crs), 0.0, f"{interest.what}, in the tile {task.tile}")
+    return find_buildings(task.job, Stages(None), task.plan, Window(area, task.tile.bounds))
+
+
+def aligned(window: Bounds, survey: Bounds, cell_m: float, params: GroundParams) -> Bounds:
+    """Return a window that begins where a block of the terrain's trend begins in the survey as one piece.
+
+    The trend is fitted to blocks of cells, counted from the north-western corner (`msbdb.ground.trend`). In a window
+    that begins elsewhere they would be other blocks, and the terrain would differ by centimetres.
+
+    Parameters
+    ----------
+    window, survey : tuple of float
+        West, south, east and north, metres.
+    cell_m : float
+        Side of a cell of the lattice, metres.
+    params : GroundParams
+        ``ground_cell_m`` and ``block_m``.
+    """
+    ground_m = max(params.ground_cell_m, cell_m / 2)
+    step_m = math.lcm(KNOWN_PX, max(1, round(params.block_m / ground_m))) * ground_m
+    corner = lattice(lattice(survey, cell_m, METRIC).bounds, ground_m, METRIC).bounds
+    west = corner[0] + math.floor((window[0] - cell_m - corner[0]) / step_m) * step_m
+    north = corner[3] - math.floor((corner[3] - window[3] - cell_m) / step_m) * step_m
+    # The points begin a cell further in, so that the first cell of the terrain is the corner's.
+    return (west + cell_m, window[1], window[2], north - cell_m)
+
+
+def _cut(task: TileTask, found: Found, halo_m: float) -> int:
+    """Count the islands that the edge of the window may cut."""
+    reason = found.description.rasters.reason
+    if reason is None:
+        return 0
+    return cut_islands(
+        task.tile, reason == Reason.BUILDING, found.scene.heights.spec, task.tile.window(halo_m), task.survey
+    )
+
+
+def one_by_one(tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:
+    """Build tiles in this process, and yield what became of each: without a cluster."""
+    for task in tasks:
+        begin(task)
+        try:
+            yield task, work(task), ""
+        except Exception as error:  # the others are built all the same
+            logger.info("The tile %s failed", task.tile, exc_info=True)
+            yield task, None, f"{type(error).__name__}: {error}"

@@ -1,0 +1,177 @@
+"""Tiles on the absolute lattice: which ground is a tile's own, how far it sees beyond, and what belongs to it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from msbdb.errors import ParameterError
+from msbdb.grid import Bounds, GridSpec
+from msbdb.labels import Labels, label_zones
+
+HALO_M = 100.0
+"""Ours: how far a tile sees beyond its own ground at first, metres (docs/scale.md has what this gives)."""
+
+GUARD_M = 20.0
+"""Ours: an island of roofs is whole where it ends so far inside of the window; near its edge the ground is unsure."""
+
+STEP_M = 50.0
+"""Ours: the window grows by so much on each side, until it holds every island that reaches into the tile."""
+
+LEAST_TILE_M = 50.0
+"""Ours: smaller tiles would be halo for the most part."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Tile:
+    """A square of ground: row and column count northwards and eastwards from the origin of the CRS.
+
+    Parameters
+    ----------
+    row, column : int
+        The place.
+    side_m : float
+        Side, metres.
+
+    Examples
+    --------
+    >>> tile = Tile(2, 5, 100.0)
+    >>> tile.bounds, tile.window(20.0)
+    ((500.0, 200.0, 600.0, 300.0), (480.0, 180.0, 620.0, 320.0))
+    """
+
+    row: int
+    column: int
+    side_m: float
+
+    @property
+    def bounds(self) -> Bounds:
+        """West, south, east and north of its own ground, metres; west and south edges belong to it."""
+        west, south = self.column * self.side_m, self.row * self.side_m
+        return (west, south, west + self.side_m, south + self.side_m)
+
+    def window(self, halo_m: float) -> Bounds:
+        """Return the bounds of what it sees with a halo of this width."""
+        west, south, east, north = self.bounds
+        return (west - halo_m, south - halo_m, east + halo_m, north + halo_m)
+
+    def owns(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which places lie on its own ground."""
+        west, south, east, north = self.bounds
+        inside: NDArray[np.bool_] = (x >= west) & (x < east) & (y >= south) & (y < north)
+        return inside
+
+    def __str__(self) -> str:
+        """Return its row and column."""
+        return f"{self.row},{self.column}"
+
+
+def tiles_over(boxes: Sequence[Bounds], side_m: float, within: shapely.Geometry | None = None) -> tuple[Tile, ...]:
+    """Return the tiles that meet boxes, in order of row and column.
+
+    Parameters
+    ----------
+    boxes : sequence of tuple of float
+        West, south, east and north of each file, metres.
+    side_m : float
+        Side of a tile, metres.
+    within : Geometry, optional
+        Only tiles that meet it, too.
+
+    Raises
+    ------
+    ParameterError
+        For a side that is too small.
+
+    Examples
+    --------
+    >>> [str(tile) for tile in tiles_over([(90.0, 10.0, 120.0, 20.0)], 100.0)]
+    ['0,0', '0,1']
+    """
+    if not math.isfinite(side_m) or side_m < LEAST_TILE_M:
+        msg = f"A tile is at least {LEAST_TILE_M:g} m wide; got {side_m:g} m. Give 500 or 1000 for instance."
+        raise ParameterError(msg)
+    found = set()
+    for west, south, east, north in boxes:
+        for row in range(math.floor(south / side_m), math.floor(north / side_m) + 1):
+            for column in range(math.floor(west / side_m), math.floor(east / side_m) + 1):
+                found.add(Tile(row, column, side_m))
+    if within is not None:
+        found = {tile for tile in found if shapely.intersects(within, shapely.box(*tile.bounds))}
+    return tuple(sorted(found))
+
+
+def first_cells(labels: Labels, count: int, spec: GridSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return easting and northing of the first cell of each label in row order; NaN for a label without cells.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        0 for none, otherwise 1 to ``count``.
+    count : int
+        Number of labels.
+    spec : GridSpec
+        Their lattice.
+
+    Returns
+    -------
+    easting, northing : (count,) ndarray of float64
+        Of the cells' centres, metres.
+    """
+    numbers, first = np.unique(labels.ravel(), return_index=True)
+    x, y = np.full(count, np.nan), np.full(count, np.nan)
+    own = numbers > 0
+    rows, columns = np.divmod(first[own], labels.shape[1])
+    x[numbers[own] - 1], y[numbers[own] - 1] = spec.xy(rows, columns)
+    return x, y
+
+
+def owned_buildings(tile: Tile, parts: pd.DataFrame) -> NDArray[np.int64]:
+    """Return the ids of the buildings that belong to a tile: those whose largest root begins on its ground.
+
+    A building has the id of its largest root, and this follows from the root's first cell. So two tiles never own
+    buildings of one id.
+
+    Parameters
+    ----------
+    tile : Tile
+        The tile.
+    parts : DataFrame
+        ``tables.PART``.
+    """
+    roots = parts[parts["part_id"] == parts["building_id"]]
+    own = tile.owns(roots["xo"].to_numpy(), roots["yo"].to_numpy())
+    return roots["building_id"].to_numpy(np.int64)[own]
+
+
+def cut_islands(tile: Tile, built: NDArray[np.bool_], spec: GridSpec, window: Bounds, survey: Bounds) -> int:
+    """Count the islands of roofs that reach into a tile and end too near to the edge of its window.
+
+    Parameters
+    ----------
+    tile : Tile
+        The tile.
+    built : (H, W) ndarray of bool
+        The cells of buildings in its window; those that touch, also at corners, are one island.
+    spec : GridSpec
+        Their lattice.
+    window : tuple of float
+        West, south, east and north of the window, metres.
+    survey : tuple of float
+        Those of the whole survey: beyond them there is nothing to see.
+    """
+    edges = zip(window, survey, (True, True, False, False), strict=True)
+    inner = [own + GUARD_M * (1 if low else -1) for own, _, low in edges]
+    for side, (own, whole) in enumerate(zip(window, survey, strict=True)):
+        if (own <= whole) if side < 2 else (own >= whole):
+            inner[side] = -math.inf if side < 2 else math.inf
+    near = built & ~spec.holding((inner[0], inner[1], inner[2], inner[3]))
+    if not near.any():
+        return 0
+    islands, _ = label_zones(built, connectivity=8)
+    inside = np.unique(islands[spec.holding(tile.bounds)])
+    return int(np.intersect1d(inside[inside > 0], islands[near]).size)

@@ -1,0 +1,90 @@
+"""Workers of dask.distributed build the same as one process, and what kills one of them kills no build."""
+
+import subprocess
+import sys
+from functools import partial
+
+import pytest
+from support.processes import environment
+from support.tiledtown import KILLED, TILE_M, write_town
+
+import msbdb
+from msbdb.database import canonical_dump, check_database, open_database
+from msbdb.errors import FileError, MissingDependencyError, ParameterError
+from msbdb.scale import cluster
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Return the files of the town."""
+    return write_town(tmp_path_factory.mktemp("town"))
+
+
+@pytest.fixture(scope="module")
+def alone(files, tmp_path_factory):
+    """Return the dump of the town that one process builds in tiles."""
+    db = tmp_path_factory.mktemp("alone") / "town.sqlite"
+    msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M)
+    return dump(db)
+
+
+def dump(db):
+    """Return the lines of the dump of a sound database."""
+    engine = open_database(db)
+    found = list(canonical_dump(engine))
+    assert not check_database(engine)
+    engine.dispose()
+    return found
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_give_the_content_of_one_process(files, alone, tmp_path, monkeypatch, workers):
+    """The dump is the same to the byte, for any number of workers; these are threads, which open no port."""
+    pytest.importorskip("distributed")
+    # It is found out by a socket that sends nothing, and names the place of threads alone.
+    monkeypatch.setattr("distributed.comm.inproc.get_ip", lambda: "127.0.0.1")
+    monkeypatch.setattr(cluster, "cluster_of", partial(cluster.cluster_of, processes=False))
+    db = tmp_path / "town.sqlite"
+    msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M, workers=workers)
+    assert dump(db) == alone
+
+
+def test_without_dask_the_error_says_what_to_install(files, tmp_path, monkeypatch):
+    """A build in tiles alone needs no cluster; with workers it names the extra."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install \"msbdb\[cluster\]\""):
+        msbdb.build(files, db=tmp_path / "town.sqlite", tile=TILE_M, workers=2)
+    assert not (tmp_path / "town.sqlite").exists()
+
+
+def test_a_cluster_that_is_not_there_is_refused():
+    """The number of workers, and the scheduler's file, are checked first."""
+    pytest.importorskip("distributed")
+    with pytest.raises(ParameterError, match="one worker or more"), cluster.cluster_of(0, None):
+        pass
+    with pytest.raises(FileError, match="cannot be reached"), cluster.cluster_of(None, "/nowhere/scheduler.json"):
+        pass
+
+
+@pytest.mark.long
+def test_a_killed_worker_changes_nothing(files, alone, tmp_path):
+    """Its tile is built by another process, and the dump is the same."""
+    pytest.importorskip("distributed")
+    db = tmp_path / "town.sqlite"
+    code = (
+        "import sys, msbdb\n"
+        "from msbdb.scale import cluster\n"
+        "from support.tiledtown import TILE_M, work_once_killed\n"
+        "cluster.work = work_once_killed\n"
+        "if __name__ == '__main__':\n"
+        "    msbdb.build(sys.argv[2:], db=sys.argv[1], survey='town', extract='multiscale', tile=TILE_M, workers=2)\n"
+    )
+    script = tmp_path / "killed.py"
+    script.write_text(code)
+    ended = subprocess.run(
+        [sys.executable, str(script), str(db), *map(str, files)],
+        env=environment(**{KILLED: str(tmp_path / "killed")}), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "killed").exists()
+    assert dump(db) == alone

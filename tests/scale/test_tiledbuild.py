@@ -1,0 +1,254 @@
+"""A build in tiles: the content of the build of the whole, in any order, after failures, crashes and resumption."""
+
+import json
+import random
+import subprocess
+import sys
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from click.testing import CliRunner
+from support.processes import environment
+from support.tiledtown import KILLED, TILE_M, town, write_town
+
+import msbdb
+from msbdb.cli.main import cli
+from msbdb.database import canonical_dump, check_database, open_database, opened, read_run
+from msbdb.errors import InputError, ParameterError, TilesError
+from msbdb.scale import tiledbuild, tilework
+from msbdb.scale.tiledbuild import FOLDER
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Return the files of the town."""
+    return write_town(tmp_path_factory.mktemp("town"))
+
+
+@pytest.fixture(scope="module")
+def whole(files, tmp_path_factory):
+    """Return a database of the town that is built in one piece, by all detectors."""
+    db = tmp_path_factory.mktemp("whole") / "town.sqlite"
+    msbdb.build(files, db=db, survey="town")
+    return db
+
+
+@pytest.fixture(scope="module")
+def quick(files, tmp_path_factory):
+    """Return a database of the town that is built in tiles, in one go, by one detector."""
+    db = tmp_path_factory.mktemp("quick") / "town.sqlite"
+    msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M)
+    return db
+
+
+def lines(db):
+    """Return the lines of the dump of a sound database."""
+    engine = open_database(db)
+    found = list(canonical_dump(engine))
+    assert not check_database(engine)
+    engine.dispose()
+    return found
+
+
+def counts(db):
+    """Return what the run of a database counts."""
+    with opened(db) as engine:
+        return read_run(engine).counts
+
+
+def without_counts(dumped):
+    """Return the lines without the counts of the run: of tiles those of kept regions are not known."""
+    return [line for line in dumped if not line.startswith('["run", ')]
+
+
+def ordered_runner(order):
+    """Return a runner that takes the tiles in another order."""
+    return lambda tasks, begin: tilework.one_by_one(order(list(tasks)), begin)
+
+
+def test_tiles_that_see_enough_give_the_content_of_the_whole(files, whole, tmp_path):
+    """All rows of all tables and all rasters are equal; of the counts, those of dropped regions and of cells."""
+    db = tmp_path / "town.sqlite"
+    report = msbdb.build(files, db=db, survey="town", tile=TILE_M)
+    assert without_counts(lines(db)) == without_counts(lines(whole))
+    one, other = (counts(path) for path in (whole, db))
+    assert report.buildings == 5
+    assert len(msbdb.tiles(db)) == 4
+    assert {tile.state for tile in msbdb.tiles(db)} == {"done"}
+    assert sum(tile.points for tile in msbdb.tiles(db)) == len(town().points)
+    assert sum(report.overview.states.values()) == 5
+    assert one.cells == other.cells
+    assert one.chosen == other.chosen
+    for method, stages in other.regions.items():
+        for stage, numbers in stages.items():
+            assert numbers["dropped"] == one.regions[method][stage]["dropped"], (method, stage)
+    assert not (tmp_path / f"town.sqlite{FOLDER}").exists()
+    assert msbdb.why(db, 389_088.0, 5_821_080.0).building is not None
+
+
+@pytest.mark.parametrize("order", [reversed, lambda tasks: random.Random(3).sample(tasks, len(tasks))])
+def test_the_order_of_tiles_does_not_matter(files, quick, tmp_path, monkeypatch, order):
+    """The dump is the same to the byte."""
+    monkeypatch.setattr(tiledbuild, "one_by_one", ordered_runner(lambda tasks: list(order(tasks))))
+    db = tmp_path / "town.sqlite"
+    msbdb.build(files[::-1], db=db, survey="town", extract="multiscale", tile=TILE_M)
+    assert lines(db) == lines(quick)
+
+
+def test_other_tiles_give_the_same(files, quick, tmp_path):
+    """Tiles of another size give the same dump, where they see enough."""
+    db = tmp_path / "town.sqlite"
+    msbdb.build(files, db=db, survey="town", extract="multiscale", tile=75)
+    assert len(msbdb.tiles(db)) != len(msbdb.tiles(quick))
+    assert lines(db) == lines(quick)
+
+
+def test_the_window_grows_until_it_holds_whole_islands(files, whole, tmp_path, monkeypatch):
+    """With a narrow halo the block over the corner is whole all the same, and each building is there once."""
+    monkeypatch.setattr(tiledbuild, "HALO_M", 25.0)
+    db = tmp_path / "town.sqlite"
+    msbdb.build(files, db=db, survey="town", tile=TILE_M)
+    assert {tile.halo_m for tile in msbdb.tiles(db)} == {75.0}
+    with msbdb.open(whole) as one, msbdb.open(db) as other:
+        before, after = one.buildings(), other.buildings()
+    assert after["building_id"].tolist() == before["building_id"].tolist()
+    assert after["area_m2"].to_numpy() == pytest.approx(before["area_m2"].to_numpy(), rel=0.02)
+
+
+def test_what_a_window_cuts_is_told(files, tmp_path, monkeypatch):
+    """Where the window may not grow, the notice counts the islands, and where neighbours differ."""
+    monkeypatch.setattr(tiledbuild, "HALO_M", 5.0)
+    monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 5.0)
+    db = tmp_path / "town.sqlite"
+    report = msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M)
+    assert any("may be cut there" in notice for notice in report.notices)
+    lines(db)
+
+
+def test_a_failed_tile_is_named_and_the_others_complete(files, quick, tmp_path, monkeypatch):
+    """No survey is written; the repetition builds this tile alone, and ends in the undisturbed dump."""
+    db = tmp_path / "town.sqlite"
+    original, built = tilework.find_buildings, []
+
+    def fails(job, stages, plan, window):
+        built.append(window.own)
+        if broken and window.own[:2] == (389_100.0, 5_821_080.0):
+            msg = "the disk is on fire"
+            raise OSError(msg)
+        return original(job, stages, plan, window)
+
+    monkeypatch.setattr(tilework, "find_buildings", fails)
+    broken = True
+    given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
+    with pytest.raises(TilesError, match=r"1 tile of 4 of 'town' failed.*the disk is on fire.*--resume"):
+        msbdb.build(files, **given)
+    states = [tile.state for tile in msbdb.tiles(db)]
+    assert (states.count("done"), states.count("failed")) == (3, 1)
+    assert "on fire" in next(tile.reason for tile in msbdb.tiles(db) if tile.state == "failed")
+    assert msbdb.info(db)["runs"] == []
+    shown = CliRunner().invoke(cli, ["tiles", str(db)])
+    assert shown.exit_code == 0, shown.output
+    assert "1 failed" in shown.stdout
+    broken, built[:] = False, []
+    assert msbdb.build(files, **given, resume=True).changed
+    assert len(built) == 1
+    assert lines(db) == lines(quick)
+    listed = json.loads(CliRunner().invoke(cli, ["tiles", str(db), "--json"]).stdout)
+    assert [tile["state"] for tile in listed] == ["done"] * 4
+
+
+def test_the_same_again_changes_nothing(files, quick, tmp_path, monkeypatch):
+    """Neither a repetition nor a resumption after the end changes the database; the latter builds no tile."""
+    db = tmp_path / "town.sqlite"
+    db.write_bytes(quick.read_bytes())
+    given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
+    assert not msbdb.build(files, **given).changed
+    monkeypatch.setattr(tilework, "find_buildings", None)
+    assert not msbdb.build(files, **given, resume=True).changed
+    assert lines(db) == lines(quick)
+
+
+def test_a_killed_client_goes_on_where_it_was(files, quick, tmp_path):
+    """Tiles that were done are not repeated; the dump is the undisturbed one."""
+    db, marker = tmp_path / "town.sqlite", tmp_path / "done"
+    code = (
+        "import sys, msbdb\n"
+        "from msbdb.scale import tilework\n"
+        "from support.tiledtown import TILE_M, end_at_third\n"
+        "tilework.work = end_at_third\n"
+        "msbdb.build(sys.argv[2:], db=sys.argv[1], survey='town', extract='multiscale', tile=TILE_M)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(db), *map(str, files)],
+        env=environment(**{KILLED: str(marker)}), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 9, ended.stderr
+    states = [tile.state for tile in msbdb.tiles(db)]
+    assert (states.count("done"), states.count("running")) == (2, 1)
+    before = {tile.key: tile.seconds for tile in msbdb.tiles(db) if tile.state == "done"}
+    msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M, resume=True)
+    assert before == {tile.key: tile.seconds for tile in msbdb.tiles(db) if tile.key in before}
+    assert lines(db) == lines(quick)
+    assert {path.name for path in tmp_path.iterdir()} == {"done", "town.sqlite"}
+
+
+def test_an_area_of_interest_is_cut_in_tiles(files, tmp_path):
+    """What lies in the area is built as in one piece, and the survey's extent is the same."""
+    shape = shapely.box(389_095.0, 5_821_025.0, 389_155.0, 5_821_135.0)
+    area = tmp_path / "district.geojson"
+    gpd.GeoDataFrame(geometry=[shape], crs=town().points.crs).to_crs("EPSG:4326").to_file(area)
+    given = {"survey": "town", "extract": "multiscale", "aoi": area}
+    msbdb.build(files, db=tmp_path / "one.sqlite", **given)
+    msbdb.build(files, db=tmp_path / "tiles.sqlite", **given, tile=TILE_M)
+    assert without_counts(lines(tmp_path / "tiles.sqlite")) == without_counts(lines(tmp_path / "one.sqlite"))
+    assert all(tile.points for tile in msbdb.tiles(tmp_path / "tiles.sqlite"))
+
+
+def test_a_build_in_one_piece_takes_the_place_of_tiles(files, quick, tmp_path):
+    """The rows of the tiles go with them; the content stays but for the counts."""
+    db = tmp_path / "town.sqlite"
+    db.write_bytes(quick.read_bytes())
+    msbdb.build(files, db=db, survey="town", extract="multiscale")
+    assert msbdb.tiles(db) == []
+    assert without_counts(lines(db)) == without_counts(lines(quick))
+
+
+def test_classes_of_a_survey_in_tiles_are_labelled_again(quick, tmp_path):
+    """A re-labelling reads the pieces as one; a build in tiles that would lose the label is refused."""
+    db = tmp_path / "town.sqlite"
+    db.write_bytes(quick.read_bytes())
+    msbdb.relabel(db, {1: "vegetation"})
+    assert msbdb.classes(db)["labelled_by"].tolist()[0] == "operator"
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"tile": 20}, ParameterError, "at least 50 m"),
+        ({"tile": 60, "parcels": "w"}, InputError, "does not take parcels"),
+        ({"workers": 2}, ParameterError, "Add --tile"),
+        ({"resume": True}, ParameterError, "Add --tile"),
+    ],
+)
+def test_what_cannot_be_cut_is_refused(files, tmp_path, given, error, words):
+    """The message says what to leave out; no database is made."""
+    if "parcels" in given:
+        file = tmp_path / "parcels.geojson"
+        box = shapely.box(389_050.0, 5_821_030.0, 389_070.0, 5_821_050.0)
+        gpd.GeoDataFrame(geometry=[box], crs=town().points.crs).to_file(file)
+        given = {**given, "parcels": file}
+    with pytest.raises(error, match=words):
+        msbdb.build(files, db=tmp_path / "town.sqlite", **given)
+    assert not (tmp_path / "town.sqlite").exists()
+
+
+def test_labels_are_not_lost(files, quick, tmp_path):
+    """A build in tiles of a survey with labels needs --replace."""
+    db = tmp_path / "town.sqlite"
+    db.write_bytes(quick.read_bytes())
+    msbdb.relabel(db, {1: "vegetation"})
+    with pytest.raises(InputError, match="would lose the labels"):
+        msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M)
+    assert np.count_nonzero(msbdb.classes(db)["labelled_by"] == "operator") == 1

@@ -1,0 +1,84 @@
+"""Tiles on the absolute lattice: they share no ground and leave none out, and know which islands their window cuts."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import CRS
+
+from msbdb.errors import ParameterError
+from msbdb.grid import lattice
+from msbdb.ground.trend import KNOWN_PX
+from msbdb.params import GroundParams
+from msbdb.scale.tilework import aligned
+from msbdb.scale.tiling import GUARD_M, Tile, cut_islands, first_cells, tiles_over
+
+UTM = CRS.from_epsg(32633)
+
+
+@given(
+    places=st.lists(st.tuples(st.floats(-900, 900), st.floats(-900, 900)), min_size=1, max_size=20),
+    side=st.floats(50, 400),
+)
+def test_each_place_is_of_one_tile(places, side):
+    """The tiles of a box own each of its places exactly once."""
+    x, y = np.array(places).T
+    tiles = tiles_over([(x.min(), y.min(), x.max(), y.max())], side)
+    owners = np.sum([tile.owns(x, y) for tile in tiles], axis=0)
+    # A place may lie between the edge of a tile and the same edge counted from the other side, by rounding.
+    near = np.minimum(np.abs(x / side - np.round(x / side)), np.abs(y / side - np.round(y / side))) < 1e-9
+    assert (owners[~near] == 1).all()
+    assert list(tiles) == sorted(set(tiles))
+
+
+def test_tiles_that_are_too_small_are_refused():
+    """The message names a sensible size."""
+    with pytest.raises(ParameterError, match="500 or 1000"):
+        tiles_over([(0, 0, 100, 100)], 10.0)
+
+
+def test_a_region_begins_at_its_first_cell():
+    """The first cell in row order, from the north; a label without cells has none."""
+    spec = lattice((0, 0.1, 3.9, 1.9), 1.0, UTM)
+    labels = np.array([[0, 2, 2, 0], [1, 1, 2, 0]], dtype=np.int32)
+    x, y = first_cells(labels, 3, spec)
+    assert x[:2].tolist() == [0.5, 1.5]
+    assert y[:2].tolist() == [0.5, 1.5]
+    assert np.isnan(x[2])
+
+
+@given(
+    west=st.integers(-500, 500),
+    north=st.integers(-500, 500),
+    cell_m=st.sampled_from([0.3, 0.5, 0.6, 0.8]),
+    corner=st.tuples(st.floats(0, 100), st.floats(0, 100)),
+)
+def test_windows_begin_where_blocks_of_the_terrain_begin(west, north, cell_m, corner):
+    """The window reaches as far as asked for, and the blocks lie where the survey has them, whatever its corner."""
+    params = GroundParams()
+    survey = (1000 + corner[0], 1000.0, 3000.0, 3000 + corner[1])
+    window = (2000.0 + west, 1500.0, 2600.0 + west, 2400.0 + north)
+    found = aligned(window, survey, cell_m, params)
+    assert found[0] <= window[0]
+    assert found[3] >= window[3]
+    assert found[1:3] == window[1:3]
+    ground_m = max(params.ground_cell_m, cell_m / 2)
+    # A point lies on the northern and western edges, as some does in a window of thousands.
+    seen = (found[0], found[1], found[2], found[3] - 1e-6)
+    of_survey, of_window = (lattice(lattice(box, cell_m, UTM).bounds, ground_m, UTM).origin for box in (survey, seen))
+    for size in (KNOWN_PX, round(params.block_m / ground_m)):
+        assert (of_window[0] - of_survey[0]) % size == 0
+        assert (of_window[1] - of_survey[1]) % size == 0
+
+
+def test_an_island_near_the_edge_of_the_window_is_cut():
+    """It counts where it reaches into the tile, and where the survey goes on beyond the edge."""
+    tile, survey = Tile(0, 0, 100.0), (-500.0, -500.0, 500.0, 500.0)
+    window = tile.window(50.0)
+    spec = lattice((window[0], window[1] + 0.1, window[2] - 0.1, window[3]), 1.0, UTM)
+    built = spec.holding((60.0, 40.0, 150.0 - GUARD_M + 1, 50.0))
+    assert cut_islands(tile, built, spec, window, survey) == 1
+    assert cut_islands(tile, built, spec, window, (-500.0, -500.0, 150.0, 500.0)) == 0
+    whole = spec.holding((60.0, 40.0, 150.0 - GUARD_M, 50.0))
+    beyond = spec.holding((105.0, 60.0, 150.0, 70.0))
+    assert cut_islands(tile, whole | beyond, spec, window, survey) == 0
