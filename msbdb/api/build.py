@@ -92,8 +92,8 @@ def build(
         Leave out point files that cannot be read, have no points or another CRS than most, or the points of another
         file, with a notice. Otherwise they are an error, which names all of them.
     plan : Plan or path or str, optional
-        The plan of a larger survey, of which this one is a part, or of an earlier one of the place: what `msbdb.plan`
-        returns, its JSON file, or a database whose survey has one. By default the survey makes its own.
+        The plan of a larger survey that this one is a part of, or of an earlier one of the place. It is what
+        `msbdb.plan` returns, its JSON file, or a database whose survey has one. By default the survey makes its own.
     overwrite : bool
         Replace the figure if it exists.
     progress : callable, optional
@@ -165,8 +165,8 @@ def plan(
 ) -> "Plan":
     """Make the plan of a survey: all values that a tile of it cannot know by itself.
 
-    These are the size of the cells, the spacing of the points, which of their attributes hold information, the scales,
-    thresholds that come from histograms, and the classes of colours (docs/plan.md).
+    These are the size of the cells, the spacing of the points, and which of their attributes hold information. The
+    scales, thresholds that come from histograms and the classes of colours belong to them too (docs/plan.md).
 
     Parameters
     ----------

@@ -257,7 +257,7 @@ class Command(click.Command):
     examples : tuple of str
         Complete command lines; they end the help and are part of the docs.
     instead : bool
-        Options may stand in place of the arguments: where an option comes first, there are no arguments.
+        Options may take the place of the arguments: where an option comes first, there are no arguments.
     """
 
     def __init__(

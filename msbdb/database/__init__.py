@@ -23,6 +23,17 @@ from msbdb.database.dialects.connection import (
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.examples import ExampleQuery, example_queries, find_example, run_example
+from msbdb.database.features import (
+    LAYERS,
+    FeatureLayer,
+    FeatureQuery,
+    Rows,
+    ServedState,
+    open_to_read,
+    read_feature,
+    read_page,
+    read_state,
+)
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.joins import Seams, current_pieces, read_pieces
@@ -75,6 +86,7 @@ from msbdb.database.schema.srid import srid_of
 __all__ = [
     "CHECKS",
     "LAST_DAY",
+    "LAYERS",
     "PATIENCE_S",
     "ROLES",
     "Advance",
@@ -83,13 +95,17 @@ __all__ = [
     "DetectorAnswer",
     "Engine",
     "ExampleQuery",
+    "FeatureLayer",
+    "FeatureQuery",
     "Finding",
     "Former",
     "Loss",
     "OutdatedError",
     "Place",
+    "Rows",
     "RunSummary",
     "Seams",
+    "ServedState",
     "ShownLayers",
     "Standing",
     "WriteReport",
@@ -114,6 +130,7 @@ __all__ = [
     "identities",
     "list_runs",
     "open_database",
+    "open_to_read",
     "opened",
     "read_build",
     "read_buildings",
@@ -124,10 +141,12 @@ __all__ = [
     "read_digest",
     "read_events_near",
     "read_fallback",
+    "read_feature",
     "read_flat_regions",
     "read_former",
     "read_history",
     "read_labelled_classes",
+    "read_page",
     "read_parts",
     "read_pieces",
     "read_plan",
@@ -138,6 +157,7 @@ __all__ = [
     "read_scales",
     "read_shown",
     "read_standing",
+    "read_state",
     "read_states",
     "read_survey",
     "read_tables",

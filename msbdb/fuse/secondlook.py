@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_opening
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -17,7 +18,7 @@ MOST = 0.5
 """An object is smooth where this share of its cells is."""
 
 SOME = 0.1
-"""A large object of which less is smooth may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
+"""A large object with a smaller smooth share may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
 
 
 def without_crowns(
@@ -68,6 +69,57 @@ def without_crowns(
     enough = building_probability(np.array([clear]), np.array([HOUSE_M2]), params)
     doubtful = building_probability(support, area_m2, params) < enough
     return decided & ~chosen_cells(labels, doubtful & (smooth < MOST))
+
+
+def without_green(
+    decided: Mask, multiscale: Mask, green: Mask, roughness_m: Field, params: FuseParams, *, cell_m: float
+) -> Mask:
+    """Drop the objects that are mostly green and rough, and that the multi-scale detector does not take at all.
+
+    It alone looks at colours. The others look at shape, and take the same dense row of trees for a roof.
+
+    Parameters
+    ----------
+    decided : (H, W) ndarray of bool
+        Cells of buildings; objects are 8-connected.
+    multiscale : (H, W) ndarray of bool
+        Cells that the multi-scale detector takes; less than a tenth of a dropped object.
+    green : (H, W) ndarray of bool
+        Cells of the colour of vegetation; at least half of a dropped object.
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small window.
+    params : FuseParams
+        ``smooth_m``: as for `without_crowns`; less than half of a dropped object is smooth. ``piece_m2``: a smooth
+        part of another colour, of at least this area, stays. It is a house that the trees touch.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+
+    Examples
+    --------
+    Of two green objects, the smooth one is a planted roof:
+
+    >>> decided = np.array([[True, True, False, True, True]])
+    >>> rough = np.float32([[0.02, 0.03, 1, 0.2, 0.3]])
+    >>> without_green(decided, ~decided, decided, rough, FuseParams(), cell_m=1.0).astype(int)
+    array([[1, 1, 0, 0, 0]])
+    """
+    labels, count = label_zones(decided)
+    area = sizes(labels, count)
+    smooth = roughness_m <= params.smooth_m * max(1.0, cell_m)
+    denied = (
+        (sizes(labels[multiscale], count) < SOME * area)
+        & (sizes(labels[green], count) >= MOST * area)
+        & (sizes(labels[smooth], count) < MOST * area)
+    )
+    trees = chosen_cells(labels, denied)
+    parts, count = label_zones(binary_opening(trees & ~green, np.ones((3, 3), dtype=np.bool_)))
+    area = sizes(parts, count)
+    houses = (area * cell_m**2 >= params.piece_m2) & (sizes(parts[smooth], count) >= MOST * area)
+    return decided & ~trees | chosen_cells(parts, houses)
 
 
 def with_flush_planes(decided: Mask, candidates: Mask, heights: Grid, params: FuseParams) -> Mask:

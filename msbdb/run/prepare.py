@@ -154,7 +154,7 @@ def prepare(
         elevations,
         parcels=parcels,
         surface=surface,
-        cloud=cloud,
+        cloud=draft.cloud,
         bands=bands,
         above=draft.above,
         intensity=intensity,

@@ -64,7 +64,7 @@ def density(points: PointCloud) -> float:
 
     Covered are the 2 m cells that hold a first echo. Sparse points would cover less than their share, and islands far
     apart would need many empty cells. With less than one echo a cell of the bounding box, or four a covered cell, the
-    cells grow, up to `LARGEST_OCCUPANCY_M`, until the cells with points hold four on average.
+    cells grow until the cells with points hold four on average. They grow up to `LARGEST_OCCUPANCY_M`.
 
     Raises
     ------

@@ -58,12 +58,7 @@ def reason_image(relief: Grid, rasters: Sequence[tuple[GridSpec, NDArray[np.uint
 
     The legend has the number, the colour and the meaning of each reason that occurs; the colour is None where clear.
     """
-    step = _step(relief)
-    rows, cols = (np.arange(0, side, step) for side in relief.spec.shape)
-    east, north = relief.spec.xy(*np.meshgrid(rows, cols, indexing="ij"))
-    found = np.full(east.shape, Reason.NO_DATA, dtype=np.uint8)
-    for spec, own in rasters:
-        np.copyto(found, spec.sample(own, east, north, outside=0), where=(found == Reason.NO_DATA))
+    found = reasons_on(relief, rasters, _step(relief))
     if not found.any():
         return None
     colours = np.zeros((len(Reason), 4), dtype=np.uint8)
@@ -71,6 +66,16 @@ def reason_image(relief: Grid, rasters: Sequence[tuple[GridSpec, NDArray[np.uint
         colours[reason] = [*bytes.fromhex(colour[1:]), 255]
     legend = [[int(own), REASON_COLOURS.get(own), REASONS[own]] for own in Reason if (found == own).any()]
     return {"image": image_uri(found, colours), "legend": legend}
+
+
+def reasons_on(relief: Grid, rasters: Sequence[tuple[GridSpec, NDArray[np.uint8]]], step: int = 1) -> NDArray[np.uint8]:
+    """Return the reason of each ``step``-th cell of a grid, by the first raster that has one there."""
+    rows, cols = (np.arange(0, side, step) for side in relief.spec.shape)
+    east, north = relief.spec.xy(*np.meshgrid(rows, cols, indexing="ij"))
+    found = np.full(east.shape, Reason.NO_DATA, dtype=np.uint8)
+    for spec, own in rasters:
+        np.copyto(found, spec.sample(own, east, north, outside=0), where=(found == Reason.NO_DATA))
+    return found
 
 
 def _step(relief: Grid) -> int:

@@ -8,7 +8,7 @@ from pyproj import CRS
 
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.cells import fuse_cells
-from msbdb.fuse.secondlook import with_flush_planes, without_crowns
+from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green
 from msbdb.grid import Grid, lattice
 from msbdb.params import FuseParams
 
@@ -55,6 +55,38 @@ def test_a_large_rough_object_needs_less_support(side, share, smooth_rows, kept)
     rough[5 : 5 + smooth_rows] = 0.02
     found = without_crowns(decided, share * decided, rough, PARAMS, clear=0.625, cell_m=1.0)
     assert np.array_equal(found, decided if kept else np.zeros_like(decided))
+
+
+@pytest.mark.parametrize(
+    ("green_rows", "rough_rows", "taken_rows", "kept"),
+    [(10, 10, 0, False), (6, 6, 0, False), (4, 10, 0, True), (10, 4, 0, True), (10, 10, 2, True)],
+    ids=["trees", "mostly trees", "of another colour", "planted roof", "taken by the multi-scale detector"],
+)
+def test_green_rough_objects_that_only_shape_supports_go(green_rows, rough_rows, taken_rows, kept):
+    """A tenth taken by the detector that looks at colours, a smooth half, or half of another colour keeps an object."""
+    shape = (20, 20)
+    decided = block(shape, (5, 15), (5, 15))
+    green, taken = (block(shape, (5, 5 + rows), (5, 15)) for rows in (green_rows, taken_rows))
+    rough = np.where(block(shape, (5, 5 + rough_rows), (5, 15)), np.float32(0.4), np.float32(0.02))
+    found = without_green(decided, taken, green, rough, PARAMS, cell_m=1.0)
+    assert (np.count_nonzero(found) > 50) == kept
+
+
+def test_a_house_that_trees_touch_stays():
+    """The smooth part of another colour stays, if it has the area of a building; narrow gaps in the green do not."""
+    shape = (20, 60)
+    decided = block(shape, (5, 15), (5, 55))
+    house, gap = block(shape, (5, 15), (5, 15)), block(shape, (5, 15), (30, 32))
+    rough = np.where(house | gap, np.float32(0.02), np.float32(0.4))
+    found = without_green(decided, ~decided, ~(house | gap), rough, PARAMS, cell_m=1.0)
+    np.testing.assert_array_equal(found, house)
+    regions = {name: Regions(name, decided.astype(np.int32), None, None, {}) for name in ("flat", "area3d", "adaptive")}
+    regions["multiscale"] = Regions("multiscale", np.zeros(shape, dtype=np.int32), None, None, {})
+    evidence = Evidence(np.rint(1000 * rough).astype(np.uint16), np.full(shape, 200, dtype=np.uint8))
+    heights = grid(np.where(decided, 6.0, 0.0))
+    fused = fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence, green=~house)
+    np.testing.assert_array_equal(fused, house)
+    np.testing.assert_array_equal(fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence), decided)
 
 
 def test_each_object_is_judged_by_itself():

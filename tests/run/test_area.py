@@ -104,6 +104,20 @@ def test_only_what_lies_in_the_area_is_built(scene, files, tmp_path):
     assert (columns[-1] + 1) * 0.8 + record["bounds"][0] <= shape.bounds[2] + 0.8
 
 
+def test_all_detectors_see_only_the_area(scene, files, tmp_path):
+    """Points beyond the area are read for the terrain, and give no region, no building and no rejection."""
+    west, south, east, north = scene.points.bounds
+    half = (west + east) / 2
+    area = district(tmp_path / "half.geojson", shapely.box(west, south, half, north), scene.points.crs)
+    msbdb.build(files[:1], db=tmp_path / "half.sqlite", survey="town", params=CELL, aoi=area)
+    with msbdb.open(tmp_path / "half.sqlite") as part:
+        found = [part.buildings(), part.candidates(), part.flat_regions()]
+    assert all(len(frame) for frame in found)
+    for frame in found:
+        assert frame.total_bounds[2] <= half + 4, "an outline may grow by a few cells"
+    assert set(found[1]["method"]) == {"adaptive", "area3d"}
+
+
 def test_the_edge_of_an_area_cuts_a_building(scene, tmp_path):
     """Cells are inside by their centres, so that two areas share no cell and leave none out."""
     crs, spec = scene.points.crs, scene.spec
