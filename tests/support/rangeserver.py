@@ -39,6 +39,7 @@ class Handler(BaseHTTPRequestHandler):
         data = file.read_bytes()
         wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
         part = data[int(wanted[1]) : int(wanted[2]) + 1] if wanted and self.sent.ranges else data
+        self.sent.answers.append(len(part))  # before the client can have it
         self.send_response(206 if wanted and self.sent.ranges else 200)
         if wanted and self.sent.ranges:
             self.send_header("Content-Range", f"bytes {wanted[1]}-{int(wanted[1]) + len(part) - 1}/{len(data)}")
@@ -46,7 +47,6 @@ class Handler(BaseHTTPRequestHandler):
         self.send_header("ETag", f'"{file.stat().st_mtime_ns}"')
         self.end_headers()
         self.wfile.write(part)
-        self.sent.answers.append(len(part))
 
     def log_message(self, *_: object) -> None:
         """Be silent."""
