@@ -1,7 +1,8 @@
 """Multi-scale building databases from airborne LiDAR and imagery.
 
-The names below are the public interface. `msbdb.api` also has ``evaluate``, ``export`` and ``view``: here these names
-belong to packages. An open database has them as methods. Libraries that take time to load are imported when used.
+The names below are the public interface. `msbdb.api` also has ``evaluate``, ``export``, ``serve`` and ``view``: here
+these names belong to packages. An open database has all of them but ``serve`` as methods. Libraries that take time to
+load are imported when used.
 
 Examples
 --------

@@ -92,7 +92,8 @@ class ServedTown:
 
     def now(self) -> tuple[ServedState, API]:
         """Return the committed state, and pygeoapi for it."""
-        state = read_state(self.engine)
+        made = self._made
+        state = read_state(self.engine, None if made is None else made[0])
         with self._lock:
             if self._made is None or self._made[0] != state:
                 self._made = state, API(self._configuration(state), {})
@@ -106,7 +107,7 @@ class ServedTown:
         MsbdbError
             When the town is too large for a page, or MapLibre GL JS is missing.
         """
-        token = read_state(self.engine).token
+        token = self.now()[0].token
         with self._page_lock:
             if self._page is None or self._page[0] != token:
                 with tempfile.TemporaryDirectory() as folder, collected_notices() as notices:
