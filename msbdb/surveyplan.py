@@ -44,10 +44,13 @@ class PointFacts:
         Points from which it is known.
     density : float
         First echoes a square metre of covered ground.
-    spacing_m, typical_m : float
-        Mean and median spacing of the first echoes, metres (`msbdb.points.cloud.measure_spacing`).
+    spacing_m, typical_m, link_m : float
+        Mean and median spacing of the first echoes, and their least link, metres (`msbdb.points.cloud.Density`).
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
+    under_m : float
+        Where echoes have no numbers, points that lie under others within this distance are later ones, metres; 0 where
+        none are (`msbdb.points.laterechoes`).
     ground_share : float
         Share of the points in class 2.
     colours : tuple of str
@@ -63,8 +66,10 @@ class PointFacts:
     density: float
     spacing_m: float
     typical_m: float
+    link_m: float
     numbered: bool
     echoes: bool
+    under_m: float
     ground_share: float
     colours: tuple[str, ...]
     intensity: bool
@@ -251,11 +256,13 @@ def _listed(values: tuple[float, ...]) -> str:
 
 def _of_points(facts: PointFacts) -> dict[str, str]:
     """Return the facts of points in words."""
-    has = {"several echoes a pulse": facts.echoes, "intensity": facts.intensity} | dict.fromkeys(facts.colours, True)
+    has = {"several echoes a pulse": facts.echoes, "later echoes without numbers": facts.under_m > 0}
+    has |= {"intensity": facts.intensity} | dict.fromkeys(facts.colours, True)
     return {
         "points": f"{facts.points:,}, {100 * facts.ground_share:.0f} % in class 2",
         "density": f"{facts.density:.1f} first echoes",
-        "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground",
+        "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground, "
+        f"links of {facts.link_m:.2f} m",
         "points have": ", ".join(name for name, there in has.items() if there) or "coordinates alone",
         "elevations": "; ".join(f"{low:.1f} to {high:.1f} m" for low, high in facts.levels_m),
     }

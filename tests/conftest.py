@@ -73,7 +73,7 @@ def no_network() -> Iterator[None]:
     """Let no test of this process reach another machine; PostGIS is reached by libpq, which opens its own sockets."""
 
     def connect(own: socket.socket, address: object) -> None:
-        if own.family != socket.AF_UNIX:
+        if own.family != socket.AF_UNIX and not (isinstance(address, tuple) and address[0] == "127.0.0.1"):
             msg = f"A test connects to {address}; tests use no network."
             raise RuntimeError(msg)
         original(own, address)

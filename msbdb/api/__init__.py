@@ -1,4 +1,4 @@
-"""What users call: build, plan, tiles, update, measure, classify, evaluate, view, export, changes, open, query, why.
+"""What users call: build, plan, tiles, update, measure, classify, evaluate, view, serve, export, open, query, why.
 
 The modules here declare the public functions. Libraries that take time to load are imported when they are used.
 """
@@ -15,7 +15,7 @@ from msbdb.api.inventory import (
     update,
 )
 from msbdb.api.opened import Inventory, open
-from msbdb.api.outputs import evaluate, evaluate_points, export, info, qgis, queries, query, view, why
+from msbdb.api.outputs import evaluate, evaluate_points, export, info, qgis, queries, query, serve, view, why
 from msbdb.run.reports import (
     AdvanceReport,
     BuildReport,
@@ -54,6 +54,7 @@ __all__ = [
     "query",
     "read_plan",
     "relabel",
+    "serve",
     "set_state",
     "summary",
     "tiles",

@@ -57,7 +57,8 @@ def build(
     ----------
     points : path or sequence of path
         LAS, LAZ or COPC files, with or without ``dtm``; or give ``dsm`` with ``dtm``, or ``ndsm``, as GeoTIFF. A
-        folder, a pattern such as ``tiles/*.laz``, or a virtual point cloud (``.vpc``) stands for its files.
+        folder, a pattern such as ``tiles/*.laz``, a virtual point cloud (``.vpc``), or a tile index with a column
+        ``location`` or ``url`` stands for its files. COPC files may be at http and https URLs.
     ortho : path or sequence of path
         Orthophotos of any bands, each on its own grid and CRS. Without them the points' colours serve.
     dsm, dtm, ndsm : path, optional
@@ -97,8 +98,8 @@ def build(
         Leave out point files that cannot be read, have no points or another CRS than most, or the points of another
         file, with a notice. Otherwise they are an error, which names all of them.
     plan : Plan or path or str, optional
-        The plan of a larger survey, of which this one is a part, or of an earlier one of the place: what `msbdb.plan`
-        returns, its JSON file, or a database whose survey has one. By default the survey makes its own.
+        The plan of a larger survey that this one is a part of, or of an earlier one of the place. It is what
+        `msbdb.plan` returns, its JSON file, or a database whose survey has one. By default the survey makes its own.
     tile : float, optional
         Build in square tiles of this side, metres: a tile is in memory at a time, whatever the area (docs/scale.md).
     workers : int, optional
@@ -189,8 +190,8 @@ def plan(
 ) -> "Plan":
     """Make the plan of a survey: all values that a tile of it cannot know by itself.
 
-    These are the size of the cells, the spacing of the points, which of their attributes hold information, the scales,
-    thresholds that come from histograms, and the classes of colours (docs/plan.md).
+    These are the size of the cells, the spacing of the points, and which of their attributes hold information. The
+    scales, thresholds that come from histograms and the classes of colours belong to them too (docs/plan.md).
 
     Parameters
     ----------

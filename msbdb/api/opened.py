@@ -83,10 +83,13 @@ class Inventory:
         return self._read.read_rejection_counts(self.engine, survey)
 
     def view(
-        self, out: str | Path, survey: str | None = None, *, of: str = "buildings", overwrite: bool = False
+        self,
+        out: str | Path,
+        survey: str | None = None,
+        **options: Any,  # noqa: ANN401  (those of msbdb.api.view)
     ) -> None:
         """Write a page in 3-D (.html) or a map; the options are those of `msbdb.api.view`."""
-        view(self.db, Path(out), survey=survey, of=of, overwrite=overwrite)
+        view(self.db, Path(out), survey=survey, **options)
 
     def export(
         self,

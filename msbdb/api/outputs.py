@@ -1,6 +1,6 @@
 """What comes out of a database: data frames, plain values, maps, files, and the comparison with a reference."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,7 +106,14 @@ def why(db: str | Path, x: float, y: float, *, survey: str | None = None, crs: s
 
 
 def view(
-    db: str | Path, out: Path, *, survey: str | None = None, of: str = "buildings", overwrite: bool = False
+    db: str | Path,
+    out: Path,
+    *,
+    survey: str | None = None,
+    what: str = "parts",
+    aoi: Path | None = None,
+    ortho: Path | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a page of the town in 3-D, or draw a map on a hillshade.
 
@@ -119,16 +126,22 @@ def view(
     survey : str, optional
         By default the current inventory; without an inventory all surveys, the newest on top. Surveys too far from the
         newest one for the same map are left out, with a notice.
-    of : {'buildings', 'flatregions', 'area3d', 'adaptive'}
-        Footprints and parts by scale and height, flat regions by their zone, or candidate regions by their height. The
-        page has buildings.
+    what : str
+        Of a map: 'parts' by scale and height; 'footprints' by height; 'detectors', how many support each building;
+        'change', the net changes of the inventory; 'probability'; 'reasons', why there is no building; 'flatregions' by
+        their zone; candidate regions of 'area3d' or 'adaptive' by their height. The page has them all but regions.
+    aoi : path, optional
+        A file of polygons: draw what meets them, and the surface within their bounds.
+    ortho : path, optional
+        An orthophoto of any bands, grid and CRS, which the page contains as a layer of the ground.
     overwrite : bool
         Replace the file if it exists.
 
     Raises
     ------
     InputError
-        For another ending, an unknown survey, or a page of more buildings and parts than a browser can show.
+        For another ending, an unknown survey or map, an area beside the surveys, or a page of more buildings and parts
+        than a browser can show.
     FileError
         When the file exists already, or cannot be written.
     MissingDependencyError
@@ -136,19 +149,73 @@ def view(
 
     Notes
     -----
-    The page is one file that opens without a network. It shows the dates of the inventory, or the surveys where there
-    is none; docs/view.md describes it.
+    The page is one file that opens without a network. It shows the dates of the inventory, or the surveys of a database
+    without an inventory; docs/view.md describes it.
     """
     from msbdb.io.files import PAGE
 
+    aoi, ortho = (None if path is None else Path(path) for path in (aoi, ortho))
     if Path(out).suffix.lower() == PAGE:
         from msbdb.run.page import view_page
 
-        view_page(db, Path(out), survey=survey, of=of, overwrite=overwrite)
+        view_page(db, Path(out), survey=survey, what=what, aoi=aoi, ortho=ortho, overwrite=overwrite)
         return
+    if ortho is not None:
+        from msbdb.errors import InputError
+
+        msg = "An orthophoto is a layer of the page. Leave out --ortho, or write a page: .html."
+        raise InputError(msg)
     from msbdb.run.outputs import draw
 
-    draw(db, Path(out), survey=survey, of=of, overwrite=overwrite)
+    draw(db, Path(out), survey=survey, what=what, aoi=aoi, overwrite=overwrite)
+
+
+def serve(
+    db: str | Path,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    url: str | None = None,
+    started: Callable[[str], None] = print,
+) -> None:
+    """Serve a database to browsers and GIS clients until an interrupt; nothing can be written through it.
+
+    Parameters
+    ----------
+    db : str or path
+        The database.
+    host : str
+        The address to listen at. The default one is reached from this machine alone.
+    port : int
+        0 takes a free one.
+    url : str, optional
+        The address at which clients find the server, where it stands behind another one.
+    started : callable
+        Called with the address as soon as the server listens.
+
+    Raises
+    ------
+    DatabaseError
+        When the database cannot be read.
+    InputError
+        When the server cannot listen at this address.
+    MissingDependencyError
+        When pygeoapi or waitress is not installed.
+
+    Notes
+    -----
+    At ``/`` is OGC API Features, at ``/page`` the page in 3-D; docs/serve.md describes both.
+    """
+    try:
+        from msbdb.serve.httpserver import run_server
+    except ModuleNotFoundError as error:
+        if str(error.name).startswith("msbdb"):
+            raise
+        from msbdb.errors import MissingDependencyError
+
+        msg = f'The server needs the library {error.name}. Install it with: pip install "msbdb[serve]"'
+        raise MissingDependencyError(msg) from error
+    run_server(str(db), host=host, port=port, url=url, started=started)
 
 
 def export(

@@ -39,7 +39,8 @@ _SOURCES = (
         type=POINT_FILES,
         multiple=True,
         metavar="FILE...",
-        help="LAS, LAZ or COPC files of one survey; a folder, a pattern in quotes, or a virtual point cloud (.vpc).",
+        help="LAS, LAZ or COPC files of one survey; a folder, a pattern in quotes, a virtual point cloud (.vpc), a "
+        "tile index, or the URL of a COPC file.",
     ),
     click.option(
         "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."

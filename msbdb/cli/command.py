@@ -42,15 +42,16 @@ class InputFile(click.Path):
 
 
 class PointFiles(InputFile):
-    """A point file that exists, or a folder, a pattern or a virtual point cloud that stands for several."""
+    """A point file that exists or is remote, or a folder, a pattern or an index that stands for several."""
 
     def convert(
         self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None
     ) -> str | bytes | os.PathLike[str]:
         """Return the path."""
+        from msbdb.io.files import url_of
         from msbdb.io.pointfiles import is_many
 
-        return Path(value) if is_many(value) else super().convert(value, param, ctx)
+        return Path(value) if is_many(value) or url_of(value) is not None else super().convert(value, param, ctx)
 
 
 INPUT_FILE = InputFile(exists=True, path_type=Path)
@@ -256,7 +257,7 @@ class Command(click.Command):
     examples : tuple of str
         Complete command lines; they end the help and are part of the docs.
     instead : bool
-        Options may stand in place of the arguments: where an option comes first, there are no arguments.
+        Options may take the place of the arguments: where an option comes first, there are no arguments.
     """
 
     def __init__(

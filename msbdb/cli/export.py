@@ -92,8 +92,8 @@ def export(
     the other formats have one layer. docs/export.md has the fields of each.
 
     Formats with a schema of their own have buildings with their parts: .city.json (CityJSON), .city.jsonl
-    (CityJSONSeq), .xml (exposure for OpenQuake), .building.parquet and .building_part.parquet (Overture), and
-    .inspire.gpkg (INSPIRE). docs/export-standards.md has their fields and options.
+    (CityJSONSeq), .glb (glTF), .xml (exposure for OpenQuake), .building.parquet and .building_part.parquet (Overture),
+    and .inspire.gpkg (INSPIRE). docs/export-standards.md has their fields and options.
 
     By default the file has the current inventory: footprint and part, flat_region and candidate_region. Without an
     inventory all surveys are written, the newest first, with the survey of each row. An empty database gives an empty

@@ -9,6 +9,7 @@ from msbdb.cli.export import export, qgis
 from msbdb.cli.inventory import changes, import_, measure, state, update
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params, plan
+from msbdb.cli.serve import serve
 from msbdb.cli.tiles import tiles
 from msbdb.threads import end_now, share_one_heap
 from msbdb.version import __version__
@@ -32,6 +33,7 @@ for _command in (
     why,
     classes,
     view,
+    serve,
     export,
     qgis,
     evaluate,

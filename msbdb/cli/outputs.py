@@ -220,8 +220,10 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
     "view",
     examples=(
         "msbdb view town.sqlite --out town.html",
+        "msbdb view town.sqlite --ortho rgb.tif --out town.html",
         "msbdb view town.sqlite --out town.png",
-        "msbdb view town.sqlite --of flatregions --out zones.png",
+        "msbdb view town.sqlite --what reasons --out reasons.pdf",
+        "msbdb view town.sqlite --what flatregions --aoi centre.gpkg --out zones.png",
     ),
 )
 @shared("db")
@@ -233,25 +235,30 @@ def why(*, db: str, at: tuple[float, float], crs: str | None, survey: str | None
     help="The file: .html for a page in 3-D; .png, .svg or .pdf for a map.",
 )
 @click.option(
-    "--of",
-    type=click.Choice(["buildings", *REGION_DETECTORS]),
-    default="buildings",
+    "--what",
+    type=click.Choice(["parts", "footprints", "detectors", "change", "probability", "reasons", *REGION_DETECTORS]),
+    default="parts",
     show_default=True,
-    help="What to draw.",
+    help="What a map shows; the page has all but regions.",
 )
+@click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: draw what meets them, within their bounds.")
+@click.option("--ortho", type=INPUT_FILE, metavar="FILE", help="An orthophoto as a layer of the page.")
 @shared("overwrite", "survey")
-def view(*, db: str, out: Path, of: str, overwrite: bool, survey: str | None) -> None:
-    """Write a page of the town in 3-D, or draw a map of the buildings or of the regions of another detector.
+def view(
+    *, db: str, out: Path, what: str, aoi: Path | None, ortho: Path | None, overwrite: bool, survey: str | None
+) -> None:
+    """Write a page of the town in 3-D, or draw a map of its buildings, of the reasons for none, or of regions.
 
     The page is one file that any browser opens without a network: parts as blocks from coarse to fine, colours, dates
     with what changed, a building's tree and evidence, and why there is no building at a place. Maps lie on a hillshade
-    of the surface. Parts of buildings are outlined by scale and filled by height. Flat regions are coloured by their
-    zone. Candidate regions are coloured by the height scale that accepted them, or by their height. Without --survey,
-    the inventory is shown; without an inventory all surveys near the newest, which is on top.
+    of the surface. Parts of buildings are outlined by scale and filled by height. Footprints are filled by height, by
+    the number of detectors that support them, or by probability. Changes are those of 'msbdb changes'. Flat regions
+    are coloured by their zone. Candidate regions are coloured by the height scale that accepted them, or by their
+    height. Without --survey, the inventory is shown; without an inventory all surveys near the newest, which is on top.
     """
     from msbdb import api
 
-    api.view(db, out, survey=survey, of=of, overwrite=overwrite)
+    api.view(db, out, survey=survey, what=what, aoi=aoi, ortho=ortho, overwrite=overwrite)
     say(f"Wrote {out}.")
 
 

@@ -191,7 +191,7 @@ def progress_bar(plan: Mapping[str, float] | None = None) -> Iterator[Progress |
     Parameters
     ----------
     plan : mapping of str to float, optional
-        As for `Estimate`. With it the compilation of kernels, which comes once after an installation, is told.
+        As for `Estimate`. It also announces the compilation of kernels, which comes once after an installation.
     """
     if output.is_quiet() or not output.on_terminal():
         yield None
@@ -233,7 +233,7 @@ class _Compiling:
         self._lock = Lock()
 
     def tell(self, *, begins: bool, estimate: Estimate) -> None:
-        """Count a compilation that begins or ends; the first one is told above the bar."""
+        """Count a compilation that begins or ends; the first one is announced above the bar."""
         with self._lock:
             self.now += 1 if begins else -1
             if begins and self.now == 1:

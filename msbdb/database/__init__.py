@@ -23,6 +23,17 @@ from msbdb.database.dialects.connection import (
 from msbdb.database.dialects.dialect import shown
 from msbdb.database.dialects.rights import ROLES, grant_role
 from msbdb.database.examples import ExampleQuery, example_queries, find_example, run_example
+from msbdb.database.features import (
+    LAYERS,
+    FeatureLayer,
+    FeatureQuery,
+    Rows,
+    ServedState,
+    open_to_read,
+    read_feature,
+    read_page,
+    read_state,
+)
 from msbdb.database.history.days import LAST_DAY, first_day, require_past
 from msbdb.database.history.entries import write_import, write_samples, write_state
 from msbdb.database.history.joins import Seams, current_pieces, read_pieces
@@ -85,6 +96,7 @@ from msbdb.database.schema.srid import srid_of
 __all__ = [
     "CHECKS",
     "LAST_DAY",
+    "LAYERS",
     "LINKS",
     "METHODS",
     "PATIENCE_S",
@@ -96,6 +108,8 @@ __all__ = [
     "DetectorAnswer",
     "Engine",
     "ExampleQuery",
+    "FeatureLayer",
+    "FeatureQuery",
     "Finding",
     "Former",
     "Loss",
@@ -103,8 +117,10 @@ __all__ = [
     "OutdatedError",
     "Piece",
     "Place",
+    "Rows",
     "RunSummary",
     "Seams",
+    "ServedState",
     "ShownLayers",
     "Standing",
     "TileStatus",
@@ -133,6 +149,7 @@ __all__ = [
     "merge_tiles",
     "note_tile",
     "open_database",
+    "open_to_read",
     "opened",
     "read_build",
     "read_buildings",
@@ -143,10 +160,12 @@ __all__ = [
     "read_digest",
     "read_events_near",
     "read_fallback",
+    "read_feature",
     "read_flat_regions",
     "read_former",
     "read_history",
     "read_labelled_classes",
+    "read_page",
     "read_parts",
     "read_pieces",
     "read_plan",
@@ -158,6 +177,7 @@ __all__ = [
     "read_scales",
     "read_shown",
     "read_standing",
+    "read_state",
     "read_states",
     "read_survey",
     "read_tables",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 from msbdb.errors import InputError
 from msbdb.io.layers import Layer, texts
 from msbdb.tables import Survey
+from msbdb.tables.view_columns import IDS
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -16,12 +17,6 @@ ROOF_EDGES = (
     "straight walls, 'traced' ones follow cells (outline_source)."
 )
 """The description that files carry, where their format has one."""
-
-IDS = (
-    "part_id", "uid", "building_id", "supid", "root_id", "version_id", "region_id", "candidate_id", "change_id",
-    "uid_before", "uid_after", "version_before", "version_after",
-)  # fmt: skip
-"""Columns of ids. Files have them as text, because browsers and spreadsheets round numbers above 2^53."""
 
 WHATS = ("current", "survey", "changes", "parts", "evidence")
 """What may be exported: the inventory, a survey as it found the buildings, changes, parts, or evidence by detector."""

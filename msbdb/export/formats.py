@@ -21,6 +21,7 @@ from msbdb.export.plainfiles import (
 from msbdb.export.standards.cityjson import write_cityjson, write_cityjsonseq
 from msbdb.export.standards.exposure import OPTIONS as EXPOSURE
 from msbdb.export.standards.exposure import write_exposure
+from msbdb.export.standards.gltf import write_gltf
 from msbdb.export.standards.inspire import OPTIONS as INSPIRE
 from msbdb.export.standards.inspire import write_inspire
 from msbdb.export.standards.overture import write_overture, write_parts
@@ -84,6 +85,7 @@ FORMATS: dict[str, Format] = {
         Format("dxf", "DXF", (".dxf",), write_dxf, single=True),
         Format("cityjson", "CityJSON 2.0", (".city.json", ".json"), write_cityjson, needs=TOWN),
         Format("cityjsonseq", "CityJSONSeq", (".city.jsonl", ".jsonl"), write_cityjsonseq, needs=TOWN),
+        Format("gltf", "glTF, binary", (".glb",), write_gltf, needs=TOWN),
         Format("openquake", "OpenQuake exposure", (".xml", ".csv"), write_exposure, needs=TOWN, options=EXPOSURE),
         Format("overture", "Overture buildings", (".building.parquet", ".parquet"), write_overture, needs=TOWN),
         Format("overture-parts", "Overture parts", (".building_part.parquet", ".parquet"), write_parts, needs=TOWN),

@@ -9,11 +9,12 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError
-from msbdb.export.content import IDS, ROOF_EDGES, Content
+from msbdb.export.content import ROOF_EDGES, Content
 from msbdb.export.fields import short_name
 from msbdb.io.files import write_atomic
 from msbdb.io.layers import Layer, write_layers
 from msbdb.tables.aliases import LAYER_WORDS
+from msbdb.tables.view_columns import IDS
 
 
 def write_shapefile(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Evidence, Regions
-from msbdb.fuse.secondlook import with_flush_planes, without_crowns
+from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green, without_rough
 from msbdb.grid import Grid
 from msbdb.labels import Labels, Pairs, around, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
@@ -24,6 +24,7 @@ def fuse_cells(
     *,
     mask_m: float,
     evidence: Evidence | None = None,
+    green: Mask | None = None,
 ) -> Mask:
     """Decide for each cell whether it is building, from the regions of all detectors that were run.
 
@@ -32,8 +33,8 @@ def fuse_cells(
     along steps. The cheapest division of all cells is taken (`msbdb.labels.minimum_cut`). Holes and pieces smaller
     than ``piece_m2`` are filled and dropped, and bumps and notches of a cell at the edges go. Cells below the mask stay
     where they are the edge of one building; those that would join two buildings do not. A second look
-    (`msbdb.fuse.secondlook`) drops rough objects that hardly enough detectors support, and adds smooth regions that lie
-    flush with a building.
+    (`msbdb.fuse.secondlook`) drops rough objects that hardly enough detectors support, or that are green, and adds
+    smooth regions that lie flush with a building.
 
     Parameters
     ----------
@@ -47,6 +48,8 @@ def fuse_cells(
         Height of the mask (V17), metres.
     evidence : Evidence, optional
         The cells' roughness, for the second look; without it no second look is taken.
+    green : (H, W) ndarray of bool, optional
+        Cells of the colour of vegetation, where there is imagery.
 
     Returns
     -------
@@ -83,6 +86,10 @@ def fuse_cells(
     limit_m = params.smooth_m * max(1.0, heights.spec.cell_m)
     share, clear = np.asarray(votes / len(regions), dtype=np.float32), (needed + 1) / len(regions)
     decided = without_crowns(decided, share, roughness_m, params, clear=clear, cell_m=heights.spec.cell_m)
+    decided = without_rough(decided, roughness_m, heights, params)
+    if green is not None and "multiscale" in regions:
+        multiscale = regions["multiscale"].labels > 0
+        decided = without_green(decided, multiscale, green, roughness_m, params, cell_m=heights.spec.cell_m)
     smooth = (votes > 0) & (roughness_m <= limit_m) & (np.asarray(heights.values) >= mask_m)
     return _tidy(with_flush_planes(decided, smooth, heights, params), heights, params, mask_m)
 

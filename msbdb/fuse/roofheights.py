@@ -89,11 +89,13 @@ def measure_heights(
     -----
     - Ground: cells near the building and outside of all buildings where the surface itself is at the terrain. Where
       none is near, farther ones count, and then the terrain beneath the building.
-    - Eaves: the level of that roof of weight up to which half of the area of all roofs of weight lies.
+    - Pieces without weight, such as dormers and cells beside a step, count for the nearest roof of weight in their
+      building.
+    - Eaves: the level of that roof of weight up to which half of the building's area lies.
     - Ridge: the highest of the roofs of weight.
     - Storeys: of the eaves by V18. Their range follows from low and tall storeys and from the slope of the ground.
       ``storeys_top`` are those of the highest eaves of the roofs of weight, as of a tower on a podium. The floor area
-      counts the area of each roof of weight by the storeys of its own eaves, and the rest by those of the building.
+      counts the area of each roof of weight by the storeys of its own eaves.
     - Without a terrain all levels are above ground, and those above sea are NaN.
 
     Border and nodata: what lies beyond the lattice has no height. A cell without a height is in no roof.
@@ -103,11 +105,12 @@ def measure_heights(
     found = roofs_of(labels, level, params)
     area_m2 = sizes(labels, count).astype(np.float64) * ndsm.spec.cell_area_m2
     heavy = _of_weight(found, area_m2, params)
-    eaves, top, ridge = _levels(found, heavy, count)
+    shares_m2 = _with_pieces(found, heavy, ndsm.spec.cell_area_m2)
+    eaves, top, ridge = _levels(found, heavy, shares_m2, count)
     ground, nodata = _around(labels, count, ndsm, terrain, params)
     z_ground, low, high = (np.round(one, 2) for one in ground)
     own = storeys(eaves - z_ground, surface)
-    of_roofs = np.where(heavy, storeys(found.eaves - z_ground[found.building], surface), own[found.building])
+    of_roofs = storeys(found.eaves - z_ground[found.building], surface)
     known = np.nan if elevations.terrain_cm is None else 0.0
     fewest = np.clip(np.ceil((eaves - high - params.roof_build_m) / params.tall_storey_m), 1, own)
     most = np.maximum(np.floor((eaves - low) / params.low_storey_m), own)
@@ -124,7 +127,7 @@ def measure_heights(
             "storeys_min": fewest.astype(np.int64),
             "storeys_max": most.astype(np.int64),
             "storeys_top": storeys(top - z_ground, surface),
-            "floor_area_m2": sums(found.building + 1, found.area_m2 * of_roofs, count),
+            "floor_area_m2": sums(found.building + 1, shares_m2 * of_roofs, count),
             "nodata_share": nodata,
             **_seen(labels, count, elevations, ndsm.spec.cell_area_m2),
         }
@@ -266,10 +269,29 @@ def _of_weight(roofs: Roofs, area_m2: Floats, params: HeightParams) -> Mask:
     return heavy
 
 
-def _levels(roofs: Roofs, heavy: Mask, count: int) -> tuple[Floats, Floats, Floats]:
+def _with_pieces(roofs: Roofs, heavy: Mask, cell_area_m2: float) -> Floats:
+    """Return the area for which each roof counts: its own, and the pieces without weight that are nearest to it.
+
+    Where two roofs are nearly equal, the pieces decide which of them is the larger one. Returns (R,), zero for pieces.
+    """
+    building = np.append(0, roofs.building + 1)[roofs.labels]
+    weighty = np.append(False, heavy)[roofs.labels]
+    several = np.bincount(roofs.building[heavy], minlength=1) > 1
+    only = np.zeros(several.size + 1, dtype=np.int32)
+    only[roofs.building[heavy] + 1] = np.flatnonzero(heavy) + 1
+    counted = only[building]
+    for number, window in boxes(building).items():
+        if several[number - 1]:
+            own = building[window] == number
+            rows, cols = distance_transform_edt(~(own & weighty[window]), return_distances=False, return_indices=True)
+            counted[window][own] = roofs.labels[window][rows, cols][own]
+    return sizes(counted, heavy.size).astype(np.float64) * cell_area_m2
+
+
+def _levels(roofs: Roofs, heavy: Mask, shares_m2: Floats, count: int) -> tuple[Floats, Floats, Floats]:
     """Return the eaves, the highest eaves and the ridge of each building, by its roofs of weight; NaN without any."""
     order = np.flatnonzero(heavy)[np.lexsort((roofs.eaves[heavy], roofs.building[heavy]))]
-    building, area_m2, level = roofs.building[order], roofs.area_m2[order], roofs.eaves[order]
+    building, area_m2, level = roofs.building[order], shares_m2[order], roofs.eaves[order]
     total = sums(building + 1, area_m2, count)
     reached = np.cumsum(area_m2) - (np.cumsum(total) - total)[building]
     # Of equal halves the lower one counts, also where sums of areas are rounded.

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_opening, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -9,6 +10,7 @@ from msbdb.fuse.probability import HOUSE_M2, building_probability
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, neighbours, sizes, sums
 from msbdb.params import FuseParams
+from msbdb.surface.texture import NO_PLANE_M
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
@@ -17,7 +19,26 @@ MOST = 0.5
 """An object is smooth where this share of its cells is."""
 
 SOME = 0.1
-"""A large object of which less is smooth may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
+"""A large object with a smaller smooth share may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
+
+
+HARDLY = 0.2
+"""An object with a smaller smooth share is rough throughout: on such cells roofs have 0.22 and more."""
+
+FINE_M = 0.75
+"""On larger cells, those of fewer than 2 points/m², narrow roofs are as rough as crowns."""
+
+BARE_M = 0.5
+"""Cells up to this height show how rough even surfaces of the survey are."""
+
+AROUND_M = 30.0
+"""The side of the square whose bare cells count."""
+
+LEAST_M = 0.001
+"""The least roughness that counts, a millimetre."""
+
+NOISE = 3.0
+"""A cell that is rougher than so many times the bare cells around it is no even surface."""
 
 
 def without_crowns(
@@ -61,13 +82,129 @@ def without_crowns(
     labels, count = label_zones(decided)
     area = sizes(labels, count)
     support = sums(labels, share, count) / area
-    limit_m = params.smooth_m * max(1.0, cell_m)
-    smooth = sizes(labels[roughness_m <= limit_m], count) / area
+    smooth = _share_of_known(
+        labels, count, roughness_m <= params.smooth_m * max(1.0, cell_m), roughness_m, unknown=MOST
+    )
     # Smaller objects than a house need no more support than it: their smoothness decides.
     area_m2 = np.where(smooth >= SOME, np.maximum(area * cell_m**2, HOUSE_M2), HOUSE_M2)
     enough = building_probability(np.array([clear]), np.array([HOUSE_M2]), params)
     doubtful = building_probability(support, area_m2, params) < enough
     return decided & ~chosen_cells(labels, doubtful & (smooth < MOST))
+
+
+def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: FuseParams) -> Mask:
+    """Drop the objects that are rough nearly throughout, whatever supports them: hedges and dense groups of crowns.
+
+    Rough is what exceeds both the noise of a scanner and that of the bare cells around it. So a noisy survey, or two
+    strips that do not fit, make no roof rough. On cells larger than `FINE_M` nothing is dropped.
+
+    Parameters
+    ----------
+    decided : (H, W) ndarray of bool
+        Cells of buildings; objects are 8-connected.
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small window; `msbdb.surface.texture.NO_PLANE_M` where it is not known.
+    heights : Grid
+        Heights above ground, metres.
+    params : FuseParams
+        ``smooth_m``.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+
+    Notes
+    -----
+    The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
+    alone counts. Border: the square ends at the lattice.
+
+    Examples
+    --------
+    Two objects on even ground, one of them a hedge:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec = lattice((0, 0.1, 2.4, 0.4), 0.5, CRS.from_epsg(2154))
+    >>> heights = Grid(np.float32([[4, 4, 0, 4, 4]]), np.ones((1, 5), dtype=bool), spec)
+    >>> rough = np.float32([[0.02, 0.03, 0.02, 0.3, 0.2]])
+    >>> without_rough(np.asarray(heights.values) > 2, rough, heights, FuseParams()).astype(int)
+    array([[1, 1, 0, 0, 0]])
+    """
+    cell_m = heights.spec.cell_m
+    if cell_m > FINE_M:
+        return decided
+    labels, count = label_zones(decided)
+    bare = heights.valid & (np.asarray(heights.values) < BARE_M) & (roughness_m < NO_PLANE_M)
+    side = 2 * round(AROUND_M / cell_m / 2) + 1
+    weight = uniform_filter(bare.astype(np.float64), side, mode="constant")
+    logs = np.where(bare, np.log(np.maximum(roughness_m, LEAST_M).astype(np.float64)), 0.0)
+    mean = uniform_filter(logs, side, mode="constant") / np.maximum(weight, 1 / side**2)
+    # Less than one bare cell in the square leaves what rounding has left.
+    even_m = np.where(weight * side**2 > 0.5, np.exp(mean), 0.0)
+    smooth = roughness_m <= np.maximum(params.smooth_m, NOISE * even_m)
+    return decided & ~chosen_cells(labels, _share_of_known(labels, count, smooth, roughness_m, unknown=1.0) < HARDLY)
+
+
+def _share_of_known(
+    labels: Labels, count: int, smooth: Mask, roughness_m: Field, *, unknown: float
+) -> NDArray[np.float64]:
+    """Return the smooth share of each object's cells of known roughness; ``unknown`` at least if most are unknown."""
+    known = roughness_m < NO_PLANE_M
+    cells = sizes(labels[known], count)
+    share = sizes(labels[known & smooth], count) / np.maximum(cells, 1)
+    found: NDArray[np.float64] = np.where(cells >= MOST * sizes(labels, count), share, np.maximum(share, unknown))
+    return found
+
+
+def without_green(
+    decided: Mask, multiscale: Mask, green: Mask, roughness_m: Field, params: FuseParams, *, cell_m: float
+) -> Mask:
+    """Drop the objects that are mostly green and rough, and that the multi-scale detector does not take at all.
+
+    It alone looks at colours. The others look at shape, and take the same dense row of trees for a roof.
+
+    Parameters
+    ----------
+    decided : (H, W) ndarray of bool
+        Cells of buildings; objects are 8-connected.
+    multiscale : (H, W) ndarray of bool
+        Cells that the multi-scale detector takes; less than a tenth of a dropped object.
+    green : (H, W) ndarray of bool
+        Cells of the colour of vegetation; at least half of a dropped object.
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small window.
+    params : FuseParams
+        ``smooth_m``: as for `without_crowns`; less than half of a dropped object is smooth. ``piece_m2``: a smooth
+        part of another colour, of at least this area, stays. It is a house that the trees touch.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+
+    Examples
+    --------
+    Of two green objects, the smooth one is a planted roof:
+
+    >>> decided = np.array([[True, True, False, True, True]])
+    >>> rough = np.float32([[0.02, 0.03, 1, 0.2, 0.3]])
+    >>> without_green(decided, ~decided, decided, rough, FuseParams(), cell_m=1.0).astype(int)
+    array([[1, 1, 0, 0, 0]])
+    """
+    labels, count = label_zones(decided)
+    area = sizes(labels, count)
+    smooth = roughness_m <= params.smooth_m * max(1.0, cell_m)
+    denied = (
+        (sizes(labels[multiscale], count) < SOME * area)
+        & (sizes(labels[green], count) >= MOST * area)
+        & (sizes(labels[smooth], count) < MOST * area)
+    )
+    trees = chosen_cells(labels, denied)
+    parts, count = label_zones(binary_opening(trees & ~green, np.ones((3, 3), dtype=np.bool_)))
+    area = sizes(parts, count)
+    houses = (area * cell_m**2 >= params.piece_m2) & (sizes(parts[smooth], count) >= MOST * area)
+    return decided & ~trees | chosen_cells(parts, houses)
 
 
 def with_flush_planes(decided: Mask, candidates: Mask, heights: Grid, params: FuseParams) -> Mask:

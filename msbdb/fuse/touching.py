@@ -4,7 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.ndimage import binary_fill_holes, distance_transform_edt, median_filter
 
 from msbdb.fuse.joining import MATERIAL, REASONS, Joining
@@ -102,6 +104,10 @@ def divide(
     An island that has ``round_share`` in common with an ellipse, without its courts, is one structure: nothing but
     parcels divides an arena or a tank.
 
+    An island up to ``single_m2`` is one house with its garage and wings, unless its pieces are alike, as pairs and rows
+    of houses are. The smallest piece then has ``alike_share`` of the largest one's area, and their mean heights differ
+    by less than ``level_m``. Parcels divide it in any case.
+
     A piece that shares ``enclosed_share`` or more of its outline with one other piece lies on it or in it. It is no
     house of its own, unless the two lie in two parcels. The same holds for two pieces beside each other and their
     common outline. So a tower and its podium stay together, also where the tower is cut beside its plant room.
@@ -150,14 +156,42 @@ def divide(
     for (one, other), reason in joining.borders().items():
         pair = int(house[one]), int(house[other])
         found[min(pair), max(pair)] = reason
-    if directions is None or intensity is None:
+    if directions is None:
         return Division(houses, found)
-    kept = ~divisible
+    cut = houses
+    if intensity is not None:
+        kept = ~divisible
+        if parcels is not None:
+            kept |= np.isin(houses, np.unique(houses[parcels > 0]))
+        rows = cut_rows(np.where(kept, 0, houses), smooth, intensity, directions, params, cell_m=cell_m)
+        cut, _ = label_zones(np.where(built, houses.astype(np.int64) * (int(rows.max(initial=0)) + 1) + rows, 0))
+    small = _small_and_unlike(islands, cut, smooth, params, cell_m)
     if parcels is not None:
-        kept |= np.isin(houses, np.unique(houses[parcels > 0]))
-    rows = cut_rows(np.where(kept, 0, houses), smooth, intensity, directions, params, cell_m=cell_m)
-    cut, _ = label_zones(np.where(built, houses.astype(np.int64) * (int(rows.max(initial=0)) + 1) + rows, 0))
-    return Division(cut, _borders_of(cut, houses, found))
+        small &= ~np.isin(islands, np.unique(islands[parcels > 0]))
+    whole, _ = label_zones(np.where(small, islands.astype(np.int64) + int(cut.max()), cut))
+    return Division(whole, _borders_of(whole, houses, found))
+
+
+def _small_and_unlike(
+    islands: Labels, houses: Labels, heights: NDArray[np.float32], params: TouchingParams, cell_m: float
+) -> NDArray[np.bool_]:
+    """Return the cells of islands that are one house with its garage and wings: small, and of unlike pieces."""
+    numbers, first = np.unique(houses, return_index=True)
+    found = pd.DataFrame(
+        {
+            "area": np.bincount(houses.ravel(), minlength=int(numbers[-1]) + 1)[numbers],
+            "height": ndimage.mean(heights, houses, numbers),
+        },
+        index=pd.Index(islands.ravel()[first], name="island"),
+    ).groupby("island")
+    area, height = found["area"], found["height"]
+    unlike = (area.min() < params.alike_share * area.max()) | (height.max() - height.min() >= params.level_m)
+    small = area.sum() * cell_m**2 <= params.single_m2
+    whole = np.zeros(int(islands.max()) + 1, dtype=np.bool_)
+    whole[area.sum().index] = unlike & small
+    whole[0] = False
+    cells: NDArray[np.bool_] = whole[islands]
+    return cells
 
 
 def _borders_of(cut: Labels, houses: Labels, borders: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:

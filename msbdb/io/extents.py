@@ -18,8 +18,9 @@ from pyproj.exceptions import ProjError
 from msbdb.errors import GridMismatchError, InputError, collected_notices
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, name_of, reference, same_crs, settle, split_crs
-from msbdb.io.las import is_believed
+from msbdb.io.files import file_name, shown
 from msbdb.io.lasheader import LasInfo, header_crs, read_las_header
+from msbdb.io.laspoints import is_believed
 from msbdb.io.raster import open_raster, raster_bounds, raster_crs
 
 IMAGE = "image"
@@ -139,8 +140,8 @@ def require_other_points(paths: Sequence[Path]) -> None:
 def twice(one: LasInfo, other: LasInfo) -> str:
     """Return the words for two files with the same points."""
     return (
-        f"The same points are given twice: {one.path} and {other.path} have {one.points} points each, and the "
-        "same bounds in x, y and z. Leave one out."
+        f"The same points are given twice: {shown(one.path)} and {shown(other.path)} have {one.points} points each, "
+        "and the same bounds in x, y and z. Leave one out."
     )
 
 
@@ -158,7 +159,7 @@ def same_points(infos: Mapping[int, LasInfo]) -> Iterator[tuple[int, tuple[LasIn
 def _settled(found: CRS | None, stated: CrsLike | None, path: Path) -> CRS:
     """Return the horizontal CRS of a file, without the notices that come when it is read."""
     with collected_notices():
-        return split_crs(settle(found, stated, path.name))[0]
+        return split_crs(settle(found, stated, file_name(path)))[0]
 
 
 def _is_same_box(one: LasInfo, other: LasInfo) -> bool:

@@ -1,6 +1,11 @@
-"""Whole files: what may be read and written, a file that appears complete or not at all, and the record of one read."""
+"""Whole files: what may be read and written, a file that appears complete or not at all, and the record of one read.
+
+A file may be remote, at an http or https URL, where its reader says so. ``Path`` makes one slash of two; a path that
+names a URL keeps its meaning here, so that paths may be used for both.
+"""
 
 import hashlib
+import io
 import os
 import re
 import shutil
@@ -8,9 +13,13 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 from msbdb.errors import FileError, InputError
 from msbdb.tables import Source
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
 
 SIDECARS = (".shp", ".shx", ".dbf", ".prj", ".cpg", ".qix", ".sbn", ".sbx", ".shp.xml")
 """The files of a Shapefile, some of them left there by other programs."""
@@ -21,12 +30,144 @@ PICTURES = (".png", ".svg", ".pdf")
 PAGE = ".html"
 """The ending of a page in 3-D."""
 
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
+BLOCK_BYTES = 65_536
+"""Read of a remote file at a time; those at its beginning are kept, as they hold its header."""
+
+TIMEOUT_S, RETRIES = 60.0, 3
+"""For an answer of a server; a request that fails for its own reasons is repeated."""
+
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+")
 """The beginning of a URL. A single letter is a drive, and ``Path`` makes one slash of two."""
 
 
+def url_of(path: str | os.PathLike[str]) -> str | None:
+    """Return the http or https URL that a path names; None for anything else.
+
+    Examples
+    --------
+    >>> url_of(Path("https://example.org/tiles/a.copc.laz"))
+    'https://example.org/tiles/a.copc.laz'
+    """
+    found = _URL.match(str(path))
+    if found is None or found[1].lower() not in ("http", "https"):
+        return None
+    return f"{found[1]}://{str(path)[found.end() :]}"
+
+
+def shown(path: str | os.PathLike[str]) -> str:
+    """Return a path or a URL for messages; what follows the URL's question mark may be a key, and is left out."""
+    url = url_of(path)
+    return str(path) if url is None else url.partition("?")[0]
+
+
+def file_name(path: str | os.PathLike[str]) -> str:
+    """Return the name of a file, of a URL without what follows its question mark."""
+    return Path(shown(path)).name
+
+
+class RemoteFile(io.RawIOBase):
+    """A file on a server, of which ranges are read.
+
+    Raises
+    ------
+    FileError
+        When the server cannot be reached, refuses, gives no ranges, or the file changes while it is read.
+    """
+
+    def __init__(self, url: str) -> None:
+        import requests
+        from requests.adapters import HTTPAdapter
+        from urllib3.util import Retry
+
+        self.url, self.place, self.size, self.version = url, 0, -1, ""
+        self._failed = requests.RequestException
+        self._session = requests.Session()
+        again = HTTPAdapter(max_retries=Retry(RETRIES, backoff_factor=0.3, status_forcelist=(500, 502, 503, 504)))
+        for scheme in ("http://", "https://"):
+            self._session.mount(scheme, again)
+        try:
+            self._head = self._fetch(0, BLOCK_BYTES)
+        except FileError:
+            self.close()
+            raise
+
+    def _fetch(self, begin: int, count: int) -> bytes:
+        """Return a range of bytes."""
+        headers = {"Range": f"bytes={begin}-{begin + count - 1}", "Accept-Encoding": "identity"}
+        try:
+            with self._session.get(self.url, headers=headers, timeout=TIMEOUT_S, stream=True) as answer:
+                found = re.fullmatch(r"bytes \d+-\d+/(\d+)", answer.headers.get("Content-Range", ""))
+                if answer.status_code >= 400 and answer.status_code != 416:
+                    status = f"{answer.status_code} {answer.reason}"
+                    msg = f"{shown(self.url)} cannot be read: the server answers {status}. Check the URL."
+                    raise FileError(msg)
+                if answer.status_code != 206 or found is None:
+                    msg = (
+                        f"{shown(self.url)} cannot be read in parts: its server gives no ranges, or it is empty. "
+                        "Download it, and give the path of the file."
+                    )
+                    raise FileError(msg)
+                size, data = int(found[1]), answer.content
+                self.version = f"{size} {answer.headers.get('ETag')} {answer.headers.get('Last-Modified')}"
+        except self._failed as error:
+            why = type(error).__name__
+            msg = f"{shown(self.url)} cannot be read: {why}. Check the URL and the network, or try again."
+            raise FileError(msg) from error
+        if self.size not in (-1, size) or len(data) != min(count, size - begin):
+            msg = f"{shown(self.url)} changed while it was read, or its server sent too little. Run the command again."
+            raise FileError(msg)
+        self.size = size
+        return data
+
+    def readable(self) -> bool:
+        """Return that it can be read."""
+        return True
+
+    def seekable(self) -> bool:
+        """Return that it has places."""
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place."""
+        self.place = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self.place, os.SEEK_END: self.size}[whence]
+        return self.place
+
+    def readinto(self, buffer: "WriteableBuffer") -> int:
+        """Fill a buffer from the present place; return the number of bytes."""
+        target = memoryview(buffer).cast("B")
+        count = max(0, min(len(target), self.size - self.place))
+        if count:
+            near = self.place + count <= len(self._head)
+            target[:count] = self._head[self.place :][:count] if near else self._fetch(self.place, count)
+        self.place += count
+        return count
+
+    def close(self) -> None:
+        """End the connection."""
+        if not self.closed:
+            self._session.close()
+        super().close()
+
+
+def remote_version(path: str | os.PathLike[str]) -> str:
+    """Return what a server says of the version of a file: size, tag and time; empty for a local file."""
+    url = url_of(path)
+    if url is None:
+        return ""
+    with RemoteFile(url) as file:
+        return file.version
+
+
+def open_input(path: str | os.PathLike[str]) -> BinaryIO:
+    """Return a local or remote file, open for reading bytes."""
+    url = url_of(path)
+    if url is None:
+        return Path(path).open("rb")
+    return cast("BinaryIO", io.BufferedReader(RemoteFile(url), BLOCK_BYTES))
+
+
 def require_input(path: str | os.PathLike[str]) -> None:
-    """Refuse a URL, a folder, or a file that does not exist.
+    """Refuse a URL, a folder, or a file that does not exist; readers of remote files do not ask for this.
 
     Raises
     ------
@@ -34,7 +175,7 @@ def require_input(path: str | os.PathLike[str]) -> None:
         With the next step.
     """
     if _URL.match(str(path)):
-        msg = f"{path} is a URL; a file is expected. Download it first, and give the path of the file."
+        msg = f"{shown(path)} is a URL; a file is expected. Download it first, and give the path of the file."
         raise FileError(msg)
     if Path(path).is_dir():
         msg = f"{path} is a folder; a file is expected. Give the path of a file in it."
@@ -163,6 +304,8 @@ def _flush(path: Path) -> None:
 def describe_source(path: str | os.PathLike[str], role: str) -> Source:
     """Return name, role, SHA-256 and size of an input file, reading it in pieces.
 
+    The SHA-256 of a remote file is that of its first 65,536 bytes and its size, since only parts of it are read.
+
     Parameters
     ----------
     path : path
@@ -175,6 +318,12 @@ def describe_source(path: str | os.PathLike[str], role: str) -> Source:
     FileError
         If the file cannot be read.
     """
+    if url_of(path) is not None:
+        with open_input(path) as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(0)
+            head = file.read(BLOCK_BYTES)
+        return Source(file_name(path), role, hashlib.sha256(head + str(size).encode()).hexdigest(), size)
     path = Path(path)
     try:
         with path.open("rb") as file:

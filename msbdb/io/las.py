@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from msbdb.errors import CRSError, InputError, NodataError, give_notice
 from msbdb.grid import Bounds
 from msbdb.io.crs import CrsLike, Reference, misplaced, name_of, reference, same_crs, settle
-from msbdb.io.lascolumns import COLOURS, Columns, as_cloud, settle_echoes, widen_colours
+from msbdb.io.files import file_name, open_input
 from msbdb.io.lasheader import (
     COLOURED_FORMATS,
     INFRARED_FORMATS,
@@ -29,6 +29,15 @@ from msbdb.io.lasheader import (
     header_crs,
     read_las_header,
     vertical_unit,
+)
+from msbdb.io.laspoints import (
+    COLOURS,
+    Columns,
+    as_cloud,
+    is_believed,
+    read_chunks,
+    settle_echoes,
+    widen_colours,
 )
 from msbdb.io.vector import Area, held
 from msbdb.points.cloud import NOISE_CLASSES, PointCloud
@@ -39,9 +48,6 @@ logging.getLogger("laspy").addHandler(logging.NullHandler())
 
 CHUNK_POINTS = 1_000_000
 """Points in memory in their raw form at a time."""
-
-FIRST_POINTS = 10_000
-"""Points of a file that are read to see whether its header is right."""
 
 MAX_EASTING_M = 1e8
 """Beyond it no projected CRS has a point: the largest false origins, with a zone's number in front, end at 6.1e7."""
@@ -70,7 +76,7 @@ def read_points(
     Parameters
     ----------
     paths : path or sequence of paths
-        LAS 1.0 to 1.4, LAZ or COPC files, of point formats 0 to 10.
+        LAS 1.0 to 1.4, LAZ or COPC files, of point formats 0 to 10; COPC also at http and https URLs.
     crs : int, str or CRS, optional
         The CRS of files whose headers have none; where a header has one, it must be the same.
     z_unit : {'auto', 'm', 'ft', 'us-ft'}
@@ -78,7 +84,8 @@ def read_points(
     facts : PointFacts, optional
         What holds for the whole survey, where the files are a part of it.
     area : Area, optional
-        Only points in it are kept. Files that lie elsewhere by their headers are not read.
+        Only points in it are kept. Files that lie elsewhere by their headers are not read, nor are the nodes of
+        COPC files that lie elsewhere.
     progress : callable, optional
         Called with ('read', points done, points in all).
 
@@ -179,7 +186,7 @@ def _read(
     columns.shape = None if wanted.area is None else wanted.area.shape_in(references[0].crs)
     for info, each in zip(files, references, strict=True):
         for notice in each.notices:
-            columns.note(notice, info.path.name)
+            columns.note(notice, file_name(info.path))
     partly = set.union(*colours).difference(columns.colour_names)
     if partly:
         columns.note(f"colours that not every file has were left out: {', '.join(sorted(partly))}.")
@@ -201,20 +208,24 @@ def _fill(
     echoes: list[bool] = []
     done = 0
     for info, each in zip(files, references, strict=True):
-        begin = columns.filled
+        name = file_name(info.path)
+        begin, after = columns.filled, done + info.points
         for part in _fill_from(info, each, columns):
             done += part
             if progress is not None:
                 progress("read", done, total)
+        if progress is not None and done < after:
+            progress("read", after, total)
+        done = after
         if columns.filled > begin:
             own = {name: column[begin : columns.filled] for name, column in columns.arrays.items()}
             if widen_colours(own["colours"]):
-                columns.note("colours of 8 bits (none above 255) were multiplied by 257.", info.path.name)
+                columns.note("colours of 8 bits (none above 255) were multiplied by 257.", name)
             if _leaves_bounds(info, each, own):
-                columns.note("points lie outside of the bounds in the header, which is not trusted.", info.path.name)
+                columns.note("points lie outside of the bounds in the header, which is not trusted.", name)
             echoes.append(settle_echoes(own))
             if not echoes[-1]:
-                columns.note("no echo information, so that every point counts as a first echo.", info.path.name)
+                columns.note("no echo information, so that every point counts as a first echo.", name)
     return any(echoes)
 
 
@@ -223,14 +234,14 @@ def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str) -> l
     bounds = _union([info.bounds for info in files])
     found = []
     for info in files:
-        where = info.path.name
+        where = file_name(info.path)
         own = settle(header_crs(info.projection), crs, where)
         hint = vertical_unit(info.projection)
         found.append(reference(own, bounds=bounds, where=where, z_unit=z_unit, z_hint=hint))
     for info, each in zip(files, found, strict=True):
         if not same_crs(each.source, found[0].source):
             msg = (
-                f"{files[0].path.name} has the CRS {name_of(found[0].source)}, but {info.path.name} has "
+                f"{file_name(files[0].path)} has the CRS {name_of(found[0].source)}, but {file_name(info.path)} has "
                 f"{name_of(each.source)}. Reproject one of them, for instance with 'pdal translate'."
             )
             raise CRSError(msg)
@@ -276,7 +287,7 @@ def _colour_fields(info: LasInfo) -> dict[str, str]:
     """Return the fields that hold colours, by colour: those of the point format, else extra bytes so named."""
     if info.point_format in COLOURED_FORMATS:
         return {name: name for name in COLOURS if name != "nir" or info.point_format in INFRARED_FORMATS}
-    with decoding(info.path), laspy.open(info.path, read_evlrs=False) as reader:
+    with decoding(info.path), laspy.open(open_input(info.path), read_evlrs=False) as reader:
         extra = list(reader.header.point_format.extra_dimensions)
     named = {EXTRA_NAMES.get(dim.name.lower()): dim.name for dim in extra if dim.dtype.kind in "ui"}
     if {"red", "green", "blue"} <= named.keys():
@@ -290,44 +301,17 @@ def _fill_from(info: LasInfo, how: Reference, columns: Columns) -> Iterator[int]
     wanted = Fields.XY_RETURNS_CHANNEL | Fields.Z | Fields.CLASSIFICATION | Fields.FLAGS | Fields.INTENSITY
     if columns.colour_names:
         wanted |= Fields.RGB | Fields.NIR | Fields.ALL_EXTRA_BYTES
-    for chunk in read_chunks(info, CHUNK_POINTS, wanted):
+    for chunk in read_chunks(info, CHUNK_POINTS, wanted, _box(columns.shape, how)):
         _append(chunk, info, how, columns, {name: fields[name] for name in columns.colour_names})
         yield len(chunk)
 
 
-def read_chunks(info: LasInfo, at_once: int, wanted: Fields | None = None) -> Iterator[laspy.ScaleAwarePointRecord]:
-    """Yield the points of a file in their order.
-
-    Parameters
-    ----------
-    info : LasInfo
-        The file's header.
-    at_once : int
-        Points in each chunk but the last.
-    wanted : DecompressionSelection, optional
-        The fields that are decompressed, which only point formats from 6 on keep apart; by default all.
-
-    Raises
-    ------
-    FileError
-        If the points cannot be decoded, or are fewer than the header promises.
-    """
-    with (
-        decoding(info.path),
-        laspy.open(
-            info.path,
-            laz_backend=laspy.LazBackend.LazrsParallel,
-            read_evlrs=False,
-            decompression_selection=Fields.all() if wanted is None else wanted,
-        ) as reader,
-    ):
-        read = 0
-        for chunk in reader.chunk_iterator(at_once):
-            read += len(chunk)
-            yield chunk
-        if read != info.points:
-            msg = f"only {read} of {info.points} points could be read"
-            raise OSError(msg)
+def _box(shape: shapely.Geometry | None, how: Reference) -> Bounds | None:
+    """Return the bounds of an area in a file's own units; None where they are no rectangle there."""
+    if shape is None or how.transformer is not None:
+        return None
+    west, south, east, north = (float(value) / how.xy_factor for value in shapely.bounds(shape))
+    return (west, south, east, north)
 
 
 def _append(
@@ -367,13 +351,3 @@ def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]
     # Bounds that are no numbers fail the comparison, and count as wrong.
     inside = (xs[0] - 1 <= own["x"].min(), own["x"].max() <= xs[1] + 1)
     return not all((*inside, ys[0] - 1 <= own["y"].min(), own["y"].max() <= ys[1] + 1))
-
-
-def is_believed(info: LasInfo) -> bool:
-    """Return whether the bounds in a header hold the first points of the file."""
-    west, south, east, north = info.bounds
-    chunk = next(read_chunks(info, FIRST_POINTS, Fields.XY_RETURNS_CHANNEL))
-    x, y = (np.asarray(raw) * info.scales[axis] + info.offsets[axis] for axis, raw in enumerate((chunk.X, chunk.Y)))
-    beside = 1 + max(info.scales[:2])
-    inside = (x > west - beside) & (x < east + beside) & (y > south - beside) & (y < north + beside)
-    return bool(inside.all())

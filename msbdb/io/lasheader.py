@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,6 +24,7 @@ from pyproj.exceptions import CRSError as ProjError
 
 from msbdb.errors import FileError, MsbdbError, NodataError
 from msbdb.grid import Bounds
+from msbdb.io.files import open_input, remote_version, shown, url_of
 
 logger = logging.getLogger(__name__)
 
@@ -98,6 +100,8 @@ class LasInfo:
 def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
     """Return the header of a LAS, LAZ or COPC file, after checking it against the file.
 
+    A remote file must be COPC. What its chunks hold is checked when they are read.
+
     Raises
     ------
     FileError
@@ -107,9 +111,7 @@ def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
     """
     path = Path(path)
     try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            return _Checker(path, size, file).run()
+        return _read_header(path) if url_of(path) is None else _read_remote(path, remote_version(path))
     except FileNotFoundError as error:
         msg = f"{path} does not exist. Check the path."
         raise FileError(msg) from error
@@ -119,6 +121,18 @@ def read_las_header(path: str | os.PathLike[str]) -> LasInfo:
     except PermissionError as error:
         msg = f"{path} may not be read. Check its permissions."
         raise FileError(msg) from error
+
+
+def _read_header(path: Path) -> LasInfo:
+    """Check a file, and return its header."""
+    with open_input(path) as file:
+        return _Checker(path, file.seek(0, os.SEEK_END), file).run()
+
+
+@lru_cache(maxsize=10_000)
+def _read_remote(path: Path, version: str) -> LasInfo:  # noqa: ARG001  (another version is another header)
+    """Return the header of a remote file, which a build asks for several times."""
+    return _read_header(path)
 
 
 @contextmanager
@@ -135,7 +149,7 @@ def decoding(path: Path) -> Iterator[None]:
         panic = type(error).__module__ == "pyo3_runtime"
         if not panic and not isinstance(error, lazrs.LazrsError | laspy.LaspyException | ValueError | OSError):
             raise
-        msg = f"{path} cannot be decoded, it is damaged ({error}). Fetch or export it again."
+        msg = f"{shown(path)} cannot be decoded, it is damaged ({error}). Fetch or export it again."
         raise FileError(msg) from error
 
 
@@ -152,7 +166,7 @@ class _Checker:
     def require(self, holds: bool, otherwise: str) -> None:
         """Raise for a damaged file unless the condition holds."""
         if not holds:
-            msg = f"{self.path} is not a valid LAS or LAZ file: {otherwise}. Fetch or export it again."
+            msg = f"{shown(self.path)} is not a valid LAS or LAZ file: {otherwise}. Fetch or export it again."
             raise FileError(msg)
 
     def read(self, offset: int, count: int) -> bytes:
@@ -175,14 +189,17 @@ class _Checker:
         self.require(in_order, f"the header has {header_size} bytes and the points begin at {start} of {self.size}")
         point_format, record_size, points = self._points(head, minor)
         records = tuple(self._records(header_size, vlrs, start))
+        is_copc = any(record.user_id == COPC for record in records)
+        if url_of(self.path) is not None and not is_copc:
+            msg = f"{shown(self.path)} is not COPC; of URLs only COPC files are read. Download it, and give its path."
+            raise FileError(msg)
         extended: tuple[laspy.VLR, ...] = ()
         evlr_start, evlrs = struct.unpack_from("<QI", head, 235) if minor == 4 else (0, 0)
         if evlrs:
-            is_copc = any(record.user_id == COPC for record in records)
             extended = tuple(self._extended_records(evlr_start, evlrs, of_all=is_copc))
         compressed = bool(head[104] & 0xC0)
         if points == 0:
-            msg = f"{self.path} holds no points. Leave it out."
+            msg = f"{shown(self.path)} holds no points. Leave it out."
             raise NodataError(msg)
         if compressed:
             points_end = self._check_compressed(start, points, record_size, records)
@@ -268,8 +285,7 @@ class _Checker:
             msg = f"{self.path} cannot be read: {what}. Write it again with a current LASzip, for instance laszip64."
             raise FileError(msg)
         self.require(len(laz) >= 34 + 6 * items, f"its LAZ record is too short for {items} items")
-        kinds = [struct.unpack_from("<HHH", laz, 34 + 6 * i)[:2] for i in range(items)]
-        packed = sum(size for _, size in kinds)
+        packed = sum(size for _, size, _ in struct.iter_unpack("<HHH", laz[34 : 34 + 6 * items]))
         self.require(packed == record_size, f"a compressed point has {packed} bytes, but the header says {record_size}")
         table = struct.unpack("<q", self.read(start, 8))[0]
         if table == -1:
@@ -281,8 +297,8 @@ class _Checker:
         possible = 1 <= chunks <= (table - start - 8) // record_size
         self.require(possible, f"{chunks} chunks of points cannot be in {table - start - 8} bytes")
         lengths = self._check_chunks(start, table, points, chunk_size, laz)
-        if compressor == 3:
-            self._check_layers(start + 8, lengths, record_size, kinds)
+        if compressor == 3 and url_of(self.path) is None:
+            self._check_layers(start + 8, lengths, record_size, count_layers(laz))
         return int(table)
 
     def _check_chunks(self, start: int, table: int, points: int, chunk_size: int, laz: bytes) -> list[int]:
@@ -297,14 +313,24 @@ class _Checker:
         self.require(full, f"the header promises {points} points, but the chunks hold {room}")
         return [length for _, length in chunks]
 
-    def _check_layers(self, offset: int, lengths: list[int], record_size: int, kinds: list[tuple[int, int]]) -> None:
+    def _check_layers(self, offset: int, lengths: list[int], record_size: int, layers: int) -> None:
         """Check that every chunk's layers fill the chunk, as the decompressor allocates what they claim."""
-        layers = sum(LAYERS.get(kind, size) for kind, size in kinds)
         for length in lengths:
-            sizes = struct.unpack(f"<{layers}I", self.read(offset + record_size + 4, 4 * layers))
-            whole = record_size + 4 + 4 * layers + sum(sizes) == length
+            whole = is_whole(self.read(offset, record_size + 4 + 4 * layers), length, record_size, layers)
             self.require(whole, f"the layers of the chunk at byte {offset} do not fill its {length} bytes")
             offset += length
+
+
+def is_whole(chunk: bytes, length: int, record_size: int, layers: int) -> bool:
+    """Return whether the layers of a chunk fill it, by its beginning: one point, the number of points, and sizes."""
+    head = record_size + 4 + 4 * layers
+    return len(chunk) >= head and head + sum(struct.unpack_from(f"<{layers}I", chunk, record_size + 4)) == length
+
+
+def count_layers(laz: bytes) -> int:
+    """Return the number of layers in a chunk, of a LAZ record that was checked."""
+    kinds = struct.iter_unpack("<HHH", laz[34 : 34 + 6 * struct.unpack_from("<H", laz, 32)[0]])
+    return sum(LAYERS.get(kind, size) for kind, size, _ in kinds)
 
 
 def header_crs(projection: Mapping[int, bytes]) -> CRS | None:
@@ -318,9 +344,7 @@ def header_crs(projection: Mapping[int, bytes]) -> CRS | None:
             return CRS.from_wkt(text)
         except ProjError:
             logger.info("A WKT record is not understood: %.80s", text)
-    if DIRECTORY not in projection:
-        return None
-    return _crs_of_keys(projection)
+    return _crs_of_keys(projection) if DIRECTORY in projection else None
 
 
 def vertical_unit(projection: Mapping[int, bytes]) -> str | None:

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from msbdb.errors import FileError, InputError, give_notice
 from msbdb.io.files import require_output, write_atomic
-from msbdb.io.las import Progress, read_chunks
+from msbdb.io.las import Progress
 from msbdb.io.lasheader import COMPRESSION, COPC, LasInfo, decoding, read_las_header
+from msbdb.io.laspoints import read_chunks
 
 CHUNK_BYTES = 32_000_000
 """Points in memory at a time, uncompressed."""

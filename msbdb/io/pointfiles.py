@@ -1,4 +1,4 @@
-"""The point files that a user means: single ones, a folder, a pattern, a virtual point cloud; and which of them fit."""
+"""The point files that a user means: single ones, a folder, a pattern, an index of files; and which of them fit."""
 
 import json
 import os
@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import shapely
+from pyogrio.errors import DataLayerError, DataSourceError
 
 from msbdb.errors import (
     CRSError,
@@ -20,15 +22,21 @@ from msbdb.errors import (
 )
 from msbdb.io.crs import name_of, same_crs, split_crs
 from msbdb.io.extents import same_points, twice
-from msbdb.io.files import require_input
-from msbdb.io.las import is_believed
+from msbdb.io.files import file_name, require_input, shown, url_of
 from msbdb.io.lasheader import LasInfo, header_crs, read_las_header
+from msbdb.io.laspoints import is_believed
 
 LAS_ENDINGS = (".las", ".laz")
 """The endings of point files, COPC among them."""
 
-INDEX_ENDING = ".vpc"
+CLOUD_ENDING = ".vpc"
 """The ending of a virtual point cloud: a STAC collection of files, as PDAL and QGIS write it."""
+
+INDEX_ENDINGS = (".gpkg", ".geojson", ".json", ".shp", ".fgb", ".sqlite")
+"""The endings of tile indexes: an outline of each file with its place, as pdal tindex and gdaltindex write them."""
+
+PLACES = ("location", "url", "href", "path", "file", "filename", "file_name")
+"""Columns of a tile index with the place of the file, in lower case; the first of them counts."""
 
 PATTERN_SIGNS = "*?["
 """What a pattern has, and a name that is no pattern rarely."""
@@ -44,14 +52,14 @@ LISTED = 10
 
 
 def point_files(given: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
-    """Return the files that paths, folders, patterns and virtual point clouds name.
+    """Return the files that paths, folders, patterns, virtual point clouds and tile indexes name.
 
     Parameters
     ----------
     given : sequence of path
-        A file stays as it is, also where it is missing. A folder means the LAS, LAZ and COPC files in it, without those
-        of folders beneath; a pattern (``tiles/**/*.laz``) for all files that it matches; a ``.vpc`` for the files
-        that it lists.
+        A file stays as it is, also where it is missing, and so does an http or https URL. A folder means the LAS, LAZ
+        and COPC files in it, without those of folders beneath; a pattern (``tiles/**/*.laz``) all files that it
+        matches; a ``.vpc`` and a tile index (`INDEX_ENDINGS`) the files that they list.
 
     Returns
     -------
@@ -61,18 +69,22 @@ def point_files(given: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
     Raises
     ------
     FileError
-        When a folder or pattern has no such file, or a virtual point cloud cannot be read.
+        When a folder or pattern has no such file, or a virtual point cloud or tile index cannot be read.
     """
     return tuple(file for path in given for file in _files_of(Path(path)))
 
 
 def is_many(given: str | os.PathLike[str]) -> bool:
     """Return whether a name means several files rather than being one."""
+    if url_of(given) is not None:
+        return False
     return Path(given).is_dir() or (any(sign in str(given) for sign in PATTERN_SIGNS) and not Path(given).exists())
 
 
 def _files_of(path: Path) -> list[Path]:
     """Return the files that one path names."""
+    if url_of(path) is not None:
+        return [path]
     if path.is_dir():
         found = sorted(file for file in path.iterdir() if file.suffix.lower() in LAS_ENDINGS)
         what = (
@@ -81,10 +93,14 @@ def _files_of(path: Path) -> list[Path]:
     elif is_many(path):
         found = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
         what = f"No file matches {path}. Check the pattern; relative ones begin in {Path.cwd()}."
-    elif path.suffix.lower() == INDEX_ENDING:
+    elif path.suffix.lower() == CLOUD_ENDING:
         require_input(path)
         found = _listed(path)
         what = f"The virtual point cloud {path} lists no file."
+    elif path.suffix.lower() in INDEX_ENDINGS:
+        require_input(path)
+        found = _indexed(path)
+        what = f"The tile index {path} lists no file."
     else:
         return [path]
     if not found:
@@ -96,11 +112,37 @@ def _listed(path: Path) -> list[Path]:
     """Return the files of a virtual point cloud; relative ones begin in its folder."""
     try:
         features = json.loads(path.read_text(encoding="utf-8"))["features"]
-        names = [asset["href"] for feature in features for asset in feature["assets"].values()]
+        assets = [asset for feature in features for asset in feature["assets"].values()]
+        # Others are pictures and reports beside the points.
+        names = [str(asset["href"]) for asset in assets if "data" in asset.get("roles", ["data"])]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         msg = f"{path} cannot be read as a virtual point cloud: a STAC collection of files is expected."
         raise FileError(msg) from error
-    return [Path(name) if ":/" in name else path.parent / name for name in map(str, names)]
+    return [Path(name) if ":/" in name else path.parent / name for name in names]
+
+
+def _indexed(path: Path) -> list[Path]:
+    """Return the files of a tile index; relative ones begin in its folder, or else where the command was started."""
+    try:
+        layers = [str(layer) for layer, _ in pyogrio.list_layers(path)]
+        tables = [pyogrio.read_dataframe(path, layer=layer, read_geometry=False) for layer in layers]
+    except (DataSourceError, DataLayerError) as error:
+        msg = f"{path} cannot be read as a tile index: {error}."
+        raise FileError(msg) from error
+    for place in PLACES:
+        for table in tables:
+            column = next((name for name in table.columns if name.lower() == place), None)
+            if column is not None:
+                return [_beside(path, str(name)) for name in table[column].dropna()]
+    columns = ", ".join(name for table in tables for name in table.columns) or "none"
+    msg = f"The tile index {path} has no column with the place of the files ({', '.join(PLACES)}); it has {columns}."
+    raise FileError(msg)
+
+
+def _beside(index: Path, name: str) -> Path:
+    """Return a file that an index names."""
+    beside = index.parent / name
+    return Path(name) if url_of(name) is not None or not beside.exists() else beside
 
 
 def sound_files(paths: Sequence[Path], *, skip_bad: bool) -> tuple[Path, ...]:
@@ -127,7 +169,8 @@ def sound_files(paths: Sequence[Path], *, skip_bad: bool) -> tuple[Path, ...]:
     bad: dict[int, MsbdbError] = {}
     for number, path in enumerate(paths):
         try:
-            require_input(path)
+            if url_of(path) is None:
+                require_input(path)
             infos[number] = read_las_header(path)
         except MsbdbError as error:
             bad[number] = error
@@ -161,9 +204,11 @@ def _of_another_crs(infos: dict[int, LasInfo]) -> dict[int, MsbdbError]:
     if len(alike) <= 1:
         return {}
     most = alike.most_common(1)[0][0]
-    words = f"{infos[most].path.name} in {name_of(known[most])}; files of one build share their CRS. Reproject one"
+    words = (
+        f"{file_name(infos[most].path)} in {name_of(known[most])}; files of one build share their CRS. Reproject one"
+    )
     return {
-        number: CRSError(f"{infos[number].path} is in the CRS {name_of(known[number])}, and {words}.")
+        number: CRSError(f"{shown(infos[number].path)} is in the CRS {name_of(known[number])}, and {words}.")
         for number, first in first_of.items()
         if first != most
     }
@@ -179,5 +224,10 @@ def _elsewhere(infos: dict[int, LasInfo]) -> dict[int, MsbdbError]:
     most = int(np.bincount(place).argmax())
     first = infos[numbers[int(box[place == most].min())]]
     far = [numbers[one] for one in box[place != most].tolist() if is_believed(infos[numbers[one]])]
-    words = f"{APART / 1000:g} km and more from {first.path.name} and the files around it. Give files of one place"
-    return {number: GridMismatchError(f"{infos[number].path} lies {words}, or correct a wrong CRS.") for number in far}
+    words = (
+        f"{APART / 1000:g} km and more from {file_name(first.path)} and the files around it. Give files of one place"
+    )
+    return {
+        number: GridMismatchError(f"{shown(infos[number].path)} lies {words}, or correct a wrong CRS.")
+        for number in far
+    }

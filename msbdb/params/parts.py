@@ -77,7 +77,7 @@ class FuseParams:
     flush_m: float = param(0.3, "m", "Neighbouring cells are flush, of one roof, up to this step of height.",
         ours="less than a parapet or an eave over a lower roof; 0.2 and 0.5 m do alike", low=0, high=10)
     flush_share: float = param(0.2, "1",
-        "Smooth regions of which this share of the edge is flush with a building belong to it.",
+        "A smooth region belongs to a building if this share of its edge is flush with it.",
         ours="less than one side of a square; 0.1 does alike, 0.3 loses blocks of glass", low=0, high=1)
     support_even: float = param(0.51, "1", "s₀: mean share that the detectors cover of 50 m² of even odds.",
         ours="fitted to 2405 objects of seven places; 0.49 to 0.53 with any of them left out", low=0, high=1)
@@ -158,6 +158,10 @@ class TouchingParams:
     enclosed_share: float = param(0.75, "1",
         "A piece with this share of its outline beside one other stands on it or in it, and is no house of its own.",
         ours="stairs, towers and tiers; a house in a row has half at most", low=0.1, high=1.1)
+    single_m2: float = param(300.0, "m2", "Islands up to this area are one house, unless their pieces are alike.",
+        ours="a large single house with its garage; 0 divides all", low=0, high=1e5)
+    alike_share: float = param(0.6, "1", "Least area of the smallest of alike pieces, of that of the largest.",
+        ours="semi-detached houses are mirrored; a garage has half of its house at most", low=0, high=1)
     house_m2: float = param(30.0, "m2", "Smaller pieces are no house.", ours="the smallest houses of old towns",
         low=0, high=1e5)
     width_m: float = param(3.0, "m", "Narrower pieces are no house.", ours="the narrowest houses of old towns",

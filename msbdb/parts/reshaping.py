@@ -10,6 +10,7 @@ from scipy import sparse
 from msbdb.labels import Labels, label_zones, look_up, measure, renumber
 from msbdb.parts.adjacency import edges, reaching_in
 from msbdb.parts.clusters import Clusters, Step
+from msbdb.parts.links import NONE, link
 
 FRAGMENT = "piece smaller than the finest scale"
 MEASURED = ["first", "area", "row_sum", "col_sum"]
@@ -207,7 +208,8 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
     -------
     Step
         Nested clusters. Where a cluster arrives on a scale, those that it holds there go as its duplicates: it covers
-        them. A cluster smaller than the finest s stays on the finest scale.
+        them. A root smaller than the finest s stays on the finest scale; what else is smaller goes, as the cells of
+        its father hold it: the rest of a cluster beside a court that its scale had closed.
 
     Notes
     -----
@@ -228,7 +230,7 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
     reached = np.maximum(np.searchsorted(thresholds, area, side="right") - 1, 0)
     moved = np.flatnonzero(clusters.alive & (reached < level))
     if not moved.size:
-        return Step(clusters, rows.iloc[:0].assign(reason=""))
+        return _without_crumbs(Step(clusters, rows.iloc[:0].assign(reason="")), thresholds[0])
     images = list(clusters.labels)
     covered: list[NDArray[np.intp]] = []
     target = np.where(clusters.alive, np.minimum(reached, level), level)
@@ -250,4 +252,15 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
         images[origin] = np.where(look_up(gone, images[origin]), np.int32(0), images[origin])
     settled = Clusters(tuple(images), rows.assign(level=target))
     lost = np.sort(np.concatenate(covered))
-    return Step(settled.without(lost), rows.iloc[lost].assign(reason=COVERED))
+    return _without_crumbs(Step(settled.without(lost), rows.iloc[lost].assign(reason=COVERED)), thresholds[0])
+
+
+def _without_crumbs(step: Step, smallest_px: int) -> Step:
+    """Drop the clusters that are smaller than the finest s and have a father."""
+    rows = step.clusters.rows
+    small = step.clusters.alive & (rows["area"].to_numpy() < smallest_px)
+    if not small.any():
+        return step
+    crumbs = np.flatnonzero(small & (link(step.clusters) != NONE))
+    dropped = pd.concat([step.dropped, rows.iloc[crumbs].assign(reason=FRAGMENT)])
+    return Step(step.clusters.without(crumbs), dropped, step.pieces)

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
+from scipy.cluster.hierarchy import linkage
 
 from msbdb.errors import InputError
 from msbdb.grid import Bounds, require_metric
@@ -26,6 +27,15 @@ LEAST_A_CELL = 4.0
 
 BLOCK_CELLS = 5
 """Cells to the side of a block, whose density is counted: ten metres are less than the width of a strip's overlap."""
+
+SQUARE_SPACINGS = 16
+"""Side of the squares in which links are measured, in mean spacings: 256 points on average."""
+
+SQUARES = 100
+"""Most such squares; their median settles long before."""
+
+BEYOND_LINK = 1.2
+"""Steps from point to point reach so many links, so that they also cross between lines that waver."""
 
 LARGEST_CELL_M = 100.0
 """Beyond it there is no survey, but single points."""
@@ -137,11 +147,20 @@ class Density:
     typical_m : float
         Median of the spacing over the covered ground. Where strips of a flight overlap, or one is denser, more than
         half of the ground may be sparser than the mean says.
+    link_m : float
+        Least link by which most points of a place are connected (`least_link`). Scan lines that lie far apart need
+        links of their distance.
     """
 
     spacing_m: float
     area_m2: NDArray[np.float64]
     typical_m: float
+    link_m: float
+
+    @property
+    def step_m(self) -> float:
+        """Least length of a step that reaches other points on all sides, metres."""
+        return BEYOND_LINK * self.link_m
 
 
 def measure_density(
@@ -181,26 +200,87 @@ def measure_density(
     >>> found.area_m2[[0, 15, 16]]
     array([0.8, 1. , 0.8])
     """
-    spacing_m, typical_m = measure_spacing(x, y, first_echo) if facts is None else (facts.spacing_m, facts.typical_m)
+    spacing_m, typical_m, link_m = (
+        measure_spacing(x, y, first_echo) if facts is None else (facts.spacing_m, facts.typical_m, facts.link_m)
+    )
     if not len(x):
-        return Density(spacing_m, np.zeros(0), typical_m)
-    return Density(spacing_m, _areas(index_cells(x, y, 2 * spacing_m)), typical_m)
+        return Density(spacing_m, np.zeros(0), typical_m, link_m)
+    return Density(spacing_m, _areas(index_cells(x, y, max(2 * spacing_m, link_m))), typical_m, link_m)
 
 
 def measure_spacing(
     x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_]
-) -> tuple[float, float]:
-    """Return the mean spacing of the first echoes and its median over the covered ground, metres; see `Density`."""
+) -> tuple[float, float, float]:
+    """Return mean and median spacing of the first echoes, and their least link, metres; see `Density`."""
     if not len(x):
-        return 1.0, 1.0
+        return 1.0, 1.0, 1.0
     chosen = first_echo if first_echo.any() else np.ones(len(x), dtype=np.bool_)
     east, north = x[chosen], y[chosen]
+    link_m = least_link(east, north)
+    cells = _covered(east, north, link_m)
+    return _spacing(cells), _typical_spacing(cells), link_m
+
+
+def least_link(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Return the least link by which most points of a place are connected, metres.
+
+    Points that are spread evenly or by chance need 1 to 1.4 mean spacings. Those on scan lines need the distance of the
+    lines, however dense they are along them.
+
+    Parameters
+    ----------
+    x, y : (N,) ndarray of float64, metres
+        At least one point.
+
+    Returns
+    -------
+    float
+        The mean spacing where no place has points enough.
+
+    Notes
+    -----
+    The median over at most `SQUARES` squares of the longest edge that the tree of nearest pairs needs to connect half
+    of the points. Walls, water and strips of other density change single squares. Squares of less than half or over
+    four times the mean number of points are left out. It does not depend on the direction of the lines.
+
+    Examples
+    --------
+    Points 0.3 m apart on lines that lie 3 m apart, and as many at random places:
+
+    >>> along, line = (place.ravel() for place in np.meshgrid(np.arange(0, 60, 0.3), np.arange(0, 60, 3.0)))
+    >>> least_link(along, line)
+    3.0
+    >>> x, y = np.random.default_rng(0).uniform(0, 60, (2, 4000))
+    >>> round(least_link(x, y), 1)
+    1.1
+    """
+    spacing_m = _spacing(_covered(x, y))
+    squares = index_cells(x, y, SQUARE_SPACINGS * spacing_m)
+    count = np.diff(squares.starts)
+    full = np.flatnonzero((count >= SQUARE_SPACINGS**2 / 2) & (count <= 4 * SQUARE_SPACINGS**2))
+    if not len(full):
+        return spacing_m
+    links_m = []
+    for square in full[:: math.ceil(len(full) / SQUARES)]:
+        points = squares.order[squares.starts[square] : squares.starts[square + 1]]
+        tree = linkage(np.column_stack((x[points], y[points])), "single")
+        links_m.append(tree[np.argmax(2 * tree[:, 3] >= len(points)), 2])
+    return float(np.median(links_m))
+
+
+def _covered(x: NDArray[np.float64], y: NDArray[np.float64], link_m: float = 0.0) -> CellIndex:
+    """Return the cells that points cover: large enough for four points in each, and no smaller than a link."""
     cell_m = FIRST_CELL_M
-    cells = index_cells(east, north, cell_m)
-    while cells.order.size < LEAST_A_CELL * cells.keys.size and cell_m < LARGEST_CELL_M:
+    cells = index_cells(x, y, cell_m)
+    while (cells.order.size < LEAST_A_CELL * cells.keys.size or cell_m < link_m) and cell_m < LARGEST_CELL_M:
         cell_m *= 1.5
-        cells = index_cells(east, north, cell_m)
-    return cell_m * math.sqrt(cells.keys.size / cells.order.size), _typical_spacing(cells)
+        cells = index_cells(x, y, cell_m)
+    return cells
+
+
+def _spacing(cells: CellIndex) -> float:
+    """Return the mean spacing of the points in the covered cells, metres."""
+    return cells.cell_m * math.sqrt(cells.keys.size / cells.order.size)
 
 
 def _typical_spacing(cells: CellIndex) -> float:

@@ -10,6 +10,7 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import InputError
 from msbdb.fuse.cells import is_fused
 from msbdb.grid import GridSpec
+from msbdb.io.files import require_input
 from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.laswrite import check_output, write_classes
@@ -49,6 +50,7 @@ def classify_points(
         msg = f"One file is classified at a time; got {len(inputs.points)}, from {source} on. Give them one by one."
         raise InputError(msg)
     notices, stages = Notices(), Stages(progress)
+    require_input(source)
     check_output(source, out, overwrite=overwrite)
     with collect_notices(notices):
         methods = choose_detectors(extract, inputs)

@@ -250,8 +250,9 @@ def fuse(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: S
     with stages.stage("fusion"):
         if not is_fused(regions, params.fuse):
             return None
+        green = scene.cover.colours.labelled("vegetation")
         mask_m, evidence = params.surface.mask_m, scene.evidence
-        return fuse_cells(scene.heights, regions, params.fuse, mask_m=mask_m, evidence=evidence)
+        return fuse_cells(scene.heights, regions, params.fuse, mask_m=mask_m, evidence=evidence, green=green)
 
 
 def divide_houses(scene: Scene, built: NDArray[np.bool_] | None, params: Params, stages: Stages) -> Division | None:

@@ -111,9 +111,7 @@ def _changes(db: str | Path, until: str | None) -> Content:
     """Return the net changes since the first state of each place."""
     from msbdb.run.inventory.changed import change_content, changes_of
 
-    found = changes_of(
-        db, since=None, until=until, survey=None, each=False, aoi=None, out=None, figure=None, overwrite=False
-    )
+    found = changes_of(db, until=until)
     return replace(change_content(found.table), date=until or "")
 
 

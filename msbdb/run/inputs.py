@@ -19,7 +19,7 @@ from msbdb.io.extents import (
     require_common_place,
     require_other_points,
 )
-from msbdb.io.files import describe_source, require_input
+from msbdb.io.files import describe_source, file_name, require_input, url_of
 from msbdb.io.pointfiles import point_files, sound_files
 from msbdb.io.raster import open_raster, states_crs
 from msbdb.io.vector import Area, read_polygons
@@ -69,8 +69,9 @@ class Inputs:
     ) -> Self:
         """Return the files as a user gives them: a single one in place of a list, and texts as paths.
 
-        Points may also be a folder, a pattern or a virtual point cloud. The headers of several files are checked
-        together; those that do not fit are an error, or left out with a notice (`msbdb.io.pointfiles.sound_files`).
+        Points may also be a folder, a pattern, a virtual point cloud, a tile index or the URL of a COPC file. The
+        headers of several files are checked together; those that do not fit are an error, or left out with a notice
+        (`msbdb.io.pointfiles.sound_files`).
         """
         clouds = point_files(_paths(points))
         if clouds:
@@ -95,12 +96,15 @@ class Inputs:
         Raises
         ------
         FileError
-            For a URL, a folder, a missing file, or one of another kind; points show this when they are read, first.
+            For a URL, a folder, a missing file, or one of another kind; points show this when they are read, first, and
+            may be at http and https URLs.
         InputError
             For a file that is given twice, also as a copy.
         """
         by_size: dict[int, list[tuple[Path, str]]] = {}
         for path, role in self.files():
+            if role == "points" and url_of(path) is not None:
+                continue
             require_input(path)
             by_size.setdefault(path.stat().st_size, []).append((path, role))
         for alike in by_size.values():
@@ -199,7 +203,7 @@ class Inputs:
         return "NAME" if name == taken else name
 
     def _stem(self) -> str:
-        return next(self.files())[0].stem.removesuffix(".copc")
+        return Path(file_name(next(self.files())[0])).stem.removesuffix(".copc")
 
     def sources(self) -> tuple[Source, ...]:
         """Describe every file by name, role, size and checksum, in an order of content."""

@@ -3,6 +3,7 @@
 Each function imports what it alone needs, so that a summary is quick.
 """
 
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,20 +26,34 @@ from msbdb.database import (
     summarise_inventory,
     summarise_run,
 )
-from msbdb.errors import PassingNotice, counted, give_notice
-from msbdb.kept import heights_of
-from msbdb.params import POINT_DETECTORS
-from msbdb.tables import BUILDING, CANDIDATE_REGION, FLAT_REGION, PART
+from msbdb.errors import InputError, PassingNotice, counted, give_notice
+from msbdb.kept import heights_of, lattice_of
+from msbdb.params import POINT_DETECTORS, REGION_DETECTORS
+from msbdb.tables import BUILDING, CANDIDATE_REGION, DETECTOR_SHARES, FLAT_REGION, PART
 
 if TYPE_CHECKING:
     import geopandas as gpd
+    import numpy as np
+    import shapely
+    from numpy.typing import NDArray
 
-    from msbdb.grid import Grid
+    from msbdb.grid import Bands, Grid, GridSpec
+
+    Rasters = list[tuple[GridSpec, NDArray[np.uint8]]]
 
 Bounds = tuple[float, float, float, float]
 
 LAYERS = {"footprint": BUILDING, "part": PART, "flat_region": FLAT_REGION, "candidate_region": CANDIDATE_REGION}
 """The layers of a map and their tables."""
+
+MAPS = ("parts", "footprints", "detectors", "change", "probability", "reasons", *REGION_DETECTORS)
+"""What a map shows."""
+
+LARGEST_PHOTO = 2000
+"""Most cells a side of an orthophoto on the page (ours), as of the light and shadow."""
+
+FINEST_PHOTO = 0.1
+"""Finest cell of an orthophoto on the page, metres (ours); finer pixels are averaged."""
 
 EMPTY_MAP = (0.0, 0.0, 100.0, 100.0)
 """Extent of a map of nothing, metres."""
@@ -119,40 +134,142 @@ def tell_choice(engine: Engine, choice: Choice, *, named: bool = False) -> None:
         give_notice(msg, PassingNotice, stacklevel=3)
 
 
-def draw(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
+def draw(db: str | Path, out: Path, *, survey: str | None, what: str, aoi: Path | None, overwrite: bool) -> None:
     """Draw a map; see `msbdb.api.view`."""
     from msbdb.io.files import PAGE, PICTURES, require_output
 
-    require_output(out, overwrite=overwrite, endings=(*PICTURES, PAGE), sources=[db])
-    from msbdb.view.buildingmap import draw_map
-    from msbdb.view.regionmap import draw_candidates, draw_zones
+    require_output(out, overwrite=overwrite, endings=(*PICTURES, PAGE), sources=[db, *([aoi] if aoi else [])])
+    if what not in MAPS:
+        msg = f"There is no map of {what!r}. Choose one of {', '.join(MAPS)}."
+        raise InputError(msg)
+    if what == "change":
+        from msbdb.run.inventory.changed import changes_of
 
+        changes_of(db, survey=survey, aoi=aoi, figure=out, overwrite=overwrite)
+        return
     with opened(db) as engine:
         choice = of_one_place(engine, choose(engine, survey))
         frames, thresholds = _frames(engine, choice), _thresholds(engine, choice)
         relief = relief_for(engine, choice, frames["footprint"])
+        rasters = reason_rasters(engine, choice) if what == "reasons" else []
         dates = [read_survey(engine, name).date for name in choice.surveys]
-    name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(dates)} surveys"
     if len(dates) > 1:  # the newest are drawn last, on top
         frames = {layer: frame.iloc[::-1] for layer, frame in frames.items()}
-    parts, buildings, place = frames["part"], frames["footprint"], relief.spec.crs.name
     if choice.present:
+        buildings = frames["footprint"]
         here = buildings["survey"].isna() | buildings["survey"].isin(choice.surveys)
-        buildings = buildings[here & (buildings["state"] != "refuted")]
-    words = (max(dates, default=""), place, f"cell {relief.spec.cell_m:g} m")
+        frames["footprint"] = buildings[here & (buildings["state"] != "refuted")]
+    if aoi is not None:
+        area = area_of(aoi, relief)
+        frames = {layer: frame[frame.intersects(area)] for layer, frame in frames.items()}
+        relief = within(relief, area)
+    name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(dates)} surveys"
+    words = (max(dates, default=""), relief.spec.crs.name, f"cell {relief.spec.cell_m:g} m")
     subtitle = " · ".join(word for word in words if word)
-    if of == "flatregions":
-        regions = frames["flat_region"]
-        draw_zones(regions, relief, out, title=f"{name}: {counted(len(regions), 'flat region')}", subtitle=subtitle)
-        return
-    if of in POINT_DETECTORS:
-        regions = frames["candidate_region"]
-        regions = regions[regions["method"] == of]
-        title = f"{name}: {counted(len(regions), 'candidate region')} of {of}"
+    _draw_one(frames, relief, out, what, name=name, subtitle=subtitle, thresholds=thresholds, rasters=rasters)
+
+
+def _draw_one(
+    frames: "dict[str, gpd.GeoDataFrame]",
+    relief: "Grid",
+    out: Path,
+    what: str,
+    *,
+    name: str,
+    subtitle: str,
+    thresholds: dict[int, float],
+    rasters: "Rasters",
+) -> None:
+    """Draw one of the maps."""
+    from msbdb.view.buildingmap import draw_map
+    from msbdb.view.buildingthemes import draw_heights, draw_probability, draw_reasons, draw_support
+    from msbdb.view.regionmap import draw_candidates, draw_zones
+
+    parts, buildings, regions = frames["part"], frames["footprint"], frames["candidate_region"]
+    count = counted(len(buildings), "building")
+    if what == "flatregions":
+        zones = frames["flat_region"]
+        draw_zones(zones, relief, out, title=f"{name}: {counted(len(zones), 'flat region')}", subtitle=subtitle)
+    elif what in POINT_DETECTORS:
+        regions = regions[regions["method"] == what]
+        title = f"{name}: {counted(len(regions), 'candidate region')} of {what}"
         draw_candidates(regions, relief, out, title=title, subtitle=subtitle)
-        return
-    title = f"{name}: {counted(len(buildings), 'building')} in {counted(len(parts), 'part')}"
-    draw_map(parts, buildings, relief, out, title=title, subtitle=subtitle, thresholds_m2=thresholds)
+    elif what == "footprints":
+        draw_heights(buildings, relief, out, title=f"{name}: {count}", subtitle=subtitle)
+    elif what == "detectors":
+        shares = {method: column for method, column in DETECTOR_SHARES.items() if column in buildings}
+        draw_support(buildings, shares, relief, out, title=f"{name}: {count}, by detectors", subtitle=subtitle)
+    elif what == "probability":
+        draw_probability(buildings, relief, out, title=f"{name}: {count}, by probability", subtitle=subtitle)
+    elif what == "reasons":
+        title = f"{name}: why there is no building"
+        draw_reasons(buildings, rasters, relief, out, title=title, subtitle=subtitle)
+    else:
+        title = f"{name}: {count} in {counted(len(parts), 'part')}"
+        draw_map(parts, buildings, relief, out, title=title, subtitle=subtitle, thresholds_m2=thresholds)
+
+
+def reason_rasters(engine: Engine, choice: Choice) -> "Rasters":
+    """Return the rasters of reasons of the surveys, the newest first, of runs that kept one."""
+    found = ((lattice_of(read_survey(engine, name)), read_rasters(engine, name).reason) for name in choice.surveys)
+    return [(spec, own) for spec, own in found if own is not None]
+
+
+def area_of(aoi: Path, relief: "Grid") -> "shapely.Geometry":
+    """Return the polygons of a file as one, in the CRS of the heights.
+
+    Raises
+    ------
+    InputError
+        When no cell of the heights lies in their bounds.
+    """
+    from msbdb.io.files import require_input
+    from msbdb.io.vector import read_polygons
+
+    require_input(aoi)
+    area = read_polygons(aoi, to=relief.spec.crs).union_all()
+    west, south, east, north = relief.spec.bounds
+    box = area.bounds
+    if box[0] >= east or box[2] <= west or box[1] >= north or box[3] <= south:
+        msg = f"The polygons of {aoi.name} lie beside the surveys, which reach {_extent(relief)}. Give an area inside."
+        raise InputError(msg)
+    return area
+
+
+def _extent(relief: "Grid") -> str:
+    west, south, east, north = relief.spec.bounds
+    return f"from {west:.0f} to {east:.0f} east and from {south:.0f} to {north:.0f} north"
+
+
+def within(relief: "Grid", area: "shapely.Geometry") -> "Grid":
+    """Return the cells of heights in the bounds of an area."""
+    import numpy as np
+
+    from msbdb.grid import Grid
+
+    west, south, east, north = area.bounds
+    edge_west, _, _, edge_north = relief.spec.bounds
+    cell, (rows, cols) = relief.spec.cell_m, relief.spec.shape
+    first = np.floor([(edge_north - north) / cell, (west - edge_west) / cell]).astype(int).clip(0)
+    last = np.ceil([(edge_north - south) / cell, (east - edge_west) / cell]).astype(int).clip(1, (rows, cols))
+    window = tuple(slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
+    return Grid(relief.values[window], relief.valid[window], relief.spec.crop(*window))
+
+
+def photo_on(relief: "Grid", ortho: Path) -> "Bands":
+    """Return an orthophoto within the bounds of heights, on cells that suit a picture of a page.
+
+    Raises
+    ------
+    GridMismatchError
+        When the orthophoto is of another place.
+    """
+    from msbdb.grid import lattice
+    from msbdb.io.ortho import read_bands
+
+    west, south, east, north = relief.spec.bounds
+    cell = max(math.ceil(100 * max(east - west, north - south) / LARGEST_PHOTO) / 100, FINEST_PHOTO)
+    return read_bands(ortho, lattice(relief.spec.bounds, cell, relief.spec.crs))
 
 
 def of_one_place(engine: Engine, choice: Choice) -> Choice:

@@ -20,7 +20,6 @@ from msbdb.database import (
     opened,
     read_classes,
     read_pieces,
-    read_rasters,
     read_scales,
     read_survey,
     read_tables,
@@ -31,16 +30,15 @@ from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError, PassingNotice, counted, give_notice
 from msbdb.grid import Grid
 from msbdb.io.files import require_output
-from msbdb.kept import lattice_of
 from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
-from msbdb.run.outputs import Choice, choose, of_one_place, relief_for
+from msbdb.run.outputs import Choice, area_of, choose, of_one_place, photo_on, reason_rasters, relief_for, within
 from msbdb.tables import BUILDING, DETECTOR_SHARES, PART
 from msbdb.tables.aliases import words_of
 from msbdb.tables.view_columns import VIEW_COLUMNS
 from msbdb.view.blocks import blocks_of
 from msbdb.view.buildingmap import KINDS
-from msbdb.view.groundimages import extent_of, light_image, reason_image
-from msbdb.view.page import DEGREE, read_library, shapes_of, texts, whole_numbers, write_page
+from msbdb.view.groundimages import light_image, origin_of, photo_image, place_of, reason_image
+from msbdb.view.page import read_library, shapes_of, texts, whole_numbers, write_page
 
 MOST_PARTS = 60_000
 """Buildings and parts beyond which the page would be slow (ours): 10,000 buildings have about 40,000."""
@@ -78,19 +76,25 @@ class _Stock:
     parts: gpd.GeoDataFrame
 
 
-def view_page(db: str | Path, out: Path, *, survey: str | None, of: str, overwrite: bool) -> None:
+def view_page(
+    db: str | Path, out: Path, *, survey: str | None, what: str, aoi: Path | None, ortho: Path | None, overwrite: bool
+) -> None:
     """Write a page; see `msbdb.api.view`."""
-    require_output(out, overwrite=overwrite, sources=[db])
-    if of != "buildings":
-        msg = f"The page shows buildings and their parts; leave out --of {of}, or write a picture: .png, .svg or .pdf."
+    require_output(out, overwrite=overwrite, sources=[db, *(path for path in (aoi, ortho) if path)])
+    if what != "parts":
+        msg = (
+            f"The page shows buildings and their parts; leave out --what {what}, or write a picture: .png, .svg, .pdf."
+        )
         raise InputError(msg)
     library = read_library()
     with opened(db) as engine:
-        town = town_of(db, engine, of_one_place(engine, choose(engine, survey)))
+        town = town_of(db, engine, of_one_place(engine, choose(engine, survey)), aoi, ortho)
     write_page(town, out, library)
 
 
-def town_of(db: str | Path, engine: Engine, choice: Choice) -> dict[str, Any]:
+def town_of(
+    db: str | Path, engine: Engine, choice: Choice, aoi: Path | None = None, ortho: Path | None = None
+) -> dict[str, Any]:
     """Return what the page of a database shows, as values of JSON.
 
     Parameters
@@ -101,17 +105,28 @@ def town_of(db: str | Path, engine: Engine, choice: Choice) -> dict[str, Any]:
         The same, opened.
     choice : Choice
         The surveys, and whether the buildings are those of the inventory.
+    aoi : path, optional
+        A file of polygons: the buildings that meet them, and the ground within their bounds.
+    ortho : path, optional
+        An orthophoto, as a layer of the ground.
 
     Raises
     ------
     InputError
-        When there are more buildings and parts than a page can hold.
+        When there are more buildings and parts than a page can hold, or the area lies beside the surveys.
     """
-    _require_few(engine, choice)
+    if aoi is None:
+        _require_few(
+            sum(summarise_run(engine, name).rows[own.name] for name in choice.surveys for own in (BUILDING, PART))
+        )
     stock = _inventory(engine, choice) if choice.present else _surveys(engine, choice)
     relief = relief_for(engine, choice, stock.buildings)
+    if aoi is not None:
+        area = area_of(aoi, relief)
+        stock, relief = _inside(stock, area), within(relief, area)
+        _require_few(len(stock.buildings) + len(stock.parts))
     to_degrees = Transformer.from_crs(relief.spec.crs, 4326, always_xy=True)
-    origin = _origin(relief, to_degrees)
+    origin = origin_of(relief, to_degrees)
     inventory = _changes(db, engine, stock) if choice.present else {}
     name = choice.surveys[0] if choice.is_one else "Inventory" if choice.present else f"{len(choice.surveys)} surveys"
     return {
@@ -123,9 +138,10 @@ def town_of(db: str | Path, engine: Engine, choice: Choice) -> dict[str, Any]:
         "inventory": choice.present,
         "scales": _scales(engine, choice, stock.parts),
         "detectors": [[name, column] for name, column in DETECTOR_SHARES.items()],
-        "place": _place(relief, to_degrees, origin),
+        "place": place_of(relief, to_degrees, origin),
         "ground": light_image(relief),
-        "reasons": _reasons(engine, choice, relief),
+        "photo": None if ortho is None else photo_image(photo_on(relief, ortho), to_degrees, origin),
+        "reasons": reason_image(relief, reason_rasters(engine, choice)),
         **_rows(engine, choice, stock, to_degrees, origin),
         **inventory,
     }
@@ -140,15 +156,25 @@ def _subtitle(stock: _Stock, relief: Grid, choice: Choice) -> str:
     return " · ".join(word for word in (*counts, date, relief.spec.crs.name) if word)
 
 
-def _require_few(engine: Engine, choice: Choice) -> None:
-    """Refuse a database that is too large for one page."""
-    rows = sum(summarise_run(engine, name).rows[table.name] for name in choice.surveys for table in (BUILDING, PART))
+def _require_few(rows: int) -> None:
+    """Refuse what is too large for one page."""
     if rows > MOST_PARTS:
         msg = (
             f"The page would have {rows:,} buildings and parts; a browser is slow with more than {MOST_PARTS:,}. "
-            "Choose a survey by --survey, or open the database in QGIS ('msbdb qgis')."
+            "Choose a survey by --survey or an area by --aoi, or open the database in QGIS ('msbdb qgis')."
         )
         raise InputError(msg)
+
+
+def _inside(stock: _Stock, area: shapely.Geometry) -> _Stock:
+    """Return the buildings that meet an area, with their parts."""
+    keep = np.asarray(stock.buildings.intersects(area), dtype=np.bool_)
+    rows = stock.parts["row"].to_numpy(dtype=np.int64)
+    parts = stock.parts[keep[rows]]
+    numbers = (np.cumsum(keep) - 1)[rows[keep[rows]]]
+    return _Stock(
+        stock.views, stock.buildings[keep].reset_index(drop=True), parts.assign(row=numbers).reset_index(drop=True)
+    )
 
 
 def _inventory(engine: Engine, choice: Choice) -> _Stock:
@@ -322,30 +348,7 @@ def _scales(engine: Engine, choice: Choice, parts: gpd.GeoDataFrame) -> list[lis
         for scale, area in zip(table["scale"].tolist(), table["threshold_m2"].tolist(), strict=True):
             areas.setdefault(int(scale), set()).add(round(area))
     finest = int(parts["scale"].max()) if len(parts) else 0
-    return [
-        [scale, areas[scale].copy().pop() if len(areas.get(scale, ())) == 1 else None] for scale in range(1, finest + 1)
-    ]
-
-
-def _origin(relief: Grid, to_degrees: Transformer) -> tuple[int, int]:
-    """Return the south-western corner of all that is shown, steps of longitude and latitude."""
-    west, south, east, north = relief.spec.bounds
-    lon, lat = to_degrees.transform([west, east, west, east], [south, south, north, north])
-    return round(min(lon) * DEGREE), round(min(lat) * DEGREE)
-
-
-def _place(relief: Grid, to_degrees: Transformer, origin: tuple[int, int]) -> dict[str, Any]:
-    """Return where the images lie: corners in steps, from the north-west clockwise, and edges in centimetres."""
-    west, south, east, north = extent_of(relief)
-    lon, lat = to_degrees.transform([west, east, east, west], [north, north, south, south])
-    corners = [[round(x * DEGREE) - origin[0], round(y * DEGREE) - origin[1]] for x, y in zip(lon, lat, strict=True)]
-    return {"corners": corners, "bounds_cm": [round(100 * edge) for edge in (west, south, east, north)]}
-
-
-def _reasons(engine: Engine, choice: Choice, relief: Grid) -> dict[str, Any] | None:
-    """Return the raster of reasons as an image and its legend; None where no run kept one."""
-    rasters = ((lattice_of(read_survey(engine, name)), read_rasters(engine, name).reason) for name in choice.surveys)
-    return reason_image(relief, [(spec, own) for spec, own in rasters if own is not None])
+    return [[scale, min(areas[scale]) if len(areas.get(scale, ())) == 1 else None] for scale in range(1, finest + 1)]
 
 
 def _changes(db: str | Path, engine: Engine, stock: _Stock) -> dict[str, Any]:
@@ -355,34 +358,34 @@ def _changes(db: str | Path, engine: Engine, stock: _Stock) -> dict[str, Any]:
     area (m2).
     """
     row_of = {version: row for row, version in enumerate(stock.buildings["version_id"].tolist())}
-    kinds = list(KINDS)
     days = [view["date"] for view in stock.views]
     pairs = {}
     for first, since in enumerate(days):
         for second in range(first + 1, len(days)):
-            found = changes_of(
-                db, since=since, until=days[second], survey=None, each=False, aoi=None, out=None, figure=None,
-                overwrite=False,
-            )  # fmt: skip
+            found = changes_of(db, since=since, until=days[second])
             table = found.table[~found.table["kind"].isin(["unchanged", NOT_SURVEYED])]
-            pairs[f"{first}-{second}"] = _change_rows(table, kinds, row_of)
+            pairs[f"{first}-{second}"] = _change_rows(_shown(table, row_of), row_of)
     period = read_period(engine)
     each = with_beginnings(period.changes, period.events, None)
-    each = each[(each["kind"] != "unchanged") & each["date"].astype(str).isin(days)]
+    each = _shown(each[(each["kind"] != "unchanged") & each["date"].astype(str).isin(days)], row_of)
     number = {day: view for view, day in enumerate(days)}
-    rows = _change_rows(each, kinds, row_of)
+    rows = _change_rows(each, row_of)
     history = [[number[str(day)], *row] for day, row in zip(each["date"], rows, strict=True)]
     return {"kinds": [[name, colour] for name, colour in KINDS.items()], "changes": pairs, "history": history}
 
 
-def _change_rows(table: gpd.GeoDataFrame, kinds: list[str], row_of: Mapping[int, int]) -> list[list[Any]]:
+def _shown(table: gpd.GeoDataFrame, row_of: Mapping[int, int]) -> gpd.GeoDataFrame:
+    """Return the changes whose buildings are all on the page."""
+    versions = table[["version_before", "version_after"]]
+    return table[(versions.isna() | versions.isin(list(row_of))).all(axis=1)]
+
+
+def _change_rows(table: gpd.GeoDataFrame, row_of: Mapping[int, int]) -> list[list[Any]]:
     """Return changes as short rows."""
     sides = [
         [row_of.get(version, -1) for version in table[name].astype("Int64").fillna(0).tolist()]
         for name in ("version_before", "version_after")
     ]
-    number = [kinds.index(kind) for kind in table["kind"]]
-    return [
-        list(row)
-        for row in zip(number, *sides, whole_numbers(table["dh_m"], 2), whole_numbers(table["darea_m2"]), strict=True)
-    ]
+    number = [[*KINDS].index(kind) for kind in table["kind"]]
+    differences = whole_numbers(table["dh_m"], 2), whole_numbers(table["darea_m2"])
+    return [list(row) for row in zip(number, *sides, *differences, strict=True)]

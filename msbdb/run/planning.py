@@ -25,6 +25,7 @@ from msbdb.morphology.scalespace import scales_of_sizes
 from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.tree import cell_sizes
 from msbdb.points.cloud import GROUND_CLASS, LONE_GAP_Z_M, PointCloud, levels_of, measure_spacing
+from msbdb.points.laterechoes import numbered_by_place, under_distance
 from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
 from msbdb.spectral.kmeans import lattice_keys, pooled
 from msbdb.spectral.model import ClassModel, fit_model
@@ -166,22 +167,38 @@ def _cut(grid: Grid, inside: NDArray[np.bool_]) -> Grid:
     return grid.with_values(values, grid.valid & inside)
 
 
-def facts_of(cloud: PointCloud) -> PointFacts:
-    """Return what holds for all points of a cloud.
+def with_facts(cloud: PointCloud) -> PointCloud:
+    """Return a cloud that knows what holds for all its points; echoes without numbers are told apart by their place."""
+    if cloud.facts is None:
+        cloud, under_m = told_apart(cloud)
+        return replace(cloud, facts=facts_of(cloud, under_m))
+    return numbered_by_place(cloud, cloud.facts.under_m) if cloud.facts.under_m else cloud
+
+
+def told_apart(cloud: PointCloud) -> tuple[PointCloud, float]:
+    """Return a whole survey whose later echoes are known, and the distance within which they lie under others."""
+    under_m = under_distance(cloud)
+    return (numbered_by_place(cloud, under_m) if under_m else cloud), under_m
+
+
+def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
+    """Return what holds for all points of a cloud; ``under_m`` was found before.
 
     Raises
     ------
     NodataError
         When there is no first echo.
     """
-    spacing_m, typical_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
+    spacing_m, typical_m, link_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
     return PointFacts(
         points=len(cloud),
-        density=density(cloud),
+        density=density(cloud, link_m),
         spacing_m=spacing_m,
         typical_m=typical_m,
+        link_m=link_m,
         numbered=cloud.return_number is not None,
         echoes=cloud.has_echoes,
+        under_m=under_m,
         ground_share=float(np.count_nonzero(cloud.in_class(GROUND_CLASS))) / max(len(cloud), 1),
         colours=cloud.colour_names,
         intensity=cloud.intensity is not None,
@@ -192,23 +209,29 @@ def facts_of(cloud: PointCloud) -> PointFacts:
 def joined_facts(facts: Sequence[PointFacts]) -> PointFacts:
     """Return what holds for the points of several blocks together.
 
-    The density is that of their covered ground. Of the typical spacings the median counts, by covered ground.
+    The density is that of their covered ground. Of the typical spacings and of the links the median counts, by
+    covered ground.
     """
     if len(facts) == 1:
         return facts[0]
     points = sum(each.points for each in facts)
     # A block covers as many square metres as its points fill at its spacing, but for later echoes.
     covered = np.array([each.points * each.spacing_m**2 for each in facts])
-    order = np.argsort([each.typical_m for each in facts], kind="stable")
-    middle = int(np.searchsorted(np.cumsum(covered[order]), covered.sum() / 2))
+
+    def middle(values: list[float]) -> float:
+        order = np.argsort(values, kind="stable")
+        return values[int(order[np.searchsorted(np.cumsum(covered[order]), covered.sum() / 2)])]
+
     names = [name for name in ("red", "green", "blue", "nir") if any(name in each.colours for each in facts)]
     return PointFacts(
         points=points,
         density=points / sum(each.points / each.density for each in facts),
         spacing_m=math.sqrt(float(covered.sum()) / points),
-        typical_m=facts[int(order[middle])].typical_m,
+        typical_m=middle([each.typical_m for each in facts]),
+        link_m=middle([each.link_m for each in facts]),
         numbered=any(each.numbered for each in facts),
         echoes=any(each.echoes for each in facts),
+        under_m=max(each.under_m for each in facts),
         ground_share=sum(each.ground_share * each.points for each in facts) / points,
         colours=tuple(names),
         intensity=any(each.intensity for each in facts),

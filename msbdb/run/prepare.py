@@ -32,6 +32,8 @@ from msbdb.run.planning import (
     joined_facts,
     require_fitting,
     settled,
+    told_apart,
+    with_facts,
 )
 from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import kept_intensity, spectral_bands
@@ -47,6 +49,9 @@ logger = logging.getLogger(__name__)
 NO_IMAGERY = "There is no imagery: height texture and echoes alone separate roofs from vegetation."
 
 NO_ECHOES = "No pulse has a second echo, or none is recorded: height texture alone separates roofs from vegetation."
+
+WINDOW_CELLS = 3
+"""Least width of a window of the texture, cells."""
 
 LARGEST_OFFSET_M = 10.0
 """Ours: a surface has open ground somewhere, and other height references are farther away, such as the ellipsoid."""
@@ -145,8 +150,7 @@ def prepare(
     plan : Plan
         That given, or that of the survey.
     """
-    if cloud is not None and cloud.facts is None:
-        cloud = replace(cloud, facts=facts_of(cloud))
+    cloud = None if cloud is None else with_facts(cloud)
     draft = make_draft(inputs, cloud, params, stages, sampled=own is not None)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
@@ -187,7 +191,7 @@ def prepare(
         elevations,
         parcels=parcels,
         surface=surface,
-        cloud=cloud,
+        cloud=draft.cloud,
         bands=bands,
         above=draft.above,
         intensity=intensity,
@@ -210,11 +214,12 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
     if cloud is None or blocks is None:
-        cloud = None if cloud is None else replace(cloud, facts=facts_of(cloud))
+        cloud = None if cloud is None else with_facts(cloud)
         plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)
         return plan
+    cloud, under_m = told_apart(cloud)
     clouds = blocks.cut(cloud)
-    facts = joined_facts([facts_of(each) for each in clouds.values()])
+    facts = joined_facts([facts_of(each, under_m) for each in clouds.values()])
     drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each in clouds.values()]
     with stages.stage("classes"):
         plan, _ = decide(drafts, params)
@@ -331,7 +336,7 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
     """
     points_m2 = density(points)
     note_sparse(points_m2, "first echoes")
-    cell_m = params.surface.cell_m or cell_size(points_m2, literal=params.surface.cell_rule == "literal")
+    cell_m = params.surface.cell_m or cell_of_points(points, points_m2, params)
     spec = lattice(points.bounds, cell_m, points.crs)
     aligned = None if given is None else align_grid(given, spec, role="DTM")
     dsm, samples = grid_surface(points, spec, params)
@@ -343,6 +348,18 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
     logger.info(surface_is, *spec.shape, cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
     return surface if given is None else note_offset(surface)
+
+
+def cell_of_points(points: PointCloud, points_m2: float, params: Params) -> float:
+    """Return the cell size by the mean spacing; a larger one where the texture would see single scan lines, metres.
+
+    A window of the texture needs points of two lines for a plane. It is three cells wide at least.
+    """
+    cell_m = cell_size(points_m2, literal=params.surface.cell_rule == "literal")
+    two_lines_m = 0.0 if points.facts is None else 2 * points.facts.link_m
+    if two_lines_m <= params.cover.window_m or params.surface.cell_rule == "literal":
+        return cell_m
+    return max(cell_m, cell_size((WINDOW_CELLS / two_lines_m) ** 2))
 
 
 def note_offset(surface: Surface) -> Surface:

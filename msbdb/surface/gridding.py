@@ -59,12 +59,13 @@ def frame(spec: GridSpec) -> Frame:
     return (spec.transform.c, spec.transform.f, spec.cell_m)
 
 
-def density(points: PointCloud) -> float:
+def density(points: PointCloud, link_m: float = 0.0) -> float:
     """First echoes a square metre of covered ground; of the whole survey, where that is known.
 
     Covered are the 2 m cells that hold a first echo. Sparse points would cover less than their share, and islands far
     apart would need many empty cells. With less than one echo a cell of the bounding box, or four a covered cell, the
-    cells grow, up to `LARGEST_OCCUPANCY_M`, until the cells with points hold four on average.
+    cells grow until the cells with points hold four on average, up to `LARGEST_OCCUPANCY_M`. They also grow up to the
+    least link between points (`msbdb.points.cloud.least_link`), as no cell between two scan lines is open ground.
 
     Raises
     ------
@@ -80,19 +81,20 @@ def density(points: PointCloud) -> float:
         raise NodataError(msg)
     x, y = points.x, points.y
     spec = lattice(_bounds(x, y, first), OCCUPANCY_CELL_M, points.crs)
-    if count >= spec.shape[0] * spec.shape[1]:
+    if link_m <= OCCUPANCY_CELL_M and count >= spec.shape[0] * spec.shape[1]:
         covered = np.count_nonzero(_occupied(x, y, first, frame(spec), spec.shape))
         if count >= LEAST_A_CELL * covered:
             return float(count / (covered * spec.cell_area_m2))
-    return _scattered_density(x[first], y[first])
+    return _scattered_density(x[first], y[first], link_m)
 
 
-def _scattered_density(x: Floats, y: Floats) -> float:
+def _scattered_density(x: Floats, y: Floats, link_m: float) -> float:
     """Return the points a square metre of the cells that hold any, on cells that hold four on average."""
     cell_m = OCCUPANCY_CELL_M
     while True:
         cells = index_cells(x, y, cell_m)
-        if cells.order.size >= LEAST_A_CELL * cells.keys.size or cell_m >= LARGEST_OCCUPANCY_M:
+        enough = cells.order.size >= LEAST_A_CELL * cells.keys.size and cell_m >= link_m
+        if enough or cell_m >= LARGEST_OCCUPANCY_M:
             return cells.order.size / (cells.keys.size * cell_m**2)
         cell_m *= OCCUPANCY_GROWTH
 

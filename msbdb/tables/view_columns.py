@@ -9,6 +9,12 @@ from msbdb.tables.inventory_tables import BUILDING_VERSION, OPERATOR_STATE, ROOF
 from msbdb.tables.region_tables import CANDIDATE_REGION, FLAT_REGION
 from msbdb.tables.run_tables import SPECTRAL_CLASS, SURVEY
 
+IDS = (
+    "part_id", "uid", "building_id", "supid", "root_id", "version_id", "region_id", "candidate_id", "change_id",
+    "uid_before", "uid_after", "version_before", "version_after", "rejection_id",
+)  # fmt: skip
+"""Columns of ids. Files and servers have them as text, because browsers and spreadsheets round numbers above 2^53."""
+
 SURVEY_NAME = replace(SURVEY["name"], name="survey", nullable=True)
 """The survey of a row; null for a row of an import."""
 

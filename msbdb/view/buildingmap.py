@@ -24,13 +24,19 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError
 from msbdb.grid import Grid
 from msbdb.io.files import PICTURES, write_atomic
-from msbdb.view.furniture import BELOW_INCHES, north_arrow, outlines, scale_bar
+from msbdb.view.furniture import BELOW_INCHES, legend_beside, north_arrow, outlines, scale_bar
 
 MAP_INCHES = 9.0
 """Longer side of the map on paper; the resolution follows the data, so that fonts keep their size."""
 
-LARGEST_RELIEF = 2500
-"""Cells a side beyond which the hillshade is thinned, because the picture cannot show more."""
+LARGEST_RELIEF = 1200
+"""Cells a side beyond which the hillshade is thinned, by means (ours): 130 dots an inch do for light and shadow."""
+
+LEVELS = 16
+"""Steps of light and of shadow (ours): finer ones are not seen, and make files several times as large."""
+
+DOTS = (150, 200)
+"""Fewest and most dots an inch of a picture (ours): a page of a report prints 200 well."""
 
 GROUND = "#eeece6"
 
@@ -102,31 +108,31 @@ def draw_map(
     require_picture(out)
     figure, axes = sheet(relief)
     draw_relief(axes, relief)
-    norm = _height_range(parts)
+    norm = height_range(parts)
     scales = sorted(int(scale) for scale in parts["scale"].unique())
-    thin = _thinness(parts, axes)
+    thin = thinness(parts, axes)
     for order, scale in enumerate(scales):
         chosen = parts[parts["scale"] == scale]
         _draw_parts(axes, chosen, norm, order, _line(scale, scales, thin))
-    _draw_footprints(axes, buildings, 1.5 * thin)
+    draw_outlines(axes, buildings, 1.5 * thin)
     furnish(figure, axes, title, subtitle)
     _legend(figure, axes, scales, thresholds_m2=thresholds_m2 or {}, thin=thin, no_data=not bool(relief.valid.all()))
     if len(parts):
-        _height_bar(figure, axes, norm)
+        height_bar(figure, axes, norm)
     write_picture(figure, out)
 
 
 def sheet(relief: Grid) -> tuple[Figure, Axes]:
     """Return a figure with room for a title above and a legend beside the map, and the map's axes.
 
-    The map's longer side is ``MAP_INCHES``; two dots a cell, within 150 and 350 dots an inch.
+    The map's longer side is ``MAP_INCHES``; two dots a cell, within ``DOTS``.
     """
     rows, cols = relief.spec.shape
     longest = max(rows, cols)
     width, height = (max(MAP_INCHES * side / longest, 3.2) for side in (cols, rows))
     left, right, bottom, top = 0.75, 2.35, BELOW_INCHES, 0.8
     sheet_width, sheet_height = left + width + right, bottom + max(height, 4.2) + top
-    figure = Figure(figsize=(sheet_width, sheet_height), dpi=min(max(2 * longest / MAP_INCHES, 150), 350))
+    figure = Figure(figsize=(sheet_width, sheet_height), dpi=min(max(2 * longest / MAP_INCHES, DOTS[0]), DOTS[1]))
     FigureCanvasAgg(figure)
     base = sheet_height - top - height
     axes = figure.add_axes(
@@ -143,8 +149,7 @@ def sheet(relief: Grid) -> tuple[Figure, Axes]:
 def draw_relief(axes: Axes, relief: Grid) -> None:
     """Draw the ground's colour where the relief is valid, and its light and shadow above the parts, roofs and all."""
     step = math.ceil(max(relief.spec.shape) / LARGEST_RELIEF)
-    heights = relief.values[::step, ::step].astype(np.float32)
-    valid = relief.valid[::step, ::step]
+    heights, valid = thinned(relief, step)
     if min(heights.shape) < 2 or not valid.any():
         return
     cell = relief.spec.cell_m * step
@@ -155,8 +160,22 @@ def draw_relief(axes: Axes, relief: Grid) -> None:
     ground[valid] = np.round(255 * np.array(to_rgba(GROUND))).astype(np.uint8)
     limits = axes.axis()
     for image, zorder in ((ground, 1.0), (shading(heights, valid, cell), 3.0)):
-        axes.imshow(image, extent=extent, aspect="auto", interpolation="antialiased", zorder=zorder)
+        axes.imshow(image, extent=extent, aspect="auto", interpolation="none", zorder=zorder)
     axes.axis(limits)  # an image sets the limits to its own
+
+
+def thinned(relief: Grid, step: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the means of a grid's valid cells in blocks of ``step`` by ``step`` cells, and which blocks have one."""
+    rows, cols = relief.spec.shape
+    starts = np.arange(0, rows, step), np.arange(0, cols, step)
+
+    def sums(values: NDArray[Any]) -> NDArray[np.float64]:
+        down = np.add.reduceat(values.astype(np.float64), starts[0], axis=0)
+        return np.asarray(np.add.reduceat(down, starts[1], axis=1))
+
+    count = sums(relief.valid)
+    total = sums(np.where(relief.valid, relief.values, 0.0))
+    return (total / np.maximum(count, 1.0)).astype(np.float32), count > 0
 
 
 def shading(heights: NDArray[np.float32], valid: NDArray[np.bool_], cell_m: float) -> NDArray[np.uint8]:
@@ -183,11 +202,12 @@ def shading(heights: NDArray[np.float32], valid: NDArray[np.bool_], cell_m: floa
     light = np.clip((shade - level) / (1.0 - level), 0.0, 1.0)
     image = np.zeros((*heights.shape, 4), dtype=np.uint8)
     image[light > shadow, :3] = 255
-    image[..., 3] = np.where(valid, np.round(255 * np.maximum(0.55 * shadow, 0.4 * light)), 0)
+    steps = np.round(LEVELS * np.maximum(shadow, light)) / LEVELS
+    image[..., 3] = np.where(valid, np.round(255 * np.where(light > shadow, 0.4, 0.55) * steps), 0)
     return image
 
 
-def _height_range(parts: gpd.GeoDataFrame) -> Normalize:
+def height_range(parts: gpd.GeoDataFrame) -> Normalize:
     """Return the range of colours: from 0 to the 99th percentile, so that one tower does not flatten a town."""
     heights = parts["h_p90"].to_numpy(dtype=np.float64)
     heights = heights[np.isfinite(heights)]
@@ -195,7 +215,7 @@ def _height_range(parts: gpd.GeoDataFrame) -> Normalize:
     return Normalize(0.0, max(top, 1.0), clip=True)
 
 
-def _thinness(parts: gpd.GeoDataFrame, axes: Axes) -> float:
+def thinness(parts: gpd.GeoDataFrame, axes: Axes) -> float:
     """Return the factor of line widths: 1 where parts are large on paper, down to 0.5 where they are tiny."""
     if not len(parts):
         return 1.0
@@ -232,7 +252,7 @@ def _draw_parts(
     axes.add_collection(edges, autolim=False)
 
 
-def _draw_footprints(axes: Axes, buildings: gpd.GeoDataFrame, width: float) -> None:
+def draw_outlines(axes: Axes, buildings: gpd.GeoDataFrame, width: float) -> None:
     """Outline the footprints."""
     if not len(buildings):
         return
@@ -280,21 +300,10 @@ def _legend(
         handles.append(Line2D([], [], color=colour, linewidth=1.6 * width / thin, label=f"scale {scale}{size}"))
     if no_data:
         handles.append(Patch(facecolor=NO_DATA, edgecolor="#999999", linewidth=0.6, label="no data"))
-    box = axes.get_position()
-    figure.legend(
-        handles=handles,
-        title="Parts by scale" if scales else "No parts",
-        loc="upper left",
-        bbox_to_anchor=(box.x1 + 0.15 / figure.get_figwidth(), box.y1),
-        borderaxespad=0.0,
-        frameon=False,
-        alignment="left",
-        fontsize=8,
-        title_fontsize=9,
-    )
+    legend_beside(figure, axes, handles, "Parts by scale" if scales else "No parts")
 
 
-def _height_bar(figure: Figure, axes: Axes, norm: Normalize) -> None:
+def height_bar(figure: Figure, axes: Axes, norm: Normalize) -> None:
     """Explain the colours of the heights below the legend."""
     box = axes.get_position()
     width, height = figure.get_figwidth(), figure.get_figheight()
@@ -360,15 +369,4 @@ def _change_legend(figure: Figure, axes: Axes, changes: gpd.GeoDataFrame) -> Non
         for kind, colour in reversed(KINDS.items())
         if kind in counts.index
     ]
-    box = axes.get_position()
-    figure.legend(
-        handles=handles,
-        title="Buildings",
-        loc="upper left",
-        bbox_to_anchor=(box.x1 + 0.15 / figure.get_figwidth(), box.y1),
-        borderaxespad=0.0,
-        frameon=False,
-        alignment="left",
-        fontsize=8,
-        title_fontsize=9,
-    )
+    legend_beside(figure, axes, handles, "Buildings")

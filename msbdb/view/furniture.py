@@ -1,6 +1,7 @@
 """The furniture of a map: colour bar, scale bar and north arrow; and polygons as drawing paths."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -8,7 +9,8 @@ import shapely
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
@@ -37,6 +39,22 @@ def colour_bar(figure: Figure, axes: Axes, mapper: ScalarMappable, title: str) -
     figure.colorbar(mapper, cax=bar)
     bar.tick_params(labelsize=8)
     bar.set_title(title, fontsize=9, loc="left", pad=8)
+
+
+def legend_beside(figure: Figure, axes: Axes, handles: Sequence[Line2D | Patch], title: str) -> None:
+    """Explain lines and fills beside the map, from its upper right corner down; figure and axes as for `colour_bar`."""
+    box = axes.get_position()
+    figure.legend(
+        handles=list(handles),
+        title=title,
+        loc="upper left",
+        bbox_to_anchor=(box.x1 + 0.15 / figure.get_figwidth(), box.y1),
+        borderaxespad=0.0,
+        frameon=False,
+        alignment="left",
+        fontsize=8,
+        title_fontsize=9,
+    )
 
 
 def round_length(longest: float) -> float:

@@ -294,6 +294,8 @@
       { id: "paper", type: "background", paint: { "background-color": css("--ground") } },
       ...(town.ground ? [{ id: "ground", type: "raster", source: "ground", layout: isSeen("ground"),
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.7 } }] : []),
+      ...(town.photo ? [{ id: "photo", type: "raster", source: "photo", layout: isSeen("photo"),
+        paint: { "raster-fade-duration": 0 } }] : []),
       ...(town.reasons ? [{ id: "reasons", type: "raster", source: "reasons", layout: isSeen("reasons"),
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.75, "raster-resampling": "nearest" } }] : []),
       { id: "outlines", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], filter],
@@ -310,7 +312,7 @@
   }
 
   function styleOf(view, side) {
-    const image = (url) => ({ type: "image", url, coordinates: corners });
+    const image = (url, place = corners) => ({ type: "image", url, coordinates: place });
     return {
       version: 8,
       light: { anchor: "map", position: [1.3, 315, 40], intensity: 0.28 },
@@ -318,6 +320,7 @@
         town: { type: "geojson", maxzoom: 18, buffer: 32, tolerance: 0.2,
           data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) } },
         ...(town.ground && { ground: image(town.ground) }),
+        ...(town.photo && { photo: image(town.photo.image, town.photo.corners.map(([x, y]) => degrees(x, y))) }),
         ...(town.reasons && { reasons: image(town.reasons.image) }),
       },
       layers: looks(view, side),
@@ -477,6 +480,7 @@
   function makeLayers() {
     const rows = [["blocks", "buildings in 3-D"], ["outlines", "footprints"],
       ...(town.ground ? [["ground", "light and shadow of the surface"]] : []),
+      ...(town.photo ? [["photo", "orthophoto"]] : []),
       ...(town.reasons ? [["reasons", "why there is no building"]] : []),
       ...(states.includes("refuted") ? [["refuted", "refuted buildings"]] : [])];
     $("layers").replaceChildren(...rows.map(([name, words]) => {

@@ -109,7 +109,7 @@ def page_of(town: Mapping[str, Any], library: Library) -> str:
 
 
 def as_data(value: object) -> str:
-    r"""Return a value as JSON that can stand in a script of HTML.
+    r"""Return a value as JSON that is safe in a script of HTML.
 
     Examples
     --------

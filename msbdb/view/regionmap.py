@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from msbdb.grid import Grid
 from msbdb.view.buildingmap import draw_relief, furnish, require_picture, sheet, write_picture
-from msbdb.view.furniture import colour_bar, outlines
+from msbdb.view.furniture import colour_bar, legend_beside, outlines
 
 SCALES = ("#fde725", "#5ec962", "#21918c", "#31688e", "#440154")
 """Height scales from the lowest up, with rising darkness also in grey; scales above the last have its colour."""
@@ -67,14 +67,7 @@ def draw_candidates(regions: gpd.GeoDataFrame, relief: Grid, out: Path, *, title
             Patch(facecolor=SCALES[min(n, len(SCALES) - 1)], edgecolor="black", label=f"{level:.2f} m")
             for n, level in enumerate(levels)
         ]
-        axes.legend(
-            handles=patches,
-            title="Height scale h",
-            loc="upper left",
-            bbox_to_anchor=(1.01, 1.0),
-            fontsize=8,
-            frameon=False,
-        )
+        legend_beside(figure, axes, patches, "Height scale h")
     elif len(regions):
         colour_bar(figure, axes, mapper, "Height, m")
     furnish(figure, axes, title, subtitle)

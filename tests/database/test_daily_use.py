@@ -213,7 +213,7 @@ def test_several_surveys_are_exported_and_drawn_without_a_name(
     assert (tmp_path / "near.png").stat().st_size > 10_000
     far = town_build("far", "2019", [(5008, 8, 5020, 20, 7)], bounds=(5000, 0, 5040, 40))
     store_build(target, far)
-    told = run("view", target, "--out", tmp_path / "far.png", "--of", "area3d").replace("\n", " ")
+    told = run("view", target, "--out", tmp_path / "far.png", "--what", "area3d").replace("\n", " ")
     assert "Too far away for this map, and not drawn: far. --survey NAME draws one" in told
 
 

@@ -82,7 +82,7 @@ def test_a_tower_on_a_podium_gives_the_highest_storeys_and_the_ridge() -> None:
     found = heights_of(surface, labels).iloc[0]
     assert (found["eaves"], found["ridge"], found["z_ridge"]) == (6.5, 30.5, 130.5)
     assert (found["storeys"], found["storeys_top"]) == (2, 10)
-    assert found["floor_area_m2"] == (300 * 2 + 84 * 10 + 16 * 2) / 4
+    assert found["floor_area_m2"] == (300 * 2 + 100 * 10) / 4
 
 
 def test_a_larger_tower_is_the_main_roof() -> None:
@@ -91,6 +91,17 @@ def test_a_larger_tower_is_the_main_roof() -> None:
         surface, labels = box(6.5)
         surface[20:40, 20 : 20 + columns] = 30.5
         assert heights_of(surface, labels)["eaves"].tolist() == [eaves]
+
+
+def test_dormers_count_for_the_roof_on_which_they_stand() -> None:
+    """Without their cells the larger roof would be the smaller one."""
+    surface, labels = box(6.5)
+    surface[:, 28:] = np.where(labels[:, 28:] > 0, 12.5, 0.0)
+    for row in (21, 28, 34):
+        surface[row : row + 5, 30:36] = 15.0
+    found = heights_of(surface, labels).iloc[0]
+    assert np.count_nonzero(surface == 12.5) < 20 * 8
+    assert (found["eaves"], found["storeys"]) == (12.5, 4)
 
 
 def test_chimneys_antennas_and_dormers_do_not_change_the_levels() -> None:

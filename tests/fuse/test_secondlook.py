@@ -8,17 +8,18 @@ from pyproj import CRS
 
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.cells import fuse_cells
-from msbdb.fuse.secondlook import with_flush_planes, without_crowns
+from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green, without_rough
 from msbdb.grid import Grid, lattice
 from msbdb.params import FuseParams
+from msbdb.surface.texture import NO_PLANE_M
 
 PARAMS = FuseParams()
 
 
-def grid(heights):
-    """Heights on cells of 1 m, all valid."""
+def grid(heights, cell_m=1.0):
+    """Heights on cells of a size, all valid."""
     rows, cols = heights.shape
-    spec = lattice((0, 0.1, cols - 0.1, rows), 1.0, CRS.from_epsg(2154))
+    spec = lattice((0, 0.1, (cols - 0.1) * cell_m, rows * cell_m), cell_m, CRS.from_epsg(2154))
     return Grid(np.asarray(heights, dtype=np.float32), np.ones(heights.shape, dtype=bool), spec)
 
 
@@ -55,6 +56,65 @@ def test_a_large_rough_object_needs_less_support(side, share, smooth_rows, kept)
     rough[5 : 5 + smooth_rows] = 0.02
     found = without_crowns(decided, share * decided, rough, PARAMS, clear=0.625, cell_m=1.0)
     assert np.array_equal(found, decided if kept else np.zeros_like(decided))
+
+
+@pytest.mark.parametrize(
+    ("green_rows", "rough_rows", "taken_rows", "kept"),
+    [(10, 10, 0, False), (6, 6, 0, False), (4, 10, 0, True), (10, 4, 0, True), (10, 10, 2, True)],
+    ids=["trees", "mostly trees", "of another colour", "planted roof", "taken by the multi-scale detector"],
+)
+def test_green_rough_objects_that_only_shape_supports_go(green_rows, rough_rows, taken_rows, kept):
+    """A tenth taken by the detector that looks at colours, a smooth half, or half of another colour keeps an object."""
+    shape = (20, 20)
+    decided = block(shape, (5, 15), (5, 15))
+    green, taken = (block(shape, (5, 5 + rows), (5, 15)) for rows in (green_rows, taken_rows))
+    rough = np.where(block(shape, (5, 5 + rough_rows), (5, 15)), np.float32(0.4), np.float32(0.02))
+    found = without_green(decided, taken, green, rough, PARAMS, cell_m=1.0)
+    assert (np.count_nonzero(found) > 50) == kept
+
+
+def test_a_house_that_trees_touch_stays():
+    """The smooth part of another colour stays, if it has the area of a building; narrow gaps in the green do not."""
+    shape = (20, 60)
+    decided = block(shape, (5, 15), (5, 55))
+    house, gap = block(shape, (5, 15), (5, 15)), block(shape, (5, 15), (30, 32))
+    rough = np.where(house | gap, np.float32(0.02), np.float32(0.4))
+    found = without_green(decided, ~decided, ~(house | gap), rough, PARAMS, cell_m=1.0)
+    np.testing.assert_array_equal(found, house)
+    regions = {name: Regions(name, decided.astype(np.int32), None, None, {}) for name in ("flat", "area3d", "adaptive")}
+    regions["multiscale"] = Regions("multiscale", np.zeros(shape, dtype=np.int32), None, None, {})
+    evidence = Evidence(np.rint(1000 * rough).astype(np.uint16), np.full(shape, 200, dtype=np.uint8))
+    heights = grid(np.where(decided, 6.0, 0.0))
+    fused = fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence, green=~house)
+    np.testing.assert_array_equal(fused, house)
+    np.testing.assert_array_equal(fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence), decided)
+
+
+@pytest.mark.parametrize(
+    ("roof_m", "ground_m", "cell_m", "kept"),
+    [(0.3, 0.02, 0.5, False), (0.02, 0.02, 0.5, True), (0.3, 0.12, 0.5, True), (0.3, 0.02, 1.0, True)],
+    ids=["hedge", "roof", "noisy survey", "coarse cells"],
+)
+def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept):
+    """Whatever supports it, unless the bare ground around it is nearly as rough, or cells are too large to say."""
+    shape = (60, 60)
+    decided = block(shape, (20, 40), (20, 40))
+    rough = np.where(decided, np.float32(roof_m), np.float32(ground_m))
+    found = without_rough(decided, rough, grid(np.where(decided, 5.0, 0.0), cell_m), PARAMS)
+    np.testing.assert_array_equal(found, decided if kept else np.zeros_like(decided))
+
+
+def test_an_object_whose_roughness_is_not_known_stays():
+    """Too few samples for planes say nothing, neither on a roof nor on the ground."""
+    shape = (60, 60)
+    decided = block(shape, (20, 40), (20, 40))
+    heights = grid(np.where(decided, 5.0, 0.0), 0.5)
+    unknown = np.full(shape, NO_PLANE_M, dtype=np.float32)
+    np.testing.assert_array_equal(without_rough(decided, unknown, heights, PARAMS), decided)
+    hedge = np.where(decided, np.float32(0.3), unknown)
+    assert not without_rough(decided, hedge, heights, PARAMS).any()
+    few = without_crowns(decided, 0.5 * decided, unknown, PARAMS, clear=0.625, cell_m=0.5)
+    np.testing.assert_array_equal(few, decided)
 
 
 def test_each_object_is_judged_by_itself():

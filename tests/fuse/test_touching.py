@@ -93,10 +93,49 @@ def test_flat_houses_of_different_heights_are_divided_at_their_steps():
     """Three of 8 m, two of them with equal neighbours beyond the step."""
     heights = scene()
     for number, height in enumerate((6, 9, 6)):
-        put(heights, 10 + 8 * number, 10, flat(8, 12, height))
+        put(heights, 10 + 8 * number, 10, flat(8, 14, height))
     found = division(heights)
-    assert areas_m2(found) == pytest.approx([96] * 3, abs=9)
+    assert areas_m2(found) == pytest.approx([112] * 3, abs=9)
     assert reasons(found) == {"step"}
+
+
+def house_with_garage(garage_m: float, height_m: float, *, depth_m: float = 10) -> np.ndarray:
+    """Return a level house of 12 m by 10 m and 6 m beside a garage."""
+    heights = scene()
+    put(heights, 10, 10, flat(12, 10, 6))
+    put(heights, 22, 10, flat(garage_m, depth_m, height_m))
+    return heights
+
+
+@pytest.mark.parametrize(
+    "heights",
+    [house_with_garage(6, 3, depth_m=6), house_with_garage(7, 3), house_with_garage(11, 3), house_with_garage(4, 10)],
+    ids=["garage", "wide garage", "low wing", "stair tower"],
+)
+def test_a_single_house_keeps_its_garage_and_wings(heights: np.ndarray):
+    """Whatever step is between them: no two houses of a pair are so unlike."""
+    assert reasons(division(heights, TouchingParams(single_m2=0))) == {"step"}
+    found = division(heights)
+    assert found.houses.max() == 1
+    assert not found.borders
+
+
+def test_a_pair_of_houses_is_divided_at_its_wall_and_a_large_island_at_its_steps():
+    """Both halves are alike; and what is larger than a house may be several."""
+    pair = scene()
+    put(pair, 10, 10, flat(16, 10, 6))
+    pair[20:40, 35:37] += 0.6
+    assert areas_m2(division(pair)) == pytest.approx([80] * 2, abs=9)
+    assert areas_m2(division(house_with_garage(21, 3))) == pytest.approx([120, 210], abs=15)
+
+
+def test_a_parcel_divides_a_house_from_its_garage():
+    """Also where the rest of the island lies in no parcel."""
+    heights = house_with_garage(7, 3)
+    parcels = np.where(np.arange(heights.shape[1]) < 22 / CELL_M, 1, 2) * np.ones(heights.shape, dtype=np.int32)
+    found = division(heights, parcels=parcels.astype(np.int32))
+    assert areas_m2(found) == pytest.approx([120, 70], abs=9)
+    assert reasons(found) == {"parcel"}
 
 
 def test_a_wall_between_level_roofs_divides_them():

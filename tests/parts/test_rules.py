@@ -558,6 +558,15 @@ class TestSettling:
         assert step.dropped["area"].tolist() == [12]
         assert link(step.clusters)[0] == 2
 
+    def test_a_crumb_goes_to_its_father_and_a_small_root_stays(self):
+        """4 cells of 5 lie in a house of 20, and 4 others stand alone."""
+        crumb, house = block((12, 12), (2, 2, 2, 2, 2)), block((12, 12), (2, 2, 4, 5, 1))
+        alone = block((12, 12), (9, 9, 2, 2, 3))
+        step = self.settled(crumb + alone, house, thresholds=(5, 15))
+        assert living(step.clusters)["area"].tolist() == [4, 20]
+        assert living(step.clusters)["hzone"].tolist() == [3, 1]
+        assert step.dropped[["area", "reason"]].to_numpy().tolist() == [[4, FRAGMENT]]
+
     def test_clusters_that_are_large_enough_stay(self):
         """Nothing changes."""
         images = block((12, 12), (2, 2, 2, 3, 2)), block((12, 12), (2, 2, 5, 5, 1))

@@ -1,13 +1,17 @@
 """An area of interest: what lies in it is built as without it, and nothing beyond is read or written."""
 
+import json
 from dataclasses import replace
 
 import geopandas as gpd
+import laspy
 import numpy as np
 import pytest
 import shapely
 from simulated import scenes
 from simulated.files import write_heights, write_points
+from support.copcfile import write_copc
+from support.rangeserver import serving
 
 import msbdb
 from msbdb.database import open_database, read_rasters
@@ -46,6 +50,36 @@ def district(path, shape, crs, to="EPSG:4326"):
     return path
 
 
+def test_a_build_reads_its_area_alone_from_a_server(scene, files, tmp_path):
+    """Of a virtual point cloud of COPC files: the content is that of the files, and the record has no address."""
+    links = []
+    for file in files:
+        write_copc(tmp_path / f"{file.stem}.copc.laz", laspy.read(file))
+        data, picture = {"href": f"{file.stem}.copc.laz", "roles": ["data"]}, {"href": "a.png", "roles": ["thumbnail"]}
+        links.append({"type": "Feature", "assets": {"data": data, "picture": picture}})
+    west, south, east, north = scene.points.bounds
+    area = district(tmp_path / "district.gpkg", shapely.box(west - 5, south - 5, east + 5, north + 5), scene.points.crs)
+    given = {"survey": "town", "params": CELL, "extract": "multiscale", "aoi": area}
+    cloud = tmp_path / "town.vpc"
+    cloud.write_text(json.dumps({"type": "FeatureCollection", "features": links}))
+    msbdb.build(cloud, db=tmp_path / "files.sqlite", **given)
+    with serving(tmp_path) as sent:
+        for link in links:
+            link["assets"]["data"]["href"] = f"{sent.url}/{link['assets']['data']['href']}?key=secret"
+        cloud.write_text(json.dumps({"type": "FeatureCollection", "features": links}))
+        msbdb.build(cloud, db=tmp_path / "server.sqlite", **given)
+        assert not msbdb.build(cloud, db=tmp_path / "server.sqlite", **given).changed
+    with msbdb.open(tmp_path / "files.sqlite") as one, msbdb.open(tmp_path / "server.sqlite") as other:
+        assert (
+            other.buildings()
+            .drop(columns="run_id", errors="ignore")
+            .equals(one.buildings().drop(columns="run_id", errors="ignore"))
+        )
+    said = json.dumps(msbdb.info(tmp_path / "server.sqlite"), default=str)
+    assert "tower.copc.laz" in said
+    assert "secret" not in said
+
+
 def test_only_what_lies_in_the_area_is_built(scene, files, tmp_path):
     """Buildings are those of a build of the whole that lie inside; cells beyond have no value."""
     crs = scene.points.crs
@@ -68,6 +102,20 @@ def test_only_what_lies_in_the_area_is_built(scene, files, tmp_path):
     engine.dispose()
     columns = np.flatnonzero(rasters.valid.any(axis=0))
     assert (columns[-1] + 1) * 0.8 + record["bounds"][0] <= shape.bounds[2] + 0.8
+
+
+def test_all_detectors_see_only_the_area(scene, files, tmp_path):
+    """Points beyond the area are read for the terrain, and give no region, no building and no rejection."""
+    west, south, east, north = scene.points.bounds
+    half = (west + east) / 2
+    area = district(tmp_path / "half.geojson", shapely.box(west, south, half, north), scene.points.crs)
+    msbdb.build(files[:1], db=tmp_path / "half.sqlite", survey="town", params=CELL, aoi=area)
+    with msbdb.open(tmp_path / "half.sqlite") as part:
+        found = [part.buildings(), part.candidates(), part.flat_regions()]
+    assert all(len(frame) for frame in found)
+    for frame in found:
+        assert frame.total_bounds[2] <= half + 4, "an outline may grow by a few cells"
+    assert set(found[1]["method"]) == {"adaptive", "area3d"}
 
 
 def test_the_edge_of_an_area_cuts_a_building(scene, tmp_path):

@@ -127,11 +127,11 @@ def test_shuffled_points_give_the_same_flat_regions(town, tmp_path):
 def test_figures_of_zones_and_of_denoising_are_drawn(points, town, tmp_path):
     """Both are PNG; the map of a survey without flat regions is drawn, too."""
     with msbdb.open(town[0]) as opened:
-        opened.view(tmp_path / "zones.png", of="flatregions")
+        opened.view(tmp_path / "zones.png", what="flatregions")
     msbdb.build([points], db=tmp_path / "a.sqlite", denoising_figure=tmp_path / "denoising.png")
     msbdb.build([points], db=tmp_path / "b.sqlite", extract=MULTISCALE)
     with msbdb.open(tmp_path / "b.sqlite") as opened:
-        opened.view(tmp_path / "none.png", of="flatregions")
+        opened.view(tmp_path / "none.png", what="flatregions")
     for name in ("zones", "denoising", "none"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 

@@ -9,6 +9,7 @@ import pytest
 import shapely
 from affine import Affine
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.patches import Rectangle
@@ -16,8 +17,11 @@ from pyproj import CRS
 
 from msbdb.errors import FileError, InputError
 from msbdb.grid import Grid, GridSpec
-from msbdb.view.buildingmap import draw_map, furnish, shading, sheet
+from msbdb.tables import Reason
+from msbdb.view.buildingmap import draw_map, furnish, shading, sheet, thinned
+from msbdb.view.buildingthemes import draw_heights, draw_probability, draw_reasons, draw_support
 from msbdb.view.furniture import outlines, round_length, scale_bar
+from msbdb.view.groundimages import REASON_COLOURS
 
 LAMBERT = CRS.from_epsg(2154)
 WEST, NORTH = 800_000.0, 6_300_100.0
@@ -226,3 +230,87 @@ def test_no_global_state_of_matplotlib_is_touched():
     code = "import sys, msbdb.view.buildingmap; print('matplotlib.pyplot' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def themed(path, what, buildings, grid):
+    """Draw one of the maps of buildings."""
+    if what == "footprints":
+        draw_heights(buildings, grid, path, title="town")
+    elif what == "detectors":
+        draw_support(buildings, {"one": "one_share", "other": "other_share"}, grid, path, title="town")
+    elif what == "probability":
+        draw_probability(buildings, grid, path, title="town")
+    else:
+        reasons = np.full(grid.spec.shape, Reason.LOW, dtype=np.uint8)
+        reasons[:, 80:] = Reason.VEGETATION_BY_STRUCTURE
+        draw_reasons(buildings, [(grid.spec, reasons)], grid, path, title="town")
+
+
+def colours_at(path, grid, x, y):
+    """Return the colour of a map near a place, red, green and blue from 0 to 1."""
+    _, axes = sheet(grid)
+    box, size = axes.get_position(), imread(path).shape
+    west, east = axes.get_xlim()
+    south, north = axes.get_ylim()
+    column = round(size[1] * (box.x0 + (box.x1 - box.x0) * (x - west) / (east - west)))
+    row = round(size[0] * (1 - box.y0 - (box.y1 - box.y0) * (y - south) / (north - south)))
+    return imread(path)[row, column, :3]
+
+
+@pytest.mark.parametrize("what", ["footprints", "detectors", "probability", "reasons"])
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_each_theme_is_drawn_in_each_format(what, ending, tmp_path):
+    """With buildings, without any, and with values that are not known; the same input gives the same bytes."""
+    buildings = city()[1].assign(h_p90=12.0, one_share=0.5, other_share=np.nan, probability=0.7)
+    buildings.loc[0, ["h_p90", "probability"]] = np.nan
+    pictures = []
+    for number, rows in enumerate((buildings, buildings, buildings.iloc[:0])):
+        themed(tmp_path / f"{number}.{ending}", what, rows, relief(hole=True))
+        pictures.append((tmp_path / f"{number}.{ending}").read_bytes())
+    assert pictures[0] == pictures[1] != pictures[2]
+
+
+def test_the_colours_of_themes_have_the_order_of_their_values(tmp_path):
+    """More detectors and a higher probability are brighter; cells with other reasons have other colours."""
+    grid = relief()
+    level = Grid(np.zeros(grid.spec.shape, np.float32), grid.valid, grid.spec)
+    boxes = [shapely.box(WEST + 10 + 40 * n, NORTH - 60, WEST + 30 + 40 * n, NORTH - 40) for n in range(3)]
+    values = {"one_share": [0.0, 0.5, 0.5], "other_share": [0.05, 0.0, 0.9], "probability": [0.1, 0.5, 0.95]}
+    buildings = gpd.GeoDataFrame(values, geometry=boxes, crs=LAMBERT)
+    for what in ("detectors", "probability"):
+        path = tmp_path / f"{what}.png"
+        themed(path, what, buildings, level)
+        seen = [colours_at(path, level, WEST + 20 + 40 * n, NORTH - 50).mean() for n in range(3)]
+        assert seen[0] < seen[1] < seen[2]
+    path = tmp_path / "reasons.png"
+    themed(path, "reasons", buildings.iloc[:0], level)
+    for x, reason in ((20, Reason.LOW), (140, Reason.VEGETATION_BY_STRUCTURE)):
+        assert colours_at(path, level, WEST + x, NORTH - 80) == pytest.approx(to_rgb(REASON_COLOURS[reason]), abs=0.01)
+
+
+def test_pictures_suit_a_report(tmp_path):
+    """A rough surface of 2000 by 2000 cells has fewer than 2500 dots a side and 4 MB as PNG and PDF, 6 MB as SVG."""
+    heights = np.random.default_rng(1).uniform(0, 3, (2000, 2000)).astype(np.float32)
+    spec = GridSpec(heights.shape, Affine(1, 0, WEST, 0, -1, NORTH), LAMBERT)
+    grid = Grid(heights, np.ones(heights.shape, dtype=np.bool_), spec)
+    parts, buildings = city()
+    for ending, most in (("png", 4e6), ("pdf", 4e6), ("svg", 6e6)):
+        draw_map(parts, buildings, grid, tmp_path / f"x.{ending}", title="town")
+        assert (tmp_path / f"x.{ending}").stat().st_size < most
+    assert max(imread(tmp_path / "x.png").shape) < 2500
+
+
+def test_a_thinned_surface_has_the_means_of_its_blocks():
+    """Blocks of valid cells alone; a block without any is not valid; the last ones may be smaller."""
+    values = np.arange(35, dtype=np.float32).reshape(5, 7)
+    valid = np.ones((5, 7), dtype=np.bool_)
+    valid[:2, :2] = False
+    valid[2, 2] = False
+    spec = GridSpec((5, 7), Affine(1, 0, WEST, 0, -1, NORTH), LAMBERT)
+    means, known = thinned(Grid(np.where(valid, values, 0), valid, spec), 2)
+    for row in range(3):
+        for col in range(4):
+            block = (slice(2 * row, 2 * row + 2), slice(2 * col, 2 * col + 2))
+            assert known[row, col] == valid[block].any()
+            if known[row, col]:
+                assert means[row, col] == pytest.approx(values[block][valid[block]].mean())

@@ -7,11 +7,16 @@ import io
 import json
 import re
 
+import geopandas as gpd
 import numpy as np
 import pytest
+import rasterio
 import shapely
+from affine import Affine
 from click.testing import CliRunner
 from matplotlib.image import imread
+from PIL import Image
+from rasterio.enums import ColorInterp
 from support.notices import with_notices
 from support.towns import EPSG, ROW, footprints, town_build
 
@@ -20,6 +25,7 @@ from msbdb.cli.main import cli
 from msbdb.database import open_database, write_build
 from msbdb.errors import FileError, InputError, MissingDependencyError
 from msbdb.run import page as made
+from msbdb.run.outputs import MAPS
 from msbdb.view.blocks import blocks_of
 from msbdb.view.page import DEGREE, Library, as_data, image_uri, page_of, read_library, shapes_of
 
@@ -46,7 +52,7 @@ class Scripts(html.parser.HTMLParser):
         if self.inside:
             self.scripts.append("")
 
-    def handle_endtag(self, tag):  # noqa: ARG002  (the parser's interface)
+    def handle_endtag(self, tag):
         """Leave a script."""
         self.inside = False
 
@@ -129,8 +135,8 @@ def test_a_page_is_written_as_other_files(town, tmp_path, library):
     with pytest.raises(FileError, match="overwrite"):
         api.view(town, out)
     assert out.read_text(encoding="utf-8") == "mine"
-    with pytest.raises(InputError, match="leave out --of area3d"):
-        api.view(town, tmp_path / "other.html", of="area3d")
+    with pytest.raises(InputError, match="leave out --what area3d"):
+        api.view(town, tmp_path / "other.html", what="area3d")
     with pytest.raises(InputError, match=r"\.html"):
         api.view(town, tmp_path / "town.txt")
     with_notices(api.view, town, out, overwrite=True)
@@ -266,3 +272,96 @@ def test_a_script_in_the_library_cannot_end_the_page():
     """A text of MapLibre that would end its element is written otherwise."""
     text = page_of({"title": "x"}, LIBRARY)
     assert len(parsed(text).scripts) == 3
+
+
+def test_an_area_limits_pages_and_maps(town, tmp_path, library):
+    """Of an area, the buildings that meet it with their parts and changes; the ground ends with its bounds."""
+    engine = open_database(town)
+    choice = made.Choice((HOSTILE, "first"), present=True)
+    whole = made.town_of(town, engine, choice)
+    west, south = 500_000, 4_000_000
+    area = gpd.GeoSeries([shapely.box(west + 5, south + 5, west + 60, south + 30)], crs=EPSG).to_crs(4326)
+    area.to_file(tmp_path / "area.gpkg")
+    cut = made.town_of(town, engine, choice, tmp_path / "area.gpkg")
+    engine.dispose()
+    inside = {house for house in (*BEFORE, *AFTER) if house[0] < 60 and house[1] < 30}
+    assert {*cut["buildings"]["id"]} < {*whole["buildings"]["id"]}
+    assert len({*cut["buildings"]["id"]}) == len(inside)
+    assert 0 < len(cut["parts"]["id"]) < len(whole["parts"]["id"])
+    assert max(cut["parts"]["building"]) < len(cut["buildings"]["id"])
+    assert {row for rows in cut["changes"].values() for _, *sides, _, _ in rows for row in sides} <= {
+        -1, *range(len(cut["buildings"]["id"])),
+    }  # fmt: skip
+    assert 0 < sum(map(len, cut["changes"].values())) < sum(map(len, whole["changes"].values()))
+    edges = cut["place"]["bounds_cm"]
+    assert edges[2] - edges[0] < 6000 < whole["place"]["bounds_cm"][2] - whole["place"]["bounds_cm"][0]
+
+
+@pytest.mark.parametrize("what", [*MAPS])
+def test_every_map_is_drawn_of_a_database(what, town, tmp_path, library):
+    """Each value of --what gives a picture, smaller for an area; the area must meet the surveys."""
+    gpd.GeoSeries([shapely.box(500_005, 4_000_005, 500_060, 4_000_030)], crs=EPSG).to_file(tmp_path / "area.gpkg")
+    gpd.GeoSeries([shapely.box(510_000, 4_000_005, 510_060, 4_000_030)], crs=EPSG).to_file(tmp_path / "away.gpkg")
+    sizes = []
+    for name, more in (("whole", {}), ("cut", {"aoi": tmp_path / "area.gpkg"})):
+        with_notices(api.view, town, tmp_path / f"{name}.png", what=what, **more)
+        sizes.append(imread(tmp_path / f"{name}.png").shape)
+    if what != "change":  # whose map keeps the surveys' extent
+        assert sizes[0] != sizes[1]
+    with pytest.raises(InputError, match=r"beside the surveys|No building can be drawn"):
+        with_notices(api.view, town, tmp_path / "away.png", what=what, aoi=tmp_path / "away.gpkg")
+
+
+def test_an_unknown_map_is_refused(town, tmp_path):
+    """The message names the maps, which the command line offers, too."""
+    with pytest.raises(InputError, match="one of parts, footprints"):
+        api.view(town, tmp_path / "town.png", what="trees")
+    [option] = [own for own in cli.commands["view"].params if own.name == "what"]
+    assert tuple(option.type.choices) == MAPS
+
+
+def orthophoto(path, shift=0.0, scale=1.0):
+    """Write an orthophoto of the western half of the town: red in the south, blue in the north, 0.5 m a pixel."""
+    pixels = np.zeros((3, 240, 200), dtype=np.uint16)
+    pixels[2, :120], pixels[0, 120:] = 200 * scale, 200 * scale
+    transform = Affine(0.5, 0, 500_000 + shift, 0, -0.5, 4_000_120)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=200, height=240, count=3, dtype="uint16", crs=EPSG, transform=transform
+    ) as made_file:
+        made_file.write(pixels)
+        made_file.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    return path
+
+
+@pytest.mark.parametrize("scale", [1.0, 20.0])
+def test_an_orthophoto_is_a_layer_of_the_ground(scale, town, tmp_path, library):
+    """Its colours are at their places, it is clear where it has no pixel, and its corners are those of the heights."""
+    photo = orthophoto(tmp_path / "rgb.tif", scale=scale)
+    engine = open_database(town)
+    shown = made.town_of(town, engine, made.Choice((HOSTILE, "first"), present=True), None, photo)
+    engine.dispose()
+    kind, _, data = shown["photo"]["image"].partition(";base64,")
+    assert kind == "data:image/webp"
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGBA")).astype(int)
+    rows, cols, _ = picture.shape
+    south, north, east = (
+        picture[3 * rows // 4, cols // 4],
+        picture[rows // 4, cols // 4],
+        picture[rows // 2, -cols // 4],
+    )
+    assert south[0] > south[2] + 100
+    assert north[2] > north[0] + 100
+    assert (south[3], north[3], east[3]) == (255, 255, 0)
+    for own, other in zip(shown["photo"]["corners"], shown["place"]["corners"], strict=True):
+        assert np.abs(np.subtract(own, other)).max() < 100  # a metre
+    with_notices(api.view, town, tmp_path / "town.html", ortho=photo)
+    assert "data:image/webp" in (tmp_path / "town.html").read_text(encoding="utf-8")
+
+
+def test_an_orthophoto_of_another_place_or_in_a_map_is_refused(town, tmp_path, library):
+    """Both before anything is written."""
+    with pytest.raises(InputError, match="same place"):
+        with_notices(api.view, town, tmp_path / "town.html", ortho=orthophoto(tmp_path / "far.tif", shift=9000))
+    with pytest.raises(InputError, match="Leave out --ortho"):
+        api.view(town, tmp_path / "town.png", ortho=orthophoto(tmp_path / "rgb.tif"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["far.tif", "rgb.tif"]

@@ -32,6 +32,9 @@ class Dialect(Protocol):
     def make_engine(self, url: URL, timeout_s: float) -> Engine:
         """Return an engine whose connections support geometries, wait for locks, and enforce foreign keys."""
 
+    def reading_engine(self, url: URL, timeout_s: float) -> Engine:
+        """Return an engine of a database that exists, through which nothing can be written."""
+
     def geometry_ddl(self, table: str, kind: str, srid: int | str) -> list[str]:
         """Return the statements that add a table's geometry column and spatial index."""
 

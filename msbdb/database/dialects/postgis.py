@@ -196,6 +196,11 @@ def make_engine(url: URL, timeout_s: float) -> Engine:
     )
 
 
+def reading_engine(url: URL, timeout_s: float) -> Engine:
+    """Return an engine whose transactions are all read-only."""
+    return make_engine(url, timeout_s).execution_options(postgresql_readonly=True)
+
+
 def geometry_ddl(table: str, kind: str, srid: int | str) -> list[str]:
     """Return the statements that add and index the column ``geometry``."""
     return [

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import shapely
@@ -131,6 +132,12 @@ def make_engine(url: URL, timeout_s: float) -> Engine:
     event.listen(engine, "connect", partial(prepare, timeout_s=timeout_s))
     event.listen(engine, "begin", begin)
     return engine
+
+
+def reading_engine(url: URL, timeout_s: float) -> Engine:
+    """Return an engine for which SQLite opens the file read-only."""
+    place = f"file:{quote(str(_path(url).absolute()))}"
+    return make_engine(url.set(database=place, query={"mode": "ro", "uri": "true"}), timeout_s)
 
 
 def geometry_ddl(table: str, kind: str, srid: int | str) -> list[str]:

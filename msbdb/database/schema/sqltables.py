@@ -66,6 +66,11 @@ _TYPES: dict[str, TypeEngine[Any]] = {
 }
 
 
+def sql_type(column: Column) -> TypeEngine[Any]:
+    """Return the type of a declared column in a view, where no key has a type of its own."""
+    return _TYPES[column.dtype]
+
+
 def _type(table: Table, column: Column) -> TypeEngine[Any]:
     """Return the type of a declared column."""
     keys = [own for own in table.stored if own.primary]
@@ -73,7 +78,7 @@ def _type(table: Table, column: Column) -> TypeEngine[Any]:
         return _ROW_ID
     if column.dtype == "json" and column.nullable:
         return sa.JSON(none_as_null=True)
-    return _TYPES[column.dtype]
+    return sql_type(column)
 
 
 def _column(table: Table, column: Column) -> sa.Column[Any]:

@@ -142,7 +142,7 @@ def extract_adaptive(
     placed = points.placed(spec, survey)
     ledger = PointLedger(METHOD, placed)
     found = structure(points, own)
-    steps = ladder(own, points.spacing_m)
+    steps = ladder(own, points.spacing_m, points.step_m)
     labels, count = _without_vegetation(points, found, own, steps[0], ledger)
     for number, step in enumerate(steps, start=1):
         labels, count = _tightened(points, found, (labels, count), (number, step), ledger)
@@ -193,8 +193,8 @@ def _tightened(
     return kept, left
 
 
-def ladder(params: AdaptiveParams, spacing_m: float) -> list[ClusterStep]:
-    """Return the steps; each value goes evenly from the first one given to the last.
+def ladder(params: AdaptiveParams, spacing_m: float, step_m: float = 0.0) -> list[ClusterStep]:
+    """Return the steps; each value goes evenly from the first one given to the last. No link is below ``step_m``.
 
     Examples
     --------
@@ -209,7 +209,7 @@ def ladder(params: AdaptiveParams, spacing_m: float) -> list[ClusterStep]:
 
     return [
         ClusterStep(
-            max(at(params.link_factors, share) * spacing_m, params.link_least_m),
+            max(at(params.link_factors, share) * spacing_m, params.link_least_m, step_m),
             at(params.points, share),
             at(params.area_m2, share),
             at(params.height_m, share),

@@ -71,6 +71,8 @@ class OffGround:
         Mean spacing of the first echoes, 1/sqrt(density).
     typical_m : float
         Median of their spacing over the covered ground.
+    step_m : float
+        Least length of a step that reaches other points on all sides, also from one scan line to the next.
     """
 
     index: NDArray[np.int64]
@@ -85,6 +87,7 @@ class OffGround:
     place: NDArray[np.int64]
     spacing_m: float
     typical_m: float
+    step_m: float
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -151,6 +154,7 @@ def off_ground(
         place=places(spec, cloud.x[chosen], cloud.y[chosen]),
         spacing_m=density.spacing_m,
         typical_m=density.typical_m,
+        step_m=density.step_m,
     )
 
 
@@ -167,12 +171,13 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
     """Measure planes in a small sphere around each point, then the means of planes and echoes in a wider disc.
 
     Points with too few neighbours for a plane do not count in the mean of the planes: strips of a scanner leave gaps.
-    The sphere is wide enough for planes on most of the ground, also where a dense strip raises the mean density.
+    The sphere is wide enough for planes on most of the ground, also where a dense strip raises the mean density, and
+    reaches the next scan line: the points of one line always lie on some plane.
     Split echoes count in full up to ``leaf_level``, and not at all from ``glass_level`` on: such planes are glass or
     nets. Among points more than 1 m apart a sphere spans several planes of a roof, so that ``level_m`` grows with them.
     """
     enough_m = math.sqrt(PLANE_POINTS / math.pi) * points.typical_m
-    small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m, enough_m)
+    small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m, enough_m, points.step_m)
     wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
     residuals = plane_residuals(points.x, points.y, points.z, small_m)
     values = np.zeros((len(points), 3), dtype=np.float32)

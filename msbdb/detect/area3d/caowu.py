@@ -180,7 +180,7 @@ def _prepare(
     origin = np.floor(points.min(axis=0) / ORIGIN_M) * ORIGIN_M
     points -= origin
     density = measure_density(x, y, cloud.first_echo[order], cloud.facts)
-    link_m = own.link_spacings * density.spacing_m
+    link_m = max(own.link_spacings * density.spacing_m, density.step_m)
     areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
     graph = connect(x, y, z, link_m, earlier=len(areas) == 1)
     scales = height_scales(heights, own, mask_m=mask_m)

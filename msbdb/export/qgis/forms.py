@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Mapping
 from xml.etree.ElementTree import Element, SubElement
 
-from msbdb.export.content import IDS
 from msbdb.export.qgis.symbology import DrawnAs, renderer
 from msbdb.tables import Column
 from msbdb.tables.aliases import words_of
+from msbdb.tables.view_columns import IDS
 
 PARTS_OF_BUILDING = "parts_of_building"
 CHILDREN_OF_PART = "children_of_part"

@@ -49,10 +49,10 @@ Solid = list[list[list[list[int]]]]
 def write_cityjson(content: Content, path: Path, options: Mapping[str, str]) -> None:  # noqa: ARG001  (it has none)
     """Write the layers ``footprint`` and ``part`` as one CityJSON document; without buildings it has no objects."""
     town = Town.of(content)
-    vertices = Vertices(_origin(town))
+    vertices = Vertices(origin_of(town))
     with write_atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.write(f'{_json(_head(town))[:-1]},"CityObjects":{{')
-        for number, building in enumerate(_placed(town)):
+        for number, building in enumerate(placed(town)):
             objects = _city_objects(building, vertices)
             file.write(f"{',' if number else ''}{_json(objects)[1:-1]}")
         file.write(f'}},"vertices":{_json(vertices.coordinates())}}}\n')
@@ -63,8 +63,8 @@ def write_cityjsonseq(content: Content, path: Path, options: Mapping[str, str]) 
     town = Town.of(content)
     with write_atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.write(f"{_json(_head(town) | {'CityObjects': {}, 'vertices': []})}\n")
-        for building in _placed(town):
-            vertices = Vertices(_origin(town))
+        for building in placed(town):
+            vertices = Vertices(origin_of(town))
             objects = _city_objects(building, vertices)
             feature = {"type": "CityJSONFeature", "id": next(iter(objects)), "CityObjects": objects}
             file.write(f"{_json(feature | {'vertices': vertices.coordinates()})}\n")
@@ -84,7 +84,7 @@ def _head(town: Town) -> Record:
         metadata["referenceDate"] = town.date
     metadata |= _reference(town)
     metadata |= {"horizontalGeometryReference": ROOF_EDGE, "lod1RoofReference": ROOF_REFERENCE}
-    transform = {"scale": [GRID_M] * 3, "translate": _origin(town).tolist()}
+    transform = {"scale": [GRID_M] * 3, "translate": origin_of(town).tolist()}
     return {"type": "CityJSON", "version": "2.0", "metadata": metadata, "transform": transform}
 
 
@@ -102,7 +102,7 @@ def _extent(town: Town) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return (west, south, min(low)), (east, north, max(high))
 
 
-def _origin(town: Town) -> NDArray[np.float64]:
+def origin_of(town: Town) -> NDArray[np.float64]:
     """Return what is subtracted from coordinates, so that they are small whole numbers: the lowest corner, metres."""
     return np.floor(_extent(town)[0]) if town.blocks else np.zeros(3)
 
@@ -126,7 +126,7 @@ def _reference(town: Town) -> Record:
     return {"referenceSystem": f"https://www.opengis.net/def/crs/EPSG/0/{code}"} | found
 
 
-def _placed(town: Town) -> tuple[Building, ...]:
+def placed(town: Town) -> tuple[Building, ...]:
     """Return the buildings; give a notice of those without a level or a height, which have no block."""
     missing = len(town.buildings) - len(town.blocks)
     if missing:
@@ -139,7 +139,7 @@ def _city_objects(building: Building, vertices: Vertices) -> dict[str, Any]:
     """Return a building and its parts as city objects, the building first."""
     key, record = f"building-{building.id}", building.record
     keys = [f"part-{part.id}" for part in building.parts]
-    attributes: Record = {"id": building.id} | _attributes(record, BUILDING_COLUMNS)
+    attributes: Record = {"id": building.id} | attributes_of(record, BUILDING_COLUMNS)
     if "building_id" in record and "uid" in record:
         attributes["building_id"] = str(record["building_id"])
     if record.get("attributes"):
@@ -157,7 +157,7 @@ def _city_objects(building: Building, vertices: Vertices) -> dict[str, Any]:
             found["geometry"] += _geometry(outlines[0], levels, "1.3", vertices)
     objects = {key: found}
     for name, part, outline in zip(keys, building.parts, outlines[1:], strict=True):
-        own: Record = {"id": part.id, "building": building.id} | _attributes(part.record, PART_COLUMNS)
+        own: Record = {"id": part.id, "building": building.id} | attributes_of(part.record, PART_COLUMNS)
         if part.record["supid"]:
             own["father"] = str(part.record["supid"])
         shape: list[Record] = []
@@ -173,7 +173,7 @@ def _imported(attributes: object) -> object:
     return json.loads(attributes) if isinstance(attributes, str) else attributes
 
 
-def _attributes(record: Record, columns: Sequence[str]) -> Record:
+def attributes_of(record: Record, columns: Sequence[str]) -> Record:
     """Return the named columns as attributes, numbers to three decimals."""
     found = {NAMES.get(name, name): record[name] for name in columns if name in record}
     rounded = {name: round(value, 3) if isinstance(value, float) else value for name, value in found.items()}

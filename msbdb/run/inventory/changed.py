@@ -49,14 +49,14 @@ UNSURE = "unsure"
 def changes_of(
     db: str | Path,
     *,
-    since: str | None,
-    until: str | None,
-    survey: str | None,
-    each: bool,
-    aoi: Path | None,
-    out: Path | None,
-    figure: Path | None,
-    overwrite: bool,
+    since: str | None = None,
+    until: str | None = None,
+    survey: str | None = None,
+    each: bool = False,
+    aoi: Path | None = None,
+    out: Path | None = None,
+    figure: Path | None = None,
+    overwrite: bool = False,
 ) -> Changes:
     """List what changed in the inventory between two dates; see `msbdb.api.changes`."""
     if out is not None:

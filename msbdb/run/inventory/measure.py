@@ -53,7 +53,7 @@ STANDS = 0.5
 """Ours, as for an evaluation: a building stands where at least this share of the footprint is detected as one."""
 
 SEEN = 0.5
-"""Ours: a survey decides on a footprint of which it has heights on at least this share."""
+"""Ours: a survey decides on a footprint if it has heights on at least this share of it."""
 
 LEAST_PIECE_M2 = 1.0
 """Ours: smaller pieces of a detected outline between footprints are the difference of two drawings."""
@@ -105,8 +105,8 @@ def measure_footprints(engine: Engine, survey: str, frame: gpd.GeoDataFrame) -> 
 
     ``state`` is that of the detected building that covers most of the footprint, where at least `STANDS` of it is
     detected. It is 'refuted' where less than ``CONFIRMING_COVER`` is, and 'unsure' between. It is also 'unsure' where
-    the survey has heights on less than `SEEN` of the footprint, and where something stands on a footprint that is
-    smaller than the least building.
+    the survey has heights on less than `SEEN` of the footprint. So is a footprint smaller than the least building on
+    which something raised was found.
     """
     record, rasters, run = read_survey(engine, survey), read_rasters(engine, survey), read_run(engine, survey)
     values: Any = run.parameters

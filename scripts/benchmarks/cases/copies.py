@@ -30,6 +30,11 @@ def thinned(cloud: laspy.LasData, share: float) -> laspy.LasData:
     return taken(cloud, kept[pulse])
 
 
+def on_lines(cloud: laspy.LasData, ratio: float, spacing_m: float) -> laspy.LasData:
+    """Return the echoes of bands one spacing wide and ``ratio`` spacings apart, as scan lines from west to east."""
+    return taken(cloud, np.asarray(cloud.y) / (ratio * spacing_m) % 1 < 1 / ratio)
+
+
 def first_only(cloud: laspy.LasData) -> laspy.LasData:
     """Return what a sensor of one echo records: the first one of each pulse, numbered 1 of 1."""
     copy = taken(cloud, np.asarray(cloud.return_number) <= 1)

@@ -1,4 +1,4 @@
-"""The kinds of cases: the places as they are, thinned, with first echoes only, and laid over hills."""
+"""The kinds of cases: the places as they are, thinned, on scan lines, with first echoes only, and laid over hills."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 from simulated.hills import RELIEFS, Relief, lifted, relief_of
 
-from cases.copies import first_only, taken, thinned
+from cases.copies import first_only, on_lines, taken, thinned
 from cases.labelled import NAMED, PLACES, Place, cell_for, first_density, reference_of
 from cases.measures import Case
 from msbdb.grid import lattice
@@ -18,6 +18,9 @@ from msbdb.params import GroundParams
 
 DENSITIES = (8.0, 4.0, 2.0, 1.0, 0.5, 0.3)
 """First echoes a square metre of the thinned copies."""
+
+LINES = (3.0, 5.0, 8.0)
+"""Distance of scan lines, in the spacings of the points along them."""
 
 THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
 
@@ -52,6 +55,15 @@ def with_fewer_pulses(data: Path, names: set[str], densities: tuple[float, ...] 
                 copies = [thinned(cloud, target / density) for cloud in clouds]
                 reference = reference_of(place, clouds, data, cell_for(target))
                 yield Case(f"{name}, {target:g}", place.crs, copies, reference, {})
+
+
+def with_scan_lines(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places in which points are far denser along scan lines than across."""
+    for case in as_they_are(data, names & set(THINNED)):
+        spacing_m = first_density(case.clouds) ** -0.5
+        for ratio in LINES:
+            copies = [on_lines(cloud, ratio, spacing_m) for cloud in case.clouds]
+            yield Case(f"{case.name}, {ratio:g}", case.crs, copies, case.reference, {})
 
 
 def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:

@@ -49,7 +49,7 @@ class Levels:
     eaves: float
     ridge: float
     main: float
-    """Share of the roof whose eaves these are, of the roofs that count."""
+    """Share of the roof whose eaves these are, with the points that are nearest to it."""
     roofs: tuple[Roof, ...]
     """The roofs that count."""
 
@@ -75,7 +75,7 @@ def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
     -----
     Points beneath others are of walls and go. The rest is linked to roofs by steps between neighbours. A point is at
     the edge of its roof where its neighbours leave a wide angle free. The eaves are the median of the roofs that count,
-    by area; the ridge is the highest of them.
+    by the points to which each is the nearest; the ridge is the highest of them.
     """
     if len(roof) < LEAST_POINTS or len(ground) < LEAST_POINTS:
         return None
@@ -103,10 +103,14 @@ def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
         edge = edge if len(edge) else own
         found.append(Roof(float(np.quantile(edge[:, 2], EAVES)), float(shares[number]), own))
     found.sort(key=lambda one: (one.eaves, one.share))
-    weights = np.cumsum([one.share for one in found])
-    main = found[int(np.argmax(2 * weights >= weights[-1]))]
+    # Points beside a step link no roofs, and are half of a small house: each counts for the nearest roof.
+    ends = np.cumsum([len(one.points) for one in found])
+    nearest = cKDTree(np.concatenate([one.points[:, :2] for one in found])).query(roof[:, :2])[1]
+    weights = np.bincount(np.searchsorted(ends, nearest, side="right"), minlength=len(found))
+    main = int(np.argmax(2 * np.cumsum(weights) >= len(roof)))
     ridge = max(float(np.quantile(one.points[:, 2], RIDGE)) for one in found)
-    return Levels(float(np.median(ground[near, 2])), main.eaves, ridge, float(main.share / weights[-1]), tuple(found))
+    share = float(weights[main] / len(roof))
+    return Levels(float(np.median(ground[near, 2])), found[main].eaves, ridge, share, tuple(found))
 
 
 def _upper(roof: Floats, spacing: float) -> Floats:

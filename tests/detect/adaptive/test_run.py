@@ -160,14 +160,13 @@ def test_a_tree_is_no_region_but_a_row_of_the_ledger(echoes):
     assert near["stage"].isin(list(found.counts)).all()
 
 
-def off_ground_points(points, split, spacing_m=SPACING, typical_m=0.0):
+def off_ground_points(points, split, spacing_m=SPACING, typical_m=0.0, step_m=0.0):
     """Return (N, 3) points as off-ground points."""
     x, y, z = points.T
     some = np.zeros(len(x), dtype=np.int64)
     area = np.full(len(x), spacing_m**2)
-    return OffGround(
-        some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), None, some, spacing_m, typical_m or spacing_m
-    )
+    known = (some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), None, some)
+    return OffGround(*known, spacing_m, typical_m or spacing_m, step_m)
 
 
 def test_split_echoes_count_on_rough_surfaces_alone():
@@ -202,6 +201,16 @@ def test_a_roof_in_the_sparse_part_of_a_survey_is_level():
     lost, found = (off_ground_points(roof, split=False, spacing_m=1.0, typical_m=spacing) for spacing in (1.0, 2.0))
     assert structure(lost, params).level.max() == 0
     assert structure(found, params).level.min() == 1
+
+
+def test_a_crown_on_scan_lines_far_apart_is_rough():
+    """The points of one line lie on an upright plane, whatever they hit; spheres must reach the next line."""
+    x, y = (place.ravel() for place in np.meshgrid(np.arange(0.0, 20, 0.2), np.arange(0.0, 20, 2)))
+    crown = np.column_stack((x, y, np.random.default_rng(1).uniform(6, 9, x.size)))
+    params = Params().adaptive
+    passed, found = (off_ground_points(crown, split=False, spacing_m=0.63, step_m=step) for step in (0.0, 2.4))
+    assert structure(passed, params).level.min() > 0.9
+    assert structure(found, params).level.max() < 0.1
 
 
 def test_points_without_a_plane_are_not_rough():

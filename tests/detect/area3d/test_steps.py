@@ -353,6 +353,20 @@ def test_the_typical_spacing_is_that_of_most_of_the_ground(dense, spacing):
     assert 0.5 < found.spacing_m < 1.0
 
 
+@pytest.mark.parametrize("degrees", [0, 30])
+def test_links_reach_from_one_scan_line_to_the_next(degrees):
+    """Points 0.2 m apart on lines 2 m apart: links and areas are those of the lines, whatever their direction."""
+    x, y = lattice_points(60, 60, 0.2)
+    x, y = x[y % 2 < 0.1], y[y % 2 < 0.1]
+    turn = np.deg2rad(degrees)
+    east, north = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
+    found = measure_density(east, north, np.ones(len(x), dtype=bool))
+    assert found.spacing_m < 0.75
+    assert found.link_m == pytest.approx(2, abs=0.1)
+    assert found.step_m > 2 * found.spacing_m
+    assert found.area_m2.sum() == pytest.approx(60 * 60, rel=0.15)
+
+
 ROOF = [[0, 0, 6], [1, 0, 6], [10, 0, 9]]
 """Points of two regions, 1, 1 and 2."""
 
