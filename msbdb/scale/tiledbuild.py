@@ -53,8 +53,11 @@ from msbdb.version import __version__
 MOST_HALO_M = 250.0
 """Ours: a tile sees at most so far beyond; a larger block of houses is cut, and counted."""
 
+NO_POINTS = ("No point", "The tile")
+"""How the reasons of tiles begin that lie beside the points or the area of interest."""
+
 FOLDER = ".tiles"
-"""What the name of a file of SpatiaLite gets for the folder of its tiles' results."""
+"""What the name of a file of SpatiaLite gets for the folder of its tiles' results, in which each build has its own."""
 
 Runner = Callable[[Sequence[TileTask], Callable[[TileTask], None]], Iterable[Outcome]]
 """Builds tiles, and yields what became of each; calls its second argument when one begins."""
@@ -126,13 +129,13 @@ class TiledBuild:
 
     @property
     def place(self) -> str:
-        """Where the results wait: a folder beside the file, or the server."""
+        """Where the results wait: a folder of this build beside the file, or the server."""
         url = database_url(self.target)
-        return f"{url.database}{FOLDER}" if url.get_backend_name() == "sqlite" else self.target
+        return f"{url.database}{FOLDER}/{self.build[:16]}" if url.get_backend_name() == "sqlite" else self.target
 
     @property
     def is_file(self) -> bool:
-        """Whether the results are files."""
+        """Whether they are files."""
         return self.place != self.target
 
     def queued(self, tile: Tile) -> TileStatus:
@@ -183,6 +186,7 @@ class TiledBuild:
                 result_file(self.place, tile).unlink(missing_ok=True)
             with suppress(OSError):
                 Path(self.place).rmdir()
+                Path(self.place).parent.rmdir()
 
 
 def plan_crs(plan: Plan) -> Any:  # noqa: ANN401  (pyproj loads late)
@@ -290,7 +294,7 @@ def build_tiles(
         build = TiledBuild.of(job, target, side_m, stages)
     epsg, wkt = plan_crs(build.plan).to_epsg() or 0, plan_crs(build.plan).to_wkt()
     if build.is_file:
-        Path(build.place).mkdir(exist_ok=True)
+        Path(build.place).mkdir(parents=True, exist_ok=True)
     rows = [build.queued(tile) for tile in build.tiles]
     begun = begin_tiles(target, rows, build.build, epsg=epsg, crs_wkt=wkt, resume=resume)
     engine = open_database(target)

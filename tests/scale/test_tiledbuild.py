@@ -15,7 +15,7 @@ from support.tiledtown import KILLED, TILE_M, town, write_town
 
 import msbdb
 from msbdb.cli.main import cli
-from msbdb.database import canonical_dump, check_database, open_database, opened, read_run
+from msbdb.database import canonical_dump, check_database, open_database, opened, read_buildings, read_run
 from msbdb.errors import InputError, ParameterError, TilesError
 from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
@@ -192,6 +192,29 @@ def test_a_killed_client_goes_on_where_it_was(files, quick, tmp_path):
     assert before == {tile.key: tile.seconds for tile in msbdb.tiles(db) if tile.key in before}
     assert lines(db) == lines(quick)
     assert {path.name for path in tmp_path.iterdir()} == {"done", "town.sqlite"}
+
+
+def test_results_of_two_surveys_do_not_mix(files, quick, tmp_path, monkeypatch):
+    """A survey that fails half-way, and another one on the same tiles, go on and end as if each had been alone."""
+    db = tmp_path / "town.sqlite"
+    original = tilework.find_buildings
+
+    def fails(job, stages, plan, window):
+        if window.own[:2] == (389_100.0, 5_821_080.0):
+            raise OSError
+        return original(job, stages, plan, window)
+
+    monkeypatch.setattr(tilework, "find_buildings", fails)
+    given = {"db": db, "extract": "multiscale", "tile": TILE_M}
+    with pytest.raises(TilesError):
+        msbdb.build(files, survey="town", **given)
+    monkeypatch.setattr(tilework, "find_buildings", original)
+    msbdb.build(files[:1], survey="west", **given)
+    msbdb.build(files, survey="town", **given, resume=True)
+    with opened(quick) as one, opened(db) as other:
+        before, after = (read_buildings(engine, "town")["building_id"] for engine in (one, other))
+    assert before.tolist() == after.tolist()
+    assert [path.name for path in tmp_path.iterdir()] == ["town.sqlite"]
 
 
 def test_an_area_of_interest_is_cut_in_tiles(files, tmp_path):
