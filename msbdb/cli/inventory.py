@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msbdb.cli.build import check_figure, check_inputs, emit_report, inputs, parameters, values, with_walls
+from msbdb.cli.build import emit_report
 from msbdb.cli.command import DATABASE, INPUT_FILE, OUTPUT_FILE, assignment, command, crs_name, iso_date, shared
+from msbdb.cli.inputs import check_figure, check_inputs, inputs, parameters, values, with_walls
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, is_quiet, say
 from msbdb.cli.progress import notice, progress_bar, stages_of
 from msbdb.errors import counted

@@ -5,11 +5,10 @@ import click
 from msbdb.cli.build import build, classify
 from msbdb.cli.command import INTERRUPTED
 from msbdb.cli.db import db, doctor
-from msbdb.cli.export import export, qgis
+from msbdb.cli.export import export, qgis, serve
 from msbdb.cli.inventory import changes, import_, measure, state, update
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params, plan
-from msbdb.cli.serve import serve
 from msbdb.cli.tiles import tiles
 from msbdb.threads import end_now, share_one_heap
 from msbdb.version import __version__

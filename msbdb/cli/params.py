@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from msbdb.cli.build import aoi, check_inputs, parameters, sources
 from msbdb.cli.command import DATABASE, command, shared
+from msbdb.cli.inputs import aoi, check_inputs, parameters, sources
 from msbdb.cli.output import emit_json, emit_pairs, emit_table
 from msbdb.cli.progress import SECONDS, progress_bar
 from msbdb.params import PROFILES, as_dict, declared

@@ -337,7 +337,7 @@ def test_build_hands_everything_over(api):
 
 def test_the_outlines_on_offer_are_those_of_the_parameter():
     """The words of --outline are the choices of vector.walls."""
-    from msbdb.cli.build import WALLS
+    from msbdb.cli.inputs import WALLS
     from msbdb.params import Params, with_values
 
     for word in WALLS:
@@ -348,7 +348,7 @@ def test_the_outlines_on_offer_are_those_of_the_parameter():
 
 def test_units_are_those_of_the_reader():
     """The units that the command offers are the ones that reading knows."""
-    from msbdb.cli.build import Z_UNITS
+    from msbdb.cli.inputs import Z_UNITS
     from msbdb.io import crs
 
     assert ("auto", *crs.Z_UNITS) == Z_UNITS
