@@ -41,7 +41,7 @@ def under_distance(cloud: PointCloud) -> float:
     Parameters
     ----------
     cloud : PointCloud
-        A whole survey. Where some pulse has a second echo, the numbers of the echoes are known.
+        A whole survey. Where its file numbers the echoes, it is believed, also where all are single ones.
 
     Notes
     -----
@@ -49,7 +49,7 @@ def under_distance(cloud: PointCloud) -> float:
     crown are later ones. So the share of points under others is taken over the points of uneven places: those
     with a neighbour higher or lower by `BELOW_M`. Walls count less, as others stand on one side of them alone.
     """
-    if cloud.has_echoes or not len(cloud):
+    if cloud.return_number is not None or not len(cloud):
         return 0.0
     spacing_m = _all_spacing(cloud)
     sample = cloud.take(_chosen(cloud, (spacing_m / SAMPLE_SPACING_M) ** 2))
