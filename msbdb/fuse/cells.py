@@ -30,11 +30,11 @@ def fuse_cells(
 
     Each detector has one vote, and half of the votes are enough. A cell costs the votes that its kind lacks. A pair of
     neighbours of different kinds costs λ exp(-d/τ), with d their difference in height: edges of buildings are cheap
-    along steps. The cheapest division of all cells is taken (`msbdb.labels.minimum_cut`). Holes and pieces smaller
-    than ``piece_m2`` are filled and dropped, and bumps and notches of a cell at the edges go. Cells below the mask stay
+    along steps. The cheapest division of all cells is taken (`msbdb.labels.minimum_cut`). Holes and pieces smaller than
+    ``piece_m2`` are filled and dropped, and bumps and notches of a cell at the edges go. Cells below the mask stay
     where they are the edge of one building; those that would join two buildings do not. A second look
-    (`msbdb.fuse.secondlook`) drops rough objects that hardly enough detectors support, or that are green, and adds
-    smooth regions that lie flush with a building.
+    (`msbdb.fuse.secondlook`) drops hedges, and rough objects that hardly enough detectors support or that are green. It
+    adds smooth regions that lie flush with a building.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Whole files: what may be read and written, a file that appears complete or not at all, and the record of one read.
 
-A file may be remote, at an http or https URL, where its reader says so. ``Path`` makes one slash of two; a path that
+A file may be remote, at an http or https URL, where its reader allows it. ``Path`` makes one slash of two; a path that
 names a URL keeps its meaning here, so that paths may be used for both.
 """
 

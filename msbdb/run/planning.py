@@ -168,7 +168,7 @@ def _cut(grid: Grid, inside: NDArray[np.bool_]) -> Grid:
 
 
 def with_facts(cloud: PointCloud) -> PointCloud:
-    """Return a cloud that knows what holds for all its points; echoes without numbers are told apart by their place."""
+    """Return a cloud that knows what holds for all its points; echoes without numbers are numbered by their place."""
     if cloud.facts is None:
         cloud, under_m = told_apart(cloud)
         return replace(cloud, facts=facts_of(cloud, under_m))
