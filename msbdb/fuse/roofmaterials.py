@@ -71,11 +71,15 @@ def cut_rows(
     come back weaker or stronger. Both sides of a line across the ridge have the same slope, so the angle of the pulses
     is the same, and only the material differs. Two slopes of one roof are never compared.
 
+    On cells larger than half of `BESIDE_M` nothing is divided: a side of a line would be a single cell.
+
     The contrast of a line is the mean of |ln(I_left / I_right)| over all its cells. The line with the largest contrast
     divides first; others follow where both sides are houses by ``house_m2`` and ``width_m``.
 
     Complexity: linear in the cells, and in the lines of each house.
     """
+    if 2 * cell_m > BESIDE_M:
+        return label_zones(houses)[0]
     found = houses.copy()
     count = int(houses.max(initial=0))
     for number, window in boxes(houses).items():

@@ -360,6 +360,17 @@ def test_the_material_of_one_house_does_not_divide_it(factors):
     assert division(heights, intensity=pulses(heights, factors(heights))).houses.max() == 1
 
 
+def test_coarse_cells_do_not_show_materials():
+    """On cells of 1 m a side of a line is one cell, which one pulse decides; on cells of 0.75 m it is two."""
+    heights = terrace_roof()
+    intensity = pulses(heights, of_houses(heights))
+    for cell_m, divided in ((0.75, True), (1.0, False)):
+        spec = GridSpec(heights.shape, Affine(cell_m, 0, 0, 0, -cell_m, 0), CRS.from_epsg(2154))
+        grid = Grid(heights * np.float32(cell_m / CELL_M), np.ones(heights.shape, dtype=bool), spec)
+        found = divide(grid, heights > 2, DEFAULT, spacing_m=SPACING_M, intensity=intensity)
+        assert ("material" in reasons(found)) == divided
+
+
 def test_materials_divide_no_level_roof():
     """Gravel beside bitumen is one roof."""
     heights = scene()
