@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,7 @@ from sqlalchemy import Engine, text
 from sqlalchemy.exc import DBAPIError
 from support.faultfiles import write_points
 from support.sizes import sample
-from support.towns import ROW, town_build
+from support.streettiles import bring, bring_when, tile
 
 from msbdb import api
 from msbdb.api import advance
@@ -49,29 +48,6 @@ from msbdb.run import compose, store
 from msbdb.run.inventory import update
 
 SPAWN = multiprocessing.get_context("spawn")
-
-
-def tile(number: int, year: int = 2020, *, grown: float = 5.0) -> KeptRun:
-    """Return a survey of one tile of a street, each of two houses; one grew in the later year, by so many metres."""
-    houses = ROW[2 * number : 2 * number + 2]
-    if year > 2020:
-        west, south, east, north, height = houses[0]
-        houses = [(west, south, east, north, height + grown), *houses[1:]]
-    return town_build(f"t{number}_{year}", str(year), houses, bounds=(40 * number, 0, 40 * number + 40, 40))
-
-
-def bring(target: str, numbers: tuple[int, ...]) -> None:
-    """Build tiles and update the inventory by them, survey after survey, as one process does."""
-    for year in (2020, 2021):
-        for number in numbers:
-            store_build(target, tile(number, year), timeout_s=60)
-            advance(target, f"t{number}_{year}")
-
-
-def bring_when(target: str, numbers: tuple[int, ...], begun: Event) -> None:
-    """Tell that this process has its libraries loaded, and bring tiles."""
-    begun.set()
-    bring(target, numbers)
 
 
 def content(target: str) -> list[str]:
