@@ -259,7 +259,7 @@ def read_page(engine: Engine, layer: FeatureLayer, wanted: FeatureQuery) -> Rows
 
 
 def read_feature(engine: Engine, layer: FeatureLayer, key: str) -> dict[str, Any] | None:
-    """Return the row with a key, given as text, with its geometry as ``wkb``; None where there is none."""
+    """Return the row with a key, given as text, with its geometry as ``wkb``; None for an unknown key."""
     if not key.isascii() or not key.isdecimal() or int(key) >= MOST:
         return None
     page = read_page(engine, layer, FeatureQuery(equal=[(layer.key, key)], limit=1))

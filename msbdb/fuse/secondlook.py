@@ -23,22 +23,22 @@ SOME = 0.1
 
 
 HARDLY = 0.2
-"""An object with a smaller smooth share is rough throughout: on such cells roofs have 0.22 and more."""
+"""Ours, in sample: an object with a smaller smooth share is rough throughout, unless most of it is nearly smooth."""
 
 FINE_M = 0.75
-"""On larger cells, those of fewer than 2 points/m², narrow roofs are as rough as crowns."""
+"""Ours, in sample: on larger cells, those of fewer than 2 points/m², narrow roofs are as rough as crowns."""
 
 BARE_M = 0.5
-"""Cells up to this height show how rough even surfaces of the survey are."""
+"""Ours: cells up to this height show how rough even surfaces of the survey are."""
 
 AROUND_M = 30.0
-"""The side of the square whose bare cells count."""
+"""Ours: the side of the square whose bare cells count, wider than most houses."""
 
 LEAST_M = 0.001
 """The least roughness that counts, a millimetre."""
 
 NOISE = 3.0
-"""A cell that is rougher than so many times the bare cells around it is no even surface."""
+"""Ours, in sample: a cell that is rougher than so many times the bare cells around it is no even surface."""
 
 
 def without_crowns(
@@ -96,7 +96,8 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     """Drop the objects that are rough nearly throughout, whatever supports them: hedges and dense groups of crowns.
 
     Rough is what exceeds both the noise of a scanner and that of the bare cells around it. So a noisy survey, or two
-    strips that do not fit, make no roof rough. On cells larger than `FINE_M` nothing is dropped.
+    strips that do not fit, make no roof rough. An object stays where half of it is within twice that limit, as roofs of
+    many small planes are. On cells larger than `FINE_M` nothing is dropped.
 
     Parameters
     ----------
@@ -141,8 +142,12 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     mean = uniform_filter(logs, side, mode="constant") / np.maximum(weight, 1 / side**2)
     # Less than one bare cell in the square leaves what rounding has left.
     even_m = np.where(weight * side**2 > 0.5, np.exp(mean), 0.0)
-    smooth = roughness_m <= np.maximum(params.smooth_m, NOISE * even_m)
-    return decided & ~chosen_cells(labels, _share_of_known(labels, count, smooth, roughness_m, unknown=1.0) < HARDLY)
+    limit_m = np.maximum(params.smooth_m, NOISE * even_m)
+    smooth, nearly = (
+        _share_of_known(labels, count, roughness_m <= limit, roughness_m, unknown=1.0)
+        for limit in (limit_m, 2 * limit_m)
+    )
+    return decided & ~chosen_cells(labels, (smooth < HARDLY) & (nearly < MOST))
 
 
 def _share_of_known(
@@ -174,8 +179,8 @@ def without_green(
     roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small window.
     params : FuseParams
-        ``smooth_m``: as for `without_crowns`; less than half of a dropped object is smooth. ``piece_m2``: a smooth
-        part of another colour, of at least this area, stays. It is a house that the trees touch.
+        ``smooth_m``: as for `without_crowns`; less than half of a dropped object's known cells is smooth. ``piece_m2``:
+        a smooth part of another colour, of at least this area, stays. It is a house that the trees touch.
     cell_m : float
         Side of a cell, metres.
 
@@ -198,7 +203,7 @@ def without_green(
     denied = (
         (sizes(labels[multiscale], count) < SOME * area)
         & (sizes(labels[green], count) >= MOST * area)
-        & (sizes(labels[smooth], count) < MOST * area)
+        & (_share_of_known(labels, count, smooth, roughness_m, unknown=MOST) < MOST)
     )
     trees = chosen_cells(labels, denied)
     parts, count = label_zones(binary_opening(trees & ~green, np.ones((3, 3), dtype=np.bool_)))

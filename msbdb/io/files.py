@@ -66,7 +66,7 @@ def file_name(path: str | os.PathLike[str]) -> str:
 
 
 class RemoteFile(io.RawIOBase):
-    """A file on a server, of which ranges are read.
+    """A file on a server that is read by ranges.
 
     Raises
     ------
@@ -150,7 +150,7 @@ class RemoteFile(io.RawIOBase):
 
 
 def remote_version(path: str | os.PathLike[str]) -> str:
-    """Return what a server says of the version of a file: size, tag and time; empty for a local file."""
+    """Return the version of a file by its server: size, tag and time; empty for a local file."""
     url = url_of(path)
     if url is None:
         return ""

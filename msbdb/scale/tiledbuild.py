@@ -166,7 +166,7 @@ class TiledBuild:
                 yield found
 
     def content(self, tile: Tile, engine: Engine) -> bytes | None:
-        """Return the result of a tile; None where there is none."""
+        """Return the result of a tile; None if it has no result yet."""
         if not self.is_file:
             return read_result(engine, self.name, (tile.row, tile.column))
         path = result_file(self.place, tile)

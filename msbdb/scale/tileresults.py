@@ -183,7 +183,7 @@ class Result:
     key : tuple of int
         Row and column of the tile.
     about : dict
-        Its counts, and what it says of the survey.
+        Its counts, and its share of the record of the survey.
     content : bytes
         The zip file.
     """

@@ -89,7 +89,7 @@ def sum_up_tiles(
 
 
 class _Sums:
-    """What the results of tiles say of the whole."""
+    """The totals of all tiles."""
 
     def __init__(self) -> None:
         self.survey: dict[str, Any] | None = None

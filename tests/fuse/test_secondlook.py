@@ -92,8 +92,14 @@ def test_a_house_that_trees_touch_stays():
 
 @pytest.mark.parametrize(
     ("roof_m", "ground_m", "cell_m", "kept"),
-    [(0.3, 0.02, 0.5, False), (0.02, 0.02, 0.5, True), (0.3, 0.12, 0.5, True), (0.3, 0.02, 1.0, True)],
-    ids=["hedge", "roof", "noisy survey", "coarse cells"],
+    [
+        (0.3, 0.02, 0.5, False),
+        (0.02, 0.02, 0.5, True),
+        (0.1, 0.02, 0.5, True),
+        (0.3, 0.12, 0.5, True),
+        (0.3, 0.02, 1, True),
+    ],
+    ids=["hedge", "roof", "nearly smooth roof", "noisy survey", "coarse cells"],
 )
 def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept):
     """Whatever supports it, unless the bare ground around it is nearly as rough, or cells are too large to say."""
@@ -115,6 +121,8 @@ def test_an_object_whose_roughness_is_not_known_stays():
     assert not without_rough(decided, hedge, heights, PARAMS).any()
     few = without_crowns(decided, 0.5 * decided, unknown, PARAMS, clear=0.625, cell_m=0.5)
     np.testing.assert_array_equal(few, decided)
+    green = without_green(decided, ~decided, decided, unknown, PARAMS, cell_m=0.5)
+    np.testing.assert_array_equal(green, decided)
 
 
 def test_each_object_is_judged_by_itself():

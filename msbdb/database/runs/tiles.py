@@ -140,7 +140,7 @@ def note_tile(
 
 
 def read_result(engine: Engine, survey: str, key: tuple[int, int]) -> bytes | None:
-    """Return the result of a tile that waits in the database; None where there is none."""
+    """Return the result of a tile that waits in the database; None if it has no result yet."""
     here = (TILE.c.survey == survey, TILE.c.tile_row == key[0], TILE.c.tile_column == key[1])
     with guarded(engine.url), engine.connect() as connection:
         found = connection.scalar(select(TILE.c.result).where(*here))
