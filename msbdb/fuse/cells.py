@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Evidence, Regions
-from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green, without_rough
+from msbdb.fuse.secondlook import (
+    with_flush_planes,
+    without_crowns,
+    without_green,
+    without_leaning_crowns,
+    without_rough,
+)
 from msbdb.grid import Grid
 from msbdb.labels import Labels, Pairs, around, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
@@ -33,8 +39,8 @@ def fuse_cells(
     along steps. The cheapest division of all cells is taken (`msbdb.labels.minimum_cut`). Holes and pieces smaller than
     ``piece_m2`` are filled and dropped, and bumps and notches of a cell at the edges go. Cells below the mask stay
     where they are the edge of one building; those that would join two buildings do not. A second look
-    (`msbdb.fuse.secondlook`) drops hedges, and rough objects that hardly enough detectors support or that are green. It
-    adds smooth regions that lie flush with a building.
+    (`msbdb.fuse.secondlook`) drops hedges, rough objects that hardly enough detectors support or that are green, and
+    crowns that lean on a house. It adds smooth regions that lie flush with a building.
 
     Parameters
     ----------
@@ -90,6 +96,7 @@ def fuse_cells(
     if green is not None and "multiscale" in regions:
         multiscale = regions["multiscale"].labels > 0
         decided = without_green(decided, multiscale, green, roughness_m, params, cell_m=heights.spec.cell_m)
+    decided = without_leaning_crowns(decided, share, roughness_m, heights, params, limit_m=limit_m)
     smooth = (votes > 0) & (roughness_m <= limit_m) & (np.asarray(heights.values) >= mask_m)
     return _tidy(with_flush_planes(decided, smooth, heights, params), heights, params, mask_m)
 

@@ -8,7 +8,13 @@ from pyproj import CRS
 
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.cells import fuse_cells
-from msbdb.fuse.secondlook import with_flush_planes, without_crowns, without_green, without_rough
+from msbdb.fuse.secondlook import (
+    with_flush_planes,
+    without_crowns,
+    without_green,
+    without_leaning_crowns,
+    without_rough,
+)
 from msbdb.grid import Grid, lattice
 from msbdb.params import FuseParams
 from msbdb.surface.texture import NO_PLANE_M
@@ -205,3 +211,54 @@ def test_the_fusion_looks_twice_where_there_is_evidence():
     np.testing.assert_array_equal(fuse_cells(heights, regions, PARAMS, mask_m=2.0), (roof & ~glass) | crown)
     found = fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence)
     np.testing.assert_array_equal(found, roof)
+
+
+LEANING = {"votes": 2, "rough": 0.3, "height": 4.0, "beside": 1}
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [({}, False), ({"votes": 3}, True), ({"rough": 0.02}, True), ({"height": 6.0}, True), ({"beside": 3}, True)],
+)
+def test_what_leans_on_a_house_goes_if_all_its_evidence_is_poor(change, kept):
+    """A rough piece of two votes, 2 m below the house; each property of an annex alone keeps it."""
+    piece = {**LEANING, **change}
+    shape = (30, 30)
+    house, annex = block(shape, (8, 22), (4, 14)), block(shape, (12, 17), (14, 21))
+    if piece["beside"] == 3:
+        # Wings of the house stand at both sides of the piece, as around a court.
+        house |= block(shape, (8, 12), (4, 24)) | block(shape, (17, 22), (4, 24))
+    heights = grid(np.where(annex, piece["height"], np.where(house, 6.0, 0.0)))
+    share = np.where(house, 1.0, annex * piece["votes"] / 4)
+    rough = np.where(annex, piece["rough"], 0.02).astype(np.float32)
+    left = without_leaning_crowns(house | annex, share, rough, heights, PARAMS, limit_m=0.06)
+    assert np.array_equal(left & ~annex, house), "the house stays"
+    # The cells beside the house stay with it.
+    assert np.array_equal(left, house | annex if kept else house | block(shape, (12, 17), (14, 15)))
+
+
+def test_an_object_that_not_all_detectors_see_has_no_leaning_pieces():
+    """Without a house there is nothing to lean on; the object as a whole is judged elsewhere."""
+    decided = block((20, 20), (5, 15), (5, 15))
+    heights = grid(4.0 * decided)
+    rough = np.full(decided.shape, 0.3, dtype=np.float32)
+    left = without_leaning_crowns(decided, 0.5 * decided, rough, heights, PARAMS, limit_m=0.06)
+    assert np.array_equal(left, decided)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_leaning_crowns_are_the_same_when_the_survey_is_turned(seed):
+    """The rule knows no direction, and only takes cells away."""
+    random = np.random.default_rng(seed)
+    blocks = np.kron(random.integers(0, 5, (6, 6)), np.ones((4, 4)))
+    decided = blocks > 1
+    share, rough = blocks / 4 * decided, np.asarray(0.1 * random.random(blocks.shape), dtype=np.float32)
+    high = 6 * share + random.random(blocks.shape)
+
+    def left(turns):
+        images = [np.rot90(image, turns).copy() for image in (decided, share, rough, high)]
+        return without_leaning_crowns(*images[:3], grid(images[3]), PARAMS, limit_m=0.06)
+
+    straight = left(0)
+    assert not (straight & ~decided).any()
+    assert np.array_equal(np.rot90(straight), left(1))
