@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from msbdb.change.decisions import FIRST_SURVEY
 from msbdb.database import (
     ClientPlace,
     Engine,
@@ -49,11 +50,19 @@ PLACES = (("xo", "yo"), ("xcen", "ycen"), ("xin", "yin"))
 SHOWN = {"footprint": "by height"}
 """The style that is visible when the project is opened."""
 
-_CHANGED = (
-    "(began_as NOT IN ('imported', 'unchanged') AND valid_from > (SELECT min(date) FROM inventory_event)) "
-    "OR ended_as = 'demolished'"
+_SEEN_FIRST = (
+    "version_id IN (SELECT version_after FROM building_change WHERE kind = 'new' "  # noqa: S608  (our own words)
+    f"AND note LIKE '%{FIRST_SURVEY}%') AND NOT EXISTS (SELECT 1 FROM inventory_event AS event "
+    "WHERE event.kind = 'import' AND ST_Intersects(event.geometry, ST_PointOnSurface(building_history.geometry)))"
 )
-"""The versions that show a change: the first state of the inventory is a beginning."""
+"""The versions by the first survey of a place, which no import has: `msbdb.change.netchange.with_beginnings` in SQL."""
+
+_CHANGED = (
+    "(began_as NOT IN ('imported', 'unchanged') "  # noqa: S608  (our own words)
+    "AND valid_from > (SELECT min(date) FROM inventory_event) "
+    f"AND NOT ({_SEEN_FIRST})) OR ended_as = 'demolished'"
+)
+"""The versions that show a change: the first state of a place is a beginning."""
 
 
 def export_database(
