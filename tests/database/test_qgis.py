@@ -84,6 +84,8 @@ def test_layers_of_a_project_lie_in_order_and_are_read_only(opened: dict[str, Fo
     assert [name for name, row in layers.items() if row["shown"]] == ["footprint_by_height"]
     assert all(row["read_only"] and row["crs"] == f"EPSG:{EPSG}" for row in layers.values())
     assert opened["town"]["footprint_by_height"]["read_only"] is False
+    # What is selected is yellow. Without a colour in the project, QGIS 3.22 selects in white.
+    assert opened["project"]["map"]["selected"] == "#ffffff00"
 
 
 def test_columns_and_rows_are_named_in_words(opened: dict[str, Found]) -> None:

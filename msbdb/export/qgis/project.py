@@ -14,6 +14,9 @@ from msbdb.tables.aliases import LAYER_WORDS
 QGIS_VERSION = "3.22.16"
 """The last release of the oldest series for which projects are written, which opens them without a word."""
 
+PAPER, SELECTED = (255, 255, 255, 255), (255, 255, 0, 255)
+"""Colours of the map's ground and of what is selected; without them QGIS 3.22 selects in white."""
+
 EVIDENCE = ("building_evidence", "part_evidence", "flat_region", "candidate_region", "candidate_evidence", "rejection")
 """Layers that stand in a group of their own, above the buildings."""
 
@@ -119,6 +122,10 @@ def project(title: str, layers: Sequence[ProjectLayer], crs_wkt: str, authid: st
     properties = SubElement(root, "properties")
     SubElement(SubElement(properties, "Paths"), "Absolute", type="bool").text = "false"
     SubElement(SubElement(properties, "SpatialRefSys"), "ProjectionsEnabled", type="int").text = "1"
+    canvas = SubElement(properties, "Gui")
+    for what, colour in (("Canvas", PAPER), ("Selection", SELECTED)):
+        for part, value in zip(("Red", "Green", "Blue", "Alpha"), colour, strict=True):
+            SubElement(canvas, f"{what}Color{part}Part", type="int").text = str(value)
     head = b"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
     return _packed(f"{title}.qgs", head + tostring(root, encoding="utf-8"))
 
