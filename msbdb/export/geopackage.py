@@ -31,6 +31,9 @@ CREATE TABLE layer_styles (
 )
 """
 
+STYLE_NAME = 30
+"""The longest name of a style that QGIS takes, as its own table has it."""
+
 _PROJECTS = "CREATE TABLE qgis_projects (name TEXT PRIMARY KEY, metadata BLOB, content BLOB)"
 
 _SCHEMA_EXTENSION = "http://www.geopackage.org/spec/#extension_schema"
@@ -106,6 +109,7 @@ def _write_styles(file: sqlite3.Connection, fields: dict[str, list[Column]]) -> 
     )
     for layer, columns in fields.items():
         for number, drawn in enumerate(STYLES[layer]):
+            name = f"{LAYER_WORDS[layer]} {drawn.name}"
             qml = style_document(layer, drawn, columns)
             file.execute(
                 "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, "
@@ -113,10 +117,10 @@ def _write_styles(file: sqlite3.Connection, fields: dict[str, list[Column]]) -> 
                 "VALUES ('', '', ?, 'geom', ?, ?, '', ?, ?, '')",
                 (
                     layer,
-                    f"{LAYER_WORDS[layer]} {drawn.name}"[:30],
+                    name if len(name) <= STYLE_NAME else drawn.name,
                     qml,
                     number == 0,
-                    f"{LAYER_WORDS[layer]} {drawn.name}",
+                    name,
                 ),
             )
 

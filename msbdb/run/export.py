@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from msbdb.change.decisions import FIRST_SURVEY
 from msbdb.database import (
     ClientPlace,
     Engine,
@@ -26,6 +27,7 @@ from msbdb.io.files import require_input, require_output, write_atomic
 from msbdb.io.layers import Layer, crs_text
 from msbdb.run.outputs import Choice, tell_choice
 from msbdb.tables import Column, Survey
+from msbdb.tables.declaration import RUN_ID
 from msbdb.tables.view_columns import VIEW_COLUMNS
 
 if TYPE_CHECKING:
@@ -48,11 +50,19 @@ PLACES = (("xo", "yo"), ("xcen", "ycen"), ("xin", "yin"))
 SHOWN = {"footprint": "by height"}
 """The style that is visible when the project is opened."""
 
-_CHANGED = (
-    "(began_as NOT IN ('imported', 'unchanged') AND valid_from > (SELECT min(date) FROM inventory_event)) "
-    "OR ended_as = 'demolished'"
+_SEEN_FIRST = (
+    "version_id IN (SELECT version_after FROM building_change WHERE kind = 'new' "  # noqa: S608  (our own words)
+    f"AND note LIKE '%{FIRST_SURVEY}%') AND NOT EXISTS (SELECT 1 FROM inventory_event AS event "
+    "WHERE event.kind = 'import' AND ST_Intersects(event.geometry, ST_PointOnSurface(building_history.geometry)))"
 )
-"""The versions that show a change: the first state of the inventory is a beginning."""
+"""The versions by the first survey of a place, which no import has: `msbdb.change.netchange.with_beginnings` in SQL."""
+
+_CHANGED = (
+    "(began_as NOT IN ('imported', 'unchanged') "  # noqa: S608  (our own words)
+    "AND valid_from > (SELECT min(date) FROM inventory_event) "
+    f"AND NOT ({_SEEN_FIRST})) OR ended_as = 'demolished'"
+)
+"""The versions that show a change: the first state of a place is a beginning."""
 
 
 def export_database(
@@ -214,6 +224,8 @@ def write_project(db: str | Path, out: Path, *, overwrite: bool) -> list[str]:
             "spatialite" if place.file else "postgres",
             columns,
             SHOWN.get(name, ""),
+            runs=found.runs,
+            read_only=True,
         )
     ]
     packed = project(out.stem, layers, crs.to_wkt("WKT2_2019"), f"EPSG:{code}" if code else "", _bounds(found.surveys))
@@ -223,19 +235,24 @@ def write_project(db: str | Path, out: Path, *, overwrite: bool) -> list[str]:
 
 
 def _tables(*, present: bool) -> list[tuple[str, str, str, tuple[Column, ...], str]]:
-    """Return the layers: name of the style, table or view, its key, its columns, and the condition of its rows."""
+    """Return the layers, the topmost first: name of the style, table or view, key, columns, condition of the rows."""
     buildings, parts = ("footprint_current", "part_current") if present else ("footprint", "part")
     history = [("history", "building_history", "version_id", VIEW_COLUMNS["building_history"], _CHANGED)]
     return [
-        *(history if present else []),
-        ("footprint", buildings, VIEW_COLUMNS[buildings][0].name, VIEW_COLUMNS[buildings], ""),
-        ("part", parts, "part_id", columns_of("part")[1:], ""),
-        ("building_evidence", "building_evidence", "building_id", columns_of("building_evidence"), ""),
-        ("part_evidence", "part_evidence", "part_id", columns_of("part_evidence"), ""),
-        ("flat_region", "flat_region", "region_id", columns_of("flat_region")[1:], ""),
+        ("rejection", "rejection", "rejection_id", _of_table("rejection"), ""),
         ("candidate_evidence", "candidate_evidence", "candidate_id", columns_of("candidate_evidence"), ""),
-        ("rejection", "rejection", "rejection_id", columns_of("rejection")[1:], ""),
+        ("flat_region", "flat_region", "region_id", _of_table("flat_region"), ""),
+        ("part_evidence", "part_evidence", "part_id", columns_of("part_evidence"), ""),
+        ("building_evidence", "building_evidence", "building_id", columns_of("building_evidence"), ""),
+        *(history if present else []),
+        ("part", parts, "part_id", VIEW_COLUMNS[parts] if present else _of_table("part"), ""),
+        ("footprint", buildings, VIEW_COLUMNS[buildings][0].name, VIEW_COLUMNS[buildings], ""),
     ]
+
+
+def _of_table(name: str) -> tuple[Column, ...]:
+    """Return the columns of a table of a run: the run in place of its survey."""
+    return (RUN_ID, *columns_of(name)[1:])
 
 
 def _kind(name: str) -> str:

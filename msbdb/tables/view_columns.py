@@ -171,3 +171,15 @@ def _columns(names: str, tables: tuple[Table, ...], own: tuple[Column, ...]) -> 
 
 VIEW_COLUMNS: Mapping[str, tuple[Column, ...]] = {name: _columns(*shown) for name, shown in _SHOWN.items()}
 """The columns of each view in order, without the geometry."""
+
+
+def computed_columns(view: str) -> frozenset[str]:
+    """Return the numbers that a view computes: SQLite gives clients no type for them. A table has none.
+
+    Examples
+    --------
+    >>> sorted(computed_columns("candidate_evidence")), sorted(computed_columns("footprint"))
+    (['explained_share', 'flat_share'], [])
+    """
+    _, _, own = _SHOWN.get(view, ("", (), ()))
+    return frozenset(column.name for column in own if column.dtype in ("float64", "Int64"))

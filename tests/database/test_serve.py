@@ -24,6 +24,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
 from support.browser import PATIENCE_MS, browser
 from support.processes import environment
+from support.qgis import opened_by_qgis
 from support.towns import EPSG, ROW, SOUTH, WEST, town_build
 
 from msbdb import api
@@ -45,6 +46,9 @@ ADDRESS = "http://127.0.0.1:8080"
 STORED = f"http://www.opengis.net/def/crs/EPSG/0/{EPSG}"
 
 ITEMS = "/collections/footprint_current/items"
+
+QGIS_PAGE = 7
+"""Features a page, as ``scripts/check_qgis`` asks for them."""
 
 
 def filled(place):
@@ -141,6 +145,19 @@ def test_gdal_and_owslib_read_what_the_database_holds(place):
         own = shapely.from_wkb(bytes(expected[uid]["wkb"]))
         assert shape.symmetric_difference(own).area < 0.01
         assert h_max == expected[uid]["h_max"]
+
+
+def test_qgis_reads_every_collection(place):
+    """Page by page, all rows and those of a window, ids as text and measures as numbers; nothing is complained of."""
+    with started(place) as address:
+        [found] = opened_by_qgis(f"{address}/")
+    counts = {name: len(rows_of(place, name)) for name in LAYERS}
+    assert {name: row["features"] for name, row in found.items()} == counts
+    assert counts["part"] > QGIS_PAGE
+    current = found["footprint_current"]
+    assert current["crs"] == "EPSG:4326"
+    fields = ("uid", "storeys", "h_max", "valid_from", "state")
+    assert [current["fields"][name] for name in fields] == ["String", "Integer", "Real", "Date", "String"]
 
 
 def test_each_collection_has_the_rows_of_its_layer(client, place):

@@ -7,7 +7,6 @@ import geopandas as gpd
 import pytest
 from sqlalchemy import make_url
 from support.offices import office, surveyed
-from support.qgis import opened_by_qgis
 from support.towns import EPSG
 
 from msbdb import api
@@ -53,14 +52,3 @@ def test_a_project_names_the_server_and_never_the_password(new_postgis, tmp_path
     assert f"dbname='{make_url(target).database}'" in words
     assert 'table="public"."footprint" (geometry)' in words
     assert '<provider encoding="UTF-8">postgres</provider>' in words
-
-
-@pytest.mark.long
-@pytest.mark.postgis
-def test_qgis_opens_a_project_over_a_server_without_a_complaint(new_postgis, tmp_path: Path) -> None:
-    """Buildings with and without imported attributes: a null among JSON values would be a warning each."""
-    target = office(new_postgis(), tmp_path)
-    api.qgis(target, tmp_path / "town.qgz")
-    told = opened_by_qgis(tmp_path / "town.qgz", EPSG)
-    assert "footprint_by_height 4\n" in told
-    assert "parts_of_building 3\n" in told

@@ -17,7 +17,6 @@ import pyarrow.parquet as pq
 import pytest
 import shapely
 from support.offices import run
-from support.qgis import opened_by_qgis
 from support.towns import EPSG, UTM, footprints
 
 from msbdb import api
@@ -254,22 +253,3 @@ def test_a_project_shows_the_database(town: Path, tmp_path: Path) -> None:
     assert "exists already" in run("qgis", town, "--out", tmp_path / "town.qgz", code=1)
     run("qgis", tmp_path / "town.sqlite", "--out", tmp_path / "town.qgz", "--overwrite")
     assert (tmp_path / "town.qgz").read_bytes() == before
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["project", "geopackage"])
-def test_qgis_opens_the_project_and_the_geopackage(town: Path, tmp_path: Path, kind: str) -> None:
-    """All layers are valid and coloured, relations hold, aliases are there, and QGIS has nothing to say."""
-    shutil.copy(town, tmp_path / "town.sqlite")
-    if kind == "project":
-        source = tmp_path / "town.qgz"
-        run("qgis", tmp_path / "town.sqlite", "--out", source)
-    else:
-        run("export", town, tmp_path / "town.gpkg")
-        source = f"geopackage:{tmp_path / 'town.gpkg'}?projectName=town"
-    told = opened_by_qgis(source, EPSG)
-    assert "footprint_by_height 4\n" in told
-    assert "part_by_scale 3\n" in told
-    assert "parts_of_building 3\n" in told
-    assert "alias Ridge above ground [m]" in told
-    assert int(re.search(r"colours (\d+)", told).group(1)) >= 3

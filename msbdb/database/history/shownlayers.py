@@ -53,12 +53,15 @@ class ShownLayers:
         ``footprint`` is the inventory's, and ``part`` has the parts of these buildings.
     srid : int
         The database's SRID.
+    runs : dict of str to int
+        The run of each survey, by the survey's name.
     """
 
     layers: dict[str, Columns]
     surveys: tuple[Survey, ...]
     present: bool
     srid: int
+    runs: dict[str, int]
 
 
 def columns_of(name: str, *, present: bool = False) -> tuple[Column, ...]:
@@ -116,7 +119,8 @@ def read_shown(
                 found = _of_buildings(connection, found, buildings)
             layers[name] = found
         surveys = tuple(survey_record(connection, run.survey_id) for run in runs)
-        return ShownLayers(layers, surveys, present, dialect_of(engine.url).database_srid(connection))
+        srid = dialect_of(engine.url).database_srid(connection)
+        return ShownLayers(layers, surveys, present, srid, {str(run.name): int(run.run_id) for run in runs})
 
 
 def _runs(connection: Connection, survey: str | None, where: str) -> list[Any]:

@@ -2,8 +2,8 @@
 
 import io
 import zipfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from msbdb.export.qgis.forms import CHILDREN_OF_PART, PARTS_OF_BUILDING, style_elements
@@ -11,8 +11,16 @@ from msbdb.export.qgis.symbology import STYLES, DrawnAs
 from msbdb.tables import Column
 from msbdb.tables.aliases import LAYER_WORDS
 
-QGIS_VERSION = "3.22.0"
-"""The oldest QGIS for which projects are written; newer ones read them."""
+QGIS_VERSION = "3.22.16"
+"""The last release of the oldest series for which projects are written, which opens them without a word."""
+
+PAPER, SELECTED = (255, 255, 255, 255), (255, 255, 0, 255)
+"""Colours of the map's ground and of what is selected; without them QGIS 3.22 selects in white."""
+
+EVIDENCE = ("building_evidence", "part_evidence", "flat_region", "candidate_region", "candidate_evidence", "rejection")
+"""Layers that stand in a group of their own, above the buildings."""
+
+EVIDENCE_GROUP = "Evidence"
 
 Bounds = tuple[float, float, float, float]
 
@@ -35,6 +43,12 @@ class ProjectLayer:
         Its name for people.
     visible : bool
         It is shown when the project is opened.
+    group : str
+        The group of the legend in which it stands; empty for none.
+    read_only : bool
+        QGIS does not edit it.
+    runs : mapping of str to int
+        The run of each survey, for layers that name the run alone.
     """
 
     name: str
@@ -44,6 +58,9 @@ class ProjectLayer:
     drawn: DrawnAs
     title: str
     visible: bool = False
+    group: str = ""
+    read_only: bool = False
+    runs: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -56,7 +73,16 @@ class ProjectLayer:
         return self.name == "rejection"
 
 
-def layers_of(name: str, source: str, provider: str, columns: Sequence[Column], shown: str = "") -> list[ProjectLayer]:
+def layers_of(
+    name: str,
+    source: str,
+    provider: str,
+    columns: Sequence[Column],
+    shown: str = "",
+    *,
+    runs: Mapping[str, int] | None = None,
+    read_only: bool = False,
+) -> list[ProjectLayer]:
     """Return a layer in each of its styles; the style ``shown`` is visible when the project is opened."""
     words = LAYER_WORDS.get(name, "Changes")
     several = len(STYLES[name]) > 1
@@ -64,6 +90,7 @@ def layers_of(name: str, source: str, provider: str, columns: Sequence[Column], 
         ProjectLayer(
             name, source, provider, tuple(columns), drawn,
             f"{words} {drawn.name}" if several or drawn.name.startswith("by ") else words, drawn.name == shown,
+            EVIDENCE_GROUP if name in EVIDENCE else "", read_only, runs or {},
         )
         for drawn in STYLES[name]
     ]  # fmt: skip
@@ -95,6 +122,10 @@ def project(title: str, layers: Sequence[ProjectLayer], crs_wkt: str, authid: st
     properties = SubElement(root, "properties")
     SubElement(SubElement(properties, "Paths"), "Absolute", type="bool").text = "false"
     SubElement(SubElement(properties, "SpatialRefSys"), "ProjectionsEnabled", type="int").text = "1"
+    canvas = SubElement(properties, "Gui")
+    for what, colour in (("Canvas", PAPER), ("Selection", SELECTED)):
+        for part, value in zip(("Red", "Green", "Blue", "Alpha"), colour, strict=True):
+            SubElement(canvas, f"{what}Color{part}Part", type="int").text = str(value)
     head = b"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
     return _packed(f"{title}.qgs", head + tostring(root, encoding="utf-8"))
 
@@ -116,13 +147,19 @@ def _crs(crs_wkt: str, authid: str) -> Element:
 
 
 def _tree(layers: Sequence[ProjectLayer]) -> Element:
-    """Return the legend."""
+    """Return the legend: layers one below the other, those of a group in it; what is not shown is folded up."""
     root = Element("layer-tree-group")
+    groups: dict[str, Element] = {"": root}
     for layer in layers:
+        if layer.group not in groups:
+            seen = any(own.visible for own in layers if own.group == layer.group)
+            groups[layer.group] = SubElement(
+                root, "layer-tree-group", name=layer.group, checked="Qt::Checked", expanded="1" if seen else "0"
+            )
         checked = "Qt::Checked" if layer.visible else "Qt::Unchecked"
         SubElement(
-            root, "layer-tree-layer", id=layer.id, name=layer.title, checked=checked, expanded="1",
-            providerKey=layer.provider, source=layer.source,
+            groups[layer.group], "layer-tree-layer", id=layer.id, name=layer.title, checked=checked,
+            expanded="1" if layer.visible else "0", providerKey=layer.provider, source=layer.source,
         )  # fmt: skip
     return root
 
@@ -142,13 +179,16 @@ def _canvas(crs_wkt: str, authid: str, bounds: Bounds | None) -> Element:
 def _map_layer(layer: ProjectLayer, crs_wkt: str, authid: str) -> Element:
     """Return a layer with its source and style."""
     kind = "Point" if layer.points else "Polygon"
-    root = Element("maplayer", type="vector", geometry=kind, wkbType=f"Multi{kind}" if kind == "Polygon" else kind)
+    root = Element(
+        "maplayer", type="vector", geometry=kind, wkbType=f"Multi{kind}" if kind == "Polygon" else kind,
+        readOnly="1" if layer.read_only else "0",
+    )  # fmt: skip
     SubElement(root, "id").text = layer.id
     SubElement(root, "datasource").text = layer.source
     SubElement(root, "layername").text = layer.title
     SubElement(root, "srs").append(_crs(crs_wkt, authid))
     SubElement(root, "provider", encoding="UTF-8").text = layer.provider
-    root.extend(style_elements(layer.name, layer.drawn, layer.columns, points=layer.points))
+    root.extend(style_elements(layer.name, layer.drawn, layer.columns, points=layer.points, runs=layer.runs))
     return root
 
 

@@ -1,23 +1,35 @@
 """How QGIS draws a layer: rules with a colour each, by height, state, scale, kind of change or probability."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
-HEIGHTS_M = (4.0, 7.0, 10.0, 15.0, 25.0, 50.0)
-"""Limits between the classes of heights, metres: about one, two and three storeys, and then towers."""
+HEIGHTS_M = (4.0, 7.0, 10.0, 13.0, 16.0, 20.0, 30.0, 50.0)
+"""Limits between the classes of heights, metres: a class for each of the first storeys, and then towers."""
 
-HEIGHT_COLOURS = ("#ffffb2", "#fed976", "#feb24c", "#fd8d3c", "#fc4e2a", "#e31a1c", "#b10026")
+HEIGHT_COLOURS = (
+    "#ffffcc", "#ffeda0", "#fed976", "#feb24c", "#fd8d3c", "#fc4e2a", "#e31a1c", "#bd0026", "#800026",
+)  # fmt: skip
 SCALE_COLOURS = (
     "#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725",
 )  # fmt: skip
 STATE_COLOURS = {"confirmed": "#4c78a8", "unsure": "#f2b134", "refuted": "#c44e52"}
 CHANGE_COLOURS = {
-    "new": "#2ca25f", "demolished": "#de2d26", "modified": "#f0a202", "merged": "#756bb1", "split": "#9e9ac8",
-    "not surveyed": "#969696", "unsure": "#f7dc6f", "unchanged": "#d9d9d9",
+    "new": "#009e73", "demolished": "#d55e00", "modified": "#e69f00", "merged": "#56b4e9", "split": "#0072b2",
 }  # fmt: skip
-METHOD_COLOURS = {"multiscale": "#4c78a8", "flatregions": "#72b7b2", "area3d": "#e45756", "adaptive": "#b279a2"}
+"""By Okabe and Ito, which colour-blind readers can distinguish; as on the maps of `msbdb.view`."""
+
+NO_CHANGE_COLOURS = {
+    "unchanged": "#d9d9d9", "first seen": "#ececec", "unsure": "#ece7d5", "not surveyed": "#ffffff",
+}  # fmt: skip
+"""What a list of changes has besides them."""
+
+METHOD_COLOURS = {"multiscale": "#4c78a8", "flatregions": "#56b4e9", "area3d": "#d55e00", "adaptive": "#009e73"}
+CANDIDATE_METHODS = ("area3d", "adaptive")
 UNKNOWN = "#bdbdbd"
+
+CLEAR, GLASS, SOLID = 0, 200, 255
+"""Opacity of an area, of 255: only its outline is drawn; what lies beneath shows through; nothing does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +51,15 @@ class DrawnAs:
         Its name for people.
     rules : tuple of Rule
         In the order of the legend.
-    filled : bool
-        Areas are filled; otherwise they are outlined.
+    opacity : int
+        Of an area: `CLEAR`, `GLASS` or `SOLID`.
     order : str
         Expression by which rows are drawn, the smallest first; empty for any order.
     """
 
     name: str
     rules: tuple[Rule, ...]
-    filled: bool = True
+    opacity: int = GLASS
     order: str = ""
 
 
@@ -65,18 +77,28 @@ def _by_height() -> DrawnAs:
     return DrawnAs("by height", (*rules, Rule("ELSE", "height not known", UNKNOWN)))
 
 
-def _by_words(name: str, column: str, colours: Mapping[str, str], *, filled: bool = True) -> DrawnAs:
-    """Return a style by the words of a column or expression."""
+def _by_words(name: str, column: str, colours: Mapping[str, str], *, opacity: int = GLASS) -> DrawnAs:
+    """Return a style by the words of a column or expression, which has no others."""
     rules = tuple(Rule(f"{column} = '{word}'", word, colour) for word, colour in colours.items())
-    return DrawnAs(name, (*rules, Rule("ELSE", "other", UNKNOWN)), filled=filled)
+    return DrawnAs(name, rules, opacity)
+
+
+def _by_detector(methods: Iterable[str], *, opacity: int) -> DrawnAs:
+    """Return the style of regions: a colour for each detector."""
+    return _by_words("by detector", '"method"', {name: METHOD_COLOURS[name] for name in methods}, opacity=opacity)
+
+
+def _outlined(label: str, method: str) -> DrawnAs:
+    """Return the style of the regions of one detector."""
+    return DrawnAs("outlined", (Rule("", label, METHOD_COLOURS[method]),), CLEAR)
 
 
 def _by_scale() -> DrawnAs:
-    """Return the style of parts: a colour for each scale, finer ones on top."""
+    """Return the style of parts: a colour for each scale, finer ones on top, which hide the coarser ones."""
     finest = len(SCALE_COLOURS)
     rules = [Rule(f'"scale" = {n}', f"scale {n}", colour) for n, colour in enumerate(SCALE_COLOURS[:-1], start=1)]
     rules.append(Rule(f'"scale" >= {finest}', f"scale {finest} and finer", SCALE_COLOURS[-1]))
-    return DrawnAs("by scale", tuple(rules), order='"scale"')
+    return DrawnAs("by scale", tuple(rules), SOLID, order='"scale"')
 
 
 def _by_probability() -> DrawnAs:
@@ -98,14 +120,14 @@ HISTORY_KIND = "CASE WHEN \"ended_as\" = 'demolished' THEN 'demolished' ELSE \"b
 STYLES: Mapping[str, tuple[DrawnAs, ...]] = {
     "footprint": (_by_height(), _by_words("by state", '"state"', STATE_COLOURS)),
     "part": (_by_scale(),),
-    "change": (_by_words("by kind", '"kind"', CHANGE_COLOURS),),
-    "history": (_by_words("by kind", HISTORY_KIND, CHANGE_COLOURS),),
+    "change": (_by_words("by kind", '"kind"', CHANGE_COLOURS | NO_CHANGE_COLOURS, opacity=SOLID),),
+    "history": (_by_words("by kind", HISTORY_KIND, CHANGE_COLOURS, opacity=SOLID),),
     "building_evidence": (_by_probability(),),
-    "part_evidence": (DrawnAs("outlined", (Rule("ELSE", "part", METHOD_COLOURS["multiscale"]),), filled=False),),
-    "flat_region": (DrawnAs("outlined", (Rule("ELSE", "flat region", METHOD_COLOURS["flatregions"]),), filled=False),),
-    "candidate_region": (_by_words("by detector", '"method"', METHOD_COLOURS, filled=False),),
-    "candidate_evidence": (_by_words("by detector", '"method"', METHOD_COLOURS, filled=False),),
-    "rejection": (_by_words("by detector", '"method"', METHOD_COLOURS),),
+    "part_evidence": (_outlined("part", "multiscale"),),
+    "flat_region": (_outlined("flat region", "flatregions"),),
+    "candidate_region": (_by_detector(CANDIDATE_METHODS, opacity=CLEAR),),
+    "candidate_evidence": (_by_detector(CANDIDATE_METHODS, opacity=CLEAR),),
+    "rejection": (_by_detector(METHOD_COLOURS, opacity=SOLID),),
 }
 """The styles of each layer, the default one first."""
 
@@ -118,25 +140,25 @@ def renderer(drawn: DrawnAs, *, points: bool = False) -> Element:
     symbols = SubElement(root, "symbols")
     for number, rule in enumerate(drawn.rules):
         SubElement(rules, "rule", key=f"{{{number}}}", filter=rule.expression, label=rule.label, symbol=str(number))
-        symbols.append(_symbol(str(number), rule.colour, filled=drawn.filled, points=points))
+        symbols.append(_symbol(str(number), rule.colour, opacity=drawn.opacity, points=points))
     if drawn.order:
         clauses = SubElement(root, "orderby")
         SubElement(clauses, "orderByClause", asc="1", nullsFirst="0").text = drawn.order
     return root
 
 
-def _symbol(name: str, colour: str, *, filled: bool, points: bool) -> Element:
+def _symbol(name: str, colour: str, *, opacity: int, points: bool) -> Element:
     """Return a symbol of one colour: a filled area with a thin dark border, an outline, or a point."""
     root = Element("symbol", type="marker" if points else "fill", name=name, alpha="1", clip_to_extent="1")
     kind = {"class": "SimpleMarker" if points else "SimpleFill"}
     drawn = SubElement(root, "layer", kind, enabled="1", locked="0")
     values = {
-        "color": _rgba(colour, 200 if filled else 0),
-        "outline_color": "60,60,60,255" if filled else _rgba(colour, 255),
+        "color": _rgba(colour, opacity),
+        "outline_color": "60,60,60,255" if opacity else _rgba(colour, SOLID),
         "outline_style": "solid",
-        "outline_width": "0.1" if filled else "0.4",
+        "outline_width": "0.1" if opacity else "0.4",
         "outline_width_unit": "MM",
-        **({"name": "circle", "size": "1.6", "size_unit": "MM"} if points else {"style": "solid" if filled else "no"}),
+        **({"name": "circle", "size": "1.6", "size_unit": "MM"} if points else {"style": "solid" if opacity else "no"}),
     }
     options = SubElement(drawn, "Option", type="Map")
     for key, value in values.items():
