@@ -257,3 +257,25 @@ def tile_of(frame: gpd.GeoDataFrame, bounds: Bounds, layer: str) -> bytes | None
         pyogrio.write_dataframe(frame, out, driver="MVT", layer=layer, dataset_options=options)
         tile = out / "0" / "0" / "0.pbf"
         return tile.read_bytes() if tile.is_file() else None
+
+
+def archive_of(frame: gpd.GeoDataFrame, layer: str, zooms: tuple[int, int]) -> bytes:
+    """Return all tiles of a town as one archive, PMTiles 3, packed by gzip.
+
+    Parameters
+    ----------
+    frame : GeoDataFrame
+        One feature or more with their properties, in any CRS.
+    layer : str
+        The name of the only layer.
+    zooms : tuple of int
+        The first zoom, and the last one.
+    """
+    options = {
+        "MINZOOM": str(zooms[0]), "MAXZOOM": str(zooms[1]), "SIMPLIFICATION": "0", "EXTENT": str(2 * STEPS),
+        "BUFFER": str(2 * MARGIN), "MAX_SIZE": str(MOST_BYTES), "MAX_FEATURES": str(len(frame)),
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "town.pmtiles"
+        pyogrio.write_dataframe(frame, out, driver="PMTiles", layer=layer, dataset_options=options)
+        return out.read_bytes()
