@@ -1,4 +1,4 @@
-"""A step of the wheel's build: it brings MapLibre GL JS, which the page of `msbdb view` contains."""
+"""A step of the wheel's build: it brings MapLibre GL JS and pmtiles, which the pages of `msbdb view` contain."""
 
 import shutil
 import subprocess
@@ -29,4 +29,5 @@ class MaplibreHook(BuildHookInterface):  # type: ignore[type-arg]  # hatchling's
             raise RuntimeError(done.stderr)
 
     def _is_needed(self) -> bool:
-        return not (Path(self.root) / "msbdb" / "view" / "maplibre" / "maplibre-gl.js").is_file()
+        folder = Path(self.root) / "msbdb" / "view" / "maplibre"
+        return not all((folder / name).is_file() for name in ("maplibre-gl.js", "pmtiles.js"))

@@ -204,7 +204,7 @@ def serve(
 
     Notes
     -----
-    At ``/`` is OGC API Features, at ``/page`` the page in 3-D; docs/serve.md describes both.
+    At ``/`` are OGC API Features and Tiles, at ``/page`` the page in 3-D; docs/serve.md describes both.
     """
     try:
         from msbdb.serve.httpserver import run_server

@@ -163,7 +163,7 @@ def qgis(*, db: str, out: Path, overwrite: bool) -> None:
     "--url", metavar="URL", help="The address at which clients find the server, where it stands behind another one."
 )
 def serve(*, db: str, host: str, port: int, url: str | None) -> None:
-    """Serve a database to browsers and GIS clients, by OGC API Features and with the page in 3-D.
+    """Serve a database to browsers and GIS clients, by OGC API Features and Tiles and with the page in 3-D.
 
     Nothing can be written through it. There are no users and no passwords: give --host only in a network that you
     trust, or put a web server with both before it. Ctrl-C ends it. It needs: pip install "msbdb[serve]"

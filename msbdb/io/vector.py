@@ -1,7 +1,8 @@
-"""Reading polygons and points from any vector format, such as reference footprints."""
+"""Polygons and points read from any vector format, such as reference footprints; and packed as vector tiles (MVT)."""
 
 import logging
 import os
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,15 @@ logger = logging.getLogger(__name__)
 
 POINT, POLYGON, MULTIPOLYGON, COLLECTION = 0, 3, 6, 7
 """Shapely's type numbers of points, and of the geometries that hold areas."""
+
+WORLD_M = 20_037_508.342789244
+"""Half the side of the world's square in EPSG:3857, whose tile of zoom 0 is the whole of it."""
+
+STEPS, MARGIN = 4096, 64
+"""Steps of a tile's side, and how far beyond its edges outlines go, so that none of their lines is seen there."""
+
+MOST_BYTES = 50_000_000
+"""Size at which GDAL would leave out details and features (ours): far above that of all features we let in."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,3 +213,69 @@ def _areas_of(geometry: shapely.Geometry | None) -> shapely.Geometry | None:
     parts = shapely.get_parts(geometry)
     areas = parts[np.isin(shapely.get_type_id(parts), (POLYGON, MULTIPOLYGON))]
     return shapely.union_all(areas) if len(areas) else None
+
+
+def bounds_of_tile(zoom: int, row: int, column: int) -> Bounds:
+    """Return west, south, east and north of a tile of WebMercatorQuad, EPSG:3857.
+
+    Examples
+    --------
+    >>> [round(edge) for edge in bounds_of_tile(1, 0, 1)]
+    [0, 0, 20037508, 20037508]
+    """
+    side = 2 * WORLD_M / 2**zoom
+    west, north = column * side - WORLD_M, WORLD_M - row * side
+    return west, north - side, west + side, north
+
+
+def tile_of(frame: gpd.GeoDataFrame, bounds: Bounds, layer: str) -> bytes | None:
+    """Return a tile as Mapbox Vector Tile 2.1; None where it would be empty.
+
+    Parameters
+    ----------
+    frame : GeoDataFrame
+        Features with their properties, in EPSG:3857.
+    bounds : tuple of float
+        West, south, east and north of the tile, a square.
+    layer : str
+        The name of the only layer.
+
+    Notes
+    -----
+    GDAL writes whole sets of tiles. It is given a scheme whose only tile of zoom 0 is the one that is wanted.
+    """
+    if frame.empty:  # GDAL 3.12 never ends without a feature
+        return None
+    west, _, east, north = bounds
+    options = {
+        "FORMAT": "DIRECTORY", "COMPRESS": "NO", "MINZOOM": "0", "MAXZOOM": "0", "SIMPLIFICATION": "0",
+        "TILING_SCHEME": f"EPSG:3857,{west!r},{north!r},{east - west!r}", "EXTENT": str(STEPS), "BUFFER": str(MARGIN),
+        "MAX_SIZE": str(MOST_BYTES), "MAX_FEATURES": str(len(frame)),
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "tiles"
+        pyogrio.write_dataframe(frame, out, driver="MVT", layer=layer, dataset_options=options)
+        tile = out / "0" / "0" / "0.pbf"
+        return tile.read_bytes() if tile.is_file() else None
+
+
+def archive_of(frame: gpd.GeoDataFrame, layer: str, zooms: tuple[int, int]) -> bytes:
+    """Return all tiles of a town as one archive, PMTiles 3, packed by gzip.
+
+    Parameters
+    ----------
+    frame : GeoDataFrame
+        One feature or more with their properties, in any CRS.
+    layer : str
+        The name of the only layer.
+    zooms : tuple of int
+        The first zoom, and the last one.
+    """
+    options = {
+        "MINZOOM": str(zooms[0]), "MAXZOOM": str(zooms[1]), "SIMPLIFICATION": "0", "EXTENT": str(2 * STEPS),
+        "BUFFER": str(2 * MARGIN), "MAX_SIZE": str(MOST_BYTES), "MAX_FEATURES": str(len(frame)),
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "town.pmtiles"
+        pyogrio.write_dataframe(frame, out, driver="PMTiles", layer=layer, dataset_options=options)
+        return out.read_bytes()

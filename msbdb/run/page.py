@@ -9,7 +9,6 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from pyproj import Transformer
 
 from msbdb.change.netchange import with_beginnings
@@ -30,6 +29,7 @@ from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError, PassingNotice, counted, give_notice
 from msbdb.grid import Grid
 from msbdb.io.files import require_output
+from msbdb.io.vector import archive_of
 from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
 from msbdb.run.outputs import Choice, area_of, choose, of_one_place, photo_on, reason_rasters, relief_for, within
 from msbdb.tables import BUILDING, DETECTOR_SHARES, PART
@@ -38,10 +38,11 @@ from msbdb.tables.view_columns import VIEW_COLUMNS
 from msbdb.view.blocks import blocks_of
 from msbdb.view.buildingmap import KINDS
 from msbdb.view.groundimages import light_image, origin_of, photo_image, place_of, reason_image
-from msbdb.view.page import read_library, shapes_of, texts, whole_numbers, write_page
+from msbdb.view.page import DEGREE, read_library, shapes_of, texts, whole_numbers, write_page
+from msbdb.view.townfeatures import ZOOMS, town_features
 
-MOST_PARTS = 60_000
-"""Buildings and parts beyond which the page would be slow (ours): 10,000 buildings have about 40,000."""
+FEW_PARTS, MOST_PARTS = 40_000, 150_000
+"""Buildings and parts whose outlines the page holds as they are, and all that it can have (ours)."""
 
 MOST_DATES = 8
 """Dates of the inventory on the page, the newest ones (ours): each pair has its list of changes."""
@@ -89,13 +90,14 @@ def view_page(
     library = read_library()
     with opened(db) as engine:
         town = town_of(db, engine, of_one_place(engine, choose(engine, survey)), aoi, ortho)
-    write_page(town, out, library)
+    tiles = archive_of(town.pop("outlines"), "town", ZOOMS) if "outlines" in town else None
+    write_page(town, out, library, tiles)
 
 
 def town_of(
     db: str | Path, engine: Engine, choice: Choice, aoi: Path | None = None, ortho: Path | None = None
 ) -> dict[str, Any]:
-    """Return what the page of a database shows, as values of JSON.
+    """Return what the page of a database shows, as values of JSON; of a large one ``outlines`` are a frame beside them.
 
     Parameters
     ----------
@@ -253,21 +255,22 @@ def _rows(
     parts, buildings = stock.parts, stock.buildings
     row_of = {key: row for row, key in enumerate(zip(parts["row"].tolist(), parts["part_id"].tolist(), strict=True))}
     fathers = [row_of.get(key, -1) for key in zip(parts["row"].tolist(), parts["supid"].tolist(), strict=True)]
+    finest = int(parts["scale"].max()) if len(parts) else 0
     blocks = blocks_of(
         parts["scale"].to_numpy(dtype=np.int64),
         np.array(fathers, dtype=np.int64),
         parts["area_m2"].to_numpy(dtype=np.float64),
         parts["h_mean"].to_numpy(dtype=np.float64),
         np.array(parts.geometry.to_numpy(), dtype=object),
-        finest=int(parts["scale"].max()) if len(parts) else 0,
+        finest=finest,
     )
 
-    def shapes(geometry: NDArray[np.object_]) -> list[Any]:
-        return shapes_of(shapely.transform(geometry, to_degrees.transform, interleaved=False), origin)
-
+    both = np.concatenate([np.array(buildings.geometry.to_numpy(), dtype=object), blocks.geometry])
+    shapes = shapely.transform(both, to_degrees.transform, interleaved=False)
+    outlines, pieces = np.split(shapes, [len(buildings)])
     columns = [column for column in _columns() if column.name in buildings]
     classes, class_of = _classes(engine, choice, parts)
-    return {
+    found: dict[str, Any] = {
         "fields": [[column.name, words_of(column), DIGITS.get(column.unit, 0)] for column in columns],
         "classes": classes,
         "buildings": {
@@ -276,7 +279,6 @@ def _rows(
             "after": whole_numbers(buildings["after"]),
             "height": whole_numbers(_heights(buildings), 2),
             "version": texts(buildings["version_id"]) if "version_id" in buildings else [],
-            "shape": shapes(np.array(buildings.geometry.to_numpy(), dtype=object)),
             "values": {column.name: _values(buildings[column.name], column.dtype, column.unit) for column in columns},
             "shares": {
                 column: whole_numbers(buildings[column], 3) if column in buildings else [None] * len(buildings)
@@ -299,9 +301,17 @@ def _rows(
             "low": blocks.low.tolist(),
             "high": blocks.high.tolist(),
             "height": np.rint(100 * blocks.height_m).astype(np.int64).tolist(),
-            "shape": shapes(blocks.geometry),
         },
     }
+    if len(buildings) + len(parts) > FEW_PARTS:
+        boxes = np.rint(shapely.bounds(outlines) * DEGREE).astype(np.int64) - np.tile(origin, 2)
+        found["buildings"]["box"] = boxes.tolist()
+        found["outlines"] = town_features(found, finest, shapes)
+        del found["blocks"]["low"], found["blocks"]["high"]
+    else:
+        found["buildings"]["shape"] = shapes_of(outlines, origin)
+        found["blocks"]["shape"] = shapes_of(pieces, origin)
+    return found
 
 
 def _columns() -> list[Any]:

@@ -1,4 +1,4 @@
-"""The app: the documents of OGC API Features as JSON and as plain pages, and the page of the town in 3-D."""
+"""The app: the documents of OGC API Features and Tiles as JSON and as plain pages, and the page of the town in 3-D."""
 
 import json
 import logging
@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlencode
 import pygeoapi.api as core
 import shapely
 from flask import Flask, Response, g, render_template, request
-from pygeoapi.api import API, APIRequest, itemtypes
+from pygeoapi.api import API, APIRequest, itemtypes, tiles
 from pygeoapi.openapi import get_oas
 from pygeoapi.util import get_crs_from_uri
 from werkzeug.exceptions import BadRequest, HTTPException, NotFound
@@ -25,6 +25,7 @@ from msbdb.database import LAYERS, Engine, FeatureLayer, ServedState, database_c
 from msbdb.errors import DatabaseError, MsbdbError, collected_notices
 from msbdb.run.page import view_page
 from msbdb.serve.featureprovider import ENGINE, SYSTEM, FeatureProvider, field_of, north_first, transformer
+from msbdb.serve.tileprovider import FORMAT, SCHEME, TileProvider, box_of_tile, require_scheme
 
 logger = logging.getLogger(__name__)
 
@@ -54,10 +55,10 @@ HEADERS = {
 }
 """Of each answer: it runs no script and loads nothing. The page in 3-D has its own policy, for its two scripts."""
 
-NOT_SERVED = ("/processes", "/jobs", "/TileMatrixSets", "/stac")
+NOT_SERVED = ("/processes", "/jobs", "/stac")
 """Beginnings of paths that pygeoapi describes, but that this server does not have."""
 
-NOT_OFFERED = ("/processes", "/job-list", "/tiling-schemes")
+NOT_OFFERED = ("/processes", "/job-list")
 """Ends of the relations of links that pygeoapi shows, but that this server does not have."""
 
 NOT_READ = "/conf/create-replace-delete"
@@ -164,11 +165,15 @@ class ServedTown:
             "type": "feature", "name": f"{FeatureProvider.__module__}.{FeatureProvider.__name__}", "data": layer.name,
             "id_field": layer.key, "time_field": layer.days[0] if layer.days else None, "crs": list(self.systems),
         }  # fmt: skip
+        tiled = {
+            "type": "tile", "name": f"{TileProvider.__module__}.{TileProvider.__name__}", "data": layer.name,
+            "format": FORMAT, "options": {"bounds": extent},
+        }  # fmt: skip
         return {
             "type": "collection", "title": layer.title, "description": layer.doc, "keywords": ["buildings"],
             "links": [],
             "extents": {"spatial": {"bbox": extent, "crs": CRS84}},
-            "providers": [provider | ({"storage_crs": self.stored} if self.stored else {})],
+            "providers": [provider | ({"storage_crs": self.stored} if self.stored else {}), tiled],
         }  # fmt: skip
 
 
@@ -213,6 +218,18 @@ def make_app(town: ServedTown, hosts: list[str] | None) -> Flask:
             raise BadRequest(msg)
         return answer(itemtypes.get_collection_items, name, formats=("json", "html", "csv"))
 
+    def tile(name: str, scheme: str, z: str, y: str, x: str) -> Response:
+        if request.args.get("f", FORMAT["name"]) != FORMAT["name"]:
+            msg = "Tiles are Mapbox Vector Tiles; ask for f=mvt."
+            raise BadRequest(msg)
+        state, api = town.now()
+        g.window = town.window([*box_of_tile(scheme, z, y, x)], EPSG.format(3857), state.bounds)
+        g.days = request.args.get("datetime")
+        _, status, content = tiles.get_collection_tiles_data(api, as_json("mvt", api), name, scheme, z, y, x)
+        if status == HTTPStatus.NO_CONTENT:
+            return Response(status=status)
+        return Response(content, status, mimetype=FORMAT["mimetype"] if status == HTTPStatus.OK else "application/json")
+
     def page() -> Response:
         try:
             return Response(town.page(), mimetype="text/html")
@@ -232,6 +249,13 @@ def make_app(town: ServedTown, hosts: list[str] | None) -> Flask:
         f"{one}/queryables": lambda name: answer(itemtypes.get_collection_queryables, name),
         f"{one}/items": items,
         f"{one}/items/<key>": lambda name, key: answer(itemtypes.get_collection_item, name, key),
+        f"{one}/tiles": lambda name: answer(tiles.get_collection_tiles, name),
+        f"{one}/tiles/<scheme>": lambda name, scheme: answer(
+            tiles.get_collection_tiles_metadata, name, require_scheme(scheme)
+        ),
+        f"{one}/tiles/<scheme>/<z>/<y>/<x>": tile,
+        "/TileMatrixSets": partial(answer, tiles.tilematrixsets),
+        "/TileMatrixSets/<scheme>": lambda scheme: answer(tiles.tilematrixset, require_scheme(scheme)),
         "/page": page,
     }
     for path, view in views.items():
@@ -329,6 +353,10 @@ def completed(document: dict[str, Any], state: ServedState, *words: str) -> dict
         days = LAYERS[own["id"]].days if own.get("id") in LAYERS else ()
         if days and state.begin:
             own["extent"]["temporal"] = {"interval": [[f"{state.begin}T00:00:00Z", None]]}
+    if "tileMatrixSets" in document:
+        document["tileMatrixSets"] = [own for own in document["tileMatrixSets"] if own["id"] == SCHEME.tileMatrixSet]
+        for link in document["links"]:
+            link["href"] = link["href"].replace("/tileMatrixSets", "/TileMatrixSets")
     if "$schema" in document and words:
         for column in LAYERS[words[0]].columns:
             document["properties"][column.name] |= field_of(column)

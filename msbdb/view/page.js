@@ -58,7 +58,10 @@
     return found;
   }
 
+  // The outlines of a large town are in tiles, with all that the map needs; the page keeps their numbers alone.
+  const isTiled = $("tiles") !== null;
   function feature(id, shape, row, part, low, high, height, more) {
+    if (isTiled) return { id, properties: { row, part } };
     const values = buildings.values;
     const chance = values.probability ? values.probability[row] : null;
     return {
@@ -76,14 +79,15 @@
     const own = partsOf[row];
     const root = own.find((part) => parts.father[part] === NONE);
     const storeys = buildings.values.storeys ? buildings.values.storeys[row] : null;
-    return feature(row, buildings.shape[row], row, NONE, 0, own.length ? 0 : finest, buildings.height[row], {
+    return feature(row, isTiled ? null : buildings.shape[row], row, NONE, 0, own.length ? 0 : finest, buildings.height[row], {
       storeys: storeys === null ? NONE : storeys, kind: root === undefined ? 0 : parts.kind[root], scale: 0,
     });
   });
   blocks.part.forEach((part, n) => features.push(
-    feature(buildings.id.length + n, blocks.shape[n], parts.building[part], part, blocks.low[n], blocks.high[n], blocks.height[n], {
-      storeys: parts.storeys[part], kind: parts.kind[part], scale: parts.scale[part],
-    })));
+    isTiled ? feature(buildings.id.length + n, null, parts.building[part], part)
+      : feature(buildings.id.length + n, blocks.shape[n], parts.building[part], part, blocks.low[n], blocks.high[n], blocks.height[n], {
+        storeys: parts.storeys[part], kind: parts.kind[part], scale: parts.scale[part],
+      })));
   const featuresOf = buildings.id.map(() => []);
   features.forEach((own) => featuresOf[own.properties.row].push(own.id));
   // Coordinates are made when a map takes them.
@@ -92,7 +96,12 @@
 
   function boundsOf(numbers) {
     let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const id of numbers)
+    if (isTiled)
+      for (const id of numbers) {
+        const [x0, y0, x1, y1] = buildings.box[features[id].properties.row];
+        [west, south, east, north] = [Math.min(west, x0), Math.min(south, y0), Math.max(east, x1), Math.max(north, y1)];
+      }
+    else for (const id of numbers)
       for (const [shell] of features[id].shape)
         for (let at = 0, x = 0, y = 0; at < shell.length; at += 2) {
           x += shell[at];
@@ -317,14 +326,27 @@
       version: 8,
       light: { anchor: "map", position: [1.3, 315, 40], intensity: 0.28 },
       sources: {
-        town: { type: "geojson", maxzoom: 18, buffer: 32, tolerance: 0.2,
-          data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) } },
+        town: isTiled ? { type: "vector", url: "pmtiles://town", promoteId: "n" }
+          : { type: "geojson", maxzoom: 18, buffer: 32, tolerance: 0.2,
+            data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) } },
         ...(town.ground && { ground: image(town.ground) }),
         ...(town.photo && { photo: image(town.photo.image, town.photo.corners.map(([x, y]) => degrees(x, y))) }),
         ...(town.reasons && { reasons: image(town.reasons.image) }),
       },
-      layers: looks(view, side),
+      layers: looks(view, side).map((layer) => (isTiled && layer.source === "town" ? { ...layer, "source-layer": "town" } : layer)),
     };
+  }
+  const placeOf = (id) => ({ source: "town", id, ...(isTiled && { sourceLayer: "town" }) });
+
+  // The archive of tiles is in the page, and so in memory.
+  function openTiles() {
+    const text = atob($("tiles").textContent), bytes = new Uint8Array(text.length);
+    for (let at = 0; at < text.length; at += 1) bytes[at] = text.charCodeAt(at);
+    $("tiles").textContent = "";
+    const protocol = new pmtiles.Protocol();
+    protocol.add(new pmtiles.PMTiles({ getKey: () => "town",
+      getBytes: async (offset, length) => ({ data: bytes.buffer.slice(offset, offset + length) }) }));
+    maplibregl.addProtocol("pmtiles", protocol.tile);
   }
 
   // Without a graphics card smooth edges cost more than half of the time.
@@ -357,8 +379,10 @@
       pickAt(map, middle, map.getCenter());
     });
     const ready = new Promise((done) => map.once("load", done));
-    const late = features.filter((own) => !isEarly(own));
-    map.once("idle", () => map.getSource("town").updateData({ add: late.map(asGeoJson) }));
+    if (!isTiled) {
+      const late = features.filter((own) => !isEarly(own));
+      map.once("idle", () => map.getSource("town").updateData({ add: late.map(asGeoJson) }));
+    }
     const pane = { map, ready, which, marked: [] };
     panes.push(pane);
     return pane;
@@ -403,9 +427,9 @@
       for (const [name, value] of Object.entries(layout || {})) map.setLayoutProperty(id, name, value);
       for (const [name, value] of Object.entries(paint)) map.setPaintProperty(id, name, value);
     }
-    pane.marked.forEach((id) => map.removeFeatureState({ source: "town", id }));
+    pane.marked.forEach((id) => map.removeFeatureState(placeOf(id)));
     pane.marked = [];
-    const mark = (id, state) => { map.setFeatureState({ source: "town", id }, state); pane.marked.push(id); };
+    const mark = (id, state) => { map.setFeatureState(placeOf(id), state); pane.marked.push(id); };
     for (const [kind, before, after] of changes) {
       const rows = side === 0 ? [before] : side === 1 ? [after] : [before, after];
       rows.filter((row) => row !== NONE).forEach((row) => featuresOf[row].forEach((id) => mark(id, { kind })));
@@ -739,6 +763,7 @@
       say("This browser has no WebGL 2, without which the map cannot be drawn.");
       return;
     }
+    if (isTiled) openTiles();
     makeLayers();
     listen();
     if (window.innerWidth <= 700) $("fold").click();

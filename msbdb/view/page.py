@@ -41,11 +41,12 @@ _IN_SCRIPT = str.maketrans({"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """MapLibre GL JS: its script, its style and its licence."""
+    """MapLibre GL JS: its script, its style and its licence; and pmtiles, which reads the tiles of a large town."""
 
     script: str
     style: str
     licence: str
+    reader: str = ""
 
 
 def read_library(folder: Path = _LIBRARY) -> Library:
@@ -57,18 +58,18 @@ def read_library(folder: Path = _LIBRARY) -> Library:
         When this copy of msbdb lacks it.
     """
     try:
-        names = ("maplibre-gl.js", "maplibre-gl.css", "LICENSE.txt")
-        script, look, licence = ((folder / name).read_text(encoding="utf-8") for name in names)
+        names = ("maplibre-gl.js", "maplibre-gl.css", "LICENSE.txt", "pmtiles.js")
+        script, look, licence, reader = ((folder / name).read_text(encoding="utf-8") for name in names)
     except FileNotFoundError as error:
         msg = (
             f"MapLibre GL JS, which the page contains, is missing in {folder}. In a folder with the source run "
             "scripts/fetch_maplibre; elsewhere install msbdb from its wheel, which has it."
         )
         raise MissingDependencyError(msg) from error
-    return Library(script, look, licence)
+    return Library(script, look, f"{licence}\n\n{(_HERE / 'pmtiles_licence.txt').read_text(encoding='utf-8')}", reader)
 
 
-def write_page(town: Mapping[str, Any], out: Path, library: Library) -> None:
+def write_page(town: Mapping[str, Any], out: Path, library: Library, tiles: bytes | None = None) -> None:
     """Write the page of a town, in one piece.
 
     Parameters
@@ -79,6 +80,8 @@ def write_page(town: Mapping[str, Any], out: Path, library: Library) -> None:
         The file.
     library : Library
         MapLibre GL JS.
+    tiles : bytes, optional
+        The outlines of a large town, as an archive of vector tiles (PMTiles).
 
     Raises
     ------
@@ -86,13 +89,18 @@ def write_page(town: Mapping[str, Any], out: Path, library: Library) -> None:
         When it cannot be written.
     """
     with write_atomic(out) as temporary:
-        temporary.write_text(page_of(town, library), encoding="utf-8", newline="\n")
+        temporary.write_text(page_of(town, library, tiles), encoding="utf-8", newline="\n")
 
 
-def page_of(town: Mapping[str, Any], library: Library) -> str:
+def page_of(town: Mapping[str, Any], library: Library, tiles: bytes | None = None) -> str:
     """Return the page of a town; the same town gives the same text."""
     script = (_HERE / "page.js").read_text(encoding="utf-8")
     scripts = [_closed(library.script), _closed(script)]
+    more = ""
+    if tiles is not None:
+        scripts.append(_closed(library.reader))
+        packed = base64.b64encode(tiles).decode("ascii")
+        more = f'<script id="tiles" type="application/octet-stream">{packed}</script>\n<script>{scripts[2]}</script>\n'
     values = {
         "title": html.escape(str(town["title"])),
         "policy": _policy(scripts),
@@ -101,6 +109,7 @@ def page_of(town: Mapping[str, Any], library: Library) -> str:
         "style": (_HERE / "page.css").read_text(encoding="utf-8"),
         "licence": html.escape(library.licence),
         "town": as_data(town),
+        "tiles": more,
         "library": scripts[0],
         "script": scripts[1],
     }

@@ -4,12 +4,15 @@ import csv
 import hashlib
 import io
 import json
+import math
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
@@ -31,9 +34,12 @@ from msbdb import api
 from msbdb.cli.main import cli
 from msbdb.database import LAYERS, database_crs_of, open_database, open_to_read, read_state, write_build
 from msbdb.errors import InputError, MissingDependencyError
+from msbdb.io.vector import WORLD_M
 from msbdb.run import page
+from msbdb.serve import tileprovider
 from msbdb.serve.httpserver import address_of, listening_socket, trusted_names
 from msbdb.serve.webapp import CRS84, HEADERS, ServedTown, make_app
+from msbdb.tables.view_columns import IDS
 from msbdb.view.page import Library, read_library
 
 HOSTILE = "</script><script>alert(1)</script>'; DROP TABLE survey; -- {{ 7 * 7 }} ../"
@@ -305,7 +311,7 @@ def test_links_lead_to_what_is_served(client):
         if answer.is_json or answer.mimetype.endswith("json"):
             document = json.loads(answer.text)
             links = [link for own in (document, *document.get("collections", ())) for link in own.get("links", ())]
-            hrefs = [link["href"].removeprefix(ADDRESS) for link in links]
+            hrefs = [link["href"].removeprefix(ADDRESS) for link in links if not link.get("templated")]
             waiting += [href if href.startswith("/") else f"/{href}" for href in hrefs]
     assert {"/page", f"{ITEMS}?f=html"} <= seen
     assert len(seen) > 50
@@ -358,6 +364,144 @@ def test_conformance_claims_nothing_that_writes(client):
 def test_what_does_not_fit_is_refused_in_plain_words(client, query, words):
     """Wrong bounds, times, numbers, columns and filters end with 400 and a sentence."""
     assert words in refused(client, ITEMS, **query)
+
+
+def tile_at(lon, lat, zoom):
+    """Return row and column of the tile of WebMercatorQuad at a place, by the formulas of its standard."""
+    turned = math.asinh(math.tan(math.radians(lat)))
+    return math.floor((1 - turned / math.pi) / 2 * 2**zoom), math.floor((lon + 180) / 360 * 2**zoom)
+
+
+TOWN = 3.0009, 36.1448
+"""Longitude and latitude of the middle of the town."""
+
+SHARP = 17
+"""A zoom on which one tile has the whole town, in steps of 7 cm."""
+
+
+def read_tile(client, layer, zoom, row, column, **query):
+    """Return the features of a tile as GDAL reads them, in EPSG:3857; None for an empty one."""
+    path = f"/collections/{layer}/tiles/WebMercatorQuad/{zoom}/{row}/{column}"
+    answer = client.get(path, query_string=query, headers={"Host": "127.0.0.1"})
+    if answer.status_code == 204:
+        assert answer.data == b""
+        return None
+    assert (answer.status_code, answer.mimetype) == (200, "application/vnd.mapbox-vector-tile"), answer.text
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "tile.pbf"
+        file.write_bytes(answer.data)
+        return pyogrio.read_dataframe(file, X=str(column), Y=str(row), Z=str(zoom))
+
+
+def in_mercator(row):
+    """Return the outline of a row in EPSG:3857."""
+    to_mercator = Transformer.from_crs(EPSG, 3857, always_xy=True)
+    return shapely.transform(shapely.from_wkb(bytes(row["wkb"])), to_mercator.transform, interleaved=False)
+
+
+def test_tiles_have_the_rows_of_their_layer(client, place):
+    """GDAL reads the tiles of every layer: all rows, each value as the database has it, and the places to a step."""
+    row, column = tile_at(*TOWN, SHARP)
+    step = 2 * WORLD_M / 2**SHARP / 4096
+    seen = 0
+    for name, layer in LAYERS.items():
+        expected = rows_of(place, name)
+        tiles = [read_tile(client, name, SHARP, row, column + east) for east in (-1, 0, 1)]
+        known = {}
+        for found in tiles:
+            if found is None:
+                continue
+            for own in found.astype(object).where(found.notna(), None).to_dict("records"):
+                known.setdefault(own[layer.key], []).append(own)
+        assert sorted(known) == sorted(expected)
+        for key, pieces in known.items():
+            for own in pieces:
+                for named in layer.columns:
+                    if named.dtype != "json" and named.name in expected[key]:
+                        value = expected[key][named.name]
+                        is_id = named.name in IDS and value is not None
+                        assert own.get(named.name) == (str(value) if is_id else value), named.name
+            whole = shapely.union_all([own["geometry"] for own in pieces])
+            shape = in_mercator(expected[key])
+            assert whole.symmetric_difference(shape).area < 2 * step * shape.length
+            seen += 1
+    assert seen > 4 * len(AFTER)
+
+
+def test_a_tile_far_away_is_empty_and_a_day_chooses(client, place):
+    """No content beside the town; of the history the versions of a day; the largest come first where there are many."""
+    row, column = tile_at(*TOWN, 14)
+    assert read_tile(client, "part", 14, row + 1, column) is None
+    assert read_tile(client, "part", 14, 0, 2**14 - 1) is None
+    found = read_tile(client, "building_history", 14, row, column, datetime="2021-01-01")
+    history = rows_of(place, "building_history").values()
+    assert {*found["version_id"]} == {str(own["version_id"]) for own in history if own["valid_from"] == "2020-05-01"}
+
+
+def test_a_tile_keeps_the_largest(client, place, monkeypatch):
+    """Where a tile would have too many features, those of the largest area stay."""
+    monkeypatch.setattr(tileprovider, "MOST_FEATURES", 3)
+    found = read_tile(client, "part", 14, *tile_at(*TOWN, 14))
+    areas = sorted((own["area_m2"] for own in rows_of(place, "part").values()), reverse=True)
+    assert sorted(found["area_m2"], reverse=True) == areas[:3]
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "words"),
+    [
+        ("part/tiles/WebMercatorQuad/14/a/1", 400, "three whole numbers"),
+        ("part/tiles/WebMercatorQuad/14/-1/1", 400, "three whole numbers"),
+        ("part/tiles/WebMercatorQuad/14/1.5/1", 400, "three whole numbers"),
+        ("part/tiles/WebMercatorQuad/²/1/1", 400, "three whole numbers"),
+        (f"part/tiles/WebMercatorQuad/14/{'9' * 400}/1", 400, "three whole numbers"),
+        ("part/tiles/WebMercatorQuad/14/1;DROP TABLE part/1", 400, "three whole numbers"),
+        ("part/tiles/WebMercatorQuad/14/16384/1", 404, "none beside the world"),
+        ("part/tiles/WebMercatorQuad/11/1/1", 404, "zooms 12 to 22"),
+        ("part/tiles/WebMercatorQuad/23/1/1", 404, "zooms 12 to 22"),
+        ("part/tiles/WorldCRS84Quad/14/1/1", 404, "WebMercatorQuad alone"),
+        ("part/tiles/..%2f..%2fetc", 404, ""),
+        ("survey/tiles/WebMercatorQuad/14/1/1", 404, "Collection not found"),
+        ("part/tiles/WebMercatorQuad/14/1/1?f=json", 400, "ask for f=mvt"),
+        ("part/tiles/WebMercatorQuad/14/TOWN?datetime=2020-01-01", 400, "have no day"),
+        ("building_history/tiles/WebMercatorQuad/14/TOWN?datetime=';DROP TABLE part", 400, "is no time"),
+    ],
+)
+def test_hostile_addresses_of_tiles_are_refused(client, path, status, words):
+    """Words in place of numbers, numbers beside the world and unknown schemes end with 400 or 404, and a sentence."""
+    row, column = tile_at(*TOWN, 14)
+    answer = client.get(f"/collections/{path.replace('TOWN', f'{row}/{column}')}", headers={"Host": "127.0.0.1"})
+    assert answer.status_code == status
+    assert words in answer.get_json()["description"]
+
+
+def test_sets_of_tiles_are_described(client):
+    """From the collection a client finds scheme, limits, properties and address of the tiles, all of one scheme."""
+    links = read(client, "/collections/part")["links"]
+    [path] = {own["href"] for own in links if own["rel"].endswith("tilesets-vector") and own["type"].endswith("json")}
+    [listed] = read(client, path.removeprefix(ADDRESS).removesuffix("?f=json"))["tilesets"]
+    own = next(link["href"] for link in listed["links"] if link["rel"] == "self")
+    found = read(client, own.removeprefix(ADDRESS).removesuffix("?f=json"))
+    scheme = next(link["href"] for link in found["links"] if link["rel"].endswith("tiling-scheme"))
+    matrices = {
+        own["id"]: own for own in read(client, scheme.removeprefix(ADDRESS).removesuffix("?f=json"))["tileMatrices"]
+    }
+    assert [own["id"] for own in read(client, "/TileMatrixSets")["tileMatrixSets"]] == ["WebMercatorQuad"]
+    template = next(link["href"] for link in found["links"] if link["rel"] == "item")
+    for limits in found["tileMatrixSetLimits"]:
+        zoom = limits["tileMatrix"]
+        assert matrices[zoom]["matrixWidth"] == 2 ** int(zoom)
+        row, column = tile_at(*TOWN, int(zoom))
+        assert limits["minTileRow"] <= row <= limits["maxTileRow"]
+        assert limits["minTileCol"] <= column <= limits["maxTileCol"]
+    words = {"{tileMatrix}": zoom, "{tileRow}": str(row), "{tileCol}": str(column)}
+    for field, value in words.items():
+        template = template.replace(field, value)
+    assert client.get(template.removeprefix(ADDRESS), headers={"Host": "127.0.0.1"}).status_code in (200, 204)
+    [layer] = found["layers"]
+    assert layer["propertiesSchema"]["properties"]["h_max"]["x-ogc-unit"] == "m"
+    assert client.get("/TileMatrixSets/x", headers={"Host": "127.0.0.1"}).status_code == 404
+    classes = read(client, "/conformance")["conformsTo"]
+    assert any(name.endswith("ogcapi-tiles-1/1.0/conf/mvt") for name in classes)
 
 
 def test_csv_has_the_rows(client, place):

@@ -1,4 +1,4 @@
-"""The script that fetches MapLibre GL JS, without npm and without the network."""
+"""The script that fetches MapLibre GL JS and pmtiles, without npm and without the network."""
 
 import hashlib
 import io
@@ -9,6 +9,8 @@ import tarfile
 import pytest
 from support.processes import ROOT, load_script
 
+FIRST, SECOND = "maplibre-gl@5.24.1", "pmtiles@4.5.0"
+
 SCRIPT = ROOT / "scripts" / "fetch_maplibre"
 
 
@@ -18,14 +20,15 @@ def script(tmp_path, monkeypatch):
     found = load_script(SCRIPT)
     monkeypatch.setattr(found, "FOLDER", tmp_path / "maplibre")
     monkeypatch.setattr(found, "SHA256", {name: hashlib.sha256(name.encode()).hexdigest() for name in found.SHA256})
-    monkeypatch.delenv("MSBDB_MAPLIBRE", raising=False)
+    for variable, _ in found.PACKAGES.values():
+        monkeypatch.delenv(variable, raising=False)
     return found
 
 
 def package(script, path, **other):
-    """Write a package whose files hold their names, or other bytes."""
+    """Write all files as one package, each with its name in it, or other bytes."""
     with tarfile.open(path, "w:gz") as archive:
-        for member, name in script.MEMBERS.items():
+        for member, name in {**script.PACKAGES[FIRST][1], **script.PACKAGES[SECOND][1]}.items():
             body = other.get(name.partition(".")[0].replace("-", "_"), name.encode())
             info = tarfile.TarInfo(member)
             info.size = len(body)
@@ -34,8 +37,10 @@ def package(script, path, **other):
 
 
 def test_a_package_given_as_a_file_needs_no_npm(script, tmp_path, monkeypatch, capsys):
-    """MSBDB_MAPLIBRE names it; the script prints the folder, and keeps nothing else there."""
-    monkeypatch.setenv("MSBDB_MAPLIBRE", str(package(script, tmp_path / "given.tgz")))
+    """Two variables name them; the script prints the folder, and keeps nothing else there."""
+    given = str(package(script, tmp_path / "given.tgz"))
+    monkeypatch.setenv("MSBDB_MAPLIBRE", given)
+    monkeypatch.setenv("MSBDB_PMTILES", given)
     monkeypatch.setattr(script, "download", lambda _: pytest.fail("npm was called"))
     assert script.main() == 0
     assert capsys.readouterr().out.strip() == str(script.FOLDER)
@@ -52,7 +57,7 @@ def test_files_that_are_there_are_not_fetched_again(script, monkeypatch):
 
 
 def test_a_package_with_other_files_is_refused(script, tmp_path, monkeypatch, capsys):
-    """One wrong byte is enough; nothing is kept."""
+    """One wrong byte is enough; nothing is kept of this package."""
     monkeypatch.setenv("MSBDB_MAPLIBRE", str(package(script, tmp_path / "given.tgz", maplibre_gl=b"wrong")))
     assert script.main() == 1
     assert "SHA-256" in capsys.readouterr().err

@@ -162,6 +162,43 @@ def test_a_town_that_is_too_large_is_refused(town, tmp_path, library, monkeypatc
         with_notices(api.view, town, tmp_path / "town.html")
 
 
+def test_a_large_town_has_its_outlines_in_tiles(town, tmp_path, library, monkeypatch):
+    """The archive has each building and block once, with the values and the place that a small page has."""
+    _, small = view(town, tmp_path / "small.html")
+    monkeypatch.setattr(made, "FEW_PARTS", 10)
+    text, data = view(town, tmp_path / "town.html")
+    scripts = parsed(text).scripts
+    assert len(scripts) == 5
+    policy = next(attrs["content"] for _, attrs in parsed(text).tags if attrs.get("http-equiv"))
+    assert base64.b64encode(hashlib.sha256(scripts[2].encode()).digest()).decode() in policy
+    (tmp_path / "town.pmtiles").write_bytes(base64.b64decode(scripts[1]))
+    found = gpd.read_file(tmp_path / "town.pmtiles", ZOOM_LEVEL="15").to_crs(4326)
+    rows, blocks = len(small["buildings"]["id"]), small["blocks"]
+    assert {*found["n"]} == set(range(rows + len(blocks["part"])))
+    assert ("shape" in data["buildings"], "shape" in data["blocks"]) == (False, False)
+    assert data["parts"] == small["parts"]
+    assert data["changes"] == small["changes"]
+    states = ["confirmed", "unsure", "refuted"]
+    for own in found.to_dict("records"):
+        row, block = own["row"], own["n"] - rows
+        assert own["first"] == small["buildings"]["first"][row]
+        assert own["after"] == small["buildings"]["after"][row]
+        assert states[own["state"]] == small["buildings"]["values"]["state"][row]
+        if block < 0:
+            assert (own["n"], own["part"], own["low"]) == (row, -1, 0)
+            assert own["height"] == small["buildings"]["height"][row] / 100
+            west, south, east, north = (np.array(data["buildings"]["box"][row]) + np.tile(data["origin"], 2)) / DEGREE
+            assert own["geometry"].within(shapely.box(west, south, east, north).buffer(1e-5))
+        else:
+            part = blocks["part"][block]
+            assert (own["part"], own["row"]) == (part, small["parts"]["building"][part])
+            assert (own["low"], own["high"]) == (blocks["low"][block], blocks["high"][block])
+            assert own["height"] == blocks["height"][block] / 100
+            assert [own[name] for name in ("scale", "kind", "storeys")] == [
+                small["parts"][name][part] for name in ("scale", "kind", "storeys")
+            ]
+
+
 def test_the_page_has_what_the_database_has(town, tmp_path, library):
     """Buildings by date, their parts with fathers, shares of the detectors, ids as texts."""
     _, data = view(town, tmp_path / "town.html")

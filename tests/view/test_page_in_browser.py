@@ -12,6 +12,7 @@ from support.towns import EPSG, ROW, town_build
 from msbdb import api
 from msbdb.database import open_database, write_build
 from msbdb.errors import MissingDependencyError
+from msbdb.run import page as made
 from msbdb.view.page import read_library
 
 pytestmark = pytest.mark.long
@@ -20,9 +21,12 @@ HOSTILE = "</script><script>document.title='hacked'</script><img src=x onerror=\
 TOWER = [*ROW[1:7], (150, 10, 162, 22, 18), (20, 60, 60, 100, 8), (30, 70, 45, 85, 30), (100, 60, 115, 75, 9)]
 
 
-@pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    """Return where the page of a town is that two surveys saw; the first one has a hostile name."""
+@pytest.fixture(scope="module", params=["whole", "tiled"])
+def address(request, tmp_path_factory):
+    """Return where the page of a town is that two surveys saw, as a small one and as a large one with tiles.
+
+    The first survey has a hostile name.
+    """
     try:
         read_library()
     except MissingDependencyError as error:
@@ -33,7 +37,10 @@ def address(tmp_path_factory):
         write_build(engine, town_build(name, date, houses))
         api.advance(engine.url, name)
     engine.dispose()
-    with_notices(api.view, folder / "town.sqlite", folder / "town.html")
+    with pytest.MonkeyPatch.context() as patched:
+        if request.param == "tiled":
+            patched.setattr(made, "FEW_PARTS", 10)
+        with_notices(api.view, folder / "town.sqlite", folder / "town.html")
     return (folder / "town.html").as_uri()
 
 
