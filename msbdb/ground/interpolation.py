@@ -65,7 +65,7 @@ def interpolate_ground(
         if nearest:
             known = known[rows, cols]
         else:
-            trend = known_trend(known, ground)
+            trend = known_trend(known, ground, spec.origin)
             smooth = trend + _relax((known - trend)[rows, cols], distance)
             known = np.where(ground, known, np.clip(smooth, known[ground].min(), known[ground].max()))
     return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
