@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from affine import Affine
@@ -12,11 +12,63 @@ from pyproj import CRS
 from msbdb.errors import CRSError, GridMismatchError, InputError
 
 S = TypeVar("S", bound=np.generic)
+F = TypeVar("F", float, NDArray[np.float64])
 
 Bounds = tuple[float, float, float, float]
 
 LATTICE_TOLERANCE = 1e-6
-"""Largest misfit, in cells, at which two lattices still count as the same."""
+"""Largest misfit, in cells, at which two lattices still count as the same, and a place as on the edge of a cell."""
+
+
+class Frame(NamedTuple):
+    """What a kernel needs of a lattice to place points in it by `cell_along`.
+
+    Parameters
+    ----------
+    row, col : int
+        Absolute lattice row and column of the first cell.
+    cell_m : float
+        Side of a cell, metres.
+    east_m, north_m : float
+        How far the lattice lies beside the absolute one, metres; 0 but for rasters that are given.
+    """
+
+    row: int
+    col: int
+    cell_m: float
+    east_m: float
+    north_m: float
+
+
+def cell_along(place: F, cell_m: float) -> F:
+    """Return the absolute number of the cell that holds a place along an axis: the only rule from points to cells.
+
+    Parameters
+    ----------
+    place : float or ndarray of float64, metres
+        Eastings for columns, northings with the opposite sign for rows.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    float or ndarray of float64
+        Whole numbers. A place within `LATTICE_TOLERANCE` of an edge lies on it, and has the cell to its east or south.
+
+    Notes
+    -----
+    Nothing but the place and the cell decides, so that all windows of a survey see a point in the same cell.
+
+    Examples
+    --------
+    On cells of 0.3 m, 0.9 m begins the fourth one; without a tolerance it may lie in the third, by rounding:
+
+    >>> place = 100.8 - 99.9
+    >>> float(cell_along(place, 0.3)), place // 0.3
+    (3.0, 2.0)
+    """
+    number: F = np.floor(place / cell_m + LATTICE_TOLERANCE)
+    return number
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,18 +126,34 @@ class GridSpec:
         """Absolute lattice (row, column) of the first cell; rows count southwards from northing 0."""
         return (round(-self.transform.f / self.cell_m), round(self.transform.c / self.cell_m))
 
+    @property
+    def frame(self) -> Frame:
+        """What a kernel needs to place a point."""
+        (row, col), cell_m = self.origin, self.cell_m
+        beside = (self.transform.c - col * cell_m, self.transform.f + row * cell_m)
+        east_m, north_m = (0.0 if abs(each) <= LATTICE_TOLERANCE * cell_m else each for each in beside)
+        return Frame(row, col, cell_m, east_m, north_m)
+
+    def corners(
+        self, row: NDArray[np.integer | np.floating], col: NDArray[np.integer | np.floating]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Easting and northing of the north-western corners of cells, metres: the same from any part of the lattice."""
+        own = self.frame
+        east = own.east_m + (own.col + np.asarray(col, dtype=np.float64)) * own.cell_m
+        north = own.north_m - (own.row + np.asarray(row, dtype=np.float64)) * own.cell_m
+        return east, north
+
     def xy(self, row: NDArray[np.integer], col: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Easting and northing of cell centres, metres."""
-        east = self.transform.c + (np.asarray(col, dtype=np.float64) + 0.5) * self.cell_m
-        north = self.transform.f - (np.asarray(row, dtype=np.float64) + 0.5) * self.cell_m
-        return east, north
+        return self.corners(np.asarray(row) + 0.5, np.asarray(col) + 0.5)
 
     def rowcol(
         self, easting: NDArray[np.float64], northing: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Row and column of the cells that hold the points; may lie outside of the shape."""
-        col = np.floor((np.asarray(easting) - self.transform.c) / self.cell_m).astype(np.int64)
-        row = np.floor((self.transform.f - np.asarray(northing)) / self.cell_m).astype(np.int64)
+        own = self.frame
+        col = cell_along(np.asarray(easting) - own.east_m, own.cell_m).astype(np.int64) - own.col
+        row = cell_along(own.north_m - np.asarray(northing), own.cell_m).astype(np.int64) - own.row
         return row, col
 
     def centres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -224,10 +292,9 @@ def lattice(bounds: Bounds, cell_m: float, crs: CRS) -> GridSpec:
     ((2, 4), (100.0, 200.0, 102.0, 201.0))
     """
     west, south, east, north = bounds
-    col0, col1 = math.floor(west / cell_m), math.floor(east / cell_m) + 1
-    row0, row1 = math.floor(-north / cell_m), math.floor(-south / cell_m) + 1
+    col0, col1, row0, row1 = (math.floor(cell_along(each, cell_m)) for each in (west, east, -north, -south))
     transform = Affine(cell_m, 0.0, col0 * cell_m, 0.0, -cell_m, -row0 * cell_m)
-    return GridSpec((row1 - row0, col1 - col0), transform, crs)
+    return GridSpec((row1 - row0 + 1, col1 - col0 + 1), transform, crs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

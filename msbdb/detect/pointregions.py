@@ -3,7 +3,6 @@
 They take heights and NDVI of the points, give their regions ids and rows on the lattice, and outline them.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -14,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Regions, Scene
-from msbdb.grid import Bands, GridSpec
+from msbdb.grid import Bands, Frame, GridSpec
 from msbdb.ground.quadratic import ground_heights
 from msbdb.identity import part_ids
 from msbdb.labels import HeightOrder, Labels, height_statistics, region_means, reorder, sizes, sums
@@ -22,9 +21,9 @@ from msbdb.ledger import Ledger, Marks
 from msbdb.outline.pointoutlines import outline_regions
 from msbdb.outline.polygons import Geometries, rasterise
 from msbdb.params import Params
+from msbdb.points.cellindex import number_along
 from msbdb.points.cloud import PointCloud
 from msbdb.surface import Surface, heights_above
-from msbdb.surface.gridding import Frame, frame
 from msbdb.tables import CANDIDATE_REGION, REJECTION
 from msbdb.threads import kernel
 
@@ -213,16 +212,16 @@ class PlacedPoints:
 
 def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
     """Return the row-major numbers of the cells that hold points, also outside of the lattice's extent."""
-    return _places(easting, northing, frame(spec))
+    return _places(easting, northing, spec.frame)
 
 
 @kernel
 def _places(easting: Floats, northing: Floats, frame: Frame) -> NDArray[np.int64]:
     """Return the numbers of the cells by `GridSpec.rowcol`, without arrays in between."""
-    west, north, cell_m = frame
     found = np.empty(easting.size, dtype=np.int64)
     for i in range(easting.size):
-        row, col = math.floor((north - northing[i]) / cell_m), math.floor((easting[i] - west) / cell_m)
+        row = int(number_along(frame.north_m - northing[i], frame.cell_m)) - frame.row
+        col = int(number_along(easting[i] - frame.east_m, frame.cell_m)) - frame.col
         found[i] = (row + PLACES // 2) * PLACES + col + PLACES // 2
     return found
 

@@ -11,6 +11,7 @@ from msbdb.ground.interpolation import edge_step
 from msbdb.ground.lowpoints import LowPoints, PointFrame, cell_side, frame, low_points, require_points
 from msbdb.ground.pointwindows import opening
 from msbdb.params import GroundParams
+from msbdb.points.cellindex import number_along
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import density
 from msbdb.threads import in_threads, kernel
@@ -194,7 +195,7 @@ def _write_near(
     at, u, v, lowest, opened, slopes = posts
     cell, height = rules
     for i in range(span[0], span[1]):
-        p = at[int(y[i] / cell), int(x[i] / cell)]
+        p = at[int(number_along(y[i], cell)), int(number_along(x[i], cell))]
         if p < 0:
             found[i] = False
             continue

@@ -65,7 +65,7 @@ def interpolate_ground(
         if nearest:
             known = known[rows, cols]
         else:
-            trend = known_trend(known, ground)
+            trend = known_trend(known, ground, spec.origin)
             smooth = trend + _relax((known - trend)[rows, cols], distance)
             known = np.where(ground, known, np.clip(smooth, known[ground].min(), known[ground].max()))
     return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
@@ -93,8 +93,10 @@ def refine(coarse: Grid, spec: GridSpec) -> Grid:
         return coarse
     rows, cols = np.arange(spec.shape[0]), np.arange(spec.shape[1])
     east, north = spec.xy(np.zeros_like(cols), cols)[0], spec.xy(rows, np.zeros_like(rows))[1]
-    row = (coarse.spec.transform.f - north) / coarse.spec.cell_m - 0.5
-    col = (east - coarse.spec.transform.c) / coarse.spec.cell_m - 0.5
+    own = coarse.spec.frame
+    # A whole number is taken off without rounding, so that no window changes the shares of the cells.
+    row = (own.north_m - north) / own.cell_m - own.row - 0.5
+    col = (east - own.east_m) / own.cell_m - own.col - 0.5
     source = np.asarray(coarse.values, dtype=np.float32)
     values = _bilinear(source, np.clip(row, 0, source.shape[0] - 1), np.clip(col, 0, source.shape[1] - 1))
     return Grid(values, np.ones(spec.shape, dtype=np.bool_), spec)

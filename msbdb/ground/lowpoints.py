@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, NodataError
+from msbdb.grid import cell_along
 from msbdb.order import ranks
 from msbdb.params import GroundParams
+from msbdb.points.cellindex import number_along
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import cell_size
 from msbdb.threads import in_threads, kernel
@@ -51,7 +53,7 @@ class PointFrame:
     z : (N,) ndarray of float64, metres
         Heights.
     cell_m : float
-        Side of the cells, metres; cell (i, j) holds the points with i = floor(v / cell_m), j = floor(u / cell_m).
+        Side of the cells, metres; cell (i, j) holds the points with i and j by `msbdb.grid.cell_along` of v and u.
     shape : tuple of int
         Cells from south to north and from west to east.
     """
@@ -105,7 +107,7 @@ def frame(points: PointCloud, cell_m: float, gap_m: float) -> PointFrame:
     """
     arrays = (points.x, points.y, points.z)
     u, v = (shorten(a, cell_m, gap_m) for a in arrays[:2])
-    rows, cols = (int(np.floor(float(a.max()) / cell_m)) + 1 for a in (v, u))
+    rows, cols = (int(cell_along(float(a.max()), cell_m)) + 1 for a in (v, u))
     most = MOST_CELLS * len(points) + SPARE_CELLS
     if rows * cols > most:
         msg = (
@@ -154,8 +156,8 @@ def shorten(values: Floats, cell_m: float, gap_m: float) -> Floats:
     >>> shorten(np.array([5_000_107.5, 100.0, 101.0]), 2.0, 10.0)
     array([11.5,  0. ,  1. ])
     """
-    local = values - np.floor(float(values.min()) / cell_m) * cell_m
-    blocks = np.floor(local / gap_m).astype(np.int64)
+    local = values - cell_along(float(values.min()), cell_m) * cell_m
+    blocks = cell_along(local, gap_m).astype(np.int64)
     used, inverse = ranks(blocks)
     if used.size == used[-1] + 1:
         return np.asarray(local)
@@ -219,7 +221,7 @@ def _lowest(arrays: tuple[Floats, Floats, Floats], false: Mask, cell: float, sha
     for i in range(z.size):
         if false[i]:
             continue
-        row, col = int(v[i] / cell), int(u[i] / cell)
+        row, col = int(number_along(v[i], cell)), int(number_along(u[i], cell))
         # A total order, so that the order of the points does not matter.
         old = found[row, col]
         if old < 0 or (z[i], u[i], v[i]) < (z[old], u[old], v[old]):
@@ -240,7 +242,7 @@ def _company(
     cell, outlier = sizes
     count = np.zeros(lowest.shape, dtype=np.int32)
     for i in range(part[0], part[1]):
-        row, col = int(v[i] / cell), int(u[i] / cell)
+        row, col = int(number_along(v[i], cell)), int(number_along(u[i], cell))
         low = lowest[row, col]
         if low >= 0 and low != i and not false[i] and z[i] - z[low] <= outlier:
             count[row, col] += 1

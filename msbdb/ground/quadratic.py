@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.grid import cell_along
 from msbdb.ground.lowpoints import PointFrame, cell_side, frame, low_points, require_points
 from msbdb.order import order_of_points
 from msbdb.params import GroundParams
@@ -158,8 +159,8 @@ def automatic_sliding_windows(points: PointCloud, params: GroundParams) -> Slidi
 def _slide(placed: PointFrame, ground: Floats, graph: PointGraph, windows: SlidingWindows, growth: int) -> Floats:
     """Return the lowest fitted height of each point over all windows; infinity without a fit."""
     rows, cols = placed.shape
-    keys = np.floor(placed.v / placed.cell_m).astype(np.int64) * cols
-    keys += np.floor(placed.u / placed.cell_m).astype(np.int64)
+    keys = cell_along(placed.v, placed.cell_m).astype(np.int64) * cols
+    keys += cell_along(placed.u, placed.cell_m).astype(np.int64)
     members = np.argsort(keys, kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.bincount(keys, minlength=rows * cols))])
     last = max(rows - windows.steps, 0) + 1

@@ -1,9 +1,15 @@
-"""The trend of the terrain: a smooth surface near the lowest points, whatever stands on it, or through known ground."""
+"""The trend of the terrain: a smooth surface near the lowest points, whatever stands on it, or through known ground.
+
+Blocks lie on the absolute lattice, and what is farther than a hundred metres counts only where no ground is nearer. So
+the parts of a survey have the trend of the whole.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, uniform_filter
+from scipy.ndimage import distance_transform_cdt, map_coordinates, uniform_filter
 
 from msbdb.grid import Grid
 from msbdb.params import GroundParams
@@ -27,6 +33,12 @@ NEAREST = 3
 
 FALLING = 1 / 8
 """Weight of a window of twice the width: the nearest ground decides, and any ground serves where there is no nearer."""
+
+WIDEST = 12
+"""Ours: half-width of the widest window of every block, blocks; wider ones serve where the ground is far away."""
+
+WIDER = 4
+"""Ours: far from the ground windows grow until their half-width is twice to four times as far, to see its slope."""
 
 SPREAD = 0.4
 """Ground that spreads by less than this standard deviation, in blocks, as a single street does, hardly has a slope."""
@@ -74,12 +86,15 @@ def lower_trend(surface: Grid, params: GroundParams) -> NDArray[np.float32]:
     Koenker, R., Bassett, G. (1978). Regression quantiles. Econometrica 46(1), 33-50. doi:10.2307/1913643
     """
     size = max(1, round(params.block_m / surface.spec.cell_m))
-    heights, rows, cols = _lowest_of_blocks(np.asarray(surface.values, dtype=np.float64), size)
+    begin = _begin(surface.spec.origin, size)
+    heights, rows, cols = _lowest_of_blocks(np.asarray(surface.values, dtype=np.float64), size, begin)
     planes = _fit_planes(heights, rows, cols, float(size), params.low_share)
-    return _between_centres(planes, size, surface.spec.shape)
+    return _between_centres(planes, size, surface.spec.shape, begin)
 
 
-def known_trend(heights: NDArray[np.float32], ground: NDArray[np.bool_]) -> NDArray[np.float32]:
+def known_trend(
+    heights: NDArray[np.float32], ground: NDArray[np.bool_], origin: tuple[int, int] = (0, 0)
+) -> NDArray[np.float32]:
     """Return a smooth surface through known ground that goes on with its slope where none is known.
 
     The ground of each block of 8 by 8 cells is averaged. At each block a plane is fitted to the blocks around it,
@@ -91,6 +106,8 @@ def known_trend(heights: NDArray[np.float32], ground: NDArray[np.bool_]) -> NDAr
         Those outside of the ground are ignored.
     ground : (H, W) ndarray of bool
         Known ground, at least one cell.
+    origin : tuple of int
+        Absolute row and column of the first cell (`msbdb.grid.GridSpec.origin`).
 
     Returns
     -------
@@ -98,8 +115,9 @@ def known_trend(heights: NDArray[np.float32], ground: NDArray[np.bool_]) -> NDAr
 
     Notes
     -----
-    Local linear regression. Weights fall by steps, with square windows that are twice as wide each. A slope is damped
-    where the ground hardly spreads across it. Border: windows are cut. Linear in the cells.
+    Local linear regression. Weights fall by steps, with square windows of 56, 104 and 200 cells, and for blocks more
+    than 48 cells from the ground of wider ones. A slope is damped where the ground hardly spreads across it. Border:
+    windows are cut. Linear in the cells.
 
     Examples
     --------
@@ -109,9 +127,9 @@ def known_trend(heights: NDArray[np.float32], ground: NDArray[np.bool_]) -> NDAr
     >>> bool(abs(known_trend(slope, slope < 16) - slope).max() < 1)
     True
     """
-    height, width = ground.shape
-    shape = (-(-height // KNOWN_PX), -(-width // KNOWN_PX))
-    row, col = np.nonzero(ground)
+    begin = _begin(origin, KNOWN_PX)
+    shape = _blocks(ground.shape, KNOWN_PX, begin)
+    row, col = (place + first for place, first in zip(np.nonzero(ground), begin, strict=True))
     block = row // KNOWN_PX * shape[1] + col // KNOWN_PX
     z = heights[ground].astype(np.float64)
     level = float(z.mean())
@@ -122,13 +140,23 @@ def known_trend(heights: NDArray[np.float32], ground: NDArray[np.bool_]) -> NDAr
     )
     # A quarter of a block is enough to count in full.
     weight = np.minimum(count.reshape(shape) / (KNOWN_PX**2 / 4), 1)
-    return _between_centres(_planes_through(weight, north, east, up) + level, KNOWN_PX, (height, width))
+    return _between_centres(_planes_through(weight, north, east, up) + level, KNOWN_PX, ground.shape, begin)
+
+
+def _begin(origin: tuple[int, int], size: int) -> tuple[int, int]:
+    """Return the row and column of the first cell in its block of the absolute lattice."""
+    return origin[0] % size, origin[1] % size
+
+
+def _blocks(shape: tuple[int, ...], size: int, begin: tuple[int, int]) -> tuple[int, int]:
+    """Return the rows and columns of blocks that hold a grid."""
+    return -(-(shape[0] + begin[0]) // size), -(-(shape[1] + begin[1]) // size)
 
 
 def _planes_through(weight: Floats, north: Floats, east: Floats, up: Floats) -> Floats:
     """Return the height at each block's centre of the plane through the weighted means of the blocks around it."""
     of = [weight * each for each in (1, north, east, north**2, east**2, north * east, up, north * up, east * up)]
-    one, n, e, nn, ee, ne, z, nz, ez = (_around(each) for each in of)
+    one, n, e, nn, ee, ne, z, nz, ez = _around(of)
     row, col = (np.arange(size) + 0.5 for size in weight.shape)
     row = row[:, None]
     # Moments about the block's own centre, where the plane's constant is its height.
@@ -143,34 +171,39 @@ def _planes_through(weight: Floats, north: Floats, east: Floats, up: Floats) -> 
     return np.asarray(np.linalg.solve(normal, np.stack([z, nz, ez], axis=-1)[..., None])[..., 0, 0])
 
 
-def _around(values: Floats) -> Floats:
-    """Return the means over windows of twice the width each, until one holds all blocks; far windows weigh less."""
-    total, share, half = np.zeros_like(values), 1.0, NEAREST
+def _around(values: Sequence[Floats]) -> Floats:
+    """Return the means over windows of twice the width each, which weigh less; the first values are the weights."""
+    away = distance_transform_cdt(values[0] <= 0, metric="chessboard")
+    total, share, half = np.zeros((len(values), *values[0].shape)), 1.0, NEAREST
     while True:
-        total += share * uniform_filter(values, 2 * half + 1, mode="constant")
-        if half >= max(values.shape):
+        looking = (half <= WIDEST) | (away > half // WIDER)
+        if not looking.any():
             return total
+        for found, each in zip(total, values, strict=True):
+            found += share * np.where(looking, uniform_filter(each, 2 * half + 1, mode="constant"), 0.0)
         share, half = share * FALLING, 2 * half
 
 
-def _between_centres(planes: Floats, size: int, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _between_centres(planes: Floats, size: int, shape: tuple[int, ...], begin: tuple[int, int]) -> NDArray[np.float32]:
     """Return a grid that goes bilinearly from the centre of one block to the next, and straight on to the border."""
     # One more block on all sides continues the trend; a single row of blocks is level there.
     if min(planes.shape) > 1:
         framed = np.pad(planes, 1, mode="reflect", reflect_type="odd")
     else:
         framed = np.pad(planes, 1, mode="edge")
-    row, col = ((np.arange(side) + 0.5) / size + 0.5 for side in shape)
+    row, col = ((np.arange(side) + first + 0.5) / size + 0.5 for side, first in zip(shape, begin, strict=True))
     places = np.meshgrid(row, col, indexing="ij")
     trend: NDArray[np.float32] = map_coordinates(framed, places, order=1, mode="nearest").astype(np.float32)
     return trend
 
 
-def _lowest_of_blocks(heights: Floats, size: int) -> tuple[Floats, Floats, Floats]:
+def _lowest_of_blocks(heights: Floats, size: int, begin: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
     """Return the lowest height of each block, and its row and column from the block's centre, in cells."""
-    height, width = heights.shape
-    shape = (-(-height // size), -(-width // size))
-    framed = np.pad(heights, ((0, shape[0] * size - height), (0, shape[1] * size - width)), constant_values=np.inf)
+    shape = _blocks(heights.shape, size, begin)
+    around = [
+        (first, blocks * size - first - side) for first, blocks, side in zip(begin, shape, heights.shape, strict=True)
+    ]
+    framed = np.pad(heights, around, constant_values=np.inf)
     blocks = framed.reshape(shape[0], size, shape[1], size).swapaxes(1, 2).reshape(*shape, size * size)
     place = blocks.argmin(axis=-1)
     lowest = np.take_along_axis(blocks, place[..., None], axis=-1)[..., 0]

@@ -204,7 +204,7 @@ def _settled(chains: Chains, goals: Floats, level: Ints, spec: GridSpec) -> Floa
 
 def _world(places: Floats, spec: GridSpec) -> Floats:
     """Return places on the lattice in the CRS."""
-    return np.asarray(places * (spec.cell_m, -spec.cell_m) + (spec.transform.c, spec.transform.f))
+    return np.column_stack(spec.corners(places[:, 1], places[:, 0]))
 
 
 def _fine(places: Floats) -> Floats:

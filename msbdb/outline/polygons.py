@@ -164,9 +164,7 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
         raise InputError(msg)
     owner, rings, ring_sizes, corners = _traced(np.ascontiguousarray(labels, dtype=np.int32))
     vertices, ring_sizes = _with_nodes(corners, ring_sizes, _nodes(labels))
-    world = np.column_stack(
-        (spec.transform.c + vertices[:, 0] * spec.cell_m, spec.transform.f - vertices[:, 1] * spec.cell_m)
-    )
+    world = np.column_stack(spec.corners(vertices[:, 1], vertices[:, 0]))
     offsets = (_offsets(ring_sizes), _offsets(rings), _offsets(sizes(owner, count)))
     outlines = shapely.from_ragged_array(shapely.GeometryType.MULTIPOLYGON, world, offsets)
     return np.asarray(shapely.orient_polygons(outlines), dtype=np.object_)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.grid import cell_along
 from msbdb.order import order_of
 from msbdb.threads import kernel
 
@@ -20,6 +21,9 @@ MAX_POINTS = 2**31 - 2**16
 
 MAX_LATTICE = 2**62
 """Rows times columns, empty ones included: a cell's number must fit into 64 bits."""
+
+MAX_NUMBER = 2**53
+"""Absolute rows and columns up to this are exact as numbers of 64 bits with a fraction."""
 
 MARGIN = 1e-6
 """Cells larger than a distance by this share never have points nearer than it two cells apart, by rounding."""
@@ -59,6 +63,10 @@ class CellIndex(NamedTuple):
     west: float
     south: float
     cell_m: float
+
+
+number_along = kernel(cell_along)
+"""`msbdb.grid.cell_along` for kernels."""
 
 
 def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> CellIndex:
@@ -112,18 +120,17 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
     array([2, 3, 1, 2])
     """
     _require_plan(x, y, cell_m)
-    west, south = _corner(x, cell_m), _corner(y, cell_m)
-    rows, cols = _steps(y, south, cell_m), _steps(x, west, cell_m)
-    if rows * cols > MAX_LATTICE:
+    (west, cols), (south, rows) = (_numbers(each, float(cell_m)) for each in (x, y))
+    if rows * cols > MAX_LATTICE or max(map(abs, (west, west + cols, south, south + rows))) > MAX_NUMBER:
         msg = (
             f"Cells of {cell_m:g} m over an extent of {rows} rows and {cols} columns cannot be numbered in 64 bits. "
             "Take larger cells, or drop the points that lie far from the others."
         )
         raise ParameterError(msg)
     x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
-    keys = _keys(x, y, (west, south, float(cell_m)), cols)
+    keys = _keys(x, y, (west, south), float(cell_m), cols)
     sort = _counted if rows * cols <= MOST_CELLS * keys.size else _sorted
-    return CellIndex(*sort(keys, rows * cols), (rows, cols), west, south, float(cell_m))
+    return CellIndex(*sort(keys, rows * cols), (rows, cols), west * cell_m, south * cell_m, float(cell_m))
 
 
 def parts_of(index: CellIndex) -> list[tuple[int, int]]:
@@ -180,13 +187,14 @@ def _place_of(keys: NDArray[np.int64], key: int) -> int:
 
 @kernel
 def _keys(
-    x: NDArray[np.float64], y: NDArray[np.float64], frame: tuple[float, float, float], cols: int
+    x: NDArray[np.float64], y: NDArray[np.float64], corner: tuple[int, int], cell_m: float, cols: int
 ) -> NDArray[np.int64]:
-    """Return the number of each point's cell; the frame is west, south and the cell size."""
-    west, south, cell_m = frame
+    """Return the number of each point's cell; the corner is the absolute column and row of the first cell."""
+    west, south = corner
     keys = np.empty(x.size, dtype=np.int64)
     for point in range(x.size):
-        keys[point] = math.floor((y[point] - south) / cell_m) * cols + math.floor((x[point] - west) / cell_m)
+        row, col = int(number_along(y[point], cell_m)) - south, int(number_along(x[point], cell_m)) - west
+        keys[point] = row * cols + col
     return keys
 
 
@@ -227,18 +235,12 @@ def _sorted(keys: NDArray[np.int64], limit: int) -> tuple[NDArray[np.int32], NDA
     return order, starts, keys[first]
 
 
-def _corner(values: NDArray[np.float64], cell_m: float) -> float:
-    """Return the multiple of the cell size at or below all values."""
+def _numbers(values: NDArray[np.float64], cell_m: float) -> tuple[int, int]:
+    """Return the absolute number of the first cell along an axis, and the count of cells up to the last value."""
     if values.size == 0:
-        return 0.0
-    low = float(values.min())
-    corner = math.floor(low / cell_m) * cell_m
-    return corner if corner <= low else corner - cell_m
-
-
-def _steps(values: NDArray[np.float64], corner: float, cell_m: float) -> int:
-    """Return the number of cells from the corner to the last value."""
-    return math.floor((float(values.max()) - corner) / cell_m) + 1 if values.size else 0
+        return 0, 0
+    low, high = (int(cell_along(float(each), cell_m)) for each in (values.min(), values.max()))
+    return low, high - low + 1
 
 
 def _require_plan(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> None:

@@ -27,7 +27,7 @@ LARGER = 4.0
 MOST_PIECES = 2 * (2 * RINGS + 1)
 """Largest number of stretches of rows in a ring."""
 
-SLACK = 1e-6
+SLACK = 3e-6
 """Share of a cell by which a ring counts as nearer: rounding may put a point into the next cell."""
 
 

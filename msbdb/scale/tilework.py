@@ -1,7 +1,6 @@
 """What one worker does for one tile: paths and keys come in, the result goes to its place, a summary comes out."""
 
 import logging
-import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,10 +12,8 @@ from pyproj import CRS
 
 from msbdb.database import TileStatus, note_tile
 from msbdb.errors import NodataError, collected_notices
-from msbdb.grid import Bounds, lattice
-from msbdb.ground.trend import KNOWN_PX
+from msbdb.grid import Bounds
 from msbdb.io.vector import Area
-from msbdb.params import GroundParams
 from msbdb.run.compose import Found, Job, find_buildings
 from msbdb.run.prepare import Window
 from msbdb.run.reports import Stages
@@ -27,9 +24,6 @@ from msbdb.tables import Reason
 from msbdb.threads import memory_reused
 
 logger = logging.getLogger(__name__)
-
-METRIC = CRS.from_epsg(32631)
-"""Some CRS in metres, for lattices of which only the corner counts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +130,7 @@ def put_file(path: Path, content: bytes) -> None:
 
 def _in_window(task: TileTask, halo_m: float) -> Found:
     """Return what the steps find in the tile and its halo."""
-    bounds = aligned(task.tile.window(halo_m), task.survey, task.plan.cell_m, task.job.params.ground)
+    bounds = task.tile.window(halo_m)
     crs = CRS.from_user_input(task.plan.crs)
     area = Area.of_box(bounds, crs)
     interest = task.job.inputs.area()
@@ -147,30 +141,6 @@ def _in_window(task: TileTask, halo_m: float) -> Found:
             raise NodataError(msg)
         area = Area(gpd.GeoSeries([shape], crs=crs), 0.0, f"{interest.what}, in the tile {task.tile}")
     return find_buildings(task.job, Stages(None), task.plan, Window(area, task.tile.bounds))
-
-
-def aligned(window: Bounds, survey: Bounds, cell_m: float, params: GroundParams) -> Bounds:
-    """Return a window that begins where a block of the terrain's trend begins in the survey as one piece.
-
-    The trend is fitted to blocks of cells, counted from the north-western corner (`msbdb.ground.trend`). In a window
-    that begins elsewhere they would be other blocks, and the terrain would differ by centimetres.
-
-    Parameters
-    ----------
-    window, survey : tuple of float
-        West, south, east and north, metres.
-    cell_m : float
-        Side of a cell of the lattice, metres.
-    params : GroundParams
-        ``ground_cell_m`` and ``block_m``.
-    """
-    ground_m = max(params.ground_cell_m, cell_m / 2)
-    step_m = math.lcm(KNOWN_PX, max(1, round(params.block_m / ground_m))) * ground_m
-    corner = lattice(lattice(survey, cell_m, METRIC).bounds, ground_m, METRIC).bounds
-    west = corner[0] + math.floor((window[0] - cell_m - corner[0]) / step_m) * step_m
-    north = corner[3] - math.floor((corner[3] - window[3] - cell_m) / step_m) * step_m
-    # The points begin a cell further in, so that the first cell of the terrain is the corner's.
-    return (west + cell_m, window[1], window[2], north - cell_m)
 
 
 def _cut(task: TileTask, found: Found, halo_m: float) -> int:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from msbdb.errors import GridMismatchError, InputError
-from msbdb.grid import Bands, GridSpec
+from msbdb.grid import Bands, Frame, GridSpec
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import Frame, cell_of, frame
+from msbdb.surface.gridding import cell_of
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
@@ -45,7 +45,7 @@ def grid_colours(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> Ban
     colours = points.colours
     if colours is None:
         return None
-    cells = cells_of(points.x, points.y, points.first_echo, frame(spec), spec.shape)
+    cells = cells_of(points.x, points.y, points.first_echo, spec.frame, spec.shape)
     count = counts(cells, spec.shape[0] * spec.shape[1])
     values = np.empty((len(points.colour_names), count.size), dtype=np.float32)
 
@@ -80,7 +80,7 @@ def grid_intensity(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> B
     """
     if points.intensity is None:
         return None
-    values, measured = bilinear((points.x, points.y), points.first_echo, points.intensity, frame(spec), spec.shape)
+    values, measured = bilinear((points.x, points.y), points.first_echo, points.intensity, spec.frame, spec.shape)
     return _filled(values[None], measured, ("intensity",), spec, max_gap_m)
 
 
@@ -290,7 +290,6 @@ def bilinear(
     Also returns which cells have any weight; the others are 0.
     """
     x, y = xy
-    west, north, cell = frame
     rows, cols = shape
     # Sum and weight of a cell are neighbours in memory, which is then touched once.
     sums = np.zeros((rows, cols, 2), dtype=np.int64)
@@ -298,8 +297,8 @@ def bilinear(
         if not used[i]:
             continue
         # Distances from the first cell centre in whole 1/STEPS of a cell: no sum depends on the order of the points.
-        right = int(np.rint((x[i] - west) / cell * STEPS - STEPS / 2))
-        down = int(np.rint((north - y[i]) / cell * STEPS - STEPS / 2))
+        right = int(np.rint(((x[i] - frame.east_m) / frame.cell_m - frame.col) * STEPS - STEPS / 2))
+        down = int(np.rint(((frame.north_m - y[i]) / frame.cell_m - frame.row) * STEPS - STEPS / 2))
         col, east = right // STEPS, right % STEPS
         row, south = down // STEPS, down % STEPS
         for below in range(2):

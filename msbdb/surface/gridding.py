@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import NodataError
-from msbdb.grid import Grid, GridSpec, lattice
-from msbdb.points.cellindex import index_cells
+from msbdb.grid import Frame, Grid, GridSpec, lattice
+from msbdb.points.cellindex import index_cells, number_along
 from msbdb.points.cloud import PointCloud
 from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Frame = tuple[float, float, float]
-"""West and north edge and cell size of a lattice, metres."""
 
 CELL_LADDER_M = (0.25, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Round cell sizes, so that surveys of like density, and tiles of one survey, share a lattice."""
@@ -54,11 +52,6 @@ class Samples:
         return np.isfinite(self.z)
 
 
-def frame(spec: GridSpec) -> Frame:
-    """Return what a kernel needs of a lattice to place a point."""
-    return (spec.transform.c, spec.transform.f, spec.cell_m)
-
-
 def density(points: PointCloud, link_m: float = 0.0) -> float:
     """First echoes a square metre of covered ground; of the whole survey, where that is known.
 
@@ -82,7 +75,7 @@ def density(points: PointCloud, link_m: float = 0.0) -> float:
     x, y = points.x, points.y
     spec = lattice(_bounds(x, y, first), OCCUPANCY_CELL_M, points.crs)
     if link_m <= OCCUPANCY_CELL_M and count >= spec.shape[0] * spec.shape[1]:
-        covered = np.count_nonzero(_occupied(x, y, first, frame(spec), spec.shape))
+        covered = np.count_nonzero(_occupied(x, y, first, spec.frame, spec.shape))
         if count >= LEAST_A_CELL * covered:
             return float(count / (covered * spec.cell_area_m2))
     return _scattered_density(x[first], y[first], link_m)
@@ -121,12 +114,12 @@ def cell_size(points_m2: float, *, literal: bool = False) -> float:
 def sample_nearest(points: PointCloud, spec: GridSpec) -> Samples:
     """Take for each cell the first echo nearest to its centre (V14, V15); ties go to the lower point."""
     arrays = (points.x, points.y, points.z)
-    return Samples(*_nearest(arrays, points.first_echo, frame(spec), spec.shape), spec)
+    return Samples(*_nearest(arrays, points.first_echo, spec.frame, spec.shape), spec)
 
 
 def count_first(points: PointCloud, spec: GridSpec) -> NDArray[np.uint16]:
     """Count the first echoes in each cell; more than 65,535 count as that."""
-    return _count(points.x, points.y, points.first_echo, frame(spec), spec.shape)
+    return _count(points.x, points.y, points.first_echo, spec.frame, spec.shape)
 
 
 def lowest(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None = None) -> Grid:
@@ -138,7 +131,7 @@ def lowest(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None 
 def lowest_heights(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_] | None = None) -> tuple[Floats, Mask]:
     """Return what `lowest` does in 64 bits: the heights (H, W), 0 where there is none, and the cells that have one."""
     wanted = np.ones(len(points), dtype=np.bool_) if chosen is None else chosen
-    values = _lowest((points.x, points.y, points.z), wanted, frame(spec), spec.shape)
+    values = _lowest((points.x, points.y, points.z), wanted, spec.frame, spec.shape)
     valid = np.isfinite(values)
     values[~valid] = 0.0
     return values, valid
@@ -185,9 +178,8 @@ def fill_gaps(samples: Samples, reach_cells: float) -> tuple[NDArray[np.float64]
 @kernel
 def cell_of(x: float, y: float, frame: Frame, shape: tuple[int, int]) -> tuple[int, int]:
     """Row and column of the cell that holds a point; row -1 outside of the lattice."""
-    west, north, cell = frame
-    col = int(np.floor((x - west) / cell))
-    row = int(np.floor((north - y) / cell))
+    col = int(number_along(x - frame.east_m, frame.cell_m)) - frame.col
+    row = int(number_along(frame.north_m - y, frame.cell_m)) - frame.row
     if row < 0 or col < 0 or row >= shape[0] or col >= shape[1]:
         return -1, -1
     return row, col
@@ -234,7 +226,6 @@ def _nearest(
 ) -> tuple[Floats, NDArray[np.float32], NDArray[np.float32]]:
     """Nearest chosen point of each cell, by distance to the centre and then by height."""
     x, y, z = xyz
-    west, north, cell = frame
     best_z = np.full(shape, np.nan)
     # Invariant: best_z, east and up are those of the point that is first by (distance, height, offset) so far; this
     # order is total, so that the order of the points does not matter.
@@ -247,8 +238,8 @@ def _nearest(
         row, col = cell_of(x[i], y[i], frame, shape)
         if row < 0:
             continue
-        de = np.float32(x[i] - (west + (col + 0.5) * cell))
-        dn = np.float32(y[i] - (north - (row + 0.5) * cell))
+        de = np.float32(x[i] - (frame.east_m + (frame.col + col + 0.5) * frame.cell_m))
+        dn = np.float32(y[i] - (frame.north_m - (frame.row + row + 0.5) * frame.cell_m))
         d = de * de + dn * dn
         if d > best_d[row, col]:
             continue

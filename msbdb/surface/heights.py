@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import GridMismatchError
-from msbdb.grid import Grid, GridSpec
+from msbdb.grid import Frame, Grid, GridSpec
 from msbdb.kept import PER_METRE
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import Frame, Samples, fill_gaps, frame, sample_nearest
+from msbdb.surface.gridding import Samples, fill_gaps, sample_nearest
 from msbdb.surface.texture import grid_samples
 from msbdb.threads import kernel
 
@@ -102,7 +102,7 @@ def heights_above(points: PointCloud, dtm: Grid) -> NDArray[np.float64]:
     (N,) ndarray of float64
         Heights above ground, metres; negative below it.
     """
-    return _heights_above((points.x, points.y, points.z), np.asarray(dtm.values), frame(dtm.spec))
+    return _heights_above((points.x, points.y, points.z), np.asarray(dtm.values), dtm.spec.frame)
 
 
 @kernel
@@ -113,11 +113,12 @@ def _heights_above(
 ) -> NDArray[np.float64]:
     """Subtract the terrain at each point, bilinearly; the same as `scipy.ndimage.map_coordinates` to the last bit."""
     x, y, z = xyz
-    west, north, cell_m = frame
     last_row, last_col = terrain.shape[0] - 1, terrain.shape[1] - 1
     heights = np.empty(x.size)
     for i in range(x.size):
-        down, right = (north - y[i]) / cell_m - 0.5, (x[i] - west) / cell_m - 0.5
+        # A whole number is taken off without rounding, so that no window changes the shares.
+        down = (frame.north_m - y[i]) / frame.cell_m - frame.row - 0.5
+        right = (x[i] - frame.east_m) / frame.cell_m - frame.col - 0.5
         row, col = math.floor(down), math.floor(right)
         north_share, west_share = 1 - (down - row), 1 - (right - col)
         south_share, east_share = 1 - north_share, 1 - west_share

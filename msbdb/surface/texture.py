@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from msbdb.grid import Grid
+from msbdb.grid import Frame, Grid
 from msbdb.morphology.windows import dilation, erosion
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import Frame, Samples, cell_of, frame
+from msbdb.surface.gridding import Samples, cell_of
 from msbdb.threads import kernel
 
 NO_PLANE_M = 5.0
@@ -131,7 +131,7 @@ def echoes(points: PointCloud, ndsm: Grid, dtm: Grid, *, small_m: float, wide_m:
         (points.return_number, points.number_of_returns),
         (heights, ground),
         np.float32(mask_m),
-        frame(spec),
+        spec.frame,
     )
     small, wide = window_cells(small_m, spec.cell_m), window_cells(wide_m, spec.cell_m)
     raised = heights > mask_m

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from affine import Affine
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS
 from support.notices import with_notices
@@ -17,7 +20,7 @@ from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import FILTERS, POINT_FILTERS, lowest_surface, terrain
 from msbdb.ground.interpolation import interpolate_ground, refine
 from msbdb.ground.progressive import window_radii
-from msbdb.ground.trend import known_trend
+from msbdb.ground.trend import known_trend, lower_trend
 from msbdb.ground.wavelet import smooth_b3, two_means
 from msbdb.io.las import read_points
 from msbdb.params import GroundParams, Params
@@ -287,6 +290,32 @@ def test_a_single_street_does_not_tilt_the_land_beside_it():
     noise = 0.03 * ((7 * rows + 13 * cols) % 5 - 2)
     heights = (0.02 * np.abs(cols - 62) + noise).astype(np.float32)
     assert np.abs(known_trend(heights, street)).max() < 0.4
+
+
+@given(
+    origin=st.tuples(st.integers(-99, 99), st.integers(-99, 99)), cut=st.tuples(st.integers(1, 90), st.integers(1, 90))
+)
+def test_a_part_has_the_trend_of_the_whole(origin, cut):
+    """Wherever it begins: through known ground from 108 cells inside, under lowest heights from 120 cells inside."""
+    rows, cols = np.indices((300, 320))
+    ground = (rows % 50 < 8) | ((cols * 7 + rows) % 90 < 5)
+    heights = (3 * np.sin(rows / 40) + 2 * np.cos(cols / 30) + ((rows * 31 + cols * 17) % 10) / 50).astype(np.float32)
+    part, inner = np.s_[cut[0] :, cut[1] :], np.s_[120:, 120:]
+    first = (origin[0] + cut[0], origin[1] + cut[1])
+    whole, own = known_trend(heights, ground, origin), known_trend(heights[part], ground[part], first)
+    assert np.abs(whole[part] - own)[108:, 108:].max() < 1e-5
+    trends = []
+    for values, (row, col) in ((heights, origin), (heights[part], first)):
+        spec = GridSpec(values.shape, Affine(1, 0, col, 0, -1, -row), CRS_M)
+        trends.append(lower_trend(Grid(values, np.ones(values.shape, dtype=np.bool_), spec), PARAMS))
+    assert np.abs(trends[0][part] - trends[1])[inner].max() < 1e-5
+
+
+def test_the_trend_goes_on_over_a_wide_void():
+    """Where the ground is far, wider windows show its slope: over 400 cells, 20 m high, it is met to half a metre."""
+    slope = (np.indices((80, 640))[1] * 0.05).astype(np.float32)
+    ground = np.indices((80, 640))[1] < 240
+    assert np.abs(known_trend(slope, ground) - slope).max() < 0.5
 
 
 def test_refining_a_plane_gives_the_plane():

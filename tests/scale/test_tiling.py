@@ -8,9 +8,6 @@ from pyproj import CRS
 
 from msbdb.errors import ParameterError
 from msbdb.grid import lattice
-from msbdb.ground.trend import KNOWN_PX
-from msbdb.params import GroundParams
-from msbdb.scale.tilework import aligned
 from msbdb.scale.tiling import GUARD_M, Tile, cut_islands, first_cells, tiles_over
 
 UTM = CRS.from_epsg(32633)
@@ -45,30 +42,6 @@ def test_a_region_begins_at_its_first_cell():
     assert x[:2].tolist() == [0.5, 1.5]
     assert y[:2].tolist() == [0.5, 1.5]
     assert np.isnan(x[2])
-
-
-@given(
-    west=st.integers(-500, 500),
-    north=st.integers(-500, 500),
-    cell_m=st.sampled_from([0.3, 0.5, 0.6, 0.8]),
-    corner=st.tuples(st.floats(0, 100), st.floats(0, 100)),
-)
-def test_windows_begin_where_blocks_of_the_terrain_begin(west, north, cell_m, corner):
-    """The window reaches as far as asked for, and the blocks lie where the survey has them, whatever its corner."""
-    params = GroundParams()
-    survey = (1000 + corner[0], 1000.0, 3000.0, 3000 + corner[1])
-    window = (2000.0 + west, 1500.0, 2600.0 + west, 2400.0 + north)
-    found = aligned(window, survey, cell_m, params)
-    assert found[0] <= window[0]
-    assert found[3] >= window[3]
-    assert found[1:3] == window[1:3]
-    ground_m = max(params.ground_cell_m, cell_m / 2)
-    # A point lies on the northern and western edges, as some does in a window of thousands.
-    seen = (found[0], found[1], found[2], found[3] - 1e-6)
-    of_survey, of_window = (lattice(lattice(box, cell_m, UTM).bounds, ground_m, UTM).origin for box in (survey, seen))
-    for size in (KNOWN_PX, round(params.block_m / ground_m)):
-        assert (of_window[0] - of_survey[0]) % size == 0
-        assert (of_window[1] - of_survey[1]) % size == 0
 
 
 def test_an_island_near_the_edge_of_the_window_is_cut():

@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from support.sizes import examples
 
+from msbdb.grid import Frame
 from msbdb.spectral.colours import bilinear, cells_of, counts, fill_gaps, means
 from msbdb.spectral.kmeans import nearest_centres
 
-FRAME = (100.0, 250.0, 0.4)
+FRAME = Frame(row=-625, col=250, cell_m=0.4, east_m=0.0, north_m=0.0)
 SHAPE = (9, 7)
 
 
@@ -27,7 +28,7 @@ def _points(seed, count=300):
 def test_means_of_cells_are_those_of_weighted_counts(seed):
     """Columns of an array of colours serve without a copy."""
     x, y, used, colours = _points(seed)
-    col, row = np.floor((x - 100.0) / 0.4).astype(int), np.floor((250.0 - y) / 0.4).astype(int)
+    col, row = (np.floor(way / 0.4 + 1e-6).astype(int) for way in (x - 100.0, 250.0 - y))
     inside = used & (row >= 0) & (row < SHAPE[0]) & (col >= 0) & (col < SHAPE[1])
     expected_cells = np.where(inside, row * SHAPE[1] + col, -1)
     cells = cells_of(x, y, used, FRAME, SHAPE)

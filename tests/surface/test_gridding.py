@@ -1,5 +1,8 @@
 """Gridding: nearest, lowest, density, cell size and the filling of gaps."""
 
+from decimal import Decimal
+from math import floor
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +12,7 @@ from pyproj import CRS
 
 from msbdb.errors import NodataError
 from msbdb.grid import GridSpec, lattice
+from msbdb.points.cellindex import cell_place, index_cells
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import (
     CELL_LADDER_M,
@@ -252,3 +256,64 @@ def test_counts_stop_at_what_they_hold() -> None:
     """They do not start again at 0."""
     many = PointCloud(np.full(70_000, 0.5), np.full(70_000, 0.5), np.zeros(70_000), CRS_M)
     assert count_first(many, SPEC).max() == 65_535
+
+
+def on_edges(numbers: list[tuple[int, int, int]], cell_m: float, first: int) -> tuple[NDArray[np.int64], Decimal]:
+    """Return places in whole millimetres on the edges of cells, and a few beside them; and the cell exactly."""
+    cell = Decimal(str(cell_m))
+    beside = np.array([(first + number) * int(cell * 1000) + shift for number, shift, _ in numbers])
+    return beside, cell
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 40), st.integers(-1, 1), st.integers(0, 40)), min_size=1, max_size=30),
+    st.sampled_from(CELL_LADDER_M),
+    st.tuples(st.integers(-9_000_000, 9_000_000), st.integers(-9_000_000, 9_000_000)),
+    st.data(),
+)
+def test_no_window_changes_the_cell_of_a_point(numbers, cell_m, first, data):
+    """A point has the cell of exact arithmetic, on edges too, whichever points are gridded with it."""
+    x_mm, cell = on_edges(numbers, cell_m, first[0])
+    y_mm, _ = on_edges([number[::-1] for number in numbers], cell_m, first[1])
+    y_mm += np.array([shift for _, shift, _ in numbers])
+    exact = [
+        (floor(-Decimal(int(y)) / 1000 / cell), floor(Decimal(int(x)) / 1000 / cell))
+        for x, y in zip(x_mm, y_mm, strict=True)
+    ]
+    x, y = x_mm * 0.001, y_mm * 0.001
+    chosen = np.array(data.draw(st.lists(st.booleans(), min_size=len(x), max_size=len(x))))
+    chosen[data.draw(st.integers(0, len(x) - 1))] = True
+    window = PointCloud(x[chosen], y[chosen], np.zeros(np.count_nonzero(chosen)), CRS_M)
+    spec = lattice(window.bounds, cell_m, CRS_M)
+    expected = [place for place, own in zip(exact, chosen, strict=True) if own]
+    row, col = spec.rowcol(window.x, window.y)
+    assert list(zip(row + spec.origin[0], col + spec.origin[1], strict=True)) == expected
+    assert spec.inside(row, col).all()
+    held = np.argwhere(count_first(window, spec)) + spec.origin
+    assert set(map(tuple, held.tolist())) == set(expected)
+    index = index_cells(window.x, window.y, cell_m)
+    for cell_number in range(index.keys.size):
+        north, east = cell_place(index, cell_number)
+        own = index.order[index.starts[cell_number] : index.starts[cell_number + 1]]
+        assert {expected[point][1] for point in own} == {east + round(index.west / cell_m)}
+        exact_north = {floor(Decimal(int(y_mm[chosen][point])) / 1000 / cell) for point in own}
+        assert exact_north == {north + round(index.south / cell_m)}
+
+
+@given(POINTS, st.data())
+def test_no_window_changes_the_samples_of_a_cell(rows, data):
+    """Heights and offsets of the nearest echoes are the same to the last bit, also of points as far from the centre."""
+    table = np.array(rows)
+    # Eighths become tenths of a metre, so that edges and ties of cells of 0.3 m are met.
+    x, y = np.round(table[:, :2].T * 8) * 0.1 + np.array([[100_000.0], [5_000_000.0]])
+    points = PointCloud(x, y, table[:, 2], CRS_M)
+    whole = sample_nearest(points, lattice(points.bounds, 0.3, CRS_M))
+    chosen = y >= data.draw(st.sampled_from(y.tolist()))
+    chosen &= x <= data.draw(st.sampled_from(x[chosen].tolist()))
+    part = points.take(chosen)
+    window = sample_nearest(part, lattice(part.bounds, 0.3, CRS_M))
+    row, col = (own - first for own, first in zip(window.spec.origin, whole.spec.origin, strict=True))
+    cells = np.s_[row : row + window.spec.shape[0], col : col + window.spec.shape[1]]
+    full = window.observed & (count_first(part, window.spec) == count_first(points, whole.spec)[cells])
+    for own, all_of_them in ((window.z, whole.z), (window.east, whole.east), (window.north, whole.north)):
+        np.testing.assert_array_equal(own[full], all_of_them[cells][full])

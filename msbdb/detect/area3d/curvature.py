@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from msbdb.grid import cell_along
 from msbdb.points.nearest import nearest
 from msbdb.threads import cores, in_threads
 
@@ -84,7 +85,7 @@ def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.
     """Return the first point of each cube, and the number of each point's cube; cubes of no size have a point each."""
     if side_m <= 0:
         return np.arange(len(points)), np.arange(len(points))
-    cube = np.floor(points / side_m).astype(np.int64)
+    cube = cell_along(points, side_m).astype(np.int64)
     cube -= cube.min(axis=0)
     _, column = np.unique(cube[:, 0] * (cube[:, 1].max() + 1) + cube[:, 1], return_inverse=True)
     _, first, of = np.unique(column * (cube[:, 2].max() + 1) + cube[:, 2], return_index=True, return_inverse=True)
