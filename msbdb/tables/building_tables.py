@@ -117,11 +117,9 @@ PART = Table(
         *shares("building_share"),
     ),
     indexes=(
-        Index(("father_id", "supscale", "root_id", "run_id")),
-        Index(("root_id",)),
+        Index(("father_id",)),
         Index(("building_id", "run_id")),
-        Index(("run_id", "scale")),
-        Index(("run_id", "class_id")),
+        Index(("run_id", "scale", "class_id")),
     ),
     geometry="MULTIPOLYGON",
 )
