@@ -12,7 +12,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.identity import plain, to_json
+from msbdb.identity import exact_json, plain
 
 T = TypeVar("T")
 
@@ -164,7 +164,7 @@ class Plan:
 
     def as_json(self) -> str:
         """Return the plan as JSON: the same text for the same plan."""
-        return to_json(self.as_dict())
+        return exact_json(self.as_dict())
 
     def pairs(self) -> dict[str, str]:
         """Return the plan in words, by what they are about."""

@@ -1,4 +1,4 @@
--- The schema 0008 of msbdb for postgis.
+-- The schema 0009 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -549,13 +549,9 @@ CREATE TABLE part (
 
 CREATE INDEX ix_part_building_id_run_id ON part (building_id, run_id);
 
-CREATE INDEX ix_part_father_id_supscale_root_id_run_id ON part (father_id, supscale, root_id, run_id);
+CREATE INDEX ix_part_father_id ON part (father_id);
 
-CREATE INDEX ix_part_root_id ON part (root_id);
-
-CREATE INDEX ix_part_run_id_class_id ON part (run_id, class_id);
-
-CREATE INDEX ix_part_run_id_scale ON part (run_id, scale);
+CREATE INDEX ix_part_run_id_scale_class_id ON part (run_id, scale, class_id);
 
 CREATE TABLE part_candidate (
   part_id BIGINT NOT NULL,
@@ -652,7 +648,8 @@ JOIN survey AS s ON s.survey_id = r.survey_id
 LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
 WHERE NOT EXISTS (
   SELECT 1 FROM part AS f
-  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
+  WHERE f.building_id = p.building_id AND f.root_id = p.root_id AND f.scale > p.scale
+    AND ST_Intersects(f.geometry, m.geometry)
 )
 GROUP BY s.name, m.material, p.speindex, c.label;
 
@@ -2074,5 +2071,5 @@ COMMENT ON COLUMN building_piece.building_id IS 'the building of a run, which a 
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0008');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0009');
 

@@ -117,11 +117,9 @@ PART = Table(
         *shares("building_share"),
     ),
     indexes=(
-        Index(("father_id", "supscale", "root_id", "run_id")),
-        Index(("root_id",)),
+        Index(("father_id",)),
         Index(("building_id", "run_id")),
-        Index(("run_id", "scale")),
-        Index(("run_id", "class_id")),
+        Index(("run_id", "scale", "class_id")),
     ),
     geometry="MULTIPOLYGON",
 )
@@ -294,6 +292,8 @@ def validate_parts(parts: "pd.DataFrame") -> None:
     if parts["part_id"].duplicated().any() or (parts["part_id"] <= 0).any():
         msg = "Part ids must be unique and above 0."
         raise TableError(msg)
+    # Without the columns that no rule is about, which would be copied with their rows.
+    parts = parts[["part_id", "supid", "supscale", "root_id", "building_id", "scale", "area_px"]]
     by_id = parts.set_index("part_id")
     child = parts[parts["supid"] != 0]
     _require(child["supid"].isin(by_id.index), child, "has a father that does not exist")

@@ -198,8 +198,8 @@ def validate(frame: "pd.DataFrame", table: Table) -> None:
     if list(frame.columns) != expected:
         msg = f"Table {table.name} must have the columns {expected}; got {list(frame.columns)}."
         raise TableError(msg)
-    for column in table.columns:
-        found = str(frame[column.name].dtype)
+    for column, dtype in zip(table.columns, frame.dtypes, strict=False):
+        found = str(dtype)
         if found != column.dtype and not (column.dtype == "str" and found in ("object", "string")):
             msg = f"Column {table.name}.{column.name} must be {column.dtype}; got {found}."
             raise TableError(msg)

@@ -8,6 +8,7 @@ JOIN survey AS s ON s.survey_id = r.survey_id
 LEFT JOIN spectral_class AS c ON c.run_id = p.run_id AND c.speindex = p.class_id
 WHERE NOT EXISTS (
   SELECT 1 FROM part AS f
-  WHERE f.root_id = p.root_id AND f.scale > p.scale AND ST_Intersects(f.geometry, m.geometry)
+  WHERE f.building_id = p.building_id AND f.root_id = p.root_id AND f.scale > p.scale
+    AND ST_Intersects(f.geometry, m.geometry)
 )
 GROUP BY s.name, m.material, p.speindex, c.label;

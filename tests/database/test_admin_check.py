@@ -323,8 +323,8 @@ CORRUPTIONS = [
     ),
     Corruption(
         "an index that was dropped",
-        *("schema", "part", "ix_part_root_id", "the index is missing"),
-        sql=("DROP INDEX ix_part_root_id",),
+        *("schema", "part", "ix_part_father_id", "the index is missing"),
+        sql=("DROP INDEX ix_part_father_id",),
     ),
     Corruption(
         "a column that was dropped",

@@ -20,19 +20,20 @@ from msbdb.database.runs.mosaics import mosaics_of
 from msbdb.database.runs.reading import LazyTables
 from msbdb.database.runs.tiles import forget_results
 from msbdb.database.runs.writing import (
+    BY_NAME,
     LOADED,
+    columns_of,
     keys_of,
     ordered,
     raster_row,
     rejection_ids,
-    write_frame,
+    write_columns,
     write_head,
 )
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import srid_of
 from msbdb.identity import text_id
 from msbdb.kept import ANSWER_NAMES, REGION_NAMES, KeptRun
-from msbdb.tables import TABLES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,7 +61,6 @@ ANSWERED = {name: method for method, name in ANSWER_NAMES.items()}
 
 NOTHING = np.zeros(0, dtype=np.int64)
 
-BY_NAME = {table.name: table for table in TABLES}
 
 KEYS = {"building": "building_id", "part": "part_id", "flat_region": "region_id", "candidate_region": "candidate_id"}
 
@@ -210,8 +210,8 @@ class _Merge:
             return
         if ids is None:
             frame = ordered(frame, BY_NAME[name])
-        survey = self.head.survey.name
-        write_frame(self.connection, self.dialect, survey, name, frame, run_id=self.run_id, srid=self.srid, ids=ids)
+        content = columns_of(frame)
+        write_columns(self.connection, self.dialect, name, content, run_id=self.run_id, srid=self.srid, ids=ids)
 
 
 def merge_tiles(

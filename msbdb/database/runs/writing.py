@@ -1,7 +1,8 @@
 """Loading a build in one transaction: the same rows for the same build, completely or not at all."""
 
 import logging
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
@@ -15,14 +16,14 @@ from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_build, geometries
-from msbdb.database.runs.digests import RunContent, portable, source_rows, survey_row
+from msbdb.database.runs.digests import RunContent, portable, run_row, source_rows, survey_row
 from msbdb.database.runs.packing import pack
 from msbdb.database.runs.tiles import forget_tiles
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
-from msbdb.identity import plain, text_id
+from msbdb.identity import text_id
 from msbdb.kept import KeptRun
-from msbdb.tables import TABLES, Table
+from msbdb.tables import TABLES, Column, Table
 from msbdb.threads import in_threads
 
 if TYPE_CHECKING:
@@ -42,9 +43,9 @@ SURVEY = SQL["survey"]
 
 logger = logging.getLogger(__name__)
 
-_FRAMES = {table.name for table in TABLES}
+BY_NAME = {table.name: table for table in TABLES}
 
-LOADED = [table.name for table in METADATA.sorted_tables if table.name in _FRAMES]
+LOADED = [table.name for table in METADATA.sorted_tables if table.name in BY_NAME]
 """The tables of a build's frames; a table comes after those that it refers to."""
 
 
@@ -169,7 +170,8 @@ def _write(engine: Engine, build: KeptRun, basis: BuildBasis | None) -> WriteRep
 class _Rows:
     """A build's rows in order, their number by table, and the digest of all."""
 
-    frames: "dict[str, pd.DataFrame]"
+    columns: dict[str, dict[str, NDArray[Any]]]
+    ledger_ids: NDArray[np.int64]
     counts: dict[str, int]
     digest: str
 
@@ -180,9 +182,15 @@ class _Rows:
         counts = {name: len(frame) for name, frame in frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
         counts["survey_plan"] = int(build.plan is not None)
-        columns = {table: {str(name): _array(frame[name]) for name in frame} for table, frame in frames.items()}
+        columns = {table: columns_of(frame) for table, frame in frames.items()}
         content = RunContent(build.survey, build.run, columns, build.rasters.by_name(), build.plan)
-        return cls(frames, counts, content.digest())
+        ids = rejection_ids(build.survey.name, frames["rejection"])
+        return cls(columns, ids, counts, content.digest())
+
+
+def columns_of(frame: "pd.DataFrame") -> dict[str, NDArray[Any]]:
+    """Return the columns of a frame as `RunContent` has them."""
+    return {str(name): _array(column) for name, column in frame.items()}
 
 
 def _array(column: "pd.Series") -> NDArray[Any]:
@@ -209,7 +217,8 @@ def _fill(
         forget_tiles(connection, build.survey.name)
         with dialect.keys_in_sets(connection, LOADED, run_id):
             for name in LOADED:
-                write_frame(connection, dialect, build.survey.name, name, rows.frames[name], run_id=run_id, srid=srid)
+                ids = rows.ledger_ids if name == "rejection" else None
+                write_columns(connection, dialect, name, rows.columns[name], run_id=run_id, srid=srid, ids=ids)
     for raster in rasters:
         connection.execute(insert(RUN_STATE), [{"run_id": run_id, **raster}])
     dialect.after_load(connection)
@@ -222,9 +231,9 @@ def write_head(connection: Connection, dialect: Dialect, build: KeptRun, digest:
     removed = connection.execute(delete(RUN).where(RUN.c.survey_id == survey_id)).rowcount
     dialect.settle(connection)
     _write_survey(connection, survey_id, build)
-    run = asdict(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": digest}
+    run = run_row(build.run) | {"run_id": run_id, "survey_id": survey_id, "content_sha256": digest}
     methods = [{"run_id": run_id, "method": method} for method in run.pop("methods")]
-    connection.execute(insert(RUN), [plain(run)])
+    connection.execute(insert(RUN), [run])
     connection.execute(insert(RUN_METHOD), methods)
     if build.plan is not None:
         connection.execute(insert(SURVEY_PLAN), [{"run_id": run_id, "plan": build.plan.as_dict()}])
@@ -281,12 +290,11 @@ def _write_survey(connection: Connection, survey_id: int, build: KeptRun) -> Non
         connection.execute(insert(SOURCE), sources)
 
 
-def write_frame(
+def write_columns(
     connection: Connection,
     dialect: Dialect,
-    survey: str,
     name: str,
-    frame: "pd.DataFrame",
+    content: Mapping[str, NDArray[Any]],
     *,
     run_id: int,
     srid: int,
@@ -294,29 +302,29 @@ def write_frame(
 ) -> None:
     """Write one table's rows in bulk, in the order of their keys, which is the quickest.
 
-    ``ids`` are the keys of the ledger's rows, where they are known already.
+    ``content`` has the columns as `columns_of` returns them; ``ids`` are the keys of the ledger's rows.
     """
-    columns: dict[str, Any] = {"run_id": np.full(len(frame), run_id)}
-    if name == "rejection":
-        ids = rejection_ids(survey, frame) if ids is None else ids
+    count = len(next(iter(content.values())))
+    columns: dict[str, Any] = {"run_id": np.full(count, run_id)}
+    order: Any = slice(None)
+    if ids is not None:
         order = np.argsort(ids)
-        frame, columns["rejection_id"] = frame.iloc[order], ids[order]
-    for column in frame.columns:
+        columns["rejection_id"] = ids[order]
+    table = BY_NAME[name]
+    for column, values in content.items():
         if column == "geometry":
-            columns["geometry"] = dialect.encode(geometries(frame), srid)
+            columns[column] = dialect.encode(values[order], srid)
         else:
-            columns[str(column)] = _values(frame[column])
+            columns[column] = _stored(values[order], table[column])
     dialect.insert_rows(connection, name, columns, srid)
 
 
-def _values(values: "pd.Series") -> "NDArray[Any] | list[Any]":
-    """Return a column's values: numbers as an array, in which NaN is missing, others as a list with None."""
-    if isinstance(values.dtype, np.dtype) and values.dtype.kind in "iubf":
-        return values.to_numpy()
-    found = values.tolist()
-    for place in np.flatnonzero(values.isna()).tolist():
-        found[place] = None
-    return found
+def _stored(values: NDArray[Any], column: Column) -> NDArray[Any] | list[Any]:
+    """Return a column's values: numbers as an array, in which NaN is missing, others as a list."""
+    if column.dtype == "Int64":
+        missing = np.isnan(values).tolist()
+        return [None if gone else int(value) for value, gone in zip(values.tolist(), missing, strict=True)]
+    return values if values.dtype.kind in "iubf" else values.tolist()
 
 
 def rejection_ids(survey: str, frame: "pd.DataFrame") -> NDArray[np.int64]:
