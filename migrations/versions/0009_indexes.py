@@ -3,7 +3,6 @@
 Trees are found by their building, fathers by their id alone, and scales and classes of a run share an index.
 """
 
-
 from alembic import op
 
 revision = "0009"
