@@ -13,6 +13,7 @@ from msbdb.grid import GridSpec
 from msbdb.labels import Box, Labels, boxes, sizes
 from msbdb.outline.polygons import polygonise
 from msbdb.params import ChangeParams
+from msbdb.tables import FIRST_SURVEY
 
 KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
 """The kinds of change of a surveyed building; a building outside of the survey has no row."""
@@ -20,8 +21,6 @@ KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
 NO_FOOTPRINT = "not distinguished from its surroundings this time, but its heights are unchanged"
 
 STOOD_BEFORE = "existed before, and is distinguished from its surroundings for the first time"
-
-FIRST_SURVEY = "the first survey of this place"
 
 BEYOND_BORDER = "it reaches beyond the border of the earlier surveys, and is known as a whole for the first time"
 

@@ -10,9 +10,8 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from msbdb.change.decisions import FIRST_SURVEY
 from msbdb.change.differences import moved
-from msbdb.tables import ACROSS
+from msbdb.tables import ACROSS, FIRST_SURVEY
 
 RELATED_SHARE = 0.3
 """Buildings that were merged or split on the way are related at the end when they share this much of the smaller; a

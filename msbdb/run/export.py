@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from msbdb.change.decisions import FIRST_SURVEY
 from msbdb.database import (
     ClientPlace,
     Engine,
@@ -26,7 +25,7 @@ from msbdb.export.qgis.project import Bounds, layers_of, project
 from msbdb.io.files import require_input, require_output, write_atomic
 from msbdb.io.layers import Layer, crs_text
 from msbdb.run.outputs import Choice, tell_choice
-from msbdb.tables import Column, Survey
+from msbdb.tables import FIRST_SURVEY, Column, Survey
 from msbdb.tables.declaration import RUN_ID
 from msbdb.tables.view_columns import VIEW_COLUMNS
 

@@ -16,6 +16,9 @@ CHANGE_KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
 ACROSS = "across a border: "
 """How the notes of changes begin that join the pieces of a building, which the border of surveys cuts."""
 
+FIRST_SURVEY = "the first survey of this place"
+"""The note of new buildings that no earlier survey could see: a beginning, not a change."""
+
 VERSION_SOURCES = ("survey", "import")
 MANUAL_STATES = ("confirmed", "refuted")
 EVENT_KINDS = ("import", "update")

@@ -9,7 +9,7 @@ from shapely import box
 from shapely.affinity import translate
 
 from msbdb.change.comparison import Comparison, compare, measure_roofs
-from msbdb.change.decisions import BEYOND_BORDER, FIRST_SURVEY, KINDS, NO_FOOTPRINT, STOOD_BEFORE
+from msbdb.change.decisions import BEYOND_BORDER, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.change.differences import estimate_offset, without_slivers
 from msbdb.detect.scene import Elevations
 from msbdb.errors import PassingNotice
@@ -17,7 +17,7 @@ from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
 from msbdb.params import ChangeParams, Params
-from msbdb.tables import HEIGHTS
+from msbdb.tables import FIRST_SURVEY, HEIGHTS
 
 UTM = CRS.from_epsg(32631)
 WEST, SOUTH = 500_000.0, 4_000_000.0

@@ -292,7 +292,7 @@ def scan(
 def _with_truth(world: World, points: PointCloud, labels: NDArray[np.uint8], cell_m: float) -> Scene:
     """Rasterise the truth by cell centres."""
     east, north = world.origin
-    spec = lattice((east, north + 1e-6, east + world.size[0] - 1e-6, north + world.size[1]), cell_m, UTM33)
+    spec = lattice((east, north + 1e-3, east + world.size[0] - 1e-3, north + world.size[1]), cell_m, UTM33)
     row, col = np.indices(spec.shape)
     x, y = (world_m - start for world_m, start in zip(spec.xy(row, col), world.origin, strict=True))
     z, _, block = world.solid(x, y)

@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Measure the page of a large simulated town: how long it takes to write and to open, and its size.
 
 A district of 100 houses, built by the real stages, is repeated until the town has as many buildings as asked. Chromium
@@ -6,8 +5,8 @@ opens the page without a graphics card (SwiftShader), once from the disk; WebGL 
 
 Examples
 --------
-    scripts/benchmarks/page                          10,000 buildings
-    scripts/benchmarks/page --buildings 30000 --picture town.png
+    python tests/support/measurepage.py                          10,000 buildings
+    python tests/support/measurepage.py --buildings 30000 --picture town.png
 """
 
 import argparse
@@ -27,12 +26,11 @@ import shapely
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from support.browser import PATIENCE_MS, browser  # noqa: E402  (the tests' own folder)
-from support.towns import EPSG, House, town_build  # noqa: E402
-
 from msbdb import api  # noqa: E402
 from msbdb.database import open_database, write_build  # noqa: E402
 from msbdb.kept import KeptRun, Rasters  # noqa: E402
+from support.browser import PATIENCE_MS, browser  # noqa: E402  (the tests' own folder)
+from support.towns import EPSG, House, town_build  # noqa: E402
 
 SIDE, PITCH_M = 10, 24.0
 """Houses a side of a district, and the distance from one to the next."""
@@ -70,7 +68,9 @@ def repeated(made: KeptRun, across: int, along: int) -> KeptRun:
             for columns, step in ((ACROSS, dx), (ALONG, dy)):
                 for column in set(columns) & set(own):
                     own[column] += step
-            copies.append(own.set_geometry(shapely.transform(own.geometry.array, lambda xy, d=(dx, dy): xy + d), crs=EPSG))
+            copies.append(
+                own.set_geometry(shapely.transform(own.geometry.array, lambda xy, d=(dx, dy): xy + d), crs=EPSG)
+            )
         frames[name] = pd.concat(copies, ignore_index=True).sort_values(f"{name}_id", ignore_index=True)
     west, south, _, _ = made.survey.bounds
     survey = replace(made.survey, bounds=(west, south, west + side * across, south + side * along))
@@ -100,7 +100,7 @@ def opened(page: Path, picture: Path | None) -> dict[str, float]:
         if picture:
             sheet.screenshot(path=picture)
         if complaints:
-            print(complaints, file=sys.stderr)
+            sys.stderr.write(f"{complaints}\n")
         return {"ready_s": ready, "with_the_browser_s": round(seconds, 1)}
 
 
@@ -125,7 +125,7 @@ def main() -> None:
         api.view(place, page, overwrite=True)
         found = {"buildings": asked.buildings, "written_cpu_s": round(time.process_time() - begin, 1)}
         found |= {path.name: round(path.stat().st_size / 1e6, 1) for path in folder.glob(f"{page.stem}*")}
-        print(json.dumps(found | opened(page, asked.picture)))
+        sys.stdout.write(f"{json.dumps(found | opened(page, asked.picture))}\n")
 
 
 if __name__ == "__main__":
