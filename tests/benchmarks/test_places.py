@@ -62,6 +62,19 @@ def test_the_reference_lies_where_the_scene_has_buildings(town):
     assert [cell_for(density) for density in (8, 3, 2, 1, 0.5)] == [0.5, 0.5, 1.0, 1.0, 2.0]
 
 
+def test_cells_beyond_the_outermost_points_are_not_scored(town):
+    """Of a survey that is cut at whole metres, a row of cells has points on its outer edge alone."""
+    place, (cloud,), data = town
+    x, y = np.asarray(cloud.x), np.asarray(cloud.y)
+    east, south = np.floor(x.max()) - 5, np.ceil(y.min()) + 5
+    cut = taken(cloud, (x <= east) & (y >= south))
+    cut.x[0], cut.y[1] = east, south
+    reference = reference_of(place, [cut], data, 1.0)
+    assert not reference.scored[:, -1].any()
+    assert not reference.scored[-1].any()
+    assert reference.scored[1:-1, 1:-1].mean() > 0.9
+
+
 def test_thinned_copies_keep_whole_pulses(town):
     """All echoes of a kept pulse stay, and the same ones each time; the copy has about the share."""
     _, (cloud,), _ = town
