@@ -29,7 +29,6 @@ from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError, PassingNotice, counted, give_notice
 from msbdb.grid import Grid
 from msbdb.io.files import require_output
-from msbdb.io.vector import archive_of
 from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
 from msbdb.run.outputs import Choice, area_of, choose, of_one_place, photo_on, reason_rasters, relief_for, within
 from msbdb.tables import BUILDING, DETECTOR_SHARES, PART
@@ -39,9 +38,9 @@ from msbdb.view.blocks import blocks_of
 from msbdb.view.buildingmap import KINDS
 from msbdb.view.groundimages import light_image, origin_of, photo_image, place_of, reason_image
 from msbdb.view.page import DEGREE, read_library, shapes_of, texts, whole_numbers, write_page
-from msbdb.view.townfeatures import ZOOMS, town_features
+from msbdb.view.townfeatures import archives_of, town_features
 
-FEW_PARTS, MOST_PARTS = 40_000, 150_000
+FEW_PARTS, MOST_PARTS = 40_000, 500_000
 """Buildings and parts whose outlines the page holds as they are, and all that it can have (ours)."""
 
 MOST_DATES = 8
@@ -90,8 +89,8 @@ def view_page(
     library = read_library()
     with opened(db) as engine:
         town = town_of(db, engine, of_one_place(engine, choose(engine, survey)), aoi, ortho)
-    tiles = archive_of(town.pop("outlines"), "town", ZOOMS) if "outlines" in town else None
-    write_page(town, out, library, tiles)
+    archives = archives_of(town.pop("outlines"), len(town["scales"])) if "outlines" in town else []
+    write_page(town, out, library, archives)
 
 
 def town_of(

@@ -12,10 +12,12 @@
   const GREY = "#b5b8bc"; // a value that is not known
   const OTHERS = "#5d6269"; // classes that have no colour of their own
   const PICKED = "#ff4fa3";
+  const MARGIN = 20; // around the whole town, pixels
   const UNKNOWN_M = 0.4; // height of a block whose height is not known
   const MOST_HITS = 30;
   const MOST_LISTED = 100;
   const NONE = -1; // no row, no view
+  const NEAR_ZOOM = 15; // from here on a large town shows parts
 
   // Ordered scales go from light to dark or dark to light; colour-blind readers can order all of them.
   const HEIGHTS = ["#fff6d5", "#fddc8a", "#fdb35a", "#f1803c", "#d2502c", "#9c2b25"];
@@ -28,19 +30,27 @@
   // The town as features -------------------------------------------------------------------------------------------
 
   const finest = town.scales.length;
-  const rowsOf = new Map(); // by id: a building of the inventory has a row for each of its versions
-  buildings.id.forEach((id, row) => rowsOf.set(id, [...(rowsOf.get(id) || []), row]));
-  const versionsOf = (row) => (row === NONE ? [] : rowsOf.get(buildings.id[row]));
-  const partsOf = buildings.id.map(() => []);
-  parts.building.forEach((row, part) => partsOf[row].push(part));
-  const childrenOf = parts.id.map(() => []);
-  parts.father.forEach((father, part) => { if (father !== NONE) childrenOf[father].push(part); });
+  // Lists of a large town are made when they are first needed.
+  const lazily = (make, made = null) => () => (made ??= make());
+  const grouped = (groups, keys) => {
+    const found = groups.map(() => []);
+    keys.forEach((group, n) => { if (group !== NONE) found[group].push(n); });
+    return found;
+  };
+  const rowsOf = lazily(() => { // by id: a building of the inventory has a row for each of its versions
+    const found = new Map();
+    buildings.id.forEach((id, row) => found.set(id, [...(found.get(id) || []), row]));
+    return found;
+  });
+  const versionsOf = (row) => (row === NONE ? [] : rowsOf().get(buildings.id[row]));
+  const partsOf = lazily(() => grouped(buildings.id, parts.building));
+  const childrenOf = lazily(() => grouped(parts.id, parts.father));
   const states = buildings.values.state || [];
   const stateOf = (row) => STATES.findIndex(([name]) => name === states[row]);
   const tallest = quantile([...buildings.height, ...blocks.height].filter((h) => h !== null), 0.99) / 100 || 1;
 
   function quantile(values, share) {
-    const sorted = values.sort((a, b) => a - b);
+    const sorted = Float64Array.from(values).sort();
     return sorted.length ? sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))] : 0;
   }
 
@@ -58,38 +68,38 @@
     return found;
   }
 
-  // The outlines of a large town are in tiles, with all that the map needs; the page keeps their numbers alone.
-  const isTiled = $("tiles") !== null;
-  function feature(id, shape, row, part, low, high, height, more) {
-    if (isTiled) return { id, properties: { row, part } };
-    const values = buildings.values;
+  // Blocks of buildings have the numbers of their rows; those of parts follow.
+  const partOf = (id) => (id < buildings.id.length ? NONE : blocks.part[id - buildings.id.length]);
+  const rowOfBlock = (id) => (id < buildings.id.length ? id : parts.building[partOf(id)]);
+  const blocksOf = lazily(() => grouped(buildings.id, [...buildings.id.keys(), ...blocks.part.map((part) => parts.building[part])]));
+
+  function feature(id, shape, low, high, height, more) {
+    const values = buildings.values, row = rowOfBlock(id);
     const chance = values.probability ? values.probability[row] : null;
     return {
       id,
       shape,
       properties: {
-        row, part, low, high, first: buildings.first[row], after: buildings.after[row], state: stateOf(row),
+        row, part: partOf(id), low, high, first: buildings.first[row], after: buildings.after[row], state: stateOf(row),
         height: height === null ? NONE : height / 100, chance: chance === null ? NONE : chance / 1000, ...more,
       },
     };
   }
 
-  // Blocks of buildings have the numbers of their rows; those of parts follow.
-  const features = buildings.id.map((_, row) => {
-    const own = partsOf[row];
-    const root = own.find((part) => parts.father[part] === NONE);
-    const storeys = buildings.values.storeys ? buildings.values.storeys[row] : null;
-    return feature(row, isTiled ? null : buildings.shape[row], row, NONE, 0, own.length ? 0 : finest, buildings.height[row], {
-      storeys: storeys === null ? NONE : storeys, kind: root === undefined ? 0 : parts.kind[root], scale: 0,
-    });
-  });
-  blocks.part.forEach((part, n) => features.push(
-    isTiled ? feature(buildings.id.length + n, null, parts.building[part], part)
-      : feature(buildings.id.length + n, blocks.shape[n], parts.building[part], part, blocks.low[n], blocks.high[n], blocks.height[n], {
-        storeys: parts.storeys[part], kind: parts.kind[part], scale: parts.scale[part],
-      })));
-  const featuresOf = buildings.id.map(() => []);
-  features.forEach((own) => featuresOf[own.properties.row].push(own.id));
+  // The outlines of a large town are in tiles, with all that the map needs.
+  const isTiled = $("near") !== null;
+  const features = isTiled ? [] : [
+    ...buildings.id.map((_, row) => {
+      const own = partsOf()[row];
+      const root = own.find((part) => parts.father[part] === NONE);
+      const storeys = buildings.values.storeys ? buildings.values.storeys[row] : null;
+      return feature(row, buildings.shape[row], 0, own.length ? 0 : finest, buildings.height[row], {
+        storeys: storeys === null ? NONE : storeys, kind: root === undefined ? 0 : parts.kind[root], scale: 0,
+      });
+    }),
+    ...blocks.part.map((part, n) => feature(buildings.id.length + n, blocks.shape[n], blocks.low[n], blocks.high[n], blocks.height[n],
+      { storeys: parts.storeys[part], kind: parts.kind[part], scale: parts.scale[part] })),
+  ];
   // Coordinates are made when a map takes them.
   const asGeoJson = ({ id, shape, properties }) =>
     ({ type: "Feature", id, properties, geometry: { type: "MultiPolygon", coordinates: shape.map((polygon) => polygon.map(ring)) } });
@@ -98,7 +108,7 @@
     let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
     if (isTiled)
       for (const id of numbers) {
-        const [x0, y0, x1, y1] = buildings.box[features[id].properties.row];
+        const [x0, y0, x1, y1] = buildings.box[rowOfBlock(id)];
         [west, south, east, north] = [Math.min(west, x0), Math.min(south, y0), Math.max(east, x1), Math.max(north, y1)];
       }
     else for (const id of numbers)
@@ -166,7 +176,7 @@
 
   // The version that is shown, else the last.
   function rowOf(id) {
-    const rows = rowsOf.get(id) || [];
+    const rows = rowsOf().get(id) || [];
     return rows.find((row) => isShown(row)) ?? rows.at(-1) ?? NONE;
   }
 
@@ -225,7 +235,8 @@
     ["interpolate", ["linear"], value, ...colours.flatMap((own, n) => [low + ((high - low) * n) / (colours.length - 1), own])];
   const known = (name, colour) => ["case", ["<", ["get", name], 0], GREY, colour];
   // The classes of most parts have colours of their own; the others share one.
-  const often = town.classes.map((_, kind) => parts.kind.filter((own) => own === kind).length);
+  const often = town.classes.map(() => 0);
+  parts.kind.forEach((kind) => { often[kind] += 1; });
   const byNumber = [...town.classes.keys()].slice(1).sort((a, b) => often[b] - often[a]);
   const coloured = byNumber.slice(0, CLASSES.length).sort((a, b) => a - b);
   const classColour = (kind) => (kind === 0 ? GREY : CLASSES[coloured.indexOf(kind)] || OTHERS);
@@ -299,7 +310,7 @@
     const filter = filterOf(view, gone);
     const on = ["boolean", ["feature-state", "on"], false];
     const isSeen = (layer) => ({ visibility: chosen.hidden.has(layer) ? "none" : "visible" });
-    return [
+    const layers = [
       { id: "paper", type: "background", paint: { "background-color": css("--ground") } },
       ...(town.ground ? [{ id: "ground", type: "raster", source: "ground", layout: isSeen("ground"),
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.7 } }] : []),
@@ -309,7 +320,7 @@
         paint: { "raster-fade-duration": 0, "raster-opacity": 0.75, "raster-resampling": "nearest" } }] : []),
       { id: "outlines", type: "line", source: "town", filter: ["all", ["==", ["get", "part"], NONE], filter],
         layout: isSeen("outlines"), paint: { "line-color": css("--line"), "line-width": 1 } },
-      { id: "picked", type: "line", source: "town", layout: {},
+      { id: "picked", type: "line", source: "town", layout: { visibility: chosen.picked === NONE ? "none" : "visible" },
         filter: ["all", ["==", ["get", "part"], NONE], ["in", ["get", "row"], ["literal", versionsOf(chosen.picked)]], filter],
         paint: { "line-color": PICKED, "line-width": 3 } },
       { id: "blocks", type: "fill-extrusion", source: "town", filter: ["all", filter, levelOf(chosen.scale)], layout: isSeen("blocks"),
@@ -318,6 +329,16 @@
           "fill-extrusion-height": ["case", ["<", ["get", "height"], 0], UNKNOWN_M, ["get", "height"]],
           "fill-extrusion-vertical-gradient": true } },
     ];
+    return isTiled ? layers.flatMap(nearAndFar) : layers;
+  }
+
+  // From afar a large town has its buildings alone; their outlines are too small to be seen beside blocks.
+  function nearAndFar(layer) {
+    if (layer.source !== "town") return [layer];
+    const isCovered = layer.id === "outlines" && !chosen.hidden.has("blocks");
+    return [{ ...layer, "source-layer": "town", minzoom: NEAR_ZOOM },
+      { ...layer, id: `far-${layer.id}`, source: "far", "source-layer": "town", maxzoom: NEAR_ZOOM,
+        layout: isCovered ? { visibility: "none" } : layer.layout }];
   }
 
   function styleOf(view, side) {
@@ -326,26 +347,29 @@
       version: 8,
       light: { anchor: "map", position: [1.3, 315, 40], intensity: 0.28 },
       sources: {
-        town: isTiled ? { type: "vector", url: "pmtiles://town", promoteId: "n" }
+        ...(isTiled && { far: { type: "vector", url: "pmtiles://far", promoteId: "n" } }),
+        town: isTiled ? { type: "vector", url: "pmtiles://near", promoteId: "n" }
           : { type: "geojson", maxzoom: 18, buffer: 32, tolerance: 0.2,
             data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) } },
         ...(town.ground && { ground: image(town.ground) }),
         ...(town.photo && { photo: image(town.photo.image, town.photo.corners.map(([x, y]) => degrees(x, y))) }),
         ...(town.reasons && { reasons: image(town.reasons.image) }),
       },
-      layers: looks(view, side).map((layer) => (isTiled && layer.source === "town" ? { ...layer, "source-layer": "town" } : layer)),
+      layers: looks(view, side),
     };
   }
-  const placeOf = (id) => ({ source: "town", id, ...(isTiled && { sourceLayer: "town" }) });
+  const placesOf = (id) => (isTiled ? ["town", "far"].map((source) => ({ source, id, sourceLayer: "town" })) : [{ source: "town", id }]);
 
-  // The archive of tiles is in the page, and so in memory.
+  // The archives of tiles are in the page, and so in memory.
   function openTiles() {
-    const text = atob($("tiles").textContent), bytes = new Uint8Array(text.length);
-    for (let at = 0; at < text.length; at += 1) bytes[at] = text.charCodeAt(at);
-    $("tiles").textContent = "";
     const protocol = new pmtiles.Protocol();
-    protocol.add(new pmtiles.PMTiles({ getKey: () => "town",
-      getBytes: async (offset, length) => ({ data: bytes.buffer.slice(offset, offset + length) }) }));
+    for (const name of ["far", "near"]) {
+      const text = atob($(name).textContent), bytes = new Uint8Array(text.length);
+      for (let at = 0; at < text.length; at += 1) bytes[at] = text.charCodeAt(at);
+      $(name).textContent = "";
+      protocol.add(new pmtiles.PMTiles({ getKey: () => name,
+        getBytes: async (offset, length) => ({ data: bytes.buffer.slice(offset, offset + length) }) }));
+    }
     maplibregl.addProtocol("pmtiles", protocol.tile);
   }
 
@@ -365,7 +389,7 @@
       fadeDuration: 0, trackResize: false, canvasContextAttributes: { antialias: !isSoftware() }, ...options,
       locale: { "Map.Title": which === "a" ? "Map of the town" : "Map of the town at the later date" },
     });
-    if (!camera) map.fitBounds(whole, { ...beginning(), animate: false });
+    if (!camera) showWhole(map);
     map.addControl(new maplibregl.NavigationControl({ visualizePitch: true }), "bottom-right");
     map.addControl(new maplibregl.ScaleControl({ maxWidth: 140 }), "bottom-right");
     map.on("error", ({ error }) => say(`The map cannot be drawn: ${error.message}`));
@@ -388,9 +412,20 @@
     return pane;
   }
 
-  // The whole town from the south-east, with room for the panel where the window has it.
-  const beginning = () => ({ pitch: 50, bearing: -20,
-    padding: window.innerWidth > 900 && chosen.other === NONE ? { top: 20, bottom: 20, left: 300, right: 20 } : 20 });
+  // The whole town from the south-east, as large as the room beside the panel allows.
+  function showWhole(map) {
+    const { clientWidth: width, clientHeight: height } = map.getContainer();
+    const left = window.innerWidth > 900 && chosen.other === NONE ? 310 : MARGIN;
+    const [[west, south], [east, north]] = whole, [wide, high] = [width - left - 2 * MARGIN, height - 4 * MARGIN];
+    map.fitBounds(whole, { pitch: 50, bearing: -20, padding: MARGIN, animate: false });
+    for (let step = 0; step < 4; step += 1) { // a tilted map has no simple inverse
+      const seen = [[west, south], [west, north], [east, south], [east, north]].map((place) => map.project(place));
+      const [xs, ys] = [seen.map(({ x }) => x), seen.map(({ y }) => y)];
+      const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+      map.panBy([(x0 + x1 - left - width + MARGIN) / 2, (y0 + y1 - height) / 2], { animate: false });
+      map.setZoom(map.getZoom() + Math.log2(Math.min(wide / (x1 - x0), high / (y1 - y0))));
+    }
+  }
 
   let leader = null;
   function follow(map) {
@@ -402,8 +437,8 @@
   }
 
   function blockAt(map, point) {
-    if (!map.getLayer("blocks")) return null;
-    return map.queryRenderedFeatures(point, { layers: ["blocks"] })[0] || null;
+    const layers = ["blocks", "far-blocks"].filter((id) => map.getLayer(id));
+    return layers.length ? map.queryRenderedFeatures(point, { layers })[0] || null : null;
   }
 
   function filterOf(view, gone) {
@@ -427,15 +462,15 @@
       for (const [name, value] of Object.entries(layout || {})) map.setLayoutProperty(id, name, value);
       for (const [name, value] of Object.entries(paint)) map.setPaintProperty(id, name, value);
     }
-    pane.marked.forEach((id) => map.removeFeatureState(placeOf(id)));
+    pane.marked.forEach((id) => placesOf(id).forEach((place) => map.removeFeatureState(place)));
     pane.marked = [];
-    const mark = (id, state) => { map.setFeatureState(placeOf(id), state); pane.marked.push(id); };
+    const mark = (id, state) => { placesOf(id).forEach((place) => map.setFeatureState(place, state)); pane.marked.push(id); };
     for (const [kind, before, after] of changes) {
       const rows = side === 0 ? [before] : side === 1 ? [after] : [before, after];
-      rows.filter((row) => row !== NONE).forEach((row) => featuresOf[row].forEach((id) => mark(id, { kind })));
+      rows.filter((row) => row !== NONE).forEach((row) => blocksOf()[row].forEach((id) => mark(id, { kind })));
     }
     for (const row of versionsOf(chosen.picked))
-      featuresOf[row].filter((id) => chosen.part === NONE || row !== chosen.picked || features[id].properties.part === chosen.part)
+      blocksOf()[row].filter((id) => chosen.part === NONE || row !== chosen.picked || partOf(id) === chosen.part)
         .forEach((id) => mark(id, { on: true }));
     $(`tag-${pane.which}`).textContent = viewWords(view);
     $(`tag-${pane.which}`).hidden = chosen.other === NONE;
@@ -565,6 +600,7 @@
   function pick(row, part = NONE) {
     chosen.picked = row;
     chosen.part = part;
+    say("");
     if (row !== NONE && !isShown(row)) {
       chosen.view = buildings.first[row];
       if (chosen.other === chosen.view) chosen.other = NONE;
@@ -575,7 +611,7 @@
   }
 
   function goTo(row) {
-    const box = boundsOf(featuresOf[row]), { map } = panes[0];
+    const box = boundsOf(blocksOf()[row]), { map } = panes[0];
     const camera = { pitch: Math.min(map.getPitch(), 20), bearing: map.getBearing(), maxZoom: 18, duration: 600 };
     if (box) map.fitBounds(box, { ...camera, padding: Math.min(120, map.getContainer().clientWidth / 5) });
   }
@@ -629,7 +665,7 @@
   }
 
   function tree(row) {
-    const roots = partsOf[row].filter((part) => parts.father[part] === NONE);
+    const roots = partsOf()[row].filter((part) => parts.father[part] === NONE);
     if (!roots.length) return [make("p", { class: "note", text: "No parts are known." })];
     const branch = (some) => make("ul", { class: "tree" }, ...some.map((part) => {
       const words = `Scale ${parts.scale[part]}: ${parts.area[part].toLocaleString("en")} m², ${metres(parts.height[part])} high, `
@@ -637,10 +673,10 @@
       const pressed = String(part === chosen.part);
       const item = make("li", {}, make("button", { type: "button", text: words, title: `Part ${parts.id[part]}`, "aria-pressed": pressed,
         on: () => pick(row, part === chosen.part ? NONE : part) }));
-      if (childrenOf[part].length) item.append(branch(childrenOf[part]));
+      if (childrenOf()[part].length) item.append(branch(childrenOf()[part]));
       return item;
     }));
-    const count = partsOf[row].length;
+    const count = partsOf()[row].length;
     return [make("h3", { text: `Tree of ${count} ${count === 1 ? "part" : "parts"}` }), branch(roots)];
   }
 
@@ -730,7 +766,7 @@
       panes[0].map.easeTo({ pitch: isFlat ? 50 : 0, bearing: isFlat ? -20 : 0 });
       panes[0].map.once("moveend", drawControls);
     });
-    $("home").addEventListener("click", () => panes[0].map.fitBounds(whole, beginning()));
+    $("home").addEventListener("click", () => showWhole(panes[0].map));
     $("theme").addEventListener("click", () => { chosen.dark = !chosen.dark; draw(); });
     $("close").addEventListener("click", closeDetails);
     $("fold").addEventListener("click", () => {

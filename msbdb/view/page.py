@@ -10,7 +10,7 @@ import html
 import io
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,7 +69,7 @@ def read_library(folder: Path = _LIBRARY) -> Library:
     return Library(script, look, f"{licence}\n\n{(_HERE / 'pmtiles_licence.txt').read_text(encoding='utf-8')}", reader)
 
 
-def write_page(town: Mapping[str, Any], out: Path, library: Library, tiles: bytes | None = None) -> None:
+def write_page(town: Mapping[str, Any], out: Path, library: Library, tiles: Sequence[bytes] = ()) -> None:
     """Write the page of a town, in one piece.
 
     Parameters
@@ -80,8 +80,8 @@ def write_page(town: Mapping[str, Any], out: Path, library: Library, tiles: byte
         The file.
     library : Library
         MapLibre GL JS.
-    tiles : bytes, optional
-        The outlines of a large town, as an archive of vector tiles (PMTiles).
+    tiles : sequence of bytes
+        The outlines of a large town as archives of vector tiles (PMTiles): from afar, and near. A small town has none.
 
     Raises
     ------
@@ -92,15 +92,17 @@ def write_page(town: Mapping[str, Any], out: Path, library: Library, tiles: byte
         temporary.write_text(page_of(town, library, tiles), encoding="utf-8", newline="\n")
 
 
-def page_of(town: Mapping[str, Any], library: Library, tiles: bytes | None = None) -> str:
+def page_of(town: Mapping[str, Any], library: Library, tiles: Sequence[bytes] = ()) -> str:
     """Return the page of a town; the same town gives the same text."""
     script = (_HERE / "page.js").read_text(encoding="utf-8")
     scripts = [_closed(library.script), _closed(script)]
     more = ""
-    if tiles is not None:
+    if tiles:
         scripts.append(_closed(library.reader))
-        packed = base64.b64encode(tiles).decode("ascii")
-        more = f'<script id="tiles" type="application/octet-stream">{packed}</script>\n<script>{scripts[2]}</script>\n'
+        for name, archive in zip(("far", "near"), tiles, strict=True):
+            packed = base64.b64encode(archive).decode("ascii")
+            more += f'<script id="{name}" type="application/octet-stream">{packed}</script>\n'
+        more += f"<script>{scripts[2]}</script>\n"
     values = {
         "title": html.escape(str(town["title"])),
         "policy": _policy(scripts),

@@ -8,11 +8,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-ZOOMS = (11, 15)
-"""Zooms of the tiles of a large town (ours): the first shows it whole, the last has steps of 15 cm at the equator."""
+from msbdb.io.vector import archive_of
+
+FAR, NEAR = (11, 14), (15, 15)
+"""Zooms of the tiles of a large town, from afar and near (ours): the first shows it whole, the last has steps of 15 cm
+at the equator. On zoom 14 a pixel is 2 to 5 m, and most parts are smaller; `page.js` has the same border."""
 
 STATES = ("confirmed", "unsure", "refuted")
 """The states of a building in the order of page.js."""
+
+
+def archives_of(features: gpd.GeoDataFrame, finest: int) -> list[bytes]:
+    """Return the tiles of a town as two archives (PMTiles): from afar, and near."""
+    return [archive_of(seen_from_afar(features, finest), "town", FAR), archive_of(features, "town", NEAR)]
 
 
 def town_features(rows: Mapping[str, Any], finest: int, geometry: NDArray[np.object_]) -> gpd.GeoDataFrame:
@@ -58,3 +66,26 @@ def town_features(rows: Mapping[str, Any], finest: int, geometry: NDArray[np.obj
             storeys=pd.to_numeric(every["storeys"]).fillna(-1).astype("int64"),
         ), geometry=geometry, crs=4326,
     )  # fmt: skip
+
+
+def seen_from_afar(features: gpd.GeoDataFrame, finest: int) -> gpd.GeoDataFrame:
+    """Return the features of a town for zooms on which its parts cannot be seen: buildings alone, whole on each scale.
+
+    Parameters
+    ----------
+    features : GeoDataFrame
+        Those of `town_features`.
+    finest : int
+        The last scale.
+
+    Returns
+    -------
+    GeoDataFrame
+        The buildings as they are for scale 0. Those with parts are there a second time, from the scale of their first
+        block on, with its number.
+    """
+    single = features[features["part"] == -1]
+    first = features[features["part"] != -1].sort_values(["low", "n"]).drop_duplicates("row").sort_values("row")
+    whole = single.set_index("row").loc[first["row"]]
+    first = first.assign(high=finest, height=whole["height"].to_numpy(), geometry=whole.geometry.to_numpy())
+    return gpd.GeoDataFrame(pd.concat([single, first], ignore_index=True), crs=features.crs)

@@ -27,7 +27,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError
 from support.browser import PATIENCE_MS, browser
 from support.processes import environment
-from support.qgis import opened_by_qgis
+from support.qgis import opened_by_qgis, painted_by_qgis
 from support.towns import EPSG, ROW, SOUTH, WEST, town_build
 
 from msbdb import api
@@ -164,6 +164,21 @@ def test_qgis_reads_every_collection(place):
     assert current["crs"] == "EPSG:4326"
     fields = ("uid", "storeys", "h_max", "valid_from", "state")
     assert [current["fields"][name] for name in fields] == ["String", "Integer", "Real", "Date", "String"]
+
+
+def test_qgis_draws_the_tiles(place):
+    """A map by QGIS's vector tile layer has colour where the buildings are, and nowhere else."""
+    to_map = Transformer.from_crs(EPSG, 3857, always_xy=True).transform
+    shapes = [shapely.from_wkb(bytes(row["wkb"])) for row in rows_of(place, "footprint_current").values()]
+    town = shapely.transform(shapely.union_all(shapes), to_map, interleaved=False)
+    west, south, _, north = town.bounds
+    with started(place) as address:
+        tiles = f"{address}/collections/footprint_current/tiles/WebMercatorQuad/{{z}}/{{y}}/{{x}}"
+        first, last, share = painted_by_qgis(tiles, (west, south, west + (north - south), north))
+        assert painted_by_qgis(tiles, (west, north + 50, west + 200, north + 250)) == (12, 22, 0)
+    window = shapely.box(west, south, west + (north - south), north)
+    assert (first, last) == (12, 22)
+    assert share == pytest.approx(town.intersection(window).area / window.area, abs=0.02)
 
 
 def test_each_collection_has_the_rows_of_its_layer(client, place):

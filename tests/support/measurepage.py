@@ -1,12 +1,12 @@
-"""Measure the page of a large simulated town: how long it takes to write and to open, and its size.
+"""Measure the page of a large simulated town: how long it takes to open, and its size.
 
-A district of 100 houses, built by the real stages, is repeated until the town has as many buildings as asked. Chromium
-opens the page without a graphics card (SwiftShader), once from the disk; WebGL on a card is much faster.
+A district of 100 houses is built by the real stages. What its page holds is repeated until the town has as many
+buildings as asked. Chromium opens the page from the disk without a graphics card (SwiftShader); with one it is faster.
 
 Examples
 --------
     python tests/support/measurepage.py                          10,000 buildings
-    python tests/support/measurepage.py --buildings 30000 --picture town.png
+    python tests/support/measurepage.py --buildings 100000 --picture town.png
 """
 
 import argparse
@@ -15,28 +15,32 @@ import math
 import sys
 import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
+import psutil
 import shapely
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from msbdb import api  # noqa: E402
 from msbdb.database import open_database, write_build  # noqa: E402
-from msbdb.kept import KeptRun, Rasters  # noqa: E402
+from msbdb.kept import KeptRun  # noqa: E402
+from msbdb.run import page as made  # noqa: E402
+from msbdb.view.page import DEGREE, read_library, write_page  # noqa: E402
 from support.browser import PATIENCE_MS, browser  # noqa: E402  (the tests' own folder)
 from support.towns import EPSG, House, town_build  # noqa: E402
 
 SIDE, PITCH_M = 10, 24.0
 """Houses a side of a district, and the distance from one to the next."""
 
-IDS = ("part_id", "supid", "root_id", "building_id")
-ACROSS, ALONG = ("xo", "xcen", "xin"), ("yo", "ycen", "yin")
+STEP = (30_000, 23_000)
+"""From one district to the next, to the east and to the north: 240 m and some more, in steps of 10⁻⁷ degrees."""
 
 
 def district() -> KeptRun:
@@ -55,76 +59,125 @@ def district() -> KeptRun:
     return town_build("simulated", "2024-05-01", houses, bounds=(0.0, 0.0, side, side))
 
 
-def repeated(made: KeptRun, across: int, along: int) -> KeptRun:
-    """Return a town of as many districts side by side, each with ids of its own."""
-    side = SIDE * PITCH_M
-    frames = dict(made.frames)
-    for name in ("part", "building"):
-        copies = []
-        for n in range(across * along):
-            own, dx, dy = made.frames[name].copy(), side * (n % across), side * (n // across)
-            for column in set(IDS) & set(own):
-                own[column] = own[column].where(own[column] == 0, own[column] + n)
-            for columns, step in ((ACROSS, dx), (ALONG, dy)):
-                for column in set(columns) & set(own):
-                    own[column] += step
-            copies.append(
-                own.set_geometry(shapely.transform(own.geometry.array, lambda xy, d=(dx, dy): xy + d), crs=EPSG)
-            )
-        frames[name] = pd.concat(copies, ignore_index=True).sort_values(f"{name}_id", ignore_index=True)
-    west, south, _, _ = made.survey.bounds
-    survey = replace(made.survey, bounds=(west, south, west + side * across, south + side * along))
-    own = made.rasters
+def page_values(folder: Path, *, tiled: bool) -> tuple[dict[str, Any], gpd.GeoDataFrame | None]:
+    """Return what the page of one district holds; with tiles its outlines are a frame."""
+    engine = open_database(folder / "district.sqlite", create=True, srid=EPSG)
+    write_build(engine, district())
+    with patch.object(made, "FEW_PARTS", 0 if tiled else made.MOST_PARTS):
+        town = made.town_of(folder / "district.sqlite", engine, made.choose(engine, None))
+    engine.dispose()
+    return town, town.pop("outlines", None)
 
-    def tiled(values: Any) -> Any:
-        cells = round(side / made.survey.cell_m)
-        return np.tile(values[-cells:, :cells], (along, across))
 
-    rasters = Rasters(tiled(own.heights_cm), tiled(own.valid), tiled(own.structure))
-    return replace(made, survey=survey, frames=frames, rasters=rasters)
+def repeated(town: dict[str, Any], across: int, along: int) -> dict[str, Any]:
+    """Return a town of as many districts side by side, each with ids and numbers of its own."""
+    buildings, parts, blocks = town["buildings"], town["parts"], town["blocks"]
+    places = [(n, STEP[0] * (n % across), STEP[1] * (n // across)) for n in range(across * along)]
+
+    def each(rows: list[Any], change: Callable[[Any, int, int, int], Any] = lambda own, *_: own) -> list[Any]:
+        return [change(own, *place) for place in places for own in rows]
+
+    def number(count: int) -> Callable[[int, int, int, int], int]:
+        return lambda own, n, *_: own if own < 0 else own + n * count
+
+    def moved(shape: list[Any], _: int, dx: int, dy: int) -> list[Any]:
+        return [[[ring[0] + dx, ring[1] + dy, *ring[2:]] for ring in polygon] for polygon in shape]
+
+    ways: dict[str, Callable[..., Any]] = {
+        "id": lambda own, n, *_: str(int(own) + n),
+        "shape": moved,
+        "box": lambda own, _, dx, dy: [own[0] + dx, own[1] + dy, own[2] + dx, own[3] + dy],
+        "building": number(len(buildings["id"])),
+        "father": number(len(parts["id"])),
+        "part": number(len(parts["id"])),
+    }
+    large = [
+        {name: each(rows, *filter(None, [ways.get(name)])) for name, rows in table.items() if isinstance(rows, list)}
+        for table in (buildings, parts, blocks)
+    ]
+    for group in ("values", "shares"):
+        large[0][group] = {name: each(rows) for name, rows in buildings[group].items()}
+    west, south = np.min(town["place"]["corners"], axis=0).tolist()
+    corners = [[west + (x - west) * across, south + (y - south) * along] for x, y in town["place"]["corners"]]
+    return town | {
+        "buildings": large[0], "parts": large[1], "blocks": large[2], "place": town["place"] | {"corners": corners}
+    }  # fmt: skip
+
+
+def repeated_outlines(town: dict[str, Any], outlines: gpd.GeoDataFrame, across: int, along: int) -> gpd.GeoDataFrame:
+    """Return the outlines of `repeated`, of which ``town`` is one district."""
+    rows, parts, blocks = (
+        len(town[name][key]) for name, key in (("buildings", "id"), ("parts", "id"), ("blocks", "part"))
+    )
+    districts = across * along
+    frames = []
+    for n in range(districts):
+        move = np.array([STEP[0] * (n % across), STEP[1] * (n // across)]) / DEGREE
+        number = outlines["n"].to_numpy()
+        single = number < rows
+        frames.append(outlines.assign(
+            n=number + np.where(single, n * rows, (districts - 1) * rows + n * blocks), row=outlines["row"] + n * rows,
+            part=np.where(single, -1, outlines["part"] + n * parts),
+            geometry=shapely.transform(outlines.geometry.to_numpy(), lambda xy, move=move: xy + move),
+        ))  # fmt: skip
+    return gpd.GeoDataFrame(pd.concat(frames, ignore_index=True).sort_values("n", ignore_index=True), crs=outlines.crs)
+
+
+def processor_s() -> float:
+    """Return the processor seconds of the programs that this one started, the browser among them."""
+    own = psutil.Process()
+    return sum(sum(child.cpu_times()[:2]) for child in own.children(recursive=True))
 
 
 def opened(page: Path, picture: Path | None) -> dict[str, float]:
-    """Open the page, and return the milliseconds until it could be used."""
+    """Open the page, and return the seconds until it could be used, and those of the processor."""
     with browser() as chromium:
         sheet = chromium.new_page(viewport={"width": 1200, "height": 800})
         sheet.set_default_timeout(PATIENCE_MS * 3)
         complaints: list[str] = []
         sheet.on("console", lambda message: complaints.append(message.text))
         sheet.on("pageerror", lambda error: complaints.append(str(error)))
-        begin = time.perf_counter()
+        begin = processor_s()
         sheet.goto(page.as_uri())
         sheet.wait_for_selector("html[data-ready]")
         ready = float(sheet.evaluate("document.documentElement.dataset.ready")) / 1000
-        seconds = time.perf_counter() - begin
+        spent = processor_s() - begin
         if picture:
             sheet.screenshot(path=picture)
         if complaints:
             sys.stderr.write(f"{complaints}\n")
-        return {"ready_s": ready, "with_the_browser_s": round(seconds, 1)}
+        return {"ready_s": ready, "ready_cpu_s": round(spent, 1)}
 
 
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--buildings", type=int, default=10_000)
-    parser.add_argument("--keep", type=Path, help="a folder for the database and the page")
+    parser.add_argument("--keep", type=Path, help="a folder for the page")
     parser.add_argument("--picture", type=Path)
     asked = parser.parse_args()
     across = round(math.sqrt(asked.buildings / SIDE**2))
     along = -(-asked.buildings // (SIDE**2 * across))
     with tempfile.TemporaryDirectory() as name:
-        folder = asked.keep or Path(name)
-        folder.mkdir(exist_ok=True)
-        place, page = folder / f"town{asked.buildings}.sqlite", folder / f"town{asked.buildings}.html"
-        if not place.exists():
-            engine = open_database(place, create=True, srid=EPSG)
-            write_build(engine, repeated(district(), across, along))
-            engine.dispose()
+        town, outlines = page_values(Path(name), tiled=False)
+        rows = (len(town["buildings"]["id"]) + len(town["parts"]["id"])) * across * along
+        if rows > made.FEW_PARTS:
+            (Path(name) / "district.sqlite").unlink()
+            town, outlines = page_values(Path(name), tiled=True)
         begin = time.process_time()
-        api.view(place, page, overwrite=True)
-        found = {"buildings": asked.buildings, "written_cpu_s": round(time.process_time() - begin, 1)}
-        found |= {path.name: round(path.stat().st_size / 1e6, 1) for path in folder.glob(f"{page.stem}*")}
+        archives = (
+            ()
+            if outlines is None
+            else made.archives_of(repeated_outlines(town, outlines, across, along), len(town["scales"]))
+        )
+        found = {
+            "buildings": SIDE**2 * across * along,
+            "rows": rows,
+            "tiles_cpu_s": round(time.process_time() - begin, 1),
+        }
+        page = (asked.keep or Path(name)) / f"town{asked.buildings}.html"
+        write_page(repeated(town, across, along), page, read_library(), archives)
+        found["page_mb"] = round(page.stat().st_size / 1e6, 1)
         sys.stdout.write(f"{json.dumps(found | opened(page, asked.picture))}\n")
 
 

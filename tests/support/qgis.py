@@ -29,12 +29,7 @@ def opened_by_qgis(*targets: object, known: str = "") -> list[dict[str, dict[str
     The test is skipped where QGIS is not installed, and fails where QGIS complains or something is wrong. Lines of its
     log with the words ``known`` are let pass.
     """
-    if not is_installed():
-        pytest.skip("QGIS is not installed (apt-get install python3-qgis qgis-providers)")
-    with tempfile.TemporaryDirectory() as home:
-        environment = {"QT_QPA_PLATFORM": "offscreen", "HOME": home, "PATH": "/usr/bin:/bin"}
-        words = [PYTHON, "-B", str(ROOT / "scripts" / "check_qgis"), *map(str, targets), "--json"]
-        done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+    done = _run_by_qgis(ROOT / "scripts" / "check_qgis", *targets, "--json")
     assert done.stdout, done.stderr
     found = {target: {row["layer"]: row for row in rows} for target, rows in json.loads(done.stdout).items()}
     wrong = {name: row["faults"] for rows in found.values() for name, row in rows.items() if row["faults"]}
@@ -43,3 +38,29 @@ def opened_by_qgis(*targets: object, known: str = "") -> list[dict[str, dict[str
     log = [line for line in done.stderr.splitlines() if not known or known not in line]
     assert "warning" not in "".join(log).lower(), log
     return list(found.values())
+
+
+def painted_by_qgis(tiles: str, bounds: tuple[float, float, float, float]) -> tuple[int, int, float]:
+    """Return first and last zoom of a layer of vector tiles, and the share of a map that QGIS paints with it.
+
+    Parameters
+    ----------
+    tiles : str
+        The address of a tile, with {z}, {y} and {x}.
+    bounds : tuple of float
+        West, south, east and north of the map, EPSG:3857.
+    """
+    done = _run_by_qgis(Path(__file__).parent / "qgistiles.py", tiles, *bounds)
+    assert done.returncode == 0, done.stderr
+    first, last, share = done.stdout.split()
+    return int(first), int(last), float(share)
+
+
+def _run_by_qgis(script: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run a script by the Python that has QGIS, without a screen; skip the test without it."""
+    if not is_installed():
+        pytest.skip("QGIS is not installed (apt-get install python3-qgis qgis-providers)")
+    with tempfile.TemporaryDirectory() as home:
+        environment = {"QT_QPA_PLATFORM": "offscreen", "HOME": home, "PATH": "/usr/bin:/bin"}
+        command = [PYTHON, "-I", "-B", str(script), *map(str, words)]
+        return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)

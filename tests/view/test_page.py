@@ -163,16 +163,15 @@ def test_a_town_that_is_too_large_is_refused(town, tmp_path, library, monkeypatc
 
 
 def test_a_large_town_has_its_outlines_in_tiles(town, tmp_path, library, monkeypatch):
-    """The archive has each building and block once, with the values and the place that a small page has."""
+    """Near, the archive has each building and block once, with the values and the place that a small page has."""
     _, small = view(town, tmp_path / "small.html")
     monkeypatch.setattr(made, "FEW_PARTS", 10)
     text, data = view(town, tmp_path / "town.html")
     scripts = parsed(text).scripts
-    assert len(scripts) == 5
+    assert len(scripts) == 6
     policy = next(attrs["content"] for _, attrs in parsed(text).tags if attrs.get("http-equiv"))
-    assert base64.b64encode(hashlib.sha256(scripts[2].encode()).digest()).decode() in policy
-    (tmp_path / "town.pmtiles").write_bytes(base64.b64decode(scripts[1]))
-    found = gpd.read_file(tmp_path / "town.pmtiles", ZOOM_LEVEL="15").to_crs(4326)
+    assert base64.b64encode(hashlib.sha256(scripts[3].encode()).digest()).decode() in policy
+    found = tiles_in(scripts[2], tmp_path, 15)
     rows, blocks = len(small["buildings"]["id"]), small["blocks"]
     assert {*found["n"]} == set(range(rows + len(blocks["part"])))
     assert ("shape" in data["buildings"], "shape" in data["blocks"]) == (False, False)
@@ -197,6 +196,32 @@ def test_a_large_town_has_its_outlines_in_tiles(town, tmp_path, library, monkeyp
             assert [own[name] for name in ("scale", "kind", "storeys")] == [
                 small["parts"][name][part] for name in ("scale", "kind", "storeys")
             ]
+
+
+def test_from_afar_a_large_town_has_its_buildings_alone(town, tmp_path, library, monkeypatch):
+    """Each is there for scale 0, and once more from the scale of its first block to the finest, with its own height."""
+    _, small = view(town, tmp_path / "small.html")
+    monkeypatch.setattr(made, "FEW_PARTS", 10)
+    text, _ = view(town, tmp_path / "town.html")
+    found = tiles_in(parsed(text).scripts[1], tmp_path, 14)
+    rows, finest = len(small["buildings"]["id"]), len(small["scales"])
+    single, others = found[found["n"] < rows], found[found["n"] >= rows].set_index("row")
+    assert {*single["n"]} == {*others.index} == set(range(rows))
+    assert len(found) == 2 * rows
+    fathers, scales = small["parts"]["father"], small["parts"]["scale"]
+    for own in single.to_dict("records"):
+        second = others.loc[own["row"]]
+        assert (own["part"], own["low"], own["high"], second["high"]) == (-1, 0, 0, finest)
+        assert (fathers[second["part"]], scales[second["part"]]) == (-1, second["low"])
+        assert small["blocks"]["part"][second["n"] - rows] == second["part"]
+        assert second["height"] == own["height"] == small["buildings"]["height"][own["row"]] / 100
+        assert second["geometry"].equals(own["geometry"])
+
+
+def tiles_in(script, folder, zoom):
+    """Return the features that an archive in a page has on one zoom, in degrees."""
+    (folder / "town.pmtiles").write_bytes(base64.b64decode(script))
+    return gpd.read_file(folder / "town.pmtiles", ZOOM_LEVEL=str(zoom)).to_crs(4326)
 
 
 def test_the_page_has_what_the_database_has(town, tmp_path, library):

@@ -137,6 +137,22 @@ def test_a_building_is_found_by_its_id_and_by_the_keyboard(opened):
     assert until(lambda: f"id={key}" in address_of(opened))
 
 
+def test_a_building_is_seen_and_found_from_afar(chromium, opened, address):
+    """Where a pixel is several metres, the middle of the map still is the building that a search went to."""
+    key = opened.evaluate("JSON.parse(document.getElementById('town').textContent).buildings.id.at(-2)")
+    opened.locator("#query").fill(key)
+    opened.keyboard.press("Enter")
+    opened.wait_for_timeout(1500)  # the camera moves there
+    place = "+".join(f"{number:.6f}" for number in centre(address_of(opened)))
+    page = chromium.new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(f"{address}#at={place}+13.20+0+0")
+    page.wait_for_selector("html[data-ready]")
+    middle(page)
+    assert page.locator("#details-title").text_content() == f"Building {key}"
+    page.close()
+
+
 def test_a_click_beside_the_buildings_gives_the_place(opened):
     """Without a building the page has the coordinates, and the command that explains them."""
     opened.mouse.click(640, 40)
