@@ -109,8 +109,8 @@ def insert_digested(
     stored: dict[str, Sequence[Any]] = dict(zip(names, zip(*rows, strict=True), strict=True))
     if shapes is not None:
         names.append("geometry")
-        plain = [(*row, wkb) for row, wkb in zip(rows, shapely.to_wkb(shapes), strict=True)]
-        stored["geometry"] = dialect.encode(shapes, srid)
+        stored["geometry"] = shapely.to_wkb(shapes, byte_order=1)
+        plain = [(*row, wkb) for row, wkb in zip(rows, stored["geometry"], strict=True)]
     stored[COLUMN] = digests(table, [(name, types[name]) for name in names], plain)
     dialect.insert_rows(connection, table, stored, srid)
 
