@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msbdb.errors import FileError, MissingDependencyError, ParameterError
+from msbdb.errors import FileError, MissingDependencyError, ParameterError, TilesError
 from msbdb.scale.tilework import Outcome, TileTask, work
 
 if TYPE_CHECKING:
@@ -24,6 +24,11 @@ AHEAD = 2
 
 TIMEOUT_S = 20.0
 """Seconds to wait for a scheduler."""
+
+LOST = (
+    "The scheduler of the cluster is lost. The tiles that are done wait. Start a cluster again, and repeat the command "
+    "with --resume."
+)
 
 MISSING = 'A build by workers needs dask.distributed, which is not installed. Install it: pip install "msbdb[cluster]".'
 
@@ -87,6 +92,27 @@ def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = 
         yield client
 
 
+@contextmanager
+def _losing(client: "Client") -> Iterator[None]:
+    """Name the loss of the scheduler, which shows in many ways: tiles are cancelled, or its answers lack something.
+
+    Raises
+    ------
+    TilesError
+        When the scheduler is lost while the block runs.
+    """
+    from distributed import CancelledError
+
+    try:
+        yield
+    except CancelledError as lost:
+        raise TilesError(LOST) from lost
+    except Exception as lost:
+        if client.status == "running":
+            raise
+        raise TilesError(LOST) from lost
+
+
 def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:
     """Have a cluster build tiles, and yield what became of each as it ends.
 
@@ -98,19 +124,26 @@ def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTa
         The tiles in order.
     begin : callable
         Called when a tile is given to the cluster.
+
+    Raises
+    ------
+    TilesError
+        When the scheduler is lost.
     """
     from distributed import as_completed
 
     waiting = list(reversed(tasks))
     running = {}
-    room = AHEAD * max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
+    with _losing(client):
+        room = AHEAD * max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
     completed = as_completed(loop=client.loop)
 
     def give() -> None:
         task = waiting.pop()
         begin(task)
         key = f"msbdb-{task.status.survey}-{task.tile}-{os.getpid()}"
-        future = client.submit(work, task, key=key, pure=False, retries=RETRIES)
+        with _losing(client):
+            future = client.submit(work, task, key=key, pure=False, retries=RETRIES)
         running[future.key] = task
         completed.add(future)
 
@@ -118,11 +151,10 @@ def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTa
         give()
     for future in completed:
         task = running.pop(future.key)
-        error = future.exception()
-        if error is None:
-            yield task, future.result(), ""
-        else:
-            yield task, None, f"{type(error).__name__}: {error}"
+        with _losing(client):
+            error = future.exception()
+            summary = None if error is not None else future.result()
+        yield task, summary, "" if error is None else f"{type(error).__name__}: {error}"
         future.release()
         if waiting:
             give()

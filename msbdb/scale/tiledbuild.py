@@ -1,6 +1,7 @@
 """A build in tiles: the plan first, then every tile by itself, then one run of all of them in the database."""
 
 import hashlib
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -152,7 +153,8 @@ class TiledBuild:
             if box[0] <= east and box[2] >= west and box[1] <= north and box[3] >= south
         )
         job = replace(self.job, inputs=replace(inputs, points=near), plan=self.plan)
-        return TileTask(tile, job, self.plan, self.survey, HALO_M, MOST_HALO_M, self.queued(tile), self.place)
+        wide, status = (HALO_M, MOST_HALO_M), self.queued(tile)
+        return TileTask(tile, job, self.plan, self.survey, *wide, status, self.place, self.build)
 
     def results(self, engine: Engine) -> Iterator[Result]:
         """Yield the results of all tiles in order, one in memory at a time, without those that have no points."""
@@ -182,10 +184,9 @@ class TiledBuild:
     def clear(self) -> None:
         """Take the files of results away, once they are merged."""
         if self.is_file:
-            for tile in self.tiles:
-                result_file(self.place, tile).unlink(missing_ok=True)
+            # Also what a worker that was killed began to write.
+            shutil.rmtree(self.place, ignore_errors=True)
             with suppress(OSError):
-                Path(self.place).rmdir()
                 Path(self.place).parent.rmdir()
 
 
@@ -305,13 +306,8 @@ def build_tiles(
         # The results go when they are merged.
         if len(done) < len(build.tiles) or there:
             with stages.stage("tiles"):
-                _run(
-                    build,
-                    [tile for tile in build.tiles if tile not in done or tile not in there],
-                    runner,
-                    stages,
-                    notices,
-                )
+                waiting = [tile for tile in build.tiles if tile not in done or tile not in there]
+                _run(build, waiting, runner, stages, notices)
             with stages.stage("write"):
                 merged = _merge(build, engine, stages, notices, basis)
         build.clear()

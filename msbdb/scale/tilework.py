@@ -10,7 +10,7 @@ from pathlib import Path
 import geopandas as gpd
 from pyproj import CRS
 
-from msbdb.database import TileStatus, note_tile
+from msbdb.database import TileStatus, note_result
 from msbdb.errors import NodataError, collected_notices
 from msbdb.grid import Bounds
 from msbdb.io.vector import Area
@@ -46,6 +46,8 @@ class TileTask:
         As it is queued.
     place : str
         A folder for the result, or the URL of a server that keeps it.
+    build : str
+        Digest of the build that it belongs to.
     """
 
     tile: Tile
@@ -56,6 +58,7 @@ class TileTask:
     most_m: float
     status: TileStatus
     place: str
+    build: str
 
     @property
     def is_file(self) -> bool:
@@ -109,7 +112,7 @@ def work(task: TileTask) -> TileSummary:
     if task.is_file:
         put_file(result_file(task.place, task.tile), content)
     else:
-        note_tile(task.place, status, content)
+        note_result(task.place, status, content, task.build)
     return TileSummary(status, tuple(str(notice) for notice in notices))
 
 

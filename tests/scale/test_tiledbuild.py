@@ -1,9 +1,11 @@
 """A build in tiles: the content of the build of the whole, in any order, after failures, crashes and resumption."""
 
+import errno
 import json
 import random
 import subprocess
 import sys
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -15,7 +17,18 @@ from support.tiledtown import KILLED, TILE_M, town, write_town
 
 import msbdb
 from msbdb.cli.main import cli
-from msbdb.database import canonical_dump, check_database, open_database, opened, read_buildings, read_run
+from msbdb.database import (
+    TileStatus,
+    begin_tiles,
+    canonical_dump,
+    check_database,
+    note_result,
+    open_database,
+    opened,
+    read_buildings,
+    read_result,
+    read_run,
+)
 from msbdb.errors import InputError, ParameterError, TilesError
 from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
@@ -157,6 +170,76 @@ def test_a_failed_tile_is_named_and_the_others_complete(files, quick, tmp_path, 
     assert lines(db) == lines(quick)
     listed = json.loads(CliRunner().invoke(cli, ["tiles", str(db), "--json"]).stdout)
     assert [tile["state"] for tile in listed] == ["done"] * 4
+
+
+def test_a_file_that_vanishes_leaves_the_other_tiles(files, tmp_path, monkeypatch):
+    """The tiles that do not need it are done; when it is back, the repetition ends in the undisturbed dump."""
+    own = [tmp_path / path.name for path in files]
+    for path, kept in zip(own, files, strict=True):
+        path.write_bytes(kept.read_bytes())
+    original = tilework.find_buildings
+
+    def loses(job, stages, plan, window):
+        own[1].unlink(missing_ok=True)
+        return original(job, stages, plan, window)
+
+    monkeypatch.setattr(tilework, "find_buildings", loses)
+    # Tiles of the west do not see the eastern file.
+    monkeypatch.setattr(tiledbuild, "HALO_M", 5.0)
+    monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 5.0)
+    given = {"survey": "town", "extract": "multiscale", "tile": 50}
+    db = tmp_path / "town.sqlite"
+    with pytest.raises(TilesError, match=r"e\.laz.*--resume"):
+        msbdb.build(own, db=db, **given)
+    states = {tile.state for tile in msbdb.tiles(db)}
+    assert states == {"done", "failed"}
+    own[1].write_bytes(files[1].read_bytes())
+    monkeypatch.setattr(tilework, "find_buildings", original)
+    msbdb.build(own, db=db, **given, resume=True)
+    undisturbed = tmp_path / "undisturbed.sqlite"
+    msbdb.build(own, db=undisturbed, **given)
+    assert lines(db) == lines(undisturbed)
+
+
+def test_a_full_disk_leaves_the_other_tiles(files, quick, tmp_path, monkeypatch):
+    """What could not be written is named, and nothing half is left; with room again the dump is the undisturbed one."""
+    original, calls = tilework.Path.write_bytes, []
+
+    def full(path, content):
+        if path.name.endswith(".partial"):
+            calls.append(path)
+            if len(calls) == 2:
+                original(path, content[:100])
+                raise OSError(errno.ENOSPC, "No space left on device")
+        return original(path, content)
+
+    monkeypatch.setattr(tilework.Path, "write_bytes", full)
+    db = tmp_path / "town.sqlite"
+    given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
+    with pytest.raises(TilesError, match=r"1 tile of 4.*No space left on device.*--resume"):
+        msbdb.build(files, **given)
+    assert [tile.state for tile in msbdb.tiles(db)].count("done") == 3
+    assert not list(tmp_path.rglob("*.partial"))
+    # A worker that is killed while it writes cannot clear up.
+    calls[0].write_bytes(b"half")
+    msbdb.build(files, **given, resume=True)
+    assert lines(db) == lines(quick)
+    assert [path.name for path in tmp_path.iterdir()] == ["town.sqlite"]
+
+
+def test_a_late_result_is_left_out(tmp_path):
+    """A worker may outlive its command: results of another build, or of a tile that is done, change nothing."""
+    db = str(tmp_path / "town.sqlite")
+    status = TileStatus("town", 0, 0, 0.0, 0.0, 60.0, 60.0)
+    begin_tiles(db, [status], "new", epsg=25833, crs_wkt="", resume=False)
+    done = replace(status, state="done", points=1)
+    note_result(db, done, b"old", "former")
+    assert [tile.state for tile in msbdb.tiles(db)] == ["queued"]
+    note_result(db, done, b"own", "new")
+    note_result(db, replace(done, points=2), b"late", "new")
+    assert [(tile.state, tile.points) for tile in msbdb.tiles(db)] == [("done", 1)]
+    with opened(db) as engine:
+        assert read_result(engine, "town", (0, 0)) == b"own"
 
 
 def test_the_same_again_changes_nothing(files, quick, tmp_path, monkeypatch):
