@@ -202,7 +202,6 @@ def _boxes(job: Job) -> tuple[Bounds, ...]:
     inputs = job.inputs
     for given, words in (
         (not inputs.points, "rasters of heights: give points"),
-        (inputs.parcels is not None, "parcels"),
         (job.denoising_figure is not None, "a picture of the denoising"),
     ):
         if given:

@@ -11,7 +11,10 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from affine import Affine
 from click.testing import CliRunner
+from simulated.files import write_heights
+from simulated.scenes import DATUM_M
 from support.processes import environment
 from support.tiledtown import KILLED, TILE_M, town, write_town
 
@@ -30,6 +33,7 @@ from msbdb.database import (
     read_run,
 )
 from msbdb.errors import InputError, ParameterError, TilesError
+from msbdb.grid import Grid, GridSpec
 from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
 
@@ -312,6 +316,22 @@ def test_an_area_of_interest_is_cut_in_tiles(files, tmp_path):
     assert all(tile.points for tile in msbdb.tiles(tmp_path / "tiles.sqlite"))
 
 
+def test_parcels_and_a_terrain_are_cut_in_tiles(files, tmp_path):
+    """They divide houses and give the ground as in one piece; no parcel lies in most windows."""
+    crs, corner = town().points.crs, (389_040.0, 5_821_020.0)
+    halves = [shapely.box(corner[0] + x, corner[1] + 40, corner[0] + x + 17, corner[1] + 80) for x in (44, 61)]
+    gpd.GeoDataFrame(geometry=halves, crs=crs).to_crs("EPSG:4326").to_file(tmp_path / "parcels.geojson")
+    spec = GridSpec((300, 300), Affine(1.0, 0, corner[0] - 90, 0, -1.0, corner[1] + 210), crs)
+    ground = np.fromfunction(lambda row, col: DATUM_M + (row - col) / 500, spec.shape).astype(np.float32)
+    dtm = write_heights(tmp_path / "dtm.tif", Grid(ground, np.ones(spec.shape, bool), spec))
+    given = {"survey": "town", "parcels": tmp_path / "parcels.geojson", "dtm": dtm}
+    msbdb.build(files, db=tmp_path / "one.sqlite", **given)
+    msbdb.build(files, db=tmp_path / "tiles.sqlite", **given, tile=TILE_M)
+    with msbdb.open(tmp_path / "tiles.sqlite") as found:
+        assert "parcel" in set(found.buildings()["divided_by"])
+    assert without_counts(lines(tmp_path / "tiles.sqlite")) == without_counts(lines(tmp_path / "one.sqlite"))
+
+
 def test_a_build_in_one_piece_takes_the_place_of_tiles(files, quick, tmp_path):
     """The rows of the tiles go with them; the content stays but for the counts."""
     db = tmp_path / "town.sqlite"
@@ -333,18 +353,14 @@ def test_classes_of_a_survey_in_tiles_are_labelled_again(quick, tmp_path):
     ("given", "error", "words"),
     [
         ({"tile": 20}, ParameterError, "at least 50 m"),
-        ({"tile": 60, "parcels": "w"}, InputError, "does not take parcels"),
+        ({"tile": 60, "denoising_figure": "figure.png"}, InputError, "does not take a picture"),
         ({"workers": 2}, ParameterError, "Add --tile"),
         ({"resume": True}, ParameterError, "Add --tile"),
     ],
 )
 def test_what_cannot_be_cut_is_refused(files, tmp_path, given, error, words):
     """The message says what to leave out; no database is made."""
-    if "parcels" in given:
-        file = tmp_path / "parcels.geojson"
-        box = shapely.box(389_050.0, 5_821_030.0, 389_070.0, 5_821_050.0)
-        gpd.GeoDataFrame(geometry=[box], crs=town().points.crs).to_file(file)
-        given = {**given, "parcels": file}
+    given = {name: tmp_path / value if name == "denoising_figure" else value for name, value in given.items()}
     with pytest.raises(error, match=words):
         msbdb.build(files, db=tmp_path / "town.sqlite", **given)
     assert not (tmp_path / "town.sqlite").exists()
