@@ -5,6 +5,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -74,21 +75,20 @@ def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = 
     if workers is None or workers < 1:
         msg = f"A build needs one worker or more; got {workers}. Give --workers 2 for instance."
         raise ParameterError(msg)
-    shown = logger.isEnabledFor(logging.INFO)
     with (
         LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=processes,
             host="127.0.0.1" if processes else None,
-            dashboard_address="127.0.0.1:0" if shown else None,
+            # Any free port: without an address dask takes 8787, which another cluster may have.
+            dashboard_address="127.0.0.1:0",
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
-        if shown:
-            logger.info("Dashboard of the cluster: %s", client.dashboard_link)
+        logger.info("Dashboard of the cluster: %s", client.dashboard_link)
         yield client
 
 
@@ -113,7 +113,9 @@ def _losing(client: "Client") -> Iterator[None]:
         raise TilesError(LOST) from lost
 
 
-def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:
+def work_on(
+    client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTask], None], share: int | None = None
+) -> Iterator[Outcome]:
     """Have a cluster build tiles, and yield what became of each as it ends.
 
     Parameters
@@ -124,6 +126,8 @@ def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTa
         The tiles in order.
     begin : callable
         Called when a tile is given to the cluster.
+    share : int, optional
+        Cores of each worker; by default as many as it has threads.
 
     Raises
     ------
@@ -135,7 +139,10 @@ def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTa
     waiting = list(reversed(tasks))
     running = {}
     with _losing(client):
-        room = AHEAD * max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+    room = AHEAD * max(len(workers), 1)
+    if share is None:
+        share = min((worker["nthreads"] for worker in workers.values()), default=None)
     completed = as_completed(loop=client.loop)
 
     def give() -> None:
@@ -143,7 +150,7 @@ def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTa
         begin(task)
         key = f"msbdb-{task.status.survey}-{task.tile}-{os.getpid()}"
         with _losing(client):
-            future = client.submit(work, task, key=key, pure=False, retries=RETRIES)
+            future = client.submit(work, replace(task, cores=share), key=key, pure=False, retries=RETRIES)
         running[future.key] = task
         completed.add(future)
 

@@ -49,6 +49,7 @@ from msbdb.scale.tilework import Outcome, TileTask, one_by_one, result_file
 from msbdb.scale.tiling import HALO_M, Tile, tiles_over
 from msbdb.surveyplan import Plan
 from msbdb.tables import BUILDING, Reason
+from msbdb.threads import cores
 from msbdb.version import __version__
 
 MOST_HALO_M = 250.0
@@ -241,7 +242,8 @@ def build_with(
     from msbdb.scale.cluster import cluster_of, work_on
 
     with cluster_of(workers, scheduler) as client:
-        runner = partial(work_on, client)
+        # Workers of this machine share its cores.
+        runner = partial(work_on, client, share=None if scheduler or not workers else cores() // workers)
         return build_tiles(job, target, side_m, stages, notices, runner=runner, resume=resume, basis=basis)
 
 

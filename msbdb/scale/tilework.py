@@ -21,7 +21,7 @@ from msbdb.scale.tileresults import packed
 from msbdb.scale.tiling import STEP_M, Tile, cut_islands
 from msbdb.surveyplan import Plan
 from msbdb.tables import Reason
-from msbdb.threads import memory_reused
+from msbdb.threads import alone_on, memory_reused
 
 logger = logging.getLogger(__name__)
 
@@ -48,6 +48,8 @@ class TileTask:
         A folder for the result, or the URL of a server that keeps it.
     build : str
         Digest of the build that it belongs to.
+    cores : int, optional
+        Cores of the machine that are the worker's; by default all.
     """
 
     tile: Tile
@@ -59,6 +61,7 @@ class TileTask:
     status: TileStatus
     place: str
     build: str
+    cores: int | None = None
 
     @property
     def is_file(self) -> bool:
@@ -81,6 +84,8 @@ Outcome = tuple[TileTask, TileSummary | None, str]
 def work(task: TileTask) -> TileSummary:
     """Build a tile, and put its result in its place; a repetition puts the same there.
 
+    A worker with several threads builds one tile at a time, which all of them share: memory is bounded by the tile.
+
     Raises
     ------
     MsbdbError
@@ -88,7 +93,7 @@ def work(task: TileTask) -> TileSummary:
     """
     begin = time.perf_counter()
     found, reason, halo_m, cut = None, "", task.halo_m, 0
-    with collected_notices() as notices, memory_reused():
+    with alone_on(task.cores), collected_notices() as notices, memory_reused():
         while True:
             try:
                 found = _in_window(task, halo_m)

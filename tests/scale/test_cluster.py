@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
 
@@ -52,6 +53,15 @@ def test_workers_give_the_content_of_one_process(files, alone, tmp_path, monkeyp
     assert dump(db) == alone
 
 
+@dataclass(frozen=True)
+class Task:
+    """What the cluster sees of a tile."""
+
+    tile: int
+    status: SimpleNamespace
+    cores: int | None = None
+
+
 def slow(task):
     """Do the work of a tile that takes its time."""
     time.sleep(0.2)
@@ -63,10 +73,11 @@ def test_a_lost_scheduler_is_named(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("distributed.comm.inproc.get_ip", lambda: "127.0.0.1")
     monkeypatch.setattr(cluster, "work", slow)
-    tasks = [SimpleNamespace(tile=number, status=SimpleNamespace(survey="town")) for number in range(3)]
+    tasks = [Task(number, SimpleNamespace(survey="town")) for number in range(3)]
     with cluster.cluster_of(1, None, processes=False) as client:
         outcomes = cluster.work_on(client, tasks, lambda _: None)
-        assert next(outcomes)[0].tile == 0
+        first, summary, _ = next(outcomes)
+        assert (first.tile, summary.cores) == (0, 1), "a worker of one thread has one core"
         client.cancel([distributed.Future(key, client) for key in list(client.futures)])
         with pytest.raises(TilesError, match=r"scheduler of the cluster is lost.*--resume"):
             list(outcomes)

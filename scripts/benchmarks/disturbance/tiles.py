@@ -94,7 +94,7 @@ def _schedule(note: Path) -> int:
     from distributed import Scheduler
 
     async def run() -> None:
-        async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:
+        async with Scheduler(host="127.0.0.1", port=0, dashboard=False, dashboard_address="127.0.0.1:0") as scheduler:
             growing = note.with_suffix(".new")
             growing.write_text(scheduler.address)
             growing.rename(note)
