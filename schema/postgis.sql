@@ -967,7 +967,7 @@ COMMENT ON COLUMN building_version.z_ground_min IS 'lowest level of the ground a
 
 COMMENT ON COLUMN building_version.z_ground_max IS 'highest level of the ground around it, but for a twentieth [m]';
 
-COMMENT ON COLUMN building_version.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+COMMENT ON COLUMN building_version.z_eaves IS 'level of the eaves: mean of its roofs over the middle half of its area; null where z_ground is [m]';
 
 COMMENT ON COLUMN building_version.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
 
@@ -975,7 +975,7 @@ COMMENT ON COLUMN building_version.eaves IS 'z_eaves above z_ground [m]';
 
 COMMENT ON COLUMN building_version.ridge IS 'z_ridge above z_ground [m]';
 
-COMMENT ON COLUMN building_version.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+COMMENT ON COLUMN building_version.storeys IS 'storeys by the eaves of its main roof; in old runs of its tallest part [storeys]';
 
 COMMENT ON COLUMN building_version.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
 
@@ -1335,7 +1335,7 @@ COMMENT ON COLUMN building.z_ground_min IS 'lowest level of the ground around it
 
 COMMENT ON COLUMN building.z_ground_max IS 'highest level of the ground around it, but for a twentieth [m]';
 
-COMMENT ON COLUMN building.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+COMMENT ON COLUMN building.z_eaves IS 'level of the eaves: mean of its roofs over the middle half of its area; null where z_ground is [m]';
 
 COMMENT ON COLUMN building.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
 
@@ -1343,7 +1343,7 @@ COMMENT ON COLUMN building.eaves IS 'z_eaves above z_ground [m]';
 
 COMMENT ON COLUMN building.ridge IS 'z_ridge above z_ground [m]';
 
-COMMENT ON COLUMN building.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+COMMENT ON COLUMN building.storeys IS 'storeys by the eaves of its main roof; in old runs of its tallest part [storeys]';
 
 COMMENT ON COLUMN building.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
 
@@ -1527,7 +1527,7 @@ COMMENT ON COLUMN footprint.state IS 'confirmed, unsure or refuted: from the pro
 
 COMMENT ON COLUMN footprint.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
 
-COMMENT ON COLUMN footprint.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+COMMENT ON COLUMN footprint.storeys IS 'storeys by the eaves of its main roof; in old runs of its tallest part [storeys]';
 
 COMMENT ON COLUMN footprint.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
 
@@ -1541,7 +1541,7 @@ COMMENT ON COLUMN footprint.eaves IS 'z_eaves above z_ground [m]';
 
 COMMENT ON COLUMN footprint.ridge IS 'z_ridge above z_ground [m]';
 
-COMMENT ON COLUMN footprint.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+COMMENT ON COLUMN footprint.z_eaves IS 'level of the eaves: mean of its roofs over the middle half of its area; null where z_ground is [m]';
 
 COMMENT ON COLUMN footprint.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
 
@@ -1619,7 +1619,7 @@ COMMENT ON COLUMN building_summary.state IS 'confirmed, unsure or refuted: from 
 
 COMMENT ON COLUMN building_summary.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
 
-COMMENT ON COLUMN building_summary.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+COMMENT ON COLUMN building_summary.storeys IS 'storeys by the eaves of its main roof; in old runs of its tallest part [storeys]';
 
 COMMENT ON COLUMN building_summary.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
 
@@ -1637,7 +1637,7 @@ COMMENT ON COLUMN building_summary.eaves IS 'z_eaves above z_ground [m]';
 
 COMMENT ON COLUMN building_summary.ridge IS 'z_ridge above z_ground [m]';
 
-COMMENT ON COLUMN building_summary.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+COMMENT ON COLUMN building_summary.z_eaves IS 'level of the eaves: mean of its roofs over the middle half of its area; null where z_ground is [m]';
 
 COMMENT ON COLUMN building_summary.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
 
@@ -1861,7 +1861,7 @@ COMMENT ON COLUMN building_evidence.state IS 'confirmed, unsure or refuted: from
 
 COMMENT ON COLUMN building_evidence.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
 
-COMMENT ON COLUMN building_evidence.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+COMMENT ON COLUMN building_evidence.storeys IS 'storeys by the eaves of its main roof; in old runs of its tallest part [storeys]';
 
 COMMENT ON COLUMN building_evidence.h_p90 IS '90th percentile of the height above ground [m]';
 
@@ -1907,7 +1907,7 @@ COMMENT ON COLUMN footprint_current.operator IS 'who decided the state; null whe
 
 COMMENT ON COLUMN footprint_current.note IS 'the operator''s reason; may be empty';
 
-COMMENT ON COLUMN footprint_current.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+COMMENT ON COLUMN footprint_current.storeys IS 'storeys by the eaves of its main roof; in old runs of its tallest part [storeys]';
 
 COMMENT ON COLUMN footprint_current.storeys_min IS 'fewest storeys that the eaves can have, if storeys are tall [storeys]';
 
@@ -1921,7 +1921,7 @@ COMMENT ON COLUMN footprint_current.eaves IS 'z_eaves above z_ground [m]';
 
 COMMENT ON COLUMN footprint_current.ridge IS 'z_ridge above z_ground [m]';
 
-COMMENT ON COLUMN footprint_current.z_eaves IS 'level of the eaves of its main roof; null where z_ground is [m]';
+COMMENT ON COLUMN footprint_current.z_eaves IS 'level of the eaves: mean of its roofs over the middle half of its area; null where z_ground is [m]';
 
 COMMENT ON COLUMN footprint_current.z_ridge IS 'level of the ridge of its highest roof of weight; null where z_ground is [m]';
 
@@ -2033,7 +2033,7 @@ COMMENT ON COLUMN building_history.state IS 'confirmed, unsure or refuted: from 
 
 COMMENT ON COLUMN building_history.probability IS 'probability that it is a building, from the support of all detectors; null with fewer than three [1]';
 
-COMMENT ON COLUMN building_history.storeys IS 'storeys from the eaves; of runs of an older msbdb, of its tallest part [storeys]';
+COMMENT ON COLUMN building_history.storeys IS 'storeys by the eaves of its main roof; in old runs of its tallest part [storeys]';
 
 COMMENT ON COLUMN building_history.eaves IS 'z_eaves above z_ground [m]';
 

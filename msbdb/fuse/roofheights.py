@@ -4,7 +4,7 @@ A building's roofs are its surfaces between walls. Each has its eaves, the level
 are taken above sea where the terrain is known, because a roof is level where the ground beneath is not.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -25,6 +25,15 @@ Mask = NDArray[np.bool_]
 
 AROUND = 5
 """What is a wall depends on cells up to so far away."""
+
+TWO_CELLS = 1.5
+"""A wall over two cells is higher than a wall over one by this factor: it crosses a cell, and noise adds up."""
+
+STRIP = 1.6
+"""Links between cells, for each cell of a surface, below which it is a strip: a band of two cells has 1.5."""
+
+STEEP_CELLS = 1.5
+"""The points of neighbouring cells are up to so many cells apart, and a steep roof rises so far between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,9 +100,11 @@ def measure_heights(
       none is near, farther ones count, and then the terrain beneath the building.
     - Pieces without weight, such as dormers and cells beside a step, count for the nearest roof of weight in their
       building.
-    - Eaves: the level of that roof of weight up to which half of the building's area lies.
+    - Eaves: the mean level of the roofs of weight over the middle half of the building's area, lowest roofs first. That
+      is the level of one roof where it has three quarters; of two roofs that are nearly equal none is taken by chance.
     - Ridge: the highest of the roofs of weight.
-    - Storeys: of the eaves by V18. Their range follows from low and tall storeys and from the slope of the ground.
+    - Storeys: by V18 of the eaves of that roof of weight up to which half of the area lies, as storeys between those of
+      two roofs exist in none. Their range follows from low and tall storeys and from the slope of the ground.
       ``storeys_top`` are those of the highest eaves of the roofs of weight, as of a tower on a podium. The floor area
       counts the area of each roof of weight by the storeys of its own eaves.
     - Without a terrain all levels are above ground, and those above sea are NaN.
@@ -105,15 +116,15 @@ def measure_heights(
     found = roofs_of(labels, level, params)
     area_m2 = sizes(labels, count).astype(np.float64) * ndsm.spec.cell_area_m2
     heavy = _of_weight(found, area_m2, params)
-    shares_m2 = _with_pieces(found, heavy, ndsm.spec.cell_area_m2)
-    eaves, top, ridge = _levels(found, heavy, shares_m2, count)
+    shares = _with_pieces(found, heavy)
+    eaves, main, top, ridge = _levels(found, heavy, shares, count)
     ground, nodata = _around(labels, count, ndsm, terrain, params)
     z_ground, low, high = (np.round(one, 2) for one in ground)
-    own = storeys(eaves - z_ground, surface)
+    own = storeys(main - z_ground, surface)
     of_roofs = storeys(found.eaves - z_ground[found.building], surface)
     known = np.nan if elevations.terrain_cm is None else 0.0
-    fewest = np.clip(np.ceil((eaves - high - params.roof_build_m) / params.tall_storey_m), 1, own)
-    most = np.maximum(np.floor((eaves - low) / params.low_storey_m), own)
+    fewest = np.clip(np.ceil((main - high - params.roof_build_m) / params.tall_storey_m), 1, own)
+    most = np.maximum(np.floor((main - low) / params.low_storey_m), own)
     return pd.DataFrame(
         {
             "z_ground": z_ground + known,
@@ -127,7 +138,7 @@ def measure_heights(
             "storeys_min": fewest.astype(np.int64),
             "storeys_max": most.astype(np.int64),
             "storeys_top": storeys(top - z_ground, surface),
-            "floor_area_m2": sums(found.building + 1, shares_m2 * of_roofs, count),
+            "floor_area_m2": sums(found.building + 1, shares * of_roofs, count) * ndsm.spec.cell_area_m2,
             "nodata_share": nodata,
             **_seen(labels, count, elevations, ndsm.spec.cell_area_m2),
         }
@@ -151,7 +162,11 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     -----
     A wall is a step of more than ``wall_m``. It must also be steeper than ``wall_slope``, or exceed the steps beside it
     in its line that go the same way by ``wall_m``: steep roofs of large cells have large steps, too, one after the
-    other. A gap of a cell in a line of walls joins no roofs.
+    other. A cell on the wall has a level between both sides, so a line of two steps between level cells is a wall, too.
+    A gap of a cell in a line of walls joins no roofs.
+
+    A steep roof breaks into pieces, as its points lie anywhere in their cells. What is in no roof of ``least_roof_m2``
+    is joined again over the steps that such a roof has. The ridge of a strip of cells beside a wall is its eaves.
 
     A roof's rim are its cells at the outline of its building, and those beside a wall that goes down. So a house has
     the same eaves alone and in a row. The level at the edge of such a cell is half a step of the roof lower than at its
@@ -173,27 +188,48 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     heights = np.asarray(level.values, dtype=np.float64)
     inside = (labels > 0) & level.valid
     cell_m = level.spec.cell_m
-    across, down, edge = _walls(heights, labels, inside, params, cell_m)
-    count = int(np.count_nonzero(inside))
-    node = np.full(labels.shape, -1, dtype=np.int32)
-    node[inside] = np.arange(count, dtype=np.int32)
-    pairs = [
-        (node[one][joined], node[other][joined])
-        for (one, other), joined in zip(neighbours(labels.shape), (across, down), strict=True)
-    ]
-    first, second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
-    graph = coo_matrix((np.ones(first.size, dtype=np.int8), (first, second)), shape=(count, count))
-    number, member = connected_components(graph, directed=False)
-    found = np.zeros(labels.shape, dtype=np.int32)
-    found[inside] = member + 1
+    found, edge, _ = _surfaces(heights, labels, inside, params, cell_m)
+    least_px = params.least_roof_m2 / level.spec.cell_area_m2
+    pieces = inside & (np.bincount(found.ravel())[found] < least_px)
+    groups, _ = label_zones(pieces)
+    pieces &= np.bincount(groups.ravel())[groups] >= least_px
+    steep = replace(params, wall_m=max(params.wall_m, STEEP_CELLS * params.wall_slope * cell_m))
+    again, rims, strip = _surfaces(heights, np.where(pieces, labels, 0), pieces, steep, cell_m)
+    joined = pieces & (np.bincount(again.ravel())[again] >= least_px)
+    found[joined] = again[joined] + found.max()
+    edge[joined] = rims[joined]
+    used = np.bincount(found[inside], minlength=1) > 0
+    found[inside] = np.cumsum(used, dtype=np.int32)[found[inside]]
+    number = int(np.count_nonzero(used))
     building = np.zeros(number, dtype=np.int32)
-    building[member] = labels[inside] - 1
+    building[found[inside] - 1] = labels[inside] - 1
     rim = np.isfinite(edge)
     eaves = quantiles(found[rim], edge[rim], number, params.eaves_share)
     eaves = np.where(np.isnan(eaves), quantiles(found, heights, number, params.eaves_share), eaves)
     ridge = quantiles(found, heights, number, params.ridge_share)
+    flat = np.unique(found[joined & strip[again]]) - 1
+    ridge[flat] = eaves[flat]
     area_m2 = sizes(found, number).astype(np.float64) * level.spec.cell_area_m2
     return Roofs(found, building, area_m2, eaves, ridge)
+
+
+def _surfaces(
+    heights: Floats, labels: Labels, inside: Mask, params: HeightParams, cell_m: float
+) -> tuple[Labels, Floats, Mask]:
+    """Return the connected surfaces without a wall inside, 0 for none, the levels at a rim, and which are strips."""
+    across, down, edge = _walls(heights, labels, inside, params, cell_m)
+    count = int(np.count_nonzero(inside))
+    node = np.zeros(labels.shape, dtype=np.int32)
+    node[inside] = np.arange(count, dtype=np.int32)
+    ways = zip(neighbours(labels.shape), (across, down), strict=True)
+    pairs = [(node[one][joined], node[other][joined]) for (one, other), joined in ways]
+    first, second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    graph = coo_matrix((np.ones(first.size, dtype=np.int8), (first, second)), shape=(count, count))
+    found = np.zeros(labels.shape, dtype=np.int32)
+    found[inside] = connected_components(graph, directed=False)[1] + 1
+    # A cell of a wide surface has two links, one to the right and one down; of a line of cells it has one.
+    links = np.bincount(found[inside][first], minlength=found.max() + 1)
+    return found, edge, links < STRIP * np.bincount(found.ravel())
 
 
 def _walls(
@@ -234,6 +270,8 @@ def _along_rows(
     beside = np.maximum(np.maximum(around[:, :-2] * way, around[:, 2:] * way), 0)
     steady = (size <= params.wall_slope * cell_m) & (size - beside <= params.wall_m)
     joined = same & ((size <= params.wall_m) | steady)
+    halves = _over_two_cells(step, same, params.wall_m)
+    joined &= ~_in_wall(halves) & ~(halves & _in_wall(halves, 2))
     # A gap in a wall, as where a verge crosses the level of the annex beside it, joins no roofs.
     joined &= ~_in_wall(same & ~joined)
     edge = np.full(heights.shape, np.inf)
@@ -249,14 +287,24 @@ def _along_rows(
     return joined, edge
 
 
-def _in_wall(wall: Mask) -> Mask:
-    """Return the places of a line of walls, gaps of one or two included: walls in three of the four rows around."""
+def _over_two_cells(step: Floats, same: Mask, wall_m: float) -> Mask:
+    """Return the steps, (H, W - 1), that are halves of a wall: two the same way between level cells of a building."""
+    size = np.pad(np.where(same, np.abs(step), np.inf), ((0, 0), (1, 1)), constant_values=np.inf)
+    one, other = step[:, :-1], step[:, 1:]
+    beyond = np.maximum(size[:, :-3], size[:, 3:])
+    wall = same[:, :-1] & same[:, 1:] & (one * other > 0) & (np.abs(one + other) - 2 * beyond > TWO_CELLS * wall_m)
+    halves: Mask = np.pad(wall, ((0, 0), (0, 1))) | np.pad(wall, ((0, 0), (1, 0)))
+    return halves
+
+
+def _in_wall(wall: Mask, least: int = 3) -> Mask:
+    """Return the places of a line of walls, with its gaps of one or two: walls in three of the four rows around."""
     wide = maximum_filter1d(wall, 3, axis=1, mode="constant")
     rows = np.zeros(wall.shape, dtype=np.int8)
     for offset, walls in ((1, wall), (2, wide)):
         rows[offset:] += walls[:-offset]
         rows[:-offset] += walls[offset:]
-    lined: Mask = rows >= 3
+    lined: Mask = rows >= least
     return lined
 
 
@@ -269,8 +317,8 @@ def _of_weight(roofs: Roofs, area_m2: Floats, params: HeightParams) -> Mask:
     return heavy
 
 
-def _with_pieces(roofs: Roofs, heavy: Mask, cell_area_m2: float) -> Floats:
-    """Return the area for which each roof counts: its own, and the pieces without weight that are nearest to it.
+def _with_pieces(roofs: Roofs, heavy: Mask) -> NDArray[np.int64]:
+    """Return the cells for which each roof counts: its own, and the pieces without weight that are nearest to it.
 
     Where two roofs are nearly equal, the pieces decide which of them is the larger one. Returns (R,), zero for pieces.
     """
@@ -285,24 +333,31 @@ def _with_pieces(roofs: Roofs, heavy: Mask, cell_area_m2: float) -> Floats:
             own = building[window] == number
             rows, cols = distance_transform_edt(~(own & weighty[window]), return_distances=False, return_indices=True)
             counted[window][own] = roofs.labels[window][rows, cols][own]
-    return sizes(counted, heavy.size).astype(np.float64) * cell_area_m2
+    return sizes(counted, heavy.size).astype(np.int64)
 
 
-def _levels(roofs: Roofs, heavy: Mask, shares_m2: Floats, count: int) -> tuple[Floats, Floats, Floats]:
-    """Return the eaves, the highest eaves and the ridge of each building, by its roofs of weight; NaN without any."""
+def _levels(roofs: Roofs, heavy: Mask, shares: NDArray[np.int64], count: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return eaves, those of the main roof, the highest ones, and the ridge of each building by its roofs of weight.
+
+    NaN without any. Shares are whole cells, so the sums are exact in any order.
+    """
     order = np.flatnonzero(heavy)[np.lexsort((roofs.eaves[heavy], roofs.building[heavy]))]
-    building, area_m2, level = roofs.building[order], shares_m2[order], roofs.eaves[order]
-    total = sums(building + 1, area_m2, count)
-    reached = np.cumsum(area_m2) - (np.cumsum(total) - total)[building]
-    # Of equal halves the lower one counts, also where sums of areas are rounded.
-    half = np.flatnonzero(2 * reached >= total[building] * (1 - 1e-9))[::-1]
-    eaves, top, ridge = (np.full(count, np.nan) for _ in range(3))
-    eaves[building[half]] = level[half]
+    building, cells, level = roofs.building[order], shares[order], roofs.eaves[order]
+    total = np.zeros(count, dtype=np.int64)
+    np.add.at(total, building, cells)
+    reached, own = np.cumsum(cells) - (np.cumsum(total) - total)[building], total[building]
+    middle = np.clip(4 * reached, own, 3 * own) - np.clip(4 * (reached - cells), own, 3 * own)
+    eaves, main, top, ridge = (np.full(count, np.nan) for _ in range(4))
+    known = total > 0
+    eaves[known] = sums(building + 1, middle * level, count)[known] / (2 * total[known])
+    # Of equal halves the lower one counts.
+    half = np.flatnonzero(2 * reached >= own)[::-1]
+    main[building[half]] = level[half]
     top[building] = level
     highest = np.full(count, -np.inf)
     np.maximum.at(highest, building, np.maximum(roofs.ridge[order], level))
     ridge[building] = highest[building]
-    return eaves, top, ridge
+    return eaves, main, top, ridge
 
 
 def _around(

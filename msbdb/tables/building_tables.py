@@ -167,7 +167,7 @@ def _heights() -> tuple[Column, ...]:
         "z_ground": "median level of the ground around it, in the survey's vertical reference; null where not known",
         "z_ground_min": "lowest level of the ground around it, but for a twentieth",
         "z_ground_max": "highest level of the ground around it, but for a twentieth",
-        "z_eaves": "level of the eaves of its main roof; null where z_ground is",
+        "z_eaves": "level of the eaves: mean of its roofs over the middle half of its area; null where z_ground is",
         "z_ridge": "level of the ridge of its highest roof of weight; null where z_ground is",
         "eaves": "z_eaves above z_ground",
         "ridge": "z_ridge above z_ground",
@@ -179,7 +179,7 @@ def _heights() -> tuple[Column, ...]:
     }
     return (
         *(Column(name, "float64", "m", doc, nullable=True) for name, doc in metres.items()),
-        Column("storeys", "int64", "storeys", "storeys from the eaves; of runs of an older msbdb, of its tallest part"),
+        Column("storeys", "int64", "storeys", "storeys by the eaves of its main roof; in old runs of its tallest part"),
         *(Column(name, "Int64", "storeys", doc, nullable=True) for name, doc in counts.items()),
     )
 

@@ -85,23 +85,66 @@ def test_a_tower_on_a_podium_gives_the_highest_storeys_and_the_ridge() -> None:
     assert found["floor_area_m2"] == (300 * 2 + 100 * 10) / 4
 
 
-def test_a_larger_tower_is_the_main_roof() -> None:
-    """More than half of the area decides; of equal halves the lower roof does."""
-    for columns, eaves in ((11, 30.5), (10, 6.5), (9, 6.5)):
-        surface, labels = box(6.5)
-        surface[20:40, 20 : 20 + columns] = 30.5
-        assert heights_of(surface, labels)["eaves"].tolist() == [eaves]
+@pytest.mark.parametrize(
+    ("columns", "eaves", "storeys"), [(5, 6.5, 2), (9, 16.1, 2), (10, 18.5, 2), (11, 20.9, 10), (15, 30.5, 10)]
+)
+def test_eaves_are_the_mean_of_the_middle_half_and_storeys_those_of_one_roof(
+    columns: int, eaves: float, storeys: int
+) -> None:
+    """A column more of the tower changes the eaves by little; storeys exist, of equal halves those of the lower one."""
+    surface, labels = box(6.5)
+    surface[20:40, 20 : 20 + columns] = 30.5
+    found = heights_of(surface, labels).iloc[0]
+    assert (found["eaves"], found["storeys"], found["storeys_top"]) == (eaves, storeys, 10)
 
 
 def test_dormers_count_for_the_roof_on_which_they_stand() -> None:
-    """Without their cells the larger roof would be the smaller one."""
+    """Without their cells the larger roof would be the smaller one: 12 of 20 columns are of it."""
     surface, labels = box(6.5)
     surface[:, 28:] = np.where(labels[:, 28:] > 0, 12.5, 0.0)
     for row in (21, 28, 34):
         surface[row : row + 5, 30:36] = 15.0
     found = heights_of(surface, labels).iloc[0]
     assert np.count_nonzero(surface == 12.5) < 20 * 8
-    assert (found["eaves"], found["storeys"]) == (12.5, 4)
+    assert (found["eaves"], found["storeys"]) == (10.7, 4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_steep_roof_of_chance_points_is_one_roof(seed: int) -> None:
+    """A gable of 60 degrees, 4 m wide, with an annex: the points of cells lie up to a cell beside their middle."""
+    row, col = np.indices((45, 45))
+    across, along = (row - col) / np.sqrt(2), (row + col) / np.sqrt(2) - 8
+    annex = (across > 3.5) & (across <= 11.5) & (along >= 0) & (along <= 8)
+    gable = (np.abs(across) <= 3.5) & (along >= 0) & (along <= 28)
+    off = np.random.default_rng(seed).uniform(-1, 1, (2, 45, 45))
+    there = np.abs(across + (off[0] - off[1]) / np.sqrt(2))
+    rise = np.sqrt(3) * 0.6 * np.maximum(3.5 - there, -0.5)
+    surface = np.where(annex, 3.0, np.where(gable, 8.5 + rise, 0.0))
+    found = heights_of(surface, (annex | gable).astype(np.int32), cell_m=0.6).iloc[0]
+    assert found["eaves"] == pytest.approx(8.5, abs=0.5), "three quarters of the area are of the gable"
+    assert found["ridge"] == pytest.approx(8.5 + 0.6 * 3.5 * np.sqrt(3), abs=0.3)
+    assert found["storeys"] == 3
+
+
+def test_a_wall_that_crosses_cells_is_a_wall() -> None:
+    """Cells that lie on a step of 2.2 m have a level in between; a slope with the same two steps is none."""
+    surface, labels = box(6.0)
+    surface[20:40, 30] = 7.1
+    surface[20:40, 31:40] = 8.2
+    slope = np.where(labels > 0, 6.0 + 1.1 * np.maximum(np.arange(60) - 20, 0), 0.0)
+    for heights, number in ((surface, 2), (slope, 1)):
+        level = Grid(heights, np.ones(heights.shape, dtype=np.bool_), lattice((0, 0.1, 35.9, 36), 0.6, UTM))
+        assert np.count_nonzero(roofs_of(labels, level, HeightParams()).area_m2 > 50) == number
+
+
+def test_a_strip_beside_a_wall_is_no_ridge() -> None:
+    """Echoes of the neighbour's wall, 12 m2 of them at 7 to 9 m, lie in the cells of a level roof of 6 m."""
+    surface, labels = box(6.0)
+    labels[39, 12:60] = 1
+    surface[39, 12:60] = 8 + np.sin(5.0 * np.arange(48))
+    found = heights_of(surface, labels).iloc[0]
+    assert found["eaves"] == 6.0
+    assert found["ridge"] < 7.5
 
 
 def test_chimneys_antennas_and_dormers_do_not_change_the_levels() -> None:

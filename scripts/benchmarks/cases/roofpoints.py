@@ -11,6 +11,9 @@ from scipy.spatial import cKDTree
 STEP_M, STEEP = 1.0, 1.5
 """Neighbours of one roof differ by at most this height, or by this much a metre between them."""
 
+STEEPER = 2.0
+"""The same for points that are in no roof by STEEP: the gables of an old town rise by 60 degrees."""
+
 LINK, AROUND = 2.0, 3.0
 """Reach of the links of a roof, and of the neighbours that show its edge, in point spacings."""
 
@@ -22,6 +25,9 @@ GAP = np.deg2rad(130.0)
 
 EAVES, RIDGE = 0.2, 0.98
 """Shares of the edge below the eaves, and of the roof below the ridge."""
+
+MIDDLE = (0.25, 0.75)
+"""The middle half of the roofs of a building, by area."""
 
 WEIGHT_M2, WEIGHT, LEAST_M2 = 50.0, 0.1, 10.0
 """A roof counts from this area on, or from this share of its building and from a least area on."""
@@ -49,7 +55,7 @@ class Levels:
     eaves: float
     ridge: float
     main: float
-    """Share of the roof whose eaves these are, with the points that are nearest to it."""
+    """Share of the main roof, up to whose eaves half of the area lies, with the points that are nearest to it."""
     roofs: tuple[Roof, ...]
     """The roofs that count."""
 
@@ -73,9 +79,10 @@ def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
 
     Notes
     -----
-    Points beneath others are of walls and go. The rest is linked to roofs by steps between neighbours. A point is at
-    the edge of its roof where its neighbours leave a wide angle free. The eaves are the median of the roofs that count,
-    by the points to which each is the nearest; the ridge is the highest of them.
+    Points beneath others are of walls and go. The rest is linked to roofs by steps between neighbours; what is in no
+    roof of `LEAST_M2` then is linked again, as a steeper one. A point is at the edge of its roof where its neighbours
+    leave a wide angle free. The eaves are the mean level of the roofs that count over the middle half of the points,
+    lowest roofs first, each by the points to which it is the nearest. The ridge is the highest of them.
     """
     if len(roof) < LEAST_POINTS or len(ground) < LEAST_POINTS:
         return None
@@ -85,15 +92,10 @@ def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
         return None
     spacing = float(np.sqrt(area_m2 / len(roof)))
     roof = _upper(roof, spacing)
-    pairs = cKDTree(roof[:, :2]).query_pairs(LINK * spacing, output_type="ndarray")
-    apart = np.hypot(*(roof[pairs[:, 0], :2] - roof[pairs[:, 1], :2]).T)
-    alike = np.abs(roof[pairs[:, 0], 2] - roof[pairs[:, 1], 2]) <= np.maximum(STEP_M, STEEP * apart)
-    # A point beside a wall links no roofs: the wall's own points would be a ladder.
-    beside, same = (np.bincount(ends.ravel(), minlength=len(roof)) for ends in (pairs, pairs[alike]))
-    inner = same >= INNER * beside
-    linked = pairs[alike & inner[pairs].all(axis=1)]
-    graph = coo_matrix((np.ones(len(linked)), linked.T), shape=(len(roof), len(roof)))
-    _, member = connected_components(graph, directed=False)
+    member = _linked(roof, LINK * spacing, STEEP)
+    lost = (np.bincount(member) < LEAST_M2 / area_m2 * len(roof))[member]
+    member[lost] = len(roof) + _linked(roof[lost], LINK * spacing, STEEPER)
+    member = np.unique(member, return_inverse=True)[1]
     shares = np.bincount(member) / len(roof)
     least = min(WEIGHT_M2, max(LEAST_M2, WEIGHT * area_m2)) / area_m2
     found: list[Roof] = []
@@ -107,10 +109,26 @@ def levels(roof: Floats, ground: Floats, area_m2: float) -> Levels | None:
     ends = np.cumsum([len(one.points) for one in found])
     nearest = cKDTree(np.concatenate([one.points[:, :2] for one in found])).query(roof[:, :2])[1]
     weights = np.bincount(np.searchsorted(ends, nearest, side="right"), minlength=len(found))
-    main = int(np.argmax(2 * np.cumsum(weights) >= len(roof)))
+    reached = np.cumsum(weights) / len(roof)
+    main = int(np.argmax(reached >= 0.5))
+    middle = np.diff(np.clip(reached, *MIDDLE), prepend=MIDDLE[0])
+    eaves = float(np.average([one.eaves for one in found], weights=middle))
     ridge = max(float(np.quantile(one.points[:, 2], RIDGE)) for one in found)
     share = float(weights[main] / len(roof))
-    return Levels(float(np.median(ground[near, 2])), found[main].eaves, ridge, share, tuple(found))
+    return Levels(float(np.median(ground[near, 2])), eaves, ridge, share, tuple(found))
+
+
+def _linked(roof: Floats, reach_m: float, steep: float) -> NDArray[np.int64]:
+    """Return the number of the roof of each point: neighbours that differ by little are of one."""
+    pairs = cKDTree(roof[:, :2]).query_pairs(reach_m, output_type="ndarray")
+    apart = np.hypot(*(roof[pairs[:, 0], :2] - roof[pairs[:, 1], :2]).T)
+    alike = np.abs(roof[pairs[:, 0], 2] - roof[pairs[:, 1], 2]) <= np.maximum(STEP_M, steep * apart)
+    # A point beside a wall links no roofs: the wall's own points would be a ladder.
+    beside, same = (np.bincount(ends.ravel(), minlength=len(roof)) for ends in (pairs, pairs[alike]))
+    inner = same >= INNER * beside
+    linked = pairs[alike & inner[pairs].all(axis=1)]
+    graph = coo_matrix((np.ones(len(linked)), linked.T), shape=(len(roof), len(roof)))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _upper(roof: Floats, spacing: float) -> Floats:
