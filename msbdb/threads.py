@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager, nullcontext, suppress
-from threading import local
+from threading import Lock, local
 from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 from msbdb.errors import MsbdbWarning, collected_notices, give_notice
@@ -35,6 +35,9 @@ RETURNING = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**25), (TRIM_THRESHOLD, 2**26
 """The allocator's own values, once a large array has been freed."""
 
 _OF_THREAD = local()
+
+_ALONE, _SHARE = Lock(), list[int]()
+"""Whose turn it is, and on how many cores, in a process that works for others."""
 
 
 def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
@@ -139,10 +142,27 @@ def _glibc() -> ctypes.CDLL | None:
 
 
 def cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Return the number of cores that this process may use, or that `alone_on` leaves it."""
+    found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min([found, *_SHARE])
+
+
+@contextmanager
+def alone_on(share: int | None) -> Iterator[None]:
+    """Let one thread at a time run the block, on so many cores at most; None for all.
+
+    Examples
+    --------
+    >>> with alone_on(1):
+    ...     cores()
+    1
+    """
+    with _ALONE:
+        _SHARE[:] = [] if share is None else [max(share, 1)]
+        try:
+            yield
+        finally:
+            _SHARE.clear()
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:

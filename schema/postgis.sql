@@ -1,4 +1,4 @@
--- The schema 0009 of msbdb for postgis.
+-- The schema 0010 of msbdb for postgis.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -879,7 +879,7 @@ COMMENT ON COLUMN roof_sample.material IS 'the material';
 
 COMMENT ON COLUMN roof_sample.note IS 'a remark; may be empty';
 
-COMMENT ON COLUMN roof_sample.attributes IS 'the other columns of the source file';
+COMMENT ON COLUMN roof_sample.attributes IS 'the other columns of the source file; an empty object for none';
 
 COMMENT ON COLUMN roof_sample.geometry IS 'in the database''s CRS [m]';
 
@@ -2071,5 +2071,5 @@ COMMENT ON COLUMN building_piece.building_id IS 'the building of a run, which a 
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0009');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0010');
 

@@ -1,4 +1,4 @@
--- The schema 0009 of msbdb for spatialite.
+-- The schema 0010 of msbdb for spatialite.
 -- Written by scripts/generate_schema; change msbdb.tables and the migrations instead.
 -- :srid is the EPSG code of the database's one CRS, which must be in spatial_ref_sys.
 
@@ -849,5 +849,5 @@ INSERT INTO views_geometry_columns (view_name, view_geometry, view_rowid, f_tabl
 
 CREATE TABLE msbdb_schema_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY);
 
-INSERT INTO msbdb_schema_version (version_num) VALUES ('0009');
+INSERT INTO msbdb_schema_version (version_num) VALUES ('0010');
 

@@ -15,7 +15,7 @@ import pytest
 from msbdb import threads
 from msbdb.errors import MsbdbWarning, PassingNotice, collected_notices, give_notice
 from msbdb.run.reports import Stages
-from msbdb.threads import in_threads, memory_reused
+from msbdb.threads import alone_on, in_threads, memory_reused
 
 
 @pytest.mark.parametrize("cores", [1, 3])
@@ -28,6 +28,34 @@ def test_results_come_in_the_order_of_the_items(monkeypatch, cores):
         return item * 10
 
     assert in_threads(work, iter(range(7))) == [0, 10, 20, 30, 40, 50, 60]
+
+
+def test_who_works_for_others_does_one_thing_at_a_time(monkeypatch):
+    """However many threads ask for it, on its share of the cores, also in threads of its own."""
+    monkeypatch.setattr(threads.os, "sched_getaffinity", lambda _: set(range(3)), raising=False)
+    running, seen = [], []
+
+    def look(_):
+        time.sleep(0.01)
+        return threads.cores()
+
+    def work(share):
+        with alone_on(share):
+            running.append(share)
+            seen.append((len(running), in_threads(look, range(2))))
+            running.pop()
+
+    both = [threading.Thread(target=work, args=(2,)) for _ in range(4)]
+    for one in both:
+        one.start()
+    for one in both:
+        one.join()
+    assert seen == [(1, [2, 2])] * 4
+    with alone_on(None):
+        assert threads.cores() == 3
+    with alone_on(0):
+        assert threads.cores() == 1
+    assert threads.cores() == 3
 
 
 def test_work_is_shared_by_the_cores_and_no_more(monkeypatch):

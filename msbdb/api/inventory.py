@@ -19,6 +19,9 @@ from msbdb.run.reports import (
     UpdateReport,
 )
 
+TILED = ("tile", "workers", "scheduler", "resume")
+"""Options of a build in tiles, which do not decide its content."""
+
 
 def update(
     points: Files = (),
@@ -64,7 +67,8 @@ def update(
 
     Notes
     -----
-    A survey that was built from the same files with the same values by the same msbdb is not built again.
+    A survey that was built from the same files with the same values by the same msbdb is not built again, whether in
+    tiles or in one piece.
     """
     from msbdb.run.inputs import require_polygons
     from msbdb.run.inventory.update import is_built, require_date
@@ -76,7 +80,7 @@ def update(
     stages = Stages(progress)
     built = None
     options = _with_plan(options)
-    if not is_built(points, db=db, survey=survey, date=date, **options):
+    if not is_built(points, db=db, survey=survey, date=date, **_without(options, *TILED)):
         built = build(
             points,
             db=db,
@@ -176,7 +180,7 @@ def measure(
     stages = Stages(progress)
     built = None
     options = _with_plan(options)
-    if not is_built(points, db=db, survey=label, date=date or "", **_without(options, "replace")):
+    if not is_built(points, db=db, survey=label, date=date or "", **_without(options, "replace", *TILED)):
         built = build(points, db=db, survey=label, date=date, overwrite=overwrite, progress=progress, **options)
     with stages.stage("measure"):
         return take_measures(
@@ -197,9 +201,9 @@ def _with_plan(options: Mapping[str, Any]) -> dict[str, Any]:
     return {**options, "plan": read_plan(plan)} if isinstance(plan, str | Path) else dict(options)
 
 
-def _without(options: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return options without one of them."""
-    return {key: value for key, value in options.items() if key != name}
+def _without(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return options without some of them."""
+    return {key: value for key, value in options.items() if key not in names}
 
 
 def advance(db: str | Path, survey: str, *, aoi: Path | None = None) -> AdvanceReport:

@@ -11,6 +11,7 @@ from msbdb.cli.command import DATABASE, INPUT_FILE, OUTPUT_FILE, assignment, com
 from msbdb.cli.inputs import check_figure, check_inputs, inputs, parameters, values, with_walls
 from msbdb.cli.output import emit_json, emit_pairs, emit_table, is_quiet, say
 from msbdb.cli.progress import notice, progress_bar, stages_of
+from msbdb.cli.tiles import tiled
 from msbdb.errors import counted
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ MOST = 50
 @click.option("--survey", metavar="NAME", help="Name of the survey. [default: as for 'msbdb build']")
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
 @values
+@tiled
 @shared("overwrite", "json")
 def measure(*, as_json: bool, footprints: Path, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Measure footprints that you have on a survey: heights, storeys, parts, and whether a building is there.
@@ -93,6 +95,7 @@ def measure(*, as_json: bool, footprints: Path, figure: Path | None, **given: An
         "msbdb update --points spring.laz --db town.sqlite --survey spring --date 2024-04-20",
         "msbdb update --points tiles/*.laz --crs EPSG:28992 --db postgresql://me@localhost/town "
         "--survey ahn4 --date 2022-01-15 --aoi district.gpkg",
+        "msbdb update --points tiles --db town.sqlite --survey 2024 --date 2024-04-20 --tile 1000 --workers 4",
     ),
 )
 @inputs
@@ -106,6 +109,7 @@ def measure(*, as_json: bool, footprints: Path, figure: Path | None, **given: An
 )
 @click.option("--aoi", type=INPUT_FILE, metavar="FILE", help="Polygons: only buildings in them are compared.")
 @values
+@tiled
 @shared("overwrite", "json")
 def update(*, as_json: bool, figure: Path | None, **given: Any) -> None:  # noqa: ANN401  (the options)
     """Build a survey and update the inventory by it.

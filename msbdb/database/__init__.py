@@ -85,6 +85,7 @@ from msbdb.database.runs.reading import (
 from msbdb.database.runs.tiles import (
     TileStatus,
     begin_tiles,
+    note_result,
     note_tile,
     read_result,
     read_tile_status,
@@ -147,6 +148,7 @@ __all__ = [
     "identities",
     "list_runs",
     "merge_tiles",
+    "note_result",
     "note_tile",
     "open_database",
     "open_to_read",

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening, uniform_filter
+from scipy.ndimage import binary_opening, median, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -11,7 +11,7 @@ from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, label_zones, neighbours, sizes, sums
 from msbdb.morphology.windows import dilation
 from msbdb.params import FuseParams
-from msbdb.surface.texture import NO_PLANE_M
+from msbdb.surface.texture import NO_PLANE_M, grid_samples, scatter
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
@@ -40,6 +40,12 @@ LEAST_M = 0.001
 
 NOISE = 3.0
 """Ours, in sample: a cell that is rougher than so many times the bare cells around it is no even surface."""
+
+AVERAGED = 0.85
+"""Ours, in sample: it is noise where means of 3 by 3 cells scatter by less than this share of the roughness."""
+
+WINDOW_PX = 5
+"""Ours: side of the window in which means of cells scatter, cells."""
 
 DENIED = 0.6
 """Ours, in sample: what leans on a house and has more support than this mean share stays; half of the votes are 0.5."""
@@ -107,7 +113,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
 
     Rough is what exceeds both the noise of a scanner and that of the bare cells around it. So a noisy survey, or two
     strips that do not fit, make no roof rough. An object stays where half of it is within twice that limit, as roofs of
-    many small planes are. On cells larger than `FINE_M` nothing is dropped.
+    many small planes are. Nor does an object go that is even but for noise: where strips do not fit in plan, echoes of
+    steep roofs scatter, and those of level ground do not. Means of 3 by 3 cells have a third of such noise, and all of
+    a crown's relief. On cells larger than `FINE_M` nothing is dropped.
 
     Parameters
     ----------
@@ -157,7 +165,23 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
         _share_of_known(labels, count, roughness_m <= limit, roughness_m, unknown=1.0)
         for limit in (limit_m, 2 * limit_m)
     )
-    return decided & ~chosen_cells(labels, (smooth < HARDLY) & (nearly < MOST))
+    rough = chosen_cells(labels, (smooth < HARDLY) & (nearly < MOST))
+    return decided & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+
+
+def _only_noisy(rough: Mask, roughness_m: Field, heights: Grid) -> Mask:
+    """Return the objects whose heights are even once they are averaged."""
+    labels, count = label_zones(rough)
+    if not count:
+        return rough
+    inside = rough.astype(np.float32)
+    total = uniform_filter(inside * np.asarray(heights.values, dtype=np.float32), 3, mode="constant")
+    mean = np.divide(total, uniform_filter(inside, 3, mode="constant"), out=np.zeros_like(total), where=rough)
+    spec = heights.spec
+    scattered = scatter(grid_samples(Grid(mean, rough, spec)), WINDOW_PX * spec.cell_m)
+    known = np.where((scattered < NO_PLANE_M) & (roughness_m < NO_PLANE_M), labels, 0)
+    averaged, of_cells = (median(part, known, np.arange(1, count + 1)) for part in (scattered, roughness_m))
+    return chosen_cells(labels, averaged < AVERAGED * of_cells)
 
 
 def _share_of_known(

@@ -13,14 +13,13 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 from rasterio.enums import ColorInterp
-from rasterio.transform import rowcol
 from rasterio.warp import transform_bounds
 from rasterio.windows import Window
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Bands, Bounds, GridSpec
 from msbdb.io.crs import CrsLike, same_crs, split_crs
-from msbdb.io.raster import open_raster, raster_bounds, raster_crs, warp
+from msbdb.io.raster import open_raster, raster_bounds, raster_crs, warp, window_over
 
 logger = logging.getLogger(__name__)
 
@@ -134,7 +133,7 @@ def _add(
     """Resample a file's bands into the gaps of the mosaic; return whether the file overlaps the lattice."""
     for name in names.values():
         mosaic.setdefault(name, np.full(spec.shape, np.nan, dtype=np.float32))
-    window = _window(dataset, _bounds_in(spec, own))
+    window = window_over(dataset, spec, own)
     if window is None:
         return False
     transform = dataset.transform @ Affine.translation(window.col_off, window.row_off)
@@ -163,14 +162,6 @@ def _seen(dataset: rasterio.DatasetReader, window: Window, indexes: list[int]) -
     return seen
 
 
-def _bounds_in(spec: GridSpec, crs: CRS) -> Bounds:
-    """Return the lattice's bounds in another CRS."""
-    if same_crs(crs, spec.crs):
-        return spec.bounds
-    bounds: Bounds = transform_bounds(spec.crs.to_wkt(), crs.to_wkt(), *spec.bounds)
-    return bounds
-
-
 def _bounds_on(dataset: rasterio.DatasetReader, crs: CRS, spec: GridSpec) -> Bounds:
     """Return a raster's bounds in the lattice's CRS."""
     own = raster_bounds(dataset)
@@ -178,18 +169,6 @@ def _bounds_on(dataset: rasterio.DatasetReader, crs: CRS, spec: GridSpec) -> Bou
         return own
     bounds: Bounds = transform_bounds(crs.to_wkt(), spec.crs.to_wkt(), *own)
     return bounds
-
-
-def _window(dataset: rasterio.DatasetReader, bounds: Bounds) -> Window | None:
-    """Return the part of a raster around bounds, with two pixels to interpolate from, or None if they are apart."""
-    west, south, east, north = bounds
-    corners = [(x, y) for x in (west, east) for y in (south, north)]
-    rows, cols = rowcol(dataset.transform, *zip(*corners, strict=True), op=np.asarray)
-    col0, col1 = max(math.floor(min(cols)) - 2, 0), min(math.ceil(max(cols)) + 2, dataset.width)
-    row0, row1 = max(math.floor(min(rows)) - 2, 0), min(math.ceil(max(rows)) + 2, dataset.height)
-    if col0 >= col1 or row0 >= row1:
-        return None
-    return Window(col0, row0, col1 - col0, row1 - row0)
 
 
 def _names(dataset: rasterio.DatasetReader, given: Sequence[str] | None) -> dict[int, str]:

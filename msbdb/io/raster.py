@@ -4,6 +4,7 @@ Images are opened and moved onto a lattice by the same functions; see ``msbdb.io
 """
 
 import logging
+import math
 import os
 import warnings
 from collections.abc import Iterator
@@ -16,11 +17,13 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
-from rasterio.warp import Resampling, reproject
+from rasterio.transform import rowcol
+from rasterio.warp import Resampling, reproject, transform_bounds
+from rasterio.windows import Window
 
 from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, NodataError, give_notice
 from msbdb.grid import Bounds, Grid, GridSpec
-from msbdb.io.crs import CrsLike, reference, same_crs, settle
+from msbdb.io.crs import CrsLike, reference, same_crs, settle, split_crs
 
 logger = logging.getLogger(__name__)
 
@@ -39,7 +42,12 @@ BAND_UNITS = {
 
 
 def read_grid(
-    path: str | os.PathLike[str], *, crs: CrsLike | None = None, role: str = "DSM", z_unit: str = "auto"
+    path: str | os.PathLike[str],
+    *,
+    crs: CrsLike | None = None,
+    role: str = "DSM",
+    z_unit: str = "auto",
+    over: GridSpec | None = None,
 ) -> Grid:
     """Read a raster of heights, in metres.
 
@@ -54,6 +62,8 @@ def read_grid(
     z_unit : {'auto', 'm', 'ft', 'us-ft'}
         Unit of the heights. 'auto' takes that of the vertical CRS, else of the band, else that of a CRS in feet,
         else metres.
+    over : GridSpec, optional
+        Only the part of the raster around this lattice is read; all of it where they lie apart.
 
     Returns
     -------
@@ -70,7 +80,7 @@ def read_grid(
     CRSError
         If the CRS is missing, in conflict with ``crs``, geographic, or in feet without a metric twin.
     NodataError
-        If no cell is valid.
+        If no cell is valid, unless a part is read.
 
     Warns
     -----
@@ -89,7 +99,8 @@ def read_grid(
         transform, shape, bounds = dataset.transform, dataset.shape, raster_bounds(dataset)
         _require_square(transform, f"The {role} {name}")
         unit = BAND_UNITS.get((dataset.units[0] or "").strip().lower())
-        values, valid = _heights(dataset)
+        window = None if over is None else window_over(dataset, over, split_crs(own)[0])
+        values, valid = _heights(dataset, window)
     how = reference(own, bounds=bounds, where=name, z_unit=z_unit, z_hint=unit, what=f"cells of the {role}")
     if how.transformer is not None:
         msg = (
@@ -101,12 +112,14 @@ def read_grid(
         give_notice(f"{name}: {notice}")
     side = (transform.a - transform.e) / 2 * how.xy_factor
     metric = Affine(side, 0.0, transform.c * how.xy_factor, 0.0, -side, transform.f * how.xy_factor)
-    if not valid.any():
+    if over is None and not valid.any():
         msg = f"The {role} {name} has no valid cell. Check its nodata value."
         raise NodataError(msg)
     heights = values if how.z_factor == 1.0 else (values * how.z_factor).astype(np.float32)
     logger.info("Read %s of %s cells; %.1f %% have a value", name, shape, 100 * valid.mean())
-    return Grid(heights, valid, GridSpec(shape, metric, how.crs))
+    if window is not None:
+        metric @= Affine.translation(window.col_off, window.row_off)
+    return Grid(heights, valid, GridSpec(valid.shape, metric, how.crs))
 
 
 def _require_square(transform: Affine, what: str) -> None:
@@ -123,13 +136,13 @@ def _require_square(transform: Affine, what: str) -> None:
         raise InputError(msg)
 
 
-def _heights(dataset: rasterio.DatasetReader) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the band's values, scaled by its own tags, and where they are valid."""
-    raw = dataset.read(1)
+def _heights(dataset: rasterio.DatasetReader, window: Window | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the band's values in a window, scaled by its own tags, and where they are valid."""
+    raw = dataset.read(1, window=window)
     if np.iscomplexobj(raw):
         msg = f"{Path(dataset.name).name} holds complex numbers; heights are real."
         raise InputError(msg)
-    valid = (dataset.read_masks(1) != 0) & np.isfinite(raw)
+    valid = (dataset.read_masks(1, window=window) != 0) & np.isfinite(raw)
     values = np.where(valid, raw, 0).astype(np.float64)
     valid &= ~np.isin(values, SENTINELS) & (np.abs(values) < LARGEST_HEIGHT_M)
     values = values * dataset.scales[0] + dataset.offsets[0]
@@ -211,6 +224,25 @@ def raster_bounds(dataset: rasterio.DatasetReader) -> Bounds:
     xs = [t.c + col * t.a + row * t.b for col in (0, cols) for row in (0, rows)]
     ys = [t.f + col * t.d + row * t.e for col in (0, cols) for row in (0, rows)]
     return (min(xs), min(ys), max(xs), max(ys))
+
+
+def window_over(dataset: rasterio.DatasetReader, spec: GridSpec, crs: CRS) -> Window | None:
+    """Return the part of a raster around a lattice, with what it takes to interpolate, or None if they are apart.
+
+    ``crs`` is that of the raster. GDAL interpolates from two pixels on each side, or two cells where these are larger.
+    """
+    west, south, east, north = spec.bounds
+    if not same_crs(crs, spec.crs):
+        west, south, east, north = transform_bounds(spec.crs.to_wkt(), crs.to_wkt(), *spec.bounds)
+    corners = [(x, y) for x in (west, east) for y in (south, north)]
+    rows, cols = rowcol(dataset.transform, *zip(*corners, strict=True), op=np.asarray)
+    per_cell = max(np.ptp(rows) / spec.shape[0], np.ptp(cols) / spec.shape[1], 1)
+    margin = math.ceil(2 * per_cell)
+    col0, col1 = max(math.floor(min(cols)) - margin, 0), min(math.ceil(max(cols)) + margin, dataset.width)
+    row0, row1 = max(math.floor(min(rows)) - margin, 0), min(math.ceil(max(rows)) + margin, dataset.height)
+    if col0 >= col1 or row0 >= row1:
+        return None
+    return Window(col0, row0, col1 - col0, row1 - row0)
 
 
 def warp(source: NDArray[np.float32], transform: Affine, crs: CRS, onto: GridSpec, method: str) -> NDArray[np.float32]:

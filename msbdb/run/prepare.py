@@ -1,7 +1,9 @@
 """Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -177,7 +179,7 @@ def prepare(
             cover = keep_labels(cover, label.classes)
     record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
     evidence, elevations = Evidence.of(structure), Elevations.of(surface, cloud)
-    parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec)
+    parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec, everywhere=own is None)
     intensity = kept_intensity(bands)
     if intensity is not None:
         # What is too low for a building, or is no roof, is not read.
@@ -256,8 +258,10 @@ def make_draft(
     return draft.within(inside)
 
 
-def read_parcels(path: Path, spec: GridSpec) -> Labels:
+def read_parcels(path: Path, spec: GridSpec, *, everywhere: bool = True) -> Labels:
     """Return the parcel of each cell: row number + 1 in the file, 0 for none.
+
+    A window of a survey may lie beside all parcels, but not ``everywhere``.
 
     Raises
     ------
@@ -267,7 +271,7 @@ def read_parcels(path: Path, spec: GridSpec) -> Labels:
         When no parcel covers a cell of the survey.
     """
     parcels = rasterise(read_polygons(path, to=spec.crs).geometry, spec)
-    if not parcels.any():
+    if everywhere and not parcels.any():
         msg = f"No parcel of {path} covers a cell of the survey. Check the file, and its CRS."
         raise InputError(msg)
     return parcels
@@ -285,7 +289,7 @@ def note_missing_sources(scene: Scene) -> None:
 def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Surface:
     """Build the surface from the points, or take it from the rasters."""
     if cloud is not None:
-        return build_surface(cloud, params, None if inputs.dtm is None else read_terrain(inputs, inputs.dtm))
+        return build_surface(cloud, params, None if inputs.dtm is None else partial(read_terrain, inputs, inputs.dtm))
     if inputs.ndsm is not None:
         ndsm = read_grid(inputs.ndsm, crs=inputs.any_crs, role="nDSM", z_unit=inputs.z_unit)
         note_sparse(1 / ndsm.spec.cell_area_m2, f"cells of the nDSM {inputs.ndsm.name}")
@@ -299,9 +303,10 @@ def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Su
     return note_offset(surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm)))
 
 
-def read_terrain(inputs: Inputs, path: Path) -> Grid:
-    """Read the terrain of a build from points; the stated CRS is of the points where the raster has its own."""
-    return read_grid(path, crs=None if states_crs(path) else inputs.any_crs, role="DTM", z_unit=inputs.z_unit)
+def read_terrain(inputs: Inputs, path: Path, spec: GridSpec) -> Grid:
+    """Read the terrain around a lattice of points; the stated CRS is of the points where the raster has its own."""
+    crs = None if states_crs(path) else inputs.any_crs
+    return read_grid(path, crs=crs, role="DTM", z_unit=inputs.z_unit, over=spec)
 
 
 def note_sparse(points_m2: float, what: str) -> None:
@@ -315,7 +320,7 @@ def note_sparse(points_m2: float, what: str) -> None:
         give_notice(msg)
 
 
-def build_surface(points: PointCloud, params: Params, given: Grid | None = None) -> Surface:
+def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec], Grid] | None = None) -> Surface:
     """Grid the first echoes, detect the ground, and subtract it (V13 to V16).
 
     Parameters
@@ -324,8 +329,9 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
         All echoes of the survey; outliers are gone.
     params : Params
         Sections ``surface`` and ``ground``.
-    given : Grid, optional
-        The terrain, on any lattice and CRS; without it the ground is detected among the points.
+    given : callable, optional
+        Takes a lattice, and returns the terrain around it on any lattice and CRS; without it the ground is detected
+        among the points.
 
     Raises
     ------
@@ -338,7 +344,7 @@ def build_surface(points: PointCloud, params: Params, given: Grid | None = None)
     note_sparse(points_m2, "first echoes")
     cell_m = params.surface.cell_m or cell_of_points(points, points_m2, params)
     spec = lattice(points.bounds, cell_m, points.crs)
-    aligned = None if given is None else align_grid(given, spec, role="DTM")
+    aligned = None if given is None else align_grid(given(spec), spec, role="DTM")
     dsm, samples = grid_surface(points, spec, params)
     if aligned is None:
         dtm, name = terrain(points, spec, params.ground)

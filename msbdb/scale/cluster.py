@@ -5,10 +5,11 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msbdb.errors import FileError, MissingDependencyError, ParameterError
+from msbdb.errors import FileError, MissingDependencyError, ParameterError, TilesError
 from msbdb.scale.tilework import Outcome, TileTask, work
 
 if TYPE_CHECKING:
@@ -24,6 +25,11 @@ AHEAD = 2
 
 TIMEOUT_S = 20.0
 """Seconds to wait for a scheduler."""
+
+LOST = (
+    "The scheduler of the cluster is lost. The tiles that are done wait. Start a cluster again, and repeat the command "
+    "with --resume."
+)
 
 MISSING = 'A build by workers needs dask.distributed, which is not installed. Install it: pip install "msbdb[cluster]".'
 
@@ -69,25 +75,47 @@ def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = 
     if workers is None or workers < 1:
         msg = f"A build needs one worker or more; got {workers}. Give --workers 2 for instance."
         raise ParameterError(msg)
-    shown = logger.isEnabledFor(logging.INFO)
     with (
         LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=processes,
             host="127.0.0.1" if processes else None,
-            dashboard_address="127.0.0.1:0" if shown else None,
+            # Any free port: without an address dask takes 8787, which another cluster may have.
+            dashboard_address="127.0.0.1:0",
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
-        if shown:
-            logger.info("Dashboard of the cluster: %s", client.dashboard_link)
+        logger.info("Dashboard of the cluster: %s", client.dashboard_link)
         yield client
 
 
-def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:
+@contextmanager
+def _losing(client: "Client") -> Iterator[None]:
+    """Name the loss of the scheduler, which shows in many ways: tiles are cancelled, or its answers lack something.
+
+    Raises
+    ------
+    TilesError
+        When the scheduler is lost while the block runs.
+    """
+    from distributed import CancelledError
+
+    try:
+        yield
+    except CancelledError as lost:
+        raise TilesError(LOST) from lost
+    except Exception as lost:
+        if client.status == "running":
+            raise
+        raise TilesError(LOST) from lost
+
+
+def work_on(
+    client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTask], None], share: int | None = None
+) -> Iterator[Outcome]:
     """Have a cluster build tiles, and yield what became of each as it ends.
 
     Parameters
@@ -98,19 +126,31 @@ def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTa
         The tiles in order.
     begin : callable
         Called when a tile is given to the cluster.
+    share : int, optional
+        Cores of each worker; by default as many as it has threads.
+
+    Raises
+    ------
+    TilesError
+        When the scheduler is lost.
     """
     from distributed import as_completed
 
     waiting = list(reversed(tasks))
     running = {}
-    room = AHEAD * max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
+    with _losing(client):
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+    room = AHEAD * max(len(workers), 1)
+    if share is None:
+        share = min((worker["nthreads"] for worker in workers.values()), default=None)
     completed = as_completed(loop=client.loop)
 
     def give() -> None:
         task = waiting.pop()
         begin(task)
         key = f"msbdb-{task.status.survey}-{task.tile}-{os.getpid()}"
-        future = client.submit(work, task, key=key, pure=False, retries=RETRIES)
+        with _losing(client):
+            future = client.submit(work, replace(task, cores=share), key=key, pure=False, retries=RETRIES)
         running[future.key] = task
         completed.add(future)
 
@@ -118,11 +158,10 @@ def work_on(client: "Client", tasks: Sequence[TileTask], begin: Callable[[TileTa
         give()
     for future in completed:
         task = running.pop(future.key)
-        error = future.exception()
-        if error is None:
-            yield task, future.result(), ""
-        else:
-            yield task, None, f"{type(error).__name__}: {error}"
+        with _losing(client):
+            error = future.exception()
+            summary = None if error is not None else future.result()
+        yield task, summary, "" if error is None else f"{type(error).__name__}: {error}"
         future.release()
         if waiting:
             give()

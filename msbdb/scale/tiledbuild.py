@@ -1,6 +1,7 @@
 """A build in tiles: the plan first, then every tile by itself, then one run of all of them in the database."""
 
 import hashlib
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -48,6 +49,7 @@ from msbdb.scale.tilework import Outcome, TileTask, one_by_one, result_file
 from msbdb.scale.tiling import HALO_M, Tile, tiles_over
 from msbdb.surveyplan import Plan
 from msbdb.tables import BUILDING, Reason
+from msbdb.threads import cores
 from msbdb.version import __version__
 
 MOST_HALO_M = 250.0
@@ -152,7 +154,8 @@ class TiledBuild:
             if box[0] <= east and box[2] >= west and box[1] <= north and box[3] >= south
         )
         job = replace(self.job, inputs=replace(inputs, points=near), plan=self.plan)
-        return TileTask(tile, job, self.plan, self.survey, HALO_M, MOST_HALO_M, self.queued(tile), self.place)
+        wide, status = (HALO_M, MOST_HALO_M), self.queued(tile)
+        return TileTask(tile, job, self.plan, self.survey, *wide, status, self.place, self.build)
 
     def results(self, engine: Engine) -> Iterator[Result]:
         """Yield the results of all tiles in order, one in memory at a time, without those that have no points."""
@@ -182,10 +185,9 @@ class TiledBuild:
     def clear(self) -> None:
         """Take the files of results away, once they are merged."""
         if self.is_file:
-            for tile in self.tiles:
-                result_file(self.place, tile).unlink(missing_ok=True)
+            # Also what a worker that was killed began to write.
+            shutil.rmtree(self.place, ignore_errors=True)
             with suppress(OSError):
-                Path(self.place).rmdir()
                 Path(self.place).parent.rmdir()
 
 
@@ -201,7 +203,6 @@ def _boxes(job: Job) -> tuple[Bounds, ...]:
     inputs = job.inputs
     for given, words in (
         (not inputs.points, "rasters of heights: give points"),
-        (inputs.parcels is not None, "parcels"),
         (job.denoising_figure is not None, "a picture of the denoising"),
     ):
         if given:
@@ -241,7 +242,8 @@ def build_with(
     from msbdb.scale.cluster import cluster_of, work_on
 
     with cluster_of(workers, scheduler) as client:
-        runner = partial(work_on, client)
+        # Workers of this machine share its cores.
+        runner = partial(work_on, client, share=None if scheduler or not workers else cores() // workers)
         return build_tiles(job, target, side_m, stages, notices, runner=runner, resume=resume, basis=basis)
 
 
@@ -305,13 +307,8 @@ def build_tiles(
         # The results go when they are merged.
         if len(done) < len(build.tiles) or there:
             with stages.stage("tiles"):
-                _run(
-                    build,
-                    [tile for tile in build.tiles if tile not in done or tile not in there],
-                    runner,
-                    stages,
-                    notices,
-                )
+                waiting = [tile for tile in build.tiles if tile not in done or tile not in there]
+                _run(build, waiting, runner, stages, notices)
             with stages.stage("write"):
                 merged = _merge(build, engine, stages, notices, basis)
         build.clear()

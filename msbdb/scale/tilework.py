@@ -10,7 +10,7 @@ from pathlib import Path
 import geopandas as gpd
 from pyproj import CRS
 
-from msbdb.database import TileStatus, note_tile
+from msbdb.database import TileStatus, note_result
 from msbdb.errors import NodataError, collected_notices
 from msbdb.grid import Bounds
 from msbdb.io.vector import Area
@@ -21,7 +21,7 @@ from msbdb.scale.tileresults import packed
 from msbdb.scale.tiling import STEP_M, Tile, cut_islands
 from msbdb.surveyplan import Plan
 from msbdb.tables import Reason
-from msbdb.threads import memory_reused
+from msbdb.threads import alone_on, memory_reused
 
 logger = logging.getLogger(__name__)
 
@@ -46,6 +46,10 @@ class TileTask:
         As it is queued.
     place : str
         A folder for the result, or the URL of a server that keeps it.
+    build : str
+        Digest of the build that it belongs to.
+    cores : int, optional
+        Cores of the machine that are the worker's; by default all.
     """
 
     tile: Tile
@@ -56,6 +60,8 @@ class TileTask:
     most_m: float
     status: TileStatus
     place: str
+    build: str
+    cores: int | None = None
 
     @property
     def is_file(self) -> bool:
@@ -78,6 +84,8 @@ Outcome = tuple[TileTask, TileSummary | None, str]
 def work(task: TileTask) -> TileSummary:
     """Build a tile, and put its result in its place; a repetition puts the same there.
 
+    A worker with several threads builds one tile at a time, which all of them share: memory is bounded by the tile.
+
     Raises
     ------
     MsbdbError
@@ -85,7 +93,7 @@ def work(task: TileTask) -> TileSummary:
     """
     begin = time.perf_counter()
     found, reason, halo_m, cut = None, "", task.halo_m, 0
-    with collected_notices() as notices, memory_reused():
+    with alone_on(task.cores), collected_notices() as notices, memory_reused():
         while True:
             try:
                 found = _in_window(task, halo_m)
@@ -109,7 +117,7 @@ def work(task: TileTask) -> TileSummary:
     if task.is_file:
         put_file(result_file(task.place, task.tile), content)
     else:
-        note_tile(task.place, status, content)
+        note_result(task.place, status, content, task.build)
     return TileSummary(status, tuple(str(notice) for notice in notices))
 
 

@@ -91,14 +91,18 @@ def roughness(samples: Samples, window_m: float) -> Field:
     >>> roughness(samples, 3.0)[2].round(2)
     array([0. , 0. , 0.3, 0. , 0. ], dtype=float32)
     """
+    best: Field = erosion(scatter(samples, window_m), window_cells(window_m, samples.spec.cell_m), None)
+    return best
+
+
+def scatter(samples: Samples, window_m: float) -> Field:
+    """Return how far the samples scatter from their best plane in the window around each cell, as for `roughness`."""
     size = window_cells(window_m, samples.spec.cell_m)
     if not samples.observed.any():
         return np.full(samples.spec.shape, NO_PLANE_M, dtype=np.float32)
     # Heights are taken from the middle of their range, so that the sums of their squares keep their digits.
     origin = float(np.nanmin(samples.z) + np.nanmax(samples.z)) / 2
-    residual = _plane_residual(samples.z, (samples.east, samples.north), origin, samples.spec.cell_m, size // 2)
-    best: Field = erosion(residual, size, None)
-    return best
+    return _plane_residual(samples.z, (samples.east, samples.north), origin, samples.spec.cell_m, size // 2)
 
 
 def grid_samples(surface: Grid) -> Samples:

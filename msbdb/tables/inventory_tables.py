@@ -241,7 +241,9 @@ ROOF_SAMPLE = Table(
         Column("sample_id", "int64", "-", "from the place", primary=True),
         Column("material", "str", "-", "the material"),
         Column("note", "str", "-", "a remark; may be empty"),
-        Column("attributes", "json", "-", "the other columns of the source file", nullable=True),
+        Column(
+            "attributes", "json", "-", "the other columns of the source file; an empty object for none", nullable=True
+        ),
     ),
     rules=(Check("sample_id", "sample_id > 0"), Check("material", "material <> ''")),
     geometry="POINT",

@@ -62,6 +62,19 @@ def test_the_reference_lies_where_the_scene_has_buildings(town):
     assert [cell_for(density) for density in (8, 3, 2, 1, 0.5)] == [0.5, 0.5, 1.0, 1.0, 2.0]
 
 
+def test_cells_beyond_the_outermost_points_are_not_scored(town):
+    """Of a survey that is cut at whole metres, a row of cells has points on its outer edge alone."""
+    place, (cloud,), data = town
+    x, y = np.asarray(cloud.x), np.asarray(cloud.y)
+    east, south = np.floor(x.max()) - 5, np.ceil(y.min()) + 5
+    cut = taken(cloud, (x <= east) & (y >= south))
+    cut.x[0], cut.y[1] = east, south
+    reference = reference_of(place, [cut], data, 1.0)
+    assert not reference.scored[:, -1].any()
+    assert not reference.scored[-1].any()
+    assert reference.scored[1:-1, 1:-1].mean() > 0.9
+
+
 def test_thinned_copies_keep_whole_pulses(town):
     """All echoes of a kept pulse stay, and the same ones each time; the copy has about the share."""
     _, (cloud,), _ = town
@@ -154,14 +167,23 @@ def test_tables_that_were_not_measured_stay_on_the_page(places):
     assert places.page({}, after) == after
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(["--tables", "thinned,thick"], "got thick"), (["--write", "--place", "champs"], "leave --place out")],
-)
-def test_wrong_arguments_are_explained(words, said, places, monkeypatch, capsys):
+def test_rows_of_places_that_were_not_measured_stay_in_a_table(places):
+    """The page can be read back as it was written; means are those of all rows, and new cases come last."""
+    table = places.TABLES["first"]
+    facts = dict.fromkeys(table.columns, 80.0) | {"density": 3.0, "true": Objects(2, 3), "class 2": None}
+    old = [facts | {"case": "a"}, facts | {"case": "b", "buildings": 90.0}]
+    page = places.page({"first": places.section(table, old)}, "")
+    assert places.with_others(table, [], page) == old
+    both = places.with_others(table, [facts | {"case": "c"}, facts | {"case": "b"}], page)
+    assert [row["case"] for row in both] == ["a", "b", "c"]
+    assert places.mean([row["buildings"] for row in both], "buildings") == 80
+    assert places.mean([row["true"] for row in both], "true") == Objects(6, 9)
+
+
+def test_wrong_arguments_are_explained(places, monkeypatch, capsys):
     """Before any data is asked for."""
-    monkeypatch.setattr("sys.argv", ["places", *words])
+    monkeypatch.setattr("sys.argv", ["places", "--tables", "thinned,thick"])
     with pytest.raises(SystemExit) as ended:
         places.main()
     assert ended.value.code == 2
-    assert said in capsys.readouterr().err
+    assert "got thick" in capsys.readouterr().err

@@ -17,12 +17,14 @@ from msbdb.api import advance, info
 from msbdb.database import (
     canonical_dump,
     check_database,
+    downgrade_schema,
     footprint_at,
     open_database,
     read_changes,
     read_history,
     read_states,
     run_example,
+    upgrade_schema,
     write_build,
     write_import,
     write_samples,
@@ -361,13 +363,26 @@ def test_roof_samples_are_crossed_with_the_classes_of_finest_parts(engine: Engin
 
 
 def test_a_sample_without_further_columns_has_no_attributes(engine: Engine) -> None:
-    """Whatever stands for nothing in a frame is null in the database, and its digest is that of the row."""
+    """Whatever stands for nothing in a frame is an empty object in the database, and its digest is that of the row."""
     apply(engine, *FIRST)
     frame = footprints(ROW[:2])
     frame = frame.set_geometry(frame.geometry.centroid).assign(material="tile", note="", attributes=float("nan"))
     write_samples(engine, frame)
     with engine.connect() as connection:
-        assert connection.scalar(text("SELECT count(*) FROM roof_sample WHERE attributes IS NULL")) == 2
+        assert connection.scalar(text("SELECT count(*) FROM roof_sample WHERE CAST(attributes AS TEXT) = '{}'")) == 2
+    assert check_database(engine) == []
+
+
+def test_an_older_inventory_gets_empty_objects(engine: Engine) -> None:
+    """In place of nulls, of each of which QGIS warns; digests stay right on the way up and down."""
+    apply(engine, *FIRST)
+    nulls = text("SELECT count(*) FROM building_version WHERE attributes IS NULL")
+    assert downgrade_schema(engine.url, "0009")[1:] == ("0009", [])
+    with engine.connect() as connection:
+        assert connection.scalar(nulls) == len(FIRST[2])
+    upgrade_schema(engine.url)
+    with engine.connect() as connection:
+        assert connection.scalar(nulls) == 0
     assert check_database(engine) == []
 
 

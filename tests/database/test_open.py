@@ -148,7 +148,7 @@ def test_an_older_schema_is_upgraded_when_building(
     tomorrow = migrations_of_tomorrow(tmp_path / "a folder of 100%")
     with monkeypatch.context() as patch:
         patch.setattr(upgrade, "packaged", lambda _name: tomorrow)
-        with pytest.raises(SchemaVersionError, match="older schema"):
+        with pytest.raises(SchemaVersionError, match=r"older schema .*'msbdb db upgrade \S+'"):
             open_database(target)
         upgraded = open_database(target, create=True)
         with upgraded.connect() as connection:

@@ -44,8 +44,7 @@ def seen(target: str, folder: Path) -> dict[str, Found]:
     files = [folder / name for name in ("town.qgz", "town.gpkg", "changes.gpkg", "evidence.gpkg")]
     names = ("project", "town", "changes", "evidence")
     found = dict(zip(names, opened_by_qgis(*files), strict=True))
-    # Tables have nulls among JSON values, of each of which QGIS warns; the views that people open have none.
-    [tables] = opened_by_qgis(target.replace("+psycopg", ""), known="Cannot parse json")
+    [tables] = opened_by_qgis(target.replace("+psycopg", ""))
     return found | {"database": tables}
 
 

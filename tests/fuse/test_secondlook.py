@@ -17,7 +17,7 @@ from msbdb.fuse.secondlook import (
 )
 from msbdb.grid import Grid, lattice
 from msbdb.params import FuseParams
-from msbdb.surface.texture import NO_PLANE_M
+from msbdb.surface.texture import NO_PLANE_M, grid_samples, roughness
 
 PARAMS = FuseParams()
 
@@ -96,6 +96,12 @@ def test_a_house_that_trees_touch_stays():
     np.testing.assert_array_equal(fuse_cells(heights, regions, PARAMS, mask_m=2.0, evidence=evidence), decided)
 
 
+def crowns(shape):
+    """Return heights of dense crowns 5 m apart, on cells of 0.5 m."""
+    row, col = np.indices(shape)
+    return 5 + 1.5 * np.sin(2 * np.pi * row / 10) * np.sin(2 * np.pi * col / 10)
+
+
 @pytest.mark.parametrize(
     ("roof_m", "ground_m", "cell_m", "kept"),
     [
@@ -112,15 +118,27 @@ def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept)
     shape = (60, 60)
     decided = block(shape, (20, 40), (20, 40))
     rough = np.where(decided, np.float32(roof_m), np.float32(ground_m))
-    found = without_rough(decided, rough, grid(np.where(decided, 5.0, 0.0), cell_m), PARAMS)
+    found = without_rough(decided, rough, grid(np.where(decided, crowns(shape), 0.0), cell_m), PARAMS)
     np.testing.assert_array_equal(found, decided if kept else np.zeros_like(decided))
+
+
+@pytest.mark.parametrize("noise_m", [0.1, 0.25])
+def test_a_roof_that_noise_alone_makes_rough_stays(noise_m):
+    """Of a roof the means of some cells are even, and of a hedge they are not, whatever the noise."""
+    shape = (60, 60)
+    decided = block(shape, (20, 40), (20, 40))
+    noise = np.random.default_rng(3).normal(0, noise_m, shape)
+    for top, kept in ((5 + 0.4 * np.indices(shape)[0], True), (crowns(shape), False)):
+        heights = grid(np.where(decided, top + noise, 0.0), 0.5)
+        rough = np.where(decided, roughness(grid_samples(heights), 1.5), np.float32(0.02))
+        assert without_rough(decided, np.maximum(rough, 0.2 * decided), heights, PARAMS).any() == kept
 
 
 def test_an_object_whose_roughness_is_not_known_stays():
     """Too few samples for planes say nothing, neither on a roof nor on the ground."""
     shape = (60, 60)
     decided = block(shape, (20, 40), (20, 40))
-    heights = grid(np.where(decided, 5.0, 0.0), 0.5)
+    heights = grid(np.where(decided, crowns(shape), 0.0), 0.5)
     unknown = np.full(shape, NO_PLANE_M, dtype=np.float32)
     np.testing.assert_array_equal(without_rough(decided, unknown, heights, PARAMS), decided)
     hedge = np.where(decided, np.float32(0.3), unknown)

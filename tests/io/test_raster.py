@@ -338,3 +338,19 @@ def test_real_height_rasters_read(tile):
     both = dsm.valid & dtm.valid
     assert both.mean() > 0.99
     assert np.percentile((dsm.values - dtm.values)[both], 5) > -1.0
+
+
+@pytest.mark.parametrize(("cell_m", "epsg"), [(0.2, 2154), (0.7, 2154), (3.0, 2154), (1.0, 32631)])
+def test_the_part_around_a_lattice_is_enough(tmp_path, cell_m, epsg):
+    """Moved onto the lattice, it gives what the whole raster gives, from much finer cells as from larger ones."""
+    rows, cols = 400, 300
+    values = np.random.default_rng(5).normal(50, 3, (rows, cols)).astype(np.float32)
+    crs, onto = CRS.from_epsg(epsg), GridSpec((20, 24), NORTH_UP, LAMBERT)
+    west, south, east, north = rasterio.warp.transform_bounds(LAMBERT.to_wkt(), crs.to_wkt(), *onto.bounds)
+    left, top = (west + east - cols * cell_m) / 2, (south + north + rows * cell_m) / 2
+    path = write(tmp_path / "dtm.tif", values, transform=Affine(cell_m, 0, left, 0, -cell_m, top), crs=crs)
+    part = read_grid(path, over=onto)
+    assert np.asarray(part.values).size < values.size / 3
+    whole, some = (align_grid(grid, onto) for grid in (read_grid(path), part))
+    np.testing.assert_array_equal(some.values, whole.values)
+    np.testing.assert_array_equal(some.valid, whole.valid)

@@ -1,16 +1,20 @@
 """Workers of dask.distributed build the same as one process, and what kills one of them kills no build."""
 
+import json
 import subprocess
 import sys
+import time
+from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
-from support.processes import environment
+from support.processes import BENCHMARKS, environment, run_script
 from support.tiledtown import KILLED, TILE_M, write_town
 
 import msbdb
 from msbdb.database import canonical_dump, check_database, open_database
-from msbdb.errors import FileError, MissingDependencyError, ParameterError
+from msbdb.errors import FileError, MissingDependencyError, ParameterError, TilesError
 from msbdb.scale import cluster
 
 
@@ -47,6 +51,36 @@ def test_workers_give_the_content_of_one_process(files, alone, tmp_path, monkeyp
     db = tmp_path / "town.sqlite"
     msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M, workers=workers)
     assert dump(db) == alone
+
+
+@dataclass(frozen=True)
+class Task:
+    """What the cluster sees of a tile."""
+
+    tile: int
+    status: SimpleNamespace
+    cores: int | None = None
+
+
+def slow(task):
+    """Do the work of a tile that takes its time."""
+    time.sleep(0.2)
+    return task
+
+
+def test_a_lost_scheduler_is_named(monkeypatch):
+    """Its tiles are cancelled, which ends the build by a message with the next step."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("distributed.comm.inproc.get_ip", lambda: "127.0.0.1")
+    monkeypatch.setattr(cluster, "work", slow)
+    tasks = [Task(number, SimpleNamespace(survey="town")) for number in range(3)]
+    with cluster.cluster_of(1, None, processes=False) as client:
+        outcomes = cluster.work_on(client, tasks, lambda _: None)
+        first, summary, _ = next(outcomes)
+        assert (first.tile, summary.cores) == (0, 1), "a worker of one thread has one core"
+        client.cancel([distributed.Future(key, client) for key in list(client.futures)])
+        with pytest.raises(TilesError, match=r"scheduler of the cluster is lost.*--resume"):
+            list(outcomes)
 
 
 def test_without_dask_the_error_says_what_to_install(files, tmp_path, monkeypatch):
@@ -88,3 +122,15 @@ def test_a_killed_worker_changes_nothing(files, alone, tmp_path):
     assert ended.returncode == 0, ended.stderr
     assert (tmp_path / "killed").exists()
     assert dump(db) == alone
+
+
+@pytest.mark.long
+def test_disturbed_builds_in_tiles_end_as_undisturbed_ones():
+    """Kills, files that vanish or may not grow, and a broken tile: scripts/benchmarks/tilefaults in short."""
+    pytest.importorskip("distributed")
+    done = run_script(BENCHMARKS / "tilefaults", "--kills", 3, "--others", 1, "--dialect", "spatialite", "--json")
+    assert done.returncode == 0, done.stderr
+    runs = json.loads(done.stdout)["runs"]
+    assert {run["problem"] for run in runs} == {""}
+    assert {run["fault"] for run in runs} >= {"client", "worker", "scheduler", "vanish", "raise", "limit"}
+    assert {run["ended"] for run in runs} >= {"killed", "refused"}

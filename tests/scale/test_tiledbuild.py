@@ -1,22 +1,39 @@
 """A build in tiles: the content of the build of the whole, in any order, after failures, crashes and resumption."""
 
+import errno
 import json
 import random
 import subprocess
 import sys
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from affine import Affine
 from click.testing import CliRunner
+from simulated.files import write_heights
+from simulated.scenes import DATUM_M
 from support.processes import environment
 from support.tiledtown import KILLED, TILE_M, town, write_town
 
 import msbdb
 from msbdb.cli.main import cli
-from msbdb.database import canonical_dump, check_database, open_database, opened, read_buildings, read_run
+from msbdb.database import (
+    TileStatus,
+    begin_tiles,
+    canonical_dump,
+    check_database,
+    note_result,
+    open_database,
+    opened,
+    read_buildings,
+    read_result,
+    read_run,
+)
 from msbdb.errors import InputError, ParameterError, TilesError
+from msbdb.grid import Grid, GridSpec
 from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
 
@@ -159,6 +176,76 @@ def test_a_failed_tile_is_named_and_the_others_complete(files, quick, tmp_path, 
     assert [tile["state"] for tile in listed] == ["done"] * 4
 
 
+def test_a_file_that_vanishes_leaves_the_other_tiles(files, tmp_path, monkeypatch):
+    """The tiles that do not need it are done; when it is back, the repetition ends in the undisturbed dump."""
+    own = [tmp_path / path.name for path in files]
+    for path, kept in zip(own, files, strict=True):
+        path.write_bytes(kept.read_bytes())
+    original = tilework.find_buildings
+
+    def loses(job, stages, plan, window):
+        own[1].unlink(missing_ok=True)
+        return original(job, stages, plan, window)
+
+    monkeypatch.setattr(tilework, "find_buildings", loses)
+    # Tiles of the west do not see the eastern file.
+    monkeypatch.setattr(tiledbuild, "HALO_M", 5.0)
+    monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 5.0)
+    given = {"survey": "town", "extract": "multiscale", "tile": 50}
+    db = tmp_path / "town.sqlite"
+    with pytest.raises(TilesError, match=r"e\.laz.*--resume"):
+        msbdb.build(own, db=db, **given)
+    states = {tile.state for tile in msbdb.tiles(db)}
+    assert states == {"done", "failed"}
+    own[1].write_bytes(files[1].read_bytes())
+    monkeypatch.setattr(tilework, "find_buildings", original)
+    msbdb.build(own, db=db, **given, resume=True)
+    undisturbed = tmp_path / "undisturbed.sqlite"
+    msbdb.build(own, db=undisturbed, **given)
+    assert lines(db) == lines(undisturbed)
+
+
+def test_a_full_disk_leaves_the_other_tiles(files, quick, tmp_path, monkeypatch):
+    """What could not be written is named, and nothing half is left; with room again the dump is the undisturbed one."""
+    original, calls = tilework.Path.write_bytes, []
+
+    def full(path, content):
+        if path.name.endswith(".partial"):
+            calls.append(path)
+            if len(calls) == 2:
+                original(path, content[:100])
+                raise OSError(errno.ENOSPC, "No space left on device")
+        return original(path, content)
+
+    monkeypatch.setattr(tilework.Path, "write_bytes", full)
+    db = tmp_path / "town.sqlite"
+    given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
+    with pytest.raises(TilesError, match=r"1 tile of 4.*No space left on device.*--resume"):
+        msbdb.build(files, **given)
+    assert [tile.state for tile in msbdb.tiles(db)].count("done") == 3
+    assert not list(tmp_path.rglob("*.partial"))
+    # A worker that is killed while it writes cannot clear up.
+    calls[0].write_bytes(b"half")
+    msbdb.build(files, **given, resume=True)
+    assert lines(db) == lines(quick)
+    assert [path.name for path in tmp_path.iterdir()] == ["town.sqlite"]
+
+
+def test_a_late_result_is_left_out(tmp_path):
+    """A worker may outlive its command: results of another build, or of a tile that is done, change nothing."""
+    db = str(tmp_path / "town.sqlite")
+    status = TileStatus("town", 0, 0, 0.0, 0.0, 60.0, 60.0)
+    begin_tiles(db, [status], "new", epsg=25833, crs_wkt="", resume=False)
+    done = replace(status, state="done", points=1)
+    note_result(db, done, b"old", "former")
+    assert [tile.state for tile in msbdb.tiles(db)] == ["queued"]
+    note_result(db, done, b"own", "new")
+    note_result(db, replace(done, points=2), b"late", "new")
+    assert [(tile.state, tile.points) for tile in msbdb.tiles(db)] == [("done", 1)]
+    with opened(db) as engine:
+        assert read_result(engine, "town", (0, 0)) == b"own"
+
+
 def test_the_same_again_changes_nothing(files, quick, tmp_path, monkeypatch):
     """Neither a repetition nor a resumption after the end changes the database; the latter builds no tile."""
     db = tmp_path / "town.sqlite"
@@ -229,6 +316,22 @@ def test_an_area_of_interest_is_cut_in_tiles(files, tmp_path):
     assert all(tile.points for tile in msbdb.tiles(tmp_path / "tiles.sqlite"))
 
 
+def test_parcels_and_a_terrain_are_cut_in_tiles(files, tmp_path):
+    """They divide houses and give the ground as in one piece; no parcel lies in most windows."""
+    crs, corner = town().points.crs, (389_040.0, 5_821_020.0)
+    halves = [shapely.box(corner[0] + x, corner[1] + 40, corner[0] + x + 17, corner[1] + 80) for x in (44, 61)]
+    gpd.GeoDataFrame(geometry=halves, crs=crs).to_crs("EPSG:4326").to_file(tmp_path / "parcels.geojson")
+    spec = GridSpec((300, 300), Affine(1.0, 0, corner[0] - 90, 0, -1.0, corner[1] + 210), crs)
+    ground = np.fromfunction(lambda row, col: DATUM_M + (row - col) / 500, spec.shape).astype(np.float32)
+    dtm = write_heights(tmp_path / "dtm.tif", Grid(ground, np.ones(spec.shape, bool), spec))
+    given = {"survey": "town", "parcels": tmp_path / "parcels.geojson", "dtm": dtm}
+    msbdb.build(files, db=tmp_path / "one.sqlite", **given)
+    msbdb.build(files, db=tmp_path / "tiles.sqlite", **given, tile=TILE_M)
+    with msbdb.open(tmp_path / "tiles.sqlite") as found:
+        assert "parcel" in set(found.buildings()["divided_by"])
+    assert without_counts(lines(tmp_path / "tiles.sqlite")) == without_counts(lines(tmp_path / "one.sqlite"))
+
+
 def test_a_build_in_one_piece_takes_the_place_of_tiles(files, quick, tmp_path):
     """The rows of the tiles go with them; the content stays but for the counts."""
     db = tmp_path / "town.sqlite"
@@ -250,18 +353,14 @@ def test_classes_of_a_survey_in_tiles_are_labelled_again(quick, tmp_path):
     ("given", "error", "words"),
     [
         ({"tile": 20}, ParameterError, "at least 50 m"),
-        ({"tile": 60, "parcels": "w"}, InputError, "does not take parcels"),
+        ({"tile": 60, "denoising_figure": "figure.png"}, InputError, "does not take a picture"),
         ({"workers": 2}, ParameterError, "Add --tile"),
         ({"resume": True}, ParameterError, "Add --tile"),
     ],
 )
 def test_what_cannot_be_cut_is_refused(files, tmp_path, given, error, words):
     """The message says what to leave out; no database is made."""
-    if "parcels" in given:
-        file = tmp_path / "parcels.geojson"
-        box = shapely.box(389_050.0, 5_821_030.0, 389_070.0, 5_821_050.0)
-        gpd.GeoDataFrame(geometry=[box], crs=town().points.crs).to_file(file)
-        given = {**given, "parcels": file}
+    given = {name: tmp_path / value if name == "denoising_figure" else value for name, value in given.items()}
     with pytest.raises(error, match=words):
         msbdb.build(files, db=tmp_path / "town.sqlite", **given)
     assert not (tmp_path / "town.sqlite").exists()

@@ -36,6 +36,15 @@ def test_the_context_holds_what_is_copied():
 def test_the_readme_names_the_commands_of_the_container_file():
     """Both pages have the same lines."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for command in ("podman build -t msbdb .", 'podman run --rm -v "$PWD:/data" msbdb build --points town.laz'):
+    run = 'podman run --rm -v "$PWD:/data"'
+    served = f"{run} -p 127.0.0.1:8080:8080 msbdb serve town.sqlite --host 0.0.0.0"
+    for command in ("podman build -t msbdb .", f"{run} msbdb build --points town.laz", served):
         assert command in CONTAINER
         assert command in readme
+
+
+def test_the_image_has_every_extra_that_a_command_needs():
+    """All that pyproject.toml offers, but those for the work on msbdb itself: so that no command asks for pip."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    [installed] = re.findall(r'pip install .*"\.\[(.*)\]"', CONTAINER)
+    assert set(installed.split(",")) == set(extras) - {"test", "guide", "lint"}

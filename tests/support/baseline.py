@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def first_migration(folder: Path) -> Path:
     """Write a copy of the migrations with the first one alone."""
-    shutil.copytree(ROOT / "migrations", folder, ignore=shutil.ignore_patterns("__pycache__", "000[2-9]*"))
+    shutil.copytree(ROOT / "migrations", folder, ignore=shutil.ignore_patterns("__pycache__", "000[2-9]*", "001*"))
     return folder
 
 

@@ -15,8 +15,11 @@ KILLED = "MSBDB_TEST_KILLED"
 """Names the file that remembers that a worker was killed."""
 
 
-def town() -> Scene:
-    """Return a town of 120 by 120 m with a courtyard over the corner of the tiles, and houses and trees around it."""
+def town(without: str = "") -> Scene:
+    """Return a town of 120 by 120 m with a courtyard over the corner of the tiles, and houses and trees around it.
+
+    The house ``without`` is pulled down.
+    """
     blocks = (
         Block("ring", 44, 44, 34, 34, DATUM_M + 12.5, 1, hole=(54, 54, 14, 14)),
         Block("hall", 52, 95, 20, 14, DATUM_M + 9.5, 2, material="gravel"),
@@ -25,12 +28,14 @@ def town() -> Scene:
         Block("east", 95, 85, 13, 10, DATUM_M + 7.5, 5, turn_deg=20.0),
     )
     trees = tuple(Tree(8.0 + 10 * n, 36.0, 3.5, 9.0 + n % 3, 2.5) for n in range(11))
+    blocks = tuple(block for block in blocks if block.name != without)
     return scan(World("town", (120, 120), blocks, trees, origin=(389_040.0, 5_821_020.0)), density=1.0)
 
 
-def write_town(folder: Path) -> list[Path]:
+def write_town(folder: Path, without: str = "") -> list[Path]:
     """Write the town as two files, a western and an eastern one."""
-    points = town().points
+    folder.mkdir(exist_ok=True)
+    points = town(without).points
     west = points.x < 389_090.0
     return [write_points(folder / f"{name}.laz", points.take(own)) for name, own in (("w", west), ("e", ~west))]
 

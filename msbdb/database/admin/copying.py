@@ -257,7 +257,7 @@ def _copy_table(reading: Connection, writing: Connection, dialect: Dialect, tabl
         if "geometry" in names:
             place = names.index("geometry")
             shapes = shapely.from_wkb(np.array([bytes(blob) for blob in values[place]], dtype=object))
-            values[place] = dialect.encode(shapes, srid)
+            values[place] = shapely.to_wkb(shapes, byte_order=1)
         dialect.insert_rows(writing, table.name, dict(zip(names, values, strict=True)), srid)
 
 

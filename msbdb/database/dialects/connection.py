@@ -83,7 +83,7 @@ def open_database(
             if not create:
                 msg = (
                     f"The database {shown(url)} has an older schema than this msbdb. "
-                    "Upgrade it with 'msbdb db upgrade'; nothing in it is lost."
+                    f"Upgrade it with 'msbdb db upgrade {shown(url)}'; nothing in it is lost."
                 )
                 raise SchemaVersionError(msg)
             upgrade_database(engine)

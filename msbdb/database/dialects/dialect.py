@@ -65,13 +65,10 @@ class Dialect(Protocol):
     def keys_in_sets(self, connection: Connection, tables: Sequence[str], run_id: int) -> AbstractContextManager[None]:
         """Check the keys of a run's rows in these tables for all rows at once, where this is quicker."""
 
-    def encode(self, geometries: NDArray[Any], srid: int) -> list[Any]:
-        """Return geometries as ``insert_rows`` takes them."""
-
     def insert_rows(
         self, connection: Connection, table: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]], srid: int
     ) -> None:
-        """Insert rows in bulk, given by column; None and NaN are null, ``geometry`` has the values of ``encode``."""
+        """Insert rows in bulk, given by column; None and NaN are null, ``geometry`` has plain WKB."""
 
     def settle(self, connection: Connection) -> None:
         """Check the deferred constraints so far, where this is quicker now than at the commit."""

@@ -6,7 +6,6 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import psycopg
-import shapely
 from numpy.typing import NDArray
 from sqlalchemy import (
     JSON,
@@ -29,8 +28,9 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects import setkeys
+from msbdb.database.dialects.binarycopy import NUMBERS, packed_rows
 from msbdb.database.schema.sqlfiles import read_sql
-from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry, plain_rows
+from msbdb.database.schema.sqltables import SQL, VERSION_TABLE, Geometry
 from msbdb.errors import DatabaseError, LoadError, MissingDependencyError, MsbdbError, TableError
 from msbdb.identity import to_json
 
@@ -64,9 +64,6 @@ _WIRE: dict[type[TypeEngine[Any]], str] = {
     Text: "text",
 }
 """Types in which the values of columns are sent, subclasses before their base classes; JSON is sent as text."""
-
-_HAS_SRID = 0x20
-"""Flag in the highest byte of the type number of extended WKB."""
 
 _CONTENT = (
     "survey",
@@ -256,28 +253,19 @@ def keys_in_sets(connection: Connection, tables: Sequence[str], run_id: int) -> 
     return setkeys.keys_in_sets(connection, tables, run_id)
 
 
-def encode(geometries: NDArray[Any], srid: int) -> list[Any]:
-    """Return extended WKB, which contains the SRID."""
-    number = srid.to_bytes(4, "little")
-    # Type flag and SRID are inserted into plain WKB: shapely would copy every geometry to set its SRID.
-    return [
-        wkb[:4] + bytes([wkb[4] | _HAS_SRID]) + number + wkb[5:] for wkb in shapely.to_wkb(geometries, byte_order=1)
-    ]
-
-
 def insert_rows(
     connection: Connection,
     table: str,
     columns: Mapping[str, Sequence[Any] | NDArray[Any]],
     srid: int,  # noqa: ARG001  (SpatiaLite takes it here)
 ) -> None:
-    """Insert rows by binary COPY: the server converts no numbers or geometries."""
-    own = SQL[table].columns
-    statement = f"COPY {table} ({', '.join(columns)}) FROM STDIN (FORMAT BINARY)"
+    """Insert rows by binary COPY: the server converts no numbers or geometries, and gives these the column's SRID."""
+    kinds = {name: _wire_type(SQL[table].columns[name].type) for name in columns}
+    # Stable: numbers first, in their order.
+    names = sorted(columns, key=lambda name: kinds[name] not in NUMBERS)
+    statement = f"COPY {table} ({', '.join(names)}) FROM STDIN (FORMAT BINARY)"
     with connection.connection.cursor() as cursor, cursor.copy(statement) as copy:  # type: ignore[attr-defined]  # psycopg's own
-        copy.set_types([_wire_type(own[name].type) for name in columns])
-        for row in plain_rows(columns):
-            copy.write_row(row)
+        copy.write(packed_rows({name: columns[name] for name in names}, kinds))
 
 
 def _wire_type(kind: TypeEngine[Any]) -> str:

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
-import shapely
 from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine, NullPool, create_engine, event, text
 from sqlalchemy.exc import DBAPIError, IntegrityError
@@ -213,11 +211,6 @@ def in_bulk(connection: Connection, coming: Mapping[str, int]) -> AbstractContex
 def keys_in_sets(connection: Connection, tables: Sequence[str], run_id: int) -> AbstractContextManager[None]:  # noqa: ARG001  (PostGIS needs them)
     """Do nothing: SQLite looks up a key in the time of a row."""
     return nullcontext()
-
-
-def encode(geometries: NDArray[Any], srid: int) -> list[Any]:  # noqa: ARG001  (PostGIS needs the SRID here)
-    """Return little-endian WKB, the same on every machine."""
-    return list(np.asarray(shapely.to_wkb(geometries, byte_order=1)))
 
 
 def insert_rows(

@@ -100,7 +100,7 @@ def write_samples(engine: Engine, frame: "gpd.GeoDataFrame") -> int:
     with guarded(engine.url), dialect.writing(engine) as connection:
         srid = dialect.database_srid(connection)
         _delete_by(connection, ROOF_SAMPLE.c.sample_id, list(by_id))
-        attributes = [to_json(value) if isinstance(value, dict) else None for value in chosen["attributes"]]
+        attributes = [to_json(value if isinstance(value, dict) else {}) for value in chosen["attributes"]]
         rows = list(zip(by_id, chosen["material"], chosen["note"], attributes, strict=True))
         columns = ["sample_id", "material", "note", "attributes"]
         insert_digested(connection, dialect, "roof_sample", columns, rows, srid=srid, shapes=chosen.geometry.to_numpy())

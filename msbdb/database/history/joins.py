@@ -122,8 +122,7 @@ def write_seams(
         digest_again(connection, BUILDING_VERSION, own)
     columns = ["version_id", "uid", "valid_from", "valid_to", "survey_id", "closed_by", "building_id", *measures]
     rows = [
-        (*(plain(row[name]) for name in columns), "survey", to_json(row["attributes"]) if row["attributes"] else None)
-        for row in seams.versions
+        (*(plain(row[name]) for name in columns), "survey", to_json(row["attributes"] or {})) for row in seams.versions
     ]
     shapes = np.array([_multi(row["geometry"]) for row in seams.versions], dtype=object)
     if rows:

@@ -371,7 +371,7 @@ def _typed(name: str, values: list[Any]) -> Any:  # noqa: ANN401  (a pandas arra
 
     if name in _OBJECTS:
         found = [json.loads(v) if isinstance(v, str) else v for v in values]
-        # A view shows an empty object where there is none.
+        # There is an empty object where there are none.
         return pd.Series([None if v == {} and name != "counts" else v for v in found], dtype=object)
     if name in _FLAGS or (values and isinstance(values[0], bool)):
         return pd.Series(values, dtype=bool)

@@ -268,7 +268,7 @@ def write_versions(connection: Connection, dialect: Dialect, rows: "gpd.GeoDataF
     """Write versions in bulk."""
     columns = ["version_id", "uid", "valid_from", "source", "survey_id", "building_id", *MEASURES]
     cells: list[list[Any]] = [_values(rows[name]) for name in columns]
-    cells.append([to_json(value) if isinstance(value, dict) else None for value in rows["attributes"]])
+    cells.append([to_json(value if isinstance(value, dict) else {}) for value in rows["attributes"]])
     made, shapes = list(zip(*cells, strict=True)), _multi(rows.geometry.to_numpy())
     insert_digested(connection, dialect, "building_version", [*columns, "attributes"], made, srid=srid, shapes=shapes)
 

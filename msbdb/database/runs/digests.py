@@ -86,8 +86,9 @@ def _canonical(name: str, type_: TypeEngine[Any], values: Sequence[Any]) -> list
         return [None if value is None else float(value) + 0.0 for value in values]
     if isinstance(type_, JSON):
         words = [value if isinstance(value, str) else to_json(value) for value in values]
-        # The document 'null' is read as no value.
-        return [None if value == "null" else value for value in words]
+        # The document 'null' is read as no value, and so is an empty object in a column that may have none.
+        none = ("null", "{}") if type_.none_as_null else ("null",)
+        return [None if value in none else value for value in words]
     return list(values)
 
 
@@ -109,8 +110,8 @@ def insert_digested(
     stored: dict[str, Sequence[Any]] = dict(zip(names, zip(*rows, strict=True), strict=True))
     if shapes is not None:
         names.append("geometry")
-        plain = [(*row, wkb) for row, wkb in zip(rows, shapely.to_wkb(shapes), strict=True)]
-        stored["geometry"] = dialect.encode(shapes, srid)
+        stored["geometry"] = shapely.to_wkb(shapes, byte_order=1)
+        plain = [(*row, wkb) for row, wkb in zip(rows, stored["geometry"], strict=True)]
     stored[COLUMN] = digests(table, [(name, types[name]) for name in names], plain)
     dialect.insert_rows(connection, table, stored, srid)
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, delete, insert, select, update
+from sqlalchemy import URL, ColumnElement, Connection, Engine, delete, insert, select, update
 
 from msbdb.database.dialects.connection import PATIENCE_S, open_database
 from msbdb.database.dialects.dialect import database_url, dialect_of, guarded
@@ -113,28 +113,31 @@ def begin_tiles(
         engine.dispose()
 
 
-def note_tile(
-    target: str | PathLike[str] | URL, status: TileStatus, result: bytes | None = None, *, queued: bool = False
-) -> None:
-    """Write how far a tile is, in one transaction, with its result where the database keeps that.
+def note_tile(target: str | PathLike[str] | URL, status: TileStatus) -> None:
+    """Write how far a tile is, in one transaction."""
+    _note(target, status, {})
 
-    With ``queued`` a result that is there is taken away.
+
+def note_result(target: str | PathLike[str] | URL, status: TileStatus, result: bytes, build: str) -> None:
+    """Write the result of a tile that is done, in one transaction.
+
+    A worker may outlive the command that it works for. What it brings late, when the tile is done by another one or
+    belongs to another build, is left out.
     """
-    values = asdict(status)
-    for name in ("survey", "tile_row", "tile_column"):
-        values.pop(name)
-    if result is not None or queued:
-        values["result"] = result
+    _note(target, status, {"result": result}, TILE.c.build == build, TILE.c.state != DONE)
+
+
+def _note(
+    target: str | PathLike[str] | URL, status: TileStatus, more: dict[str, Any], *where: ColumnElement[bool]
+) -> None:
+    """Write the row of a tile, where it is as it should be."""
+    values = asdict(status) | more
+    here = [TILE.c[name] == values.pop(name) for name in ("survey", "tile_row", "tile_column")]
     url = database_url(target)
     engine = dialect_of(url).make_engine(url, PATIENCE_S)
-    here = (
-        TILE.c.survey == status.survey,
-        TILE.c.tile_row == status.tile_row,
-        TILE.c.tile_column == status.tile_column,
-    )
     try:
         with guarded(url), dialect_of(url).writing(engine) as connection:
-            connection.execute(update(TILE).where(*here).values(**values))
+            connection.execute(update(TILE).where(*here, *where).values(**values))
     finally:
         engine.dispose()
 

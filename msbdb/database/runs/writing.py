@@ -313,7 +313,7 @@ def write_columns(
     table = BY_NAME[name]
     for column, values in content.items():
         if column == "geometry":
-            columns[column] = dialect.encode(values[order], srid)
+            columns[column] = shapely.to_wkb(values[order], byte_order=1)
         else:
             columns[column] = _stored(values[order], table[column])
     dialect.insert_rows(connection, name, columns, srid)

@@ -149,7 +149,8 @@ def reference_of(place: Place, clouds: list[laspy.LasData], data: Path, cell_m: 
     Notes
     -----
     A cell is building where at least half of its first echoes are of class 6. Cells without an echo take the nearest
-    one within `REACH_CELLS`; what is farther is not scored. A cadastre is scored within its area of interest.
+    one within `REACH_CELLS`; what is farther is not scored, nor are cells whose centre lies outside of the points: a
+    survey that is cut at whole metres has points on its edge. A cadastre is scored within its area of interest.
     """
     x, y, classes, number = (
         np.concatenate([np.asarray(cloud[field]) for cloud in clouds])
@@ -163,12 +164,14 @@ def reference_of(place: Place, clouds: list[laspy.LasData], data: Path, cell_m: 
     echoes = np.bincount(cell, minlength=spec.shape[0] * spec.shape[1]).reshape(spec.shape)
     roofs = np.bincount(cell[classes[chosen] == BUILDING_CLASS], minlength=echoes.size).reshape(spec.shape)
     distance, (rows, cols) = distance_transform_edt(echoes == 0, return_indices=True)
+    east, north = (part.reshape(spec.shape) for part in spec.xy(*(part.ravel() for part in np.indices(spec.shape))))
+    within = (east >= x.min()) & (east <= x.max()) & (north >= y.min()) & (north <= y.max())
     if not place.footprints:
-        scored = distance <= REACH_CELLS
+        scored = (distance <= REACH_CELLS) & within
         return Reference((2 * roofs >= echoes)[rows, cols] & scored, scored, spec)
     built = _cells_of(data / place.footprints, spec)
     scored = _cells_of(data / place.aoi, spec) if place.aoi else distance <= 10 * REACH_CELLS
-    return Reference(built, scored, spec)
+    return Reference(built, scored & within, spec)
 
 
 def _cells_of(path: Path, spec: GridSpec) -> Mask:
