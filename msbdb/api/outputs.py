@@ -156,7 +156,7 @@ def view(
 
     aoi, ortho = (None if path is None else Path(path) for path in (aoi, ortho))
     if Path(out).suffix.lower() == PAGE:
-        from msbdb.run.page import view_page
+        from msbdb.run.townpage import view_page
 
         view_page(db, Path(out), survey=survey, what=what, aoi=aoi, ortho=ortho, overwrite=overwrite)
         return

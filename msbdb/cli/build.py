@@ -113,7 +113,7 @@ def emit_report(report: "BuildReport") -> None:
     if found.refused_m2:
         emit_pairs(
             {f"{area:,.0f} m²": why for why, area in found.refused_m2.items()},
-            "Refused: as high as a building, and none",
+            "Refused, though as high as a building",
         )
         click.echo(f" Refused candidates: {refused(report.rejected, found.refused_regions)}.")
     look = {}

@@ -252,8 +252,8 @@ def without_leaning_crowns(
     """Drop the pieces of objects that are crowns beside a house: their own evidence is poor.
 
     A piece is what is left of an object without the house, the cells that all detectors take, and without the cells
-    beside these. It goes if all of this holds: hardly more than half of the detectors take it, it is hardly smooth, it
-    is seldom flush with the house, and it stands free on most of its edge. An annex fails one of these.
+    beside these. It goes if all of this holds. Hardly more than half of the detectors take it. It is hardly smooth. It
+    is seldom flush with the house, and free on most of its edge. An annex fails one of these.
 
     Parameters
     ----------

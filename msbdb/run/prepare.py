@@ -209,8 +209,8 @@ def is_large(inputs: Inputs) -> bool:
 def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     """Return the plan of a survey: that which a build of it makes and keeps.
 
-    Where the headers promise more points than a plan looks at, a seeded hash draws blocks that hold about as many, and
-    one pass over the files reads these.
+    A plan looks at a limited number of points. Where the headers promise more, a seeded hash draws blocks that hold
+    about as many, and one pass over the files reads these.
     """
     blocks = blocks_to_sample(inputs.points, inputs.any_crs, seed=params.spectral.seed) if is_large(inputs) else None
     with stages.stage("read"):

@@ -23,7 +23,7 @@ from werkzeug.wrappers import Request
 
 from msbdb.database import LAYERS, Engine, FeatureLayer, ServedState, database_crs_of, read_state
 from msbdb.errors import DatabaseError, MsbdbError, collected_notices
-from msbdb.run.page import view_page
+from msbdb.run.townpage import view_page
 from msbdb.serve.featureprovider import ENGINE, SYSTEM, FeatureProvider, field_of, north_first, transformer
 from msbdb.serve.tileprovider import FORMAT, SCHEME, TileProvider, box_of_tile, require_scheme
 

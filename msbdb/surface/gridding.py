@@ -56,8 +56,8 @@ def density(points: PointCloud, link_m: float = 0.0) -> float:
     """First echoes a square metre of covered ground; of the whole survey, where that is known.
 
     Covered are the 2 m cells that hold a first echo. Sparse points would cover less than their share, and islands far
-    apart would need many empty cells. With less than one echo a cell of the bounding box, or four a covered cell, the
-    cells grow until the cells with points hold four on average, up to `LARGEST_OCCUPANCY_M`. They also grow up to the
+    apart would need many empty cells. Cells grow where the bounding box has less than one echo a cell, or the covered
+    cells less than four. They then hold four on average, or are `LARGEST_OCCUPANCY_M` wide. They also grow up to the
     least link between points (`msbdb.points.cloud.least_link`), as no cell between two scan lines is open ground.
 
     Raises

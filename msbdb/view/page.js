@@ -12,6 +12,9 @@
   const GREY = "#b5b8bc"; // a value that is not known
   const OTHERS = "#5d6269"; // classes that have no colour of their own
   const PICKED = "#ff4fa3";
+  const CELLS = 64; // of the ground, along each side of the town
+  const STEPS = 4 * CELLS; // in which levels spread to cells without buildings
+  const SIDE = 128; // of a tile of the ground, pixels
   const MARGIN = 20; // around the whole town, pixels
   const UNKNOWN_M = 0.4; // height of a block whose height is not known
   const MOST_HITS = 30;
@@ -138,6 +141,50 @@
     return [west + u * (east - west), north - v * (north - south)];
   }
 
+  // The ground: the levels around the buildings, as cells between the corners --------------------------------------
+
+  // Metres above the lowest cell. Cells without a building take the mean of those beside them, again and again.
+  const groundLevels = lazily(() => {
+    const sums = new Float64Array(CELLS * CELLS), counts = new Float64Array(CELLS * CELLS);
+    (buildings.values.z_ground || []).forEach((level, row) => {
+      const [x, y] = isTiled ? buildings.box[row] : buildings.shape[row]?.[0]?.[0] || [0, 0];
+      const [u, v] = shareOf(...degrees(x, y)).map((share) => Math.min(CELLS - 1, Math.max(0, Math.floor(share * CELLS))));
+      if (level !== null) { sums[v * CELLS + u] += level / 100; counts[v * CELLS + u] += 1; }
+    });
+    const mean = sums.reduce((a, b) => a + b, 0) / Math.max(1, counts.reduce((a, b) => a + b, 0));
+    let levels = sums.map((sum, at) => (counts[at] ? sum / counts[at] : mean));
+    for (let step = 0; step < STEPS; step += 1)
+      levels = levels.map((level, at) => {
+        const [u, v] = [at % CELLS, Math.floor(at / CELLS)];
+        const beside = [at - (u > 0), at + (u < CELLS - 1), at - CELLS * (v > 0), at + CELLS * (v < CELLS - 1)];
+        return counts[at] ? level : beside.reduce((sum, other) => sum + levels[other], 0) / 4;
+      });
+    const lowest = levels.reduce((a, b) => Math.min(a, b));
+    return levels.map((level) => level - lowest);
+  });
+
+  function levelAt(lon, lat) {
+    const [x, y] = shareOf(lon, lat).map((share) => Math.min(CELLS - 1.001, Math.max(0, share * CELLS - 0.5)));
+    const [u, v] = [Math.floor(x), Math.floor(y)], levels = groundLevels();
+    const row = (at) => levels[at] * (1 - x + u) + levels[at + 1] * (x - u);
+    return row(v * CELLS + u) * (1 - y + v) + row((v + 1) * CELLS + u) * (y - v);
+  }
+
+  // A tile of the ground as MapLibre reads it: an image whose colours are metres (Terrarium).
+  async function groundTile({ url }) {
+    const [zoom, column, line] = url.split("/").slice(-3).map(Number);
+    const canvas = make("canvas", { width: SIDE, height: SIDE }), context = canvas.getContext("2d");
+    const image = context.createImageData(SIDE, SIDE);
+    for (let at = 0; at < SIDE * SIDE; at += 1) {
+      const [x, y] = [(column + (at % SIDE) / SIDE) / 2 ** zoom, (line + Math.floor(at / SIDE) / SIDE) / 2 ** zoom];
+      const level = levelAt(360 * x - 180, (Math.atan(Math.sinh(Math.PI * (1 - 2 * y))) * 180) / Math.PI) + 32768;
+      image.data.set([Math.floor(level / 256), Math.floor(level) % 256, Math.floor((level % 1) * 256), 255], 4 * at);
+    }
+    context.putImageData(image, 0, 0);
+    const blob = await new Promise((done) => { canvas.toBlob(done); });
+    return { data: await blob.arrayBuffer() };
+  }
+
   // What is chosen; the address of the page keeps it ---------------------------------------------------------------
 
   const many = !town.inventory && views.length > 1;
@@ -148,7 +195,7 @@
     scale: finest,
     picked: NONE, // the row of a building
     part: NONE,
-    hidden: new Set(["reasons", "refuted"]),
+    hidden: new Set(["reasons", "refuted", "slopes"]),
     dark: window.matchMedia("(prefers-color-scheme: dark)").matches,
   };
   const colours = [["height", "height"], ["storeys", "storeys"], ["scale", "scale"], ["class", "class of land cover"],
@@ -351,6 +398,7 @@
         town: isTiled ? { type: "vector", url: "pmtiles://near", promoteId: "n" }
           : { type: "geojson", maxzoom: 18, buffer: 32, tolerance: 0.2,
             data: { type: "FeatureCollection", features: features.filter(isEarly).map(asGeoJson) } },
+        slopes: { type: "raster-dem", tiles: ["slopes://{z}/{x}/{y}"], tileSize: SIDE, maxzoom: 15, encoding: "terrarium" },
         ...(town.ground && { ground: image(town.ground) }),
         ...(town.photo && { photo: image(town.photo.image, town.photo.corners.map(([x, y]) => degrees(x, y))) }),
         ...(town.reasons && { reasons: image(town.reasons.image) }),
@@ -456,12 +504,13 @@
 
   async function drawPane(pane, view, side) {
     await pane.ready;
-    const { map } = pane, changes = changesOf(dates());
+    const { map } = pane, hasSlopes = !chosen.hidden.has("slopes"), changes = changesOf(dates());
     for (const { id, filter, layout, paint } of looks(view, side)) {
       if (filter) map.setFilter(id, filter);
       for (const [name, value] of Object.entries(layout || {})) map.setLayoutProperty(id, name, value);
       for (const [name, value] of Object.entries(paint)) map.setPaintProperty(id, name, value);
     }
+    if (hasSlopes !== Boolean(map.getTerrain())) map.setTerrain(hasSlopes ? { source: "slopes" } : null);
     pane.marked.forEach((id) => placesOf(id).forEach((place) => map.removeFeatureState(place)));
     pane.marked = [];
     const mark = (id, state) => { placesOf(id).forEach((place) => map.setFeatureState(place, state)); pane.marked.push(id); };
@@ -540,6 +589,7 @@
     const rows = [["blocks", "buildings in 3-D"], ["outlines", "footprints"],
       ...(town.ground ? [["ground", "light and shadow of the surface"]] : []),
       ...(town.photo ? [["photo", "orthophoto"]] : []),
+      ...((buildings.values.z_ground || []).some((level) => level !== null) ? [["slopes", "slopes of the ground"]] : []),
       ...(town.reasons ? [["reasons", "why there is no building"]] : []),
       ...(states.includes("refuted") ? [["refuted", "refuted buildings"]] : [])];
     $("layers").replaceChildren(...rows.map(([name, words]) => {
@@ -799,6 +849,7 @@
       say("This browser has no WebGL 2, without which the map cannot be drawn.");
       return;
     }
+    maplibregl.addProtocol("slopes", groundTile);
     if (isTiled) openTiles();
     makeLayers();
     listen();

@@ -75,7 +75,7 @@ def write_page(town: Mapping[str, Any], out: Path, library: Library, tiles: Sequ
     Parameters
     ----------
     town : mapping
-        What `page.js` reads, as values of JSON without fractions: `msbdb.run.page` makes it.
+        What `page.js` reads, as values of JSON without fractions: `msbdb.run.townpage` makes it.
     out : Path
         The file.
     library : Library

@@ -35,7 +35,7 @@ from msbdb.cli.main import cli
 from msbdb.database import LAYERS, database_crs_of, open_database, open_to_read, read_state, write_build
 from msbdb.errors import InputError, MissingDependencyError
 from msbdb.io.vector import WORLD_M
-from msbdb.run import page
+from msbdb.run import townpage
 from msbdb.serve import tileprovider
 from msbdb.serve.httpserver import address_of, listening_socket, trusted_names
 from msbdb.serve.webapp import CRS84, HEADERS, ServedTown, make_app
@@ -82,7 +82,7 @@ def place(request, tmp_path_factory):
 @pytest.fixture(autouse=True)
 def library(monkeypatch):
     """Let the page contain a short text in place of MapLibre GL JS, which need not be there."""
-    monkeypatch.setattr(page, "read_library", lambda: Library("var maplibregl = {};", "", ""))
+    monkeypatch.setattr(townpage, "read_library", lambda: Library("var maplibregl = {};", "", ""))
 
 
 @pytest.fixture

@@ -163,7 +163,7 @@ def test_python_of_the_readme_exists():
         assert set(re.findall(r"\bmsbdb\.(\w+)", block)) <= set(msbdb.__all__)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/columns.md", "docs/inputs.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/columns.md"])
 def test_sql_of_the_docs_runs(page, tmp_path):
     """Every SQL statement of a page is understood by a database as msbdb makes it."""
     import sqlalchemy

@@ -31,7 +31,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from msbdb.database import open_database, write_build  # noqa: E402
 from msbdb.kept import KeptRun  # noqa: E402
-from msbdb.run import page as made  # noqa: E402
+from msbdb.run import townpage as made  # noqa: E402
 from msbdb.view.page import DEGREE, read_library, write_page  # noqa: E402
 from support.browser import PATIENCE_MS, browser  # noqa: E402  (the tests' own folder)
 from support.towns import EPSG, House, town_build  # noqa: E402

@@ -1,7 +1,10 @@
 """The page where people look at it: Debian's Chromium opens it, clicks, slides, searches and compares."""
 
+import json
 import re
 import time
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pytest
@@ -12,8 +15,8 @@ from support.towns import EPSG, ROW, town_build
 from msbdb import api
 from msbdb.database import open_database, write_build
 from msbdb.errors import MissingDependencyError
-from msbdb.run import page as made
-from msbdb.view.page import read_library
+from msbdb.run import townpage as made
+from msbdb.view.page import as_data, read_library
 
 pytestmark = pytest.mark.long
 
@@ -142,14 +145,20 @@ def test_a_building_is_seen_and_found_from_afar(chromium, opened, address):
     key = opened.evaluate("JSON.parse(document.getElementById('town').textContent).buildings.id.at(-2)")
     opened.locator("#query").fill(key)
     opened.keyboard.press("Enter")
-    opened.wait_for_timeout(1500)  # the camera moves there
+
+    def arrived():
+        address = address_of(opened)
+        opened.wait_for_timeout(1500)
+        return f"id={key}" in address and address == address_of(opened)
+
+    assert until(arrived)
     place = "+".join(f"{number:.6f}" for number in centre(address_of(opened)))
     page = chromium.new_page()
     page.set_default_timeout(PATIENCE_MS)
     page.goto(f"{address}#at={place}+13.20+0+0")
     page.wait_for_selector("html[data-ready]")
     middle(page)
-    assert page.locator("#details-title").text_content() == f"Building {key}"
+    assert page.locator("#details-title").text_content() == f"Building {key}", place
     page.close()
 
 
@@ -209,6 +218,36 @@ def test_a_link_keeps_the_view(chromium, address):
     page.click("#theme")
     assert until(lambda: "theme=light" in address_of(page))
     assert "at=3.0005" in address_of(page)
+    page.close()
+
+
+def test_blocks_stand_at_the_level_of_their_ground(chromium, address, tmp_path):
+    """With slopes, buildings of the east whose ground is 60 m higher go up against those of the west."""
+    text = Path(unquote(urlsplit(address).path)).read_text(encoding="utf-8")
+    data = re.search('<script id="town" type="application/json">(.*?)</script>', text)[1]
+    town = json.loads(data)
+    wests = [box[0] for box in town["buildings"]["box"]] if "box" in town["buildings"] else [
+        shape[0][0][0] for shape in town["buildings"]["shape"]
+    ]  # fmt: skip
+    middle_of = (min(wests) + max(wests)) / 2
+    town["buildings"]["values"]["z_ground"] = [6000 if west > middle_of else 0 for west in wests]
+    (tmp_path / "hills.html").write_text(text.replace(data, as_data(town)), encoding="utf-8")
+    page = chromium.new_page(viewport={"width": 1000, "height": 700})
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(f"{(tmp_path / 'hills.html').as_uri()}#theme=light")
+    page.wait_for_selector("html[data-ready]")
+
+    def rise():
+        image = picture(page)[:, 310:]
+        rows, cols = np.nonzero(image[..., 0] - image[..., 2] > 0.25)
+        half = (cols.min() + cols.max()) / 2
+        return rows[cols < half].mean() - rows[cols >= half].mean()
+
+    before = rise()
+    page.check("input[name=slopes]")
+    assert until(lambda: rise() > before + 30)
+    page.uncheck("input[name=slopes]")
+    assert until(lambda: abs(rise() - before) < 5)
     page.close()
 
 

@@ -137,7 +137,7 @@ def write_seams(
 
 
 def current_pieces(engine: Engine) -> list[int]:
-    """Return the buildings of runs of which the current versions are made, with all pieces of those across borders."""
+    """Return the runs' buildings behind the current versions, with all pieces of those across borders."""
     query = select(PIECE.c.building_id).join(BUILDING_VERSION, BUILDING_VERSION.c.version_id == PIECE.c.version_id)
     with guarded(engine.url), engine.connect() as connection:
         return sorted(connection.scalars(query.where(_IS_CURRENT)))
