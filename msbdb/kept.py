@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 PER_METRE = 100
 """Heights above ground are whole centimetres, finer than any scanner, so that they are kept without loss."""
 
+ROWS_AT_A_TIME = 256
+"""Rows of a raster that are worked out in 64 bits at a time: all at once would take twice the memory of the result."""
+
 REGION_NAMES = {"flatregions": "flat", "area3d": "area3d", "adaptive": "adaptive"}
 """Names of the detectors' label rasters in the database."""
 
@@ -165,8 +168,16 @@ def heights_of(survey: Survey, rasters: Rasters) -> "Grid":
     """Return the heights above ground of a run, metres, equal to those of its build to the bit."""
     from msbdb.grid import Grid
 
-    metres = (rasters.heights_cm.astype(np.float64) / PER_METRE).astype(np.float32)
-    return Grid(metres, rasters.valid, lattice_of(survey))
+    return Grid(in_metres(rasters.heights_cm), rasters.valid, lattice_of(survey))
+
+
+def in_metres(cells: NDArray[np.int32], above: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Return centimetres as metres, and what lies above added, worked out in 64 bits, a few rows at a time."""
+    metres = np.empty(cells.shape, dtype=np.float32)
+    for top in range(0, len(cells), ROWS_AT_A_TIME):
+        rows = slice(top, top + ROWS_AT_A_TIME)
+        metres[rows] = cells[rows] / PER_METRE if above is None else above[rows] + cells[rows] / PER_METRE
+    return metres
 
 
 @dataclass(frozen=True, slots=True, eq=False)

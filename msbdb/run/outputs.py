@@ -211,7 +211,10 @@ def _draw_one(
 
 def reason_rasters(engine: Engine, choice: Choice) -> "Rasters":
     """Return the rasters of reasons of the surveys, the newest first, of runs that kept one."""
-    found = ((lattice_of(read_survey(engine, name)), read_rasters(engine, name).reason) for name in choice.surveys)
+    found = (
+        (lattice_of(read_survey(engine, name)), read_rasters(engine, name, more=["reason"]).reason)
+        for name in choice.surveys
+    )
     return [(spec, own) for spec, own in found if own is not None]
 
 
@@ -341,7 +344,7 @@ def relief_for(engine: Engine, choice: Choice, buildings: "gpd.GeoDataFrame") ->
 
     if len(choice.surveys) == 1:
         [name] = choice.surveys
-        return heights_of(read_survey(engine, name), read_rasters(engine, name))
+        return heights_of(read_survey(engine, name), read_rasters(engine, name, more=()))
     if choice.surveys:
         from msbdb.run.inventory.changed import relief_of
 

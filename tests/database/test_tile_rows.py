@@ -1,5 +1,6 @@
 """The tiles of a survey in the database: built there by every dialect alike, with a way back to the older schema."""
 
+import numpy as np
 import pytest
 from sqlalchemy import text
 from support.tiledtown import TILE_M, write_town
@@ -11,6 +12,7 @@ from msbdb.database import (
     copy_database,
     downgrade_schema,
     open_database,
+    read_rasters,
     upgrade_schema,
 )
 from msbdb.database.dialects.migration import head_version
@@ -39,6 +41,9 @@ def test_tiles_are_built_into_every_dialect(files, target, tmp_path):
     assert dump(target) == dump(tmp_path / "file.sqlite")
     engine = open_database(target)
     assert not check_database(engine)
+    every, some = read_rasters(engine), read_rasters(engine, more=["terrain_cm"])
+    assert some.by_name().keys() == {"ndsm_cm", "valid", "structure", "terrain_cm"} < every.by_name().keys()
+    assert all(np.array_equal(cells, every.by_name()[name]) for name, cells in some.by_name().items())
     with engine.begin() as connection:
         assert connection.scalar(text("SELECT count(*) FROM tile WHERE state = 'done' AND result IS NULL")) == 4
         connection.execute(text("DELETE FROM raster_tile WHERE name = 'valid'"))

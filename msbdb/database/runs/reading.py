@@ -1,6 +1,6 @@
 """Reading runs: tables as frames, rasters, and a summary in numbers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from msbdb.database.runs.packing import unpack
 from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import crs_from, horizontal
 from msbdb.errors import InputError, TableError
-from msbdb.kept import KeptRun, Rasters
+from msbdb.kept import REQUIRED_RASTERS, KeptRun, Rasters
 from msbdb.params import POINT_DETECTORS
 from msbdb.surveyplan import Plan
 from msbdb.tables import (
@@ -315,11 +315,15 @@ def read_classes(engine: Engine, survey: str | None = None) -> "pd.DataFrame":
     return _read_plain(engine, SPECTRAL_CLASS, survey)
 
 
-def read_rasters(engine: Engine, survey: str | None = None) -> Rasters:
-    """Return a run's rasters, from which its classes can be labelled again without the source data."""
+def read_rasters(engine: Engine, survey: str | None = None, *, more: Collection[str] | None = None) -> Rasters:
+    """Return a run's rasters, from which its classes can be labelled again without the source data.
+
+    With ``more`` these are those that every run has, and those of these names; by default all.
+    """
+    names = None if more is None else {*REQUIRED_RASTERS, *more}
     with snapshot(engine) as connection:
         run = _find_run(connection, survey, shown(engine.url))
-        return _known_rasters(_read_rasters(connection, run.run_id), run.survey, engine)
+        return _known_rasters(_read_rasters(connection, run.run_id, names), run.survey, engine)
 
 
 def _read_plain(engine: Engine, table: Table, survey: str | None) -> "pd.DataFrame":
@@ -423,11 +427,15 @@ def crs_of(survey: Survey) -> "CRS":
     return horizontal(crs_from(survey.epsg, survey.crs_wkt))
 
 
-def _read_rasters(connection: Connection, run_id: int, *, pieces: bool = True) -> dict[str, NDArray[Any]]:
-    """Return a run's rasters by the names of their rows; those in pieces only where the schema has them."""
-    rows = connection.execute(select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name))
+def _read_rasters(
+    connection: Connection, run_id: int, names: Collection[str] | None = None, *, pieces: bool = True
+) -> dict[str, NDArray[Any]]:
+    """Return a run's rasters, or some, by the names of their rows; those in pieces only where the schema has them."""
+    query = select(RUN_STATE).where(RUN_STATE.c.run_id == run_id).order_by(RUN_STATE.c.name)
+    rows = connection.execute(query if names is None else query.where(RUN_STATE.c.name.in_(names)))
     found = {row.name: unpack(row.data, row.dtype, row.shape) for row in rows}
-    return found | {name: each.whole() for name, each in (mosaics_of(connection, run_id) if pieces else {}).items()}
+    cut = mosaics_of(connection, run_id) if pieces else {}
+    return found | {name: each.whole() for name, each in cut.items() if names is None or name in names}
 
 
 def _known_rasters(named: Mapping[str, NDArray[Any] | Mosaic], survey: str, engine: Engine) -> Rasters:

@@ -148,7 +148,7 @@ def relief_of(engine: Engine, surveys: Sequence[str]) -> Grid:
 
 def _heights(engine: Engine, survey: str) -> Grid:
     """Return the heights above ground of a survey."""
-    return heights_of(read_survey(engine, survey), read_rasters(engine, survey))
+    return heights_of(read_survey(engine, survey), read_rasters(engine, survey, more=()))
 
 
 def _relief(grids: list[Grid]) -> Grid:

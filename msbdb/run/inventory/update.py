@@ -37,7 +37,7 @@ from msbdb.errors import DatabaseError, InputError, give_notice
 from msbdb.grid import Grid
 from msbdb.identity import to_json
 from msbdb.io.vector import read_polygons
-from msbdb.kept import PER_METRE, heights_of
+from msbdb.kept import heights_of, in_metres
 from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
@@ -212,12 +212,13 @@ def _params(engine: Engine, survey: str) -> Params:
 
 def _heights(engine: Engine, record: Survey) -> tuple[Grid, Grid | None]:
     """Return the heights of a survey above ground, and those above sea where its terrain is known."""
-    rasters = read_rasters(engine, record.name)
+    rasters = read_rasters(engine, record.name, more=["terrain_cm"])
     heights = heights_of(record, rasters)
     if rasters.terrain_cm is None:
         return heights, None
-    level_m = np.asarray(heights.values) + rasters.terrain_cm / PER_METRE
-    return heights, Grid(np.where(heights.valid, level_m, 0).astype(np.float32), heights.valid, heights.spec)
+    level_m = in_metres(rasters.terrain_cm, above=np.asarray(heights.values))
+    level_m[~heights.valid] = 0
+    return heights, Grid(level_m, heights.valid, heights.spec)
 
 
 def _earlier(engine: Engine, standing: Standing) -> tuple[list[Grid], list[Grid | None]]:
@@ -304,7 +305,7 @@ def _with_roofs(
     rows = np.flatnonzero(~found.versions["adopted"].to_numpy())
     if not len(rows):
         return states
-    elevations = recall_elevations(record, read_rasters(engine, record.name))
+    elevations = recall_elevations(record, read_rasters(engine, record.name, more=["terrain_cm", "echoes"]))
     values: Any = read_run(engine, record.name).parameters
     params = with_values(Params(), {name: values.get(name, {}) for name in ("heights", "surface")})
     for row in rows.tolist():
