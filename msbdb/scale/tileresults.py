@@ -5,12 +5,14 @@ import json
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from msbdb.database import METHODS, Piece
 from msbdb.grid import Bounds, GridSpec
@@ -174,6 +176,12 @@ def _begun(tile: Tile, regions: pd.DataFrame, labels: NDArray[np.int32] | None, 
     return regions[tile.owns(x, y)]
 
 
+@lru_cache(maxsize=4)
+def _crs(wkt: str) -> CRS:
+    """Return the CRS of a survey, made once for all of its tiles."""
+    return CRS.from_wkt(wkt)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
     """The result of a tile, read when it is asked for.
@@ -206,11 +214,16 @@ class Result:
     def frames(self, *names: str) -> dict[str, pd.DataFrame]:
         """Return tables by name."""
         spatial = {table.name for table in TABLES if table.geometry}
+        found = {}
         with zipfile.ZipFile(io.BytesIO(self.content)) as file:
-            return {
-                name: (gpd if name in spatial else pd).read_parquet(io.BytesIO(file.read(f"{name}.parquet")))
-                for name in names
-            }
+            for name in names:
+                frame = pd.read_parquet(io.BytesIO(file.read(f"{name}.parquet")))
+                if name in spatial:
+                    # geopandas would make a CRS of each table of each tile.
+                    shapes = gpd.GeoSeries.from_wkb(frame["geometry"], crs=_crs(self.about["survey"]["crs_wkt"]))
+                    frame = gpd.GeoDataFrame(frame.assign(geometry=shapes), geometry="geometry")
+                found[name] = frame
+        return found
 
     def array(self, name: str) -> NDArray[Any]:
         """Return an array."""
