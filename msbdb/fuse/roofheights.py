@@ -191,7 +191,7 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     found, edge, _ = _surfaces(heights, labels, inside, params, cell_m)
     least_px = params.least_roof_m2 / level.spec.cell_area_m2
     pieces = inside & (np.bincount(found.ravel())[found] < least_px)
-    groups, _ = label_zones(pieces)
+    groups, _ = label_zones(np.where(pieces, labels, 0))
     pieces &= np.bincount(groups.ravel())[groups] >= least_px
     steep = replace(params, wall_m=max(params.wall_m, STEEP_CELLS * params.wall_slope * cell_m))
     again, rims, strip = _surfaces(heights, np.where(pieces, labels, 0), pieces, steep, cell_m)
