@@ -57,7 +57,7 @@ KINDS = {
     "unchanged": "#c4c4c4",
     "first seen": "#dcdcdc",
     "not surveyed": "#ffffff",
-    "unsure": "#ece7d5",
+    "unsure": "#f0e442",
     "modified": "#e69f00",
     "merged": "#56b4e9",
     "split": "#0072b2",

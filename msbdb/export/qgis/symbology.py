@@ -20,7 +20,7 @@ CHANGE_COLOURS = {
 """By Okabe and Ito, which colour-blind readers can distinguish; as on the maps of `msbdb.view`."""
 
 NO_CHANGE_COLOURS = {
-    "unchanged": "#d9d9d9", "first seen": "#ececec", "unsure": "#ece7d5", "not surveyed": "#ffffff",
+    "unchanged": "#d9d9d9", "first seen": "#ececec", "unsure": "#f0e442", "not surveyed": "#ffffff",
 }  # fmt: skip
 """What a list of changes has besides them."""
 
