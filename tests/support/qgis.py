@@ -48,7 +48,7 @@ def painted_by_qgis(tiles: str, bounds: tuple[float, float, float, float]) -> tu
     bounds : tuple of float
         West, south, east and north of the map, EPSG:3857.
     """
-    done = _run_by_qgis(Path(__file__).parent / "qgistiles.py", tiles, *bounds)
+    done = _run_by_qgis(Path(__file__).parent / "draw_vector_tiles", tiles, *bounds)
     assert done.returncode == 0, done.stderr
     first, last, share = done.stdout.split()
     return int(first), int(last), float(share)
