@@ -55,8 +55,9 @@ def test_all_figures_come_from_one_run(tile):
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     assert figures["points"] == 3 * count
-    assert list(figures["stages"]) == STAGES
-    assert list(figures["stages_cpu"]) == STAGES
+    # Detectors run side by side, so that any of them may begin first.
+    assert sorted(figures["stages"]) == sorted(STAGES)
+    assert sorted(figures["stages_cpu"]) == sorted(STAGES)
     assert sum(figures["stages"].values()) <= figures["seconds"] <= figures["process_seconds"]
     assert figures["points_per_second"] == pytest.approx(3 * count / figures["seconds"])
     assert figures["ratio_to_reading"] == pytest.approx(figures["seconds"] / figures["read_seconds"])
