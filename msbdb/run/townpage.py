@@ -40,7 +40,7 @@ from msbdb.view.groundimages import light_image, origin_of, photo_image, place_o
 from msbdb.view.page import DEGREE, read_library, shapes_of, texts, whole_numbers, write_page
 from msbdb.view.townfeatures import archives_of, town_features
 
-FEW_PARTS, MOST_PARTS = 40_000, 500_000
+FEW_PARTS, MOST_PARTS = 25_000, 500_000
 """Buildings and parts whose outlines the page holds as they are, and all that it can have (ours)."""
 
 MOST_DATES = 8
