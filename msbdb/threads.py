@@ -1,6 +1,7 @@
 """Compiled kernels, work on several cores with the same results as on one, and the memory of a run."""
 
 import ctypes
+import gc
 import os
 import sys
 import warnings
@@ -77,6 +78,18 @@ def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
     return [result for result, _ in found]
 
 
+def together(one: Callable[[], T], other: Callable[[], R]) -> tuple[T, R]:
+    """Return what two functions return, worked on side by side as by `in_threads`.
+
+    Examples
+    --------
+    >>> together(lambda: 1, lambda: "one")
+    (1, 'one')
+    """
+    first, second = in_threads(lambda work: work(), (one, other))
+    return cast("T", first), cast("R", second)
+
+
 def _with_notices(work: Callable[[T], R], item: T) -> tuple[R, list[MsbdbWarning]]:
     """Return a result, and the notices that were given on the way: they are given again in the order of the items."""
     with collected_notices() as notices:
@@ -110,12 +123,14 @@ def memory_reused() -> Iterator[None]:
 
     By default glibc takes each large array from the system, page by page, and gives it back when it is freed. In a
     build of ten million points a quarter of the processor's time went there. Other allocators are left as they are.
-    It saves more after `share_one_heap`.
+    It saves more after `share_one_heap`. Python's own search for garbage leaves out what was there before the block.
     """
     try:
         _set_allocator(REUSING)
+        gc.freeze()
         yield
     finally:
+        gc.unfreeze()
         _set_allocator(RETURNING)
         library = _glibc()
         if library is not None:

@@ -11,7 +11,7 @@ from msbdb.errors import GridMismatchError, TableError
 from msbdb.fuse.probability import building_probability, states_of
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid
-from msbdb.labels import Labels, height_statistics, order_heights, shared_cells, sizes, sums
+from msbdb.labels import Labels, height_statistics, look_up, order_heights, shared_cells, sizes, sums
 from msbdb.params import FuseParams, Params
 from msbdb.tables import BUILDING, CONFIRMING_CLASS_SHARE, CONFIRMING_COVER, DETECTOR_SHARES, Table
 
@@ -50,7 +50,7 @@ def label_buildings(parts: pd.DataFrame, root_labels: Labels) -> Labels:
     _require_roots(root_labels, is_root)
     _, row = np.unique(parts["building_id"].to_numpy(), return_inverse=True)
     number = np.concatenate([[0], np.where(is_root, row + 1, 0)]).astype(np.int32)
-    return number[root_labels]
+    return look_up(number, root_labels)
 
 
 def buildings_from_parts(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from msbdb.fuse.roofdirections import RoofDirections
-from msbdb.labels import Labels, around, boxes, label_zones, sums, widened
+from msbdb.labels import Labels, around, boxes, label_zones, look_up, sums, widened
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -128,7 +128,7 @@ def cut_pieces(
     has_core = np.zeros(island_count + 1, dtype=np.bool_)
     has_core[islands[cores > 0]] = True
     # An island without any core is one piece here.
-    seeds = np.where(has_core[islands], cores, islands + count)
+    seeds = np.where(look_up(has_core, islands), cores, islands + count)
     between = _flooded(relief, seeds, built)
     below = _flooded(-smooth, label_zones(top)[0], built)
     both = np.where(built, between.astype(np.int64) * (int(below.max()) + 2) + below + 1, 0)
@@ -206,7 +206,7 @@ def measure_pieces(
     if parcels is not None:
         owners[member - 1] = parcels.ravel()[cells]
     framed = np.pad(labels, 1)
-    outside = (around(framed, np.flatnonzero(framed)) == 0).sum(axis=1).astype(np.float64)
+    outside = (around(framed, np.flatnonzero(framed > 0)) == 0).sum(axis=1).astype(np.float64)
     rims = sums(member, outside, count)
     found = np.zeros((count, 3))
     if directions is not None:
@@ -261,7 +261,7 @@ def measure_touches(
     height = np.pad(heights, 1)
     below = np.where(framed > 0, height, np.float32(np.inf))
     strengths = [np.pad(strength, 1) for strength in evidence]
-    cells, width = np.flatnonzero(framed), framed.shape[1]
+    cells, width = np.flatnonzero(framed > 0), framed.shape[1]
     keys, columns = [], []
     # To the right, down, and down along both diagonals; the frame is in no piece.
     for step in (1, width, width + 1, width - 1):

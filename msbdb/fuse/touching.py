@@ -15,7 +15,7 @@ from msbdb.fuse.roofdirections import find_directions
 from msbdb.fuse.roofmaterials import cut_rows
 from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_bends, cut_pieces, measure_pieces, measure_touches
 from msbdb.grid import Grid
-from msbdb.labels import Labels, boxes, label_zones, touching_pairs, widened
+from msbdb.labels import Labels, boxes, label_zones, look_up, touching_pairs, widened
 from msbdb.params import TouchingParams
 
 
@@ -149,7 +149,7 @@ def divide(
     touches = measure_touches(labels, smooth, evidence, least)
     joining = Joining(pieces, touches, params, cell_m)
     into = joining.run()
-    houses, _ = label_zones(np.concatenate([[0], into + 1])[labels])
+    houses, _ = label_zones(look_up(np.concatenate([[0], into + 1]), labels))
     house = np.zeros(len(into), dtype=np.int64)
     house[into[labels[labels > 0] - 1]] = houses[labels > 0]
     found = {}
@@ -176,13 +176,15 @@ def _small_and_unlike(
     islands: Labels, houses: Labels, heights: NDArray[np.float32], params: TouchingParams, cell_m: float
 ) -> NDArray[np.bool_]:
     """Return the cells of islands that are one house with its garage and wings: small, and of unlike pieces."""
-    numbers, first = np.unique(houses, return_index=True)
+    inside = np.flatnonzero(houses > 0)
+    house = houses.ravel()[inside]
+    numbers, first = np.unique(house, return_index=True)
     found = pd.DataFrame(
         {
-            "area": np.bincount(houses.ravel(), minlength=int(numbers[-1]) + 1)[numbers],
-            "height": ndimage.mean(heights, houses, numbers),
+            "area": np.bincount(house)[numbers],
+            "height": ndimage.mean(heights.ravel()[inside], house, numbers),
         },
-        index=pd.Index(islands.ravel()[first], name="island"),
+        index=pd.Index(islands.ravel()[inside[first]], name="island"),
     ).groupby("island")
     area, height = found["area"], found["height"]
     unlike = (area.min() < params.alike_share * area.max()) | (height.max() - height.min() >= params.level_m)
@@ -190,8 +192,7 @@ def _small_and_unlike(
     whole = np.zeros(int(islands.max()) + 1, dtype=np.bool_)
     whole[area.sum().index] = unlike & small
     whole[0] = False
-    cells: NDArray[np.bool_] = whole[islands]
-    return cells
+    return look_up(whole, islands)
 
 
 def _borders_of(cut: Labels, houses: Labels, borders: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:

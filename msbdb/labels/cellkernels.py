@@ -14,34 +14,42 @@ Labels = NDArray[np.int32]
 
 
 @kernel
-def looked_up(table: NDArray[Any], labels: NDArray[np.int32]) -> NDArray[Any]:
-    """Return (N,) the value in the table of each of (N,) labels."""
+def looked_up(table: NDArray[Any], labels: NDArray[np.int32]) -> tuple[NDArray[Any], bool]:
+    """Return (N,) the value in the table of each of (N,) labels, and whether it has all of them."""
     found = np.empty(labels.size, dtype=table.dtype)
     for place in range(labels.size):
-        found[place] = table[labels[place]]
-    return found
+        label = labels[place]
+        if label < 0 or label >= table.size:
+            return found, False
+        found[place] = table[label]
+    return found, True
 
 
 @kernel
-def counted(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """Return (count + 1,) how often each label from 0 on occurs among (N,) labels."""
+def counted(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.int64], bool]:
+    """Return (count + 1,) how often each label from 0 on occurs among (N,) labels, and whether all are among these."""
     found = np.zeros(count + 1, dtype=np.int64)
     for label in labels:
         # One counter that most cells raise would wait for itself.
         if label != 0:
+            if label < 0 or label > count:
+                return found, False
             found[label] += 1
     found[0] = labels.size - found.sum()
-    return found
+    return found, True
 
 
 @kernel
-def added(labels: NDArray[np.int32], values: NDArray[Any], count: int) -> NDArray[np.float64]:
-    """Return (count + 1,) the sums of (N,) values by label from 0 on, added in their order in 64 bits."""
+def added(labels: NDArray[np.int32], values: NDArray[Any], count: int) -> tuple[NDArray[np.float64], bool]:
+    """Return (count + 1,) the sums of (N,) values by label from 0 on, in their order in 64 bits; and as `counted`."""
     found = np.zeros(count + 1, dtype=np.float64)
     for place in range(labels.size):
-        if labels[place] != 0:
-            found[labels[place]] += values[place]
-    return found
+        label = labels[place]
+        if label != 0:
+            if label < 0 or label > count:
+                return found, False
+            found[label] += values[place]
+    return found, True
 
 
 @kernel

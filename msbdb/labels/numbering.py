@@ -132,10 +132,12 @@ def sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     >>> sizes(np.array([[0, 2, 2], [0, 1, 2]], dtype=np.int32), 3)
     array([1, 3, 0])
     """
-    if _is_large(labels, count):
+    if _is_large(labels):
         from msbdb.labels.cellkernels import counted
 
-        return counted(labels.ravel(), count)[1:]
+        cells, complete = counted(labels.ravel(), count)
+        if complete:
+            return cells[1:]
     found: NDArray[np.int64] = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     return found
 
@@ -148,17 +150,19 @@ def sums(labels: NDArray[np.integer], values: NDArray[Any], count: int) -> NDArr
     >>> sums(np.array([[0, 2, 2], [0, 1, 2]]), np.array([[9, 1, 2], [9, 5, 3]]), 2)
     array([5., 6.])
     """
-    if _is_large(labels, count) and values.dtype in (np.bool_, np.float64):
+    if _is_large(labels) and values.dtype in (np.bool_, np.float64):
         from msbdb.labels.cellkernels import added
 
-        return added(labels.ravel(), values.ravel(), count)[1:]
+        total, complete = added(labels.ravel(), values.ravel(), count)
+        if complete:
+            return total[1:]
     inside = labels != 0
     return np.bincount(labels[inside], values[inside], count + 1)[1:].astype(np.float64)
 
 
-def _is_large(labels: NDArray[np.integer], most: int) -> TypeGuard[Labels]:
-    """Return whether a kernel is worth its loading, and its arrays hold all labels from 0 up to the largest one."""
-    return labels.size > LARGE and labels.dtype == np.int32 and int(labels.view(np.uint32).max()) <= most
+def _is_large(labels: NDArray[np.integer]) -> TypeGuard[Labels]:
+    """Return whether a kernel is worth its loading, and takes these labels."""
+    return labels.size > LARGE and labels.dtype == np.int32
 
 
 def look_up(table: NDArray[T], labels: NDArray[np.integer]) -> NDArray[T]:
@@ -176,13 +180,13 @@ def look_up(table: NDArray[T], labels: NDArray[np.integer]) -> NDArray[T]:
     >>> look_up(np.array([0.0, 2.5]), np.array([[1, 0]], dtype=np.int32))
     array([[2.5, 0. ]])
     """
-    found: NDArray[T]
-    if _is_large(labels, len(table) - 1):
+    if _is_large(labels):
         from msbdb.labels.cellkernels import looked_up
 
-        found = looked_up(table, labels.ravel()).reshape(labels.shape)
-    else:
-        found = table[labels]
+        values, complete = looked_up(table, labels.ravel())
+        if complete:
+            return values.reshape(labels.shape)
+    found: NDArray[T] = table[labels]
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.labels import label_zones, sizes
+from msbdb.labels import label_zones, look_up, sizes
 from msbdb.labels.numbering import require_image
 from msbdb.morphology.area import area_open_close, require_threshold, widen
 from msbdb.morphology.smallzones import merge_small_zones
@@ -132,8 +132,7 @@ def build_scale_space(
 def _island_sizes(level: NDArray[Any], connectivity: int) -> NDArray[np.int64]:
     """Return for each cell above 0 the number of cells of its island; 0 elsewhere."""
     islands, count = label_zones(level > 0, connectivity=connectivity)
-    of_island: NDArray[np.int64] = np.concatenate([[0], sizes(islands, count)])[islands]
-    return of_island
+    return look_up(np.concatenate([[0], sizes(islands, count)]), islands)
 
 
 def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
-from msbdb.labels import Labels, label_zones, sizes
+from msbdb.labels import Labels, label_zones, look_up, sizes
 from msbdb.threads import kernel
 
 Geometries = NDArray[np.object_]
@@ -56,7 +56,7 @@ def tidied(labels: Labels, least_px: float) -> Labels:
     zones, count = label_zones(found, connectivity=4)
     cells = sizes(zones, count)
     owner = np.zeros(count + 1, dtype=np.int64)
-    inside = np.flatnonzero(zones)
+    inside = np.flatnonzero(zones > 0)
     owner[zones.ravel()[inside]] = found.ravel()[inside]
     order = np.lexsort((np.arange(count), -cells, owner[1:]))
     largest = np.zeros(count, dtype=np.bool_)
@@ -98,7 +98,7 @@ def _without_small_holes(labels: Labels, least_px: float) -> Labels:
     if not small.any():
         return labels
     # A small zone does not reach the border, so each of its cells has four neighbours.
-    cells = np.flatnonzero(small[zones])
+    cells = np.flatnonzero(look_up(small, zones))
     width = labels.shape[1]
     zone = np.tile(zones.ravel()[cells], 4).astype(np.int64)
     label = np.concatenate([labels.ravel()[cells + step] for step in (1, -1, width, -width)]).astype(np.int64)

@@ -108,7 +108,7 @@ def _medians_of_cut_zones(
     zones: NDArray[np.int32], slices: NDArray[np.uint16], heights: NDArray[np.float32]
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     """Return the cells of the zones that lie in several slices, and for each the lower median of its zone's heights."""
-    cells = np.flatnonzero(zones)
+    cells = np.flatnonzero(zones > 0)
     zone, slice_of = zones.ravel()[cells], slices.ravel()[cells]
     # A zone's number is the place of its first cell among these cells, plus 1.
     differs = slice_of != slice_of[zone - 1]

@@ -168,12 +168,13 @@ def _keep_remainders(
         rows = as_rows(clusters, labels.ravel()[table["first"]].astype(np.int64) - 1, table).assign(alive=True)
         target = np.zeros(count + 1, dtype=np.int32)
         target[1:][keep] = len(clusters.rows) + 1 + np.arange(keep.sum())
-        image = np.where(target[zones] > 0, target[zones], labels)
+        own = look_up(target, zones)
+        image = np.where(own > 0, own, labels)
         images = (*clusters.labels[:level], image, *clusters.labels[level + 1 :])
         clusters = Clusters(images, pd.concat([clusters.rows, rows[keep]], ignore_index=True))
         given = np.zeros(count, dtype=np.bool_)
         if supported:
-            seeds = np.where(target[zones] > 0, target[zones], seeds)
+            seeds = np.where(own > 0, own, seeds)
             domain = np.where(look_up(clusters.flags(here), labels), labels, np.int32(0))
             grown = np.where((zones > 0) & (seeds == 0), grow(seeds, domain, connectivity), np.int32(0))
             clusters = _with_cells(clusters, grown)
@@ -184,7 +185,7 @@ def _keep_remainders(
 
 def _with_cells(clusters: Clusters, gained: NDArray[np.int32]) -> Clusters:
     """Return the clusters with further cells; no other living cluster of their scale has any of these."""
-    cells = np.flatnonzero(gained)
+    cells = np.flatnonzero(gained > 0)
     row = gained.ravel()[cells] - 1
     images = list(clusters.labels)
     level = clusters.rows["level"].to_numpy()[row]

@@ -33,7 +33,6 @@ from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
 from msbdb.threads import in_threads, memory_reused
 from msbdb.version import __version__
-from msbdb.view.regionmap import draw_denoising
 
 NO_POINTS = (
     "The source is a raster without points. The detectors that need points were not run: {names}. "
@@ -349,5 +348,7 @@ def choose_detectors(names: str | Sequence[str], inputs: Inputs) -> tuple[str, .
 
 def _draw_denoising(scene: Scene, params: Params, figure: Path) -> None:
     """Draw the lowest points before and after the denoising for the flat regions."""
+    from msbdb.view.regionmap import draw_denoising  # matplotlib takes half a second to load
+
     lowest = lowest_surface(scene, params)
     draw_denoising(lowest, denoise(lowest, params.flatregions).grid, figure, title=scene.survey.name)

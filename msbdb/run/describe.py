@@ -39,7 +39,7 @@ from msbdb.tables import (
     validate,
     validate_parts,
 )
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,6 @@ def describe(
     division : Division, optional
         The houses in which the parts grew, and why; None where the detectors did not decide together.
     """
-    parts = outline_parts(forest, scene.heights, params.vector)
     # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
     counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
     if built is not None:
@@ -100,8 +99,10 @@ def describe(
         counts["multiscale"] = stages | forest.counts
         forest = replace(forest, rejections=_joined(refused, [forest.rejections]))
     some = {name: stages for name, stages in counts.items() if stages}
-    frames = make_frames(scene, regions, forest, parts, params, division=division)
-    reason = explain_cells(scene, regions, built, forest, params)
+    frames, reason = together(
+        partial(make_frames, scene, regions, forest, params, division=division),
+        partial(explain_cells, scene, regions, built, forest, params),
+    )
     ledgers = [found.ledger for name, found in sorted(regions.items()) if name != "multiscale"]
     return Description(frames, _rasters(scene, regions, reason), some, _joined(forest.rejections, ledgers))
 
@@ -137,12 +138,11 @@ def make_frames(
     scene: Scene,
     regions: Mapping[str, Regions],
     forest: Forest,
-    parts: gpd.GeoDataFrame,
     params: Params,
     *,
     division: Division | None = None,
 ) -> dict[str, pd.DataFrame]:
-    """Return all tables of the run, checked against their declarations.
+    """Return all tables of the run, checked against their declarations: the outlines of parts beside all others.
 
     Parameters
     ----------
@@ -152,14 +152,26 @@ def make_frames(
         Of each detector that was run, also one without any region.
     forest : Forest
         The parts; empty where none were sought.
-    parts : GeoDataFrame
-        The same parts with their outlines.
     params : Params
         Sections ``fuse``, ``heights``, ``surface`` and ``vector``.
     division : Division, optional
         The houses in which the parts grew, and why. Without it no building is divided.
     """
-    spec = scene.heights.spec
+    parts, frames = together(
+        partial(outline_parts, forest, scene.heights, params.vector),
+        partial(_other_frames, scene, regions, forest, params, division),
+    )
+    frames["part"] = parts[[*PART.names, "geometry"]]
+    for table in TABLES:
+        validate(frames[table.name], table)
+    return frames
+
+
+def _other_frames(
+    scene: Scene, regions: Mapping[str, Regions], forest: Forest, params: Params, division: Division | None
+) -> dict[str, pd.DataFrame]:
+    """Return all tables but that of the parts."""
+    spec, parts = scene.heights.spec, forest.parts
     link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
     flat = regions.get("flatregions") or no_regions("flatregions", FLAT_REGION, spec)
     candidates = [regions[name] for name in sorted(POINT_DETECTORS) if name in regions]
@@ -183,9 +195,8 @@ def make_frames(
     rejections, counts = _ledger(forest, [flat, *candidates], params)
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     none = no_regions("area3d", CANDIDATE_REGION, spec)
-    frames = {
+    return {
         "scale": forest.scales,
-        "part": parts[[*PART.names, "geometry"]],
         "spectral_class": scene.cover.table,
         "spectral_class_band": scene.cover.bands,
         "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=spec.crs),
@@ -197,9 +208,6 @@ def make_frames(
         "part_candidate": _joined(PART_CANDIDATE.empty(), [links[found.method] for found in candidates]),
         "flat_region_candidate": _joined(FLAT_REGION_CANDIDATE.empty(), between),
     }
-    for table in TABLES:
-        validate(frames[table.name], table)
-    return frames
 
 
 def _ledger(forest: Forest, others: list[Regions], params: Params) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -12,7 +12,7 @@ import pandas as pd
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
 from msbdb.errors import GridMismatchError, InputError, NodataError, give_notice
-from msbdb.grid import Bounds, Grid, GridSpec, lattice
+from msbdb.grid import Bands, Bounds, Grid, GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.las import read_points
@@ -43,8 +43,10 @@ from msbdb.spectral.coverclasses import classify_cover, keep_labels
 from msbdb.surface import Surface, cover_from_surface, surface_from_rasters
 from msbdb.surface.gridding import CELL_LADDER_M, cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
+from msbdb.surface.structure import Structure
 from msbdb.surveyplan import Plan, PointFacts
 from msbdb.tables import Survey
+from msbdb.threads import together
 
 logger = logging.getLogger(__name__)
 
@@ -238,16 +240,23 @@ def make_draft(
     with stages.stage("surface"):
         surface = make_surface(inputs, cloud, params)
     spec = surface.ndsm.spec
-    with stages.stage("cover"):
-        structure = cover_from_surface(surface, cloud, params)
-    with stages.stage("bands"):
-        try:
-            ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
-            bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
-        except GridMismatchError:
-            if not sampled:
-                raise
-            bands = None
+
+    def separate() -> Structure:
+        with stages.stage("cover"):
+            return cover_from_surface(surface, cloud, params)
+
+    def gather() -> Bands | None:
+        with stages.stage("bands"):
+            try:
+                ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
+                return spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
+            except GridMismatchError:
+                if not sampled:
+                    raise
+                return None
+
+    with stages.side_by_side():
+        structure, bands = together(separate, gather)
     draft, area = Draft.of(surface, structure, bands, cloud, params), inputs.area()
     if area is None:
         return draft
@@ -345,10 +354,11 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
     cell_m = params.surface.cell_m or cell_of_points(points, points_m2, params)
     spec = lattice(points.bounds, cell_m, points.crs)
     aligned = None if given is None else align_grid(given(spec), spec, role="DTM")
-    dsm, samples = grid_surface(points, spec, params)
     if aligned is None:
-        dtm, name = terrain(points, spec, params.ground)
+        gridding, filtering = partial(grid_surface, points, spec, params), partial(terrain, points, spec, params.ground)
+        (dsm, samples), (dtm, name) = together(gridding, filtering)
     else:
+        dsm, samples = grid_surface(points, spec, params)
         dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
     surface_is = "The surface has %d x %d cells of %s m from %.1f points/m2. The ground is by the filter '%s'"
     logger.info(surface_is, *spec.shape, cell_m, points_m2, name)

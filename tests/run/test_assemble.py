@@ -20,7 +20,7 @@ from msbdb.kept import KeptRun, Rasters, lattice_of
 from msbdb.landcover import ClassMap
 from msbdb.outline.polygons import polygonise
 from msbdb.params import Params
-from msbdb.run.describe import count_cells, make_frames, outline_parts
+from msbdb.run.describe import count_cells, make_frames
 from msbdb.run.store import recall_regions
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import (
@@ -95,9 +95,8 @@ def frames(*witnesses):
     scene, params = town(), Params()
     params = replace(params, scale=replace(params.scale, scales_m2=(20.0, 50.0)))
     found = detect_multiscale(scene, params)
-    parts = outline_parts(found.forest, scene.heights, params.vector)
     regions = {"multiscale": found, **{one.method: one for one in witnesses}}
-    return make_frames(scene, regions, found.forest, parts, params)
+    return make_frames(scene, regions, found.forest, params)
 
 
 def test_every_pair_of_witnesses_is_linked():

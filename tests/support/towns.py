@@ -15,7 +15,7 @@ from msbdb.kept import KeptRun, Rasters
 from msbdb.landcover import ClassMap
 from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, as_dict
-from msbdb.run.describe import count_cells, make_frames, outline_parts
+from msbdb.run.describe import count_cells, make_frames
 from msbdb.spectral.coverclasses import Cover
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, Counts, Run, Source, Survey
 
@@ -89,8 +89,8 @@ def _town_build(
     survey = Survey(name, date, UTM.to_wkt(), EPSG, "", 10.0, ndsm.spec.cell_m, ndsm.spec.bounds, (source,))
     scene = Scene(survey, ndsm, cover, None)
     found = detect_multiscale(scene, params)
-    parts = outline_parts(found.forest, ndsm, params.vector).assign(speindex=0)
-    frames = make_frames(scene, {"multiscale": found}, found.forest, parts, params)
+    forest = replace(found.forest, parts=found.forest.parts.assign(speindex=0))
+    frames = make_frames(scene, {"multiscale": found}, forest, params)
     counts = Counts(
         {"multiscale": found.counts}, count_cells(ndsm, cover), {"colours_decide": 0, "green_decides": 0}, {}
     )
