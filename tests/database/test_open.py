@@ -360,3 +360,30 @@ def test_other_libraries_can_be_imported_after_spatialite(tmp_path: Path) -> Non
     call = [sys.executable, "-c", AFTERWARDS, str(tmp_path / "point.gpkg")]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "whole\n"), done.stderr
+
+
+@pytest.mark.postgis
+def test_loads_share_a_session_that_is_kept_open(new_postgis):
+    """One process of the server serves loads until the engine is disposed of; a lost one is replaced."""
+    engine = open_database(new_postgis(), create=True, srid=EPSG, keep_open=True)
+    own = text("SELECT pg_backend_pid()")
+    others = text("SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND pid = :pid")
+    with engine.connect() as connection:
+        first = connection.scalar(own)
+    write_build(engine, small_build())
+    with engine.connect() as connection:
+        assert connection.scalar(own) == first
+    again = open_database(engine.url)
+    with again.connect() as connection:
+        connection.execute(text("SELECT pg_terminate_backend(:pid)"), {"pid": first})
+    assert write_build(engine, small_build()).status == "unchanged"
+    with engine.connect() as connection:
+        second = connection.scalar(own)
+    assert second != first
+    engine.dispose()
+    with again.connect() as connection:
+        for _ in range(50):
+            if not connection.scalar(others, {"pid": second}):
+                return
+            time.sleep(0.1)
+    pytest.fail("The session is still there.")

@@ -37,6 +37,7 @@ def open_database(
     srid: int | None = None,
     crs_wkt: str = "",
     timeout_s: float = TIMEOUT_S,
+    keep_open: bool = False,
 ) -> Engine:
     """Open a database, and create it or upgrade its schema when asked.
 
@@ -53,11 +54,13 @@ def open_database(
         The CRS as WKT, for ``srid=0``.
     timeout_s : float
         Seconds to wait for a lock or a server.
+    keep_open : bool
+        Keep one session with a server open for the next use, until the engine's ``dispose`` is called.
 
     Returns
     -------
     Engine
-        A SQLAlchemy engine without a pool: no connection stays open after use.
+        A SQLAlchemy engine. Without ``keep_open`` no connection stays open after use.
 
     Raises
     ------
@@ -76,21 +79,32 @@ def open_database(
     with guarded(url):
         if not dialect.exists(url, timeout_s):
             _create(url, dialect, create=create, srid=own_srid, crs_wkt=crs_wkt, timeout_s=timeout_s)
-        engine = dialect.make_engine(url, timeout_s)
-        with engine.connect() as connection:
-            is_newest = upgrade.require_version(connection, shown(url))
-        if not is_newest:
-            if not create:
-                msg = (
-                    f"The database {shown(url)} has an older schema than this msbdb. "
-                    f"Upgrade it with 'msbdb db upgrade {shown(url)}'; nothing in it is lost."
-                )
-                raise SchemaVersionError(msg)
-            upgrade_database(engine)
-        if own_srid is not None:
-            with engine.connect() as connection:
-                require_srid(connection, dialect, own_srid, shown(url))
+        engine = dialect.make_engine(url, timeout_s, keep_open=keep_open)
+        try:
+            _require_newest(engine, upgraded=create)
+            if own_srid is not None:
+                with engine.connect() as connection:
+                    require_srid(connection, dialect, own_srid, shown(url))
+        except BaseException:
+            engine.dispose()
+            raise
     return engine
+
+
+def _require_newest(engine: Engine, *, upgraded: bool) -> None:
+    """Refuse an older schema, or upgrade it where asked."""
+    where = shown(engine.url)
+    with engine.connect() as connection:
+        is_newest = upgrade.require_version(connection, where)
+    if is_newest:
+        return
+    if not upgraded:
+        msg = (
+            f"The database {where} has an older schema than this msbdb. "
+            f"Upgrade it with 'msbdb db upgrade {where}'; nothing in it is lost."
+        )
+        raise SchemaVersionError(msg)
+    upgrade_database(engine)
 
 
 def check_target(target: str | PathLike[str] | URL, *, timeout_s: float = TIMEOUT_S) -> None:
@@ -172,7 +186,7 @@ def snapshot(engine: Engine) -> Iterator[Connection]:
 @contextmanager
 def opened(db: str | PathLike[str] | URL) -> Iterator[Engine]:
     """Open an existing database, and close it at the end of the block."""
-    engine = open_database(db)
+    engine = open_database(db, keep_open=True)
     try:
         yield engine
     finally:

@@ -29,8 +29,11 @@ class Dialect(Protocol):
         Return False when another process created one meanwhile, which is kept.
         """
 
-    def make_engine(self, url: URL, timeout_s: float) -> Engine:
-        """Return an engine whose connections support geometries, wait for locks, and enforce foreign keys."""
+    def make_engine(self, url: URL, timeout_s: float, *, keep_open: bool = False) -> Engine:
+        """Return an engine whose connections support geometries, wait for locks, and enforce foreign keys.
+
+        With ``keep_open`` a session with a server stays open for the next use, until the engine is disposed of.
+        """
 
     def reading_engine(self, url: URL, timeout_s: float) -> Engine:
         """Return an engine of a database that exists, through which nothing can be written."""

@@ -18,6 +18,7 @@ from sqlalchemy import (
     Integer,
     LargeBinary,
     NullPool,
+    QueuePool,
     Text,
     create_engine,
     inspect,
@@ -174,11 +175,16 @@ def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> bo
     return True
 
 
-def make_engine(url: URL, timeout_s: float) -> Engine:
-    """Return an engine that waits for locks and servers no longer than the timeout."""
+def make_engine(url: URL, timeout_s: float, *, keep_open: bool = False) -> Engine:
+    """Return an engine that waits for locks and servers no longer than the timeout.
+
+    A session that is kept open saves the next use the start of a process that loads PostGIS. One that was lost
+    meanwhile is replaced.
+    """
+    pool: dict[str, Any] = {"poolclass": QueuePool, "pool_size": 1, "pool_pre_ping": True}
     return create_engine(
         url,
-        poolclass=NullPool,
+        **pool if keep_open else {"poolclass": NullPool},
         # Not the server's default: a writer that waited for its lock must see what others committed.
         isolation_level="READ COMMITTED",
         connect_args={

@@ -116,7 +116,7 @@ def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> bo
     return True
 
 
-def make_engine(url: URL, timeout_s: float) -> Engine:
+def make_engine(url: URL, timeout_s: float, *, keep_open: bool = False) -> Engine:  # noqa: ARG001  (PostGIS keeps one)
     """Return an engine of connections with SpatiaLite, foreign keys and real transactions.
 
     No connection stays open after use: a file at rest is a single closed file.

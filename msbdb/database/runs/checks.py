@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, TableError
 from msbdb.kept import KeptRun
+from msbdb.outline.wkbrings import are_valid, as_multipolygons
 from msbdb.params import DETECTORS, POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
@@ -32,8 +33,13 @@ _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.M
 _POINT = (shapely.GeometryType.POINT,)
 
 
-def check_build(build: KeptRun) -> None:
+def check_build(build: KeptRun) -> dict[str, NDArray[np.object_]]:
     """Check that a build can be stored: names, declared columns, numbers, geometries and references.
+
+    Returns
+    -------
+    dict
+        See `check_frames`.
 
     Raises
     ------
@@ -47,14 +53,20 @@ def check_build(build: KeptRun) -> None:
     if set(build.frames) != expected:
         msg = f"A build needs the tables {sorted(expected)}; got {sorted(build.frames)}."
         raise TableError(msg)
-    check_frames(build.frames)
+    outlines = check_frames(build.frames)
     _check_keys(build.frames)
     _check_references(build.frames, build.run.methods)
     validate_parts(build.frames["part"])
+    return outlines
 
 
-def check_frames(frames: "dict[str, pd.DataFrame]") -> None:
+def check_frames(frames: "dict[str, pd.DataFrame]") -> dict[str, NDArray[np.object_]]:
     """Check the declared columns, numbers and geometries of some tables.
+
+    Returns
+    -------
+    dict
+        By table the (N,) geometries as the database keeps them: little-endian WKB, polygons as multipolygons.
 
     Raises
     ------
@@ -66,7 +78,7 @@ def check_frames(frames: "dict[str, pd.DataFrame]") -> None:
             frame = frames[table.name]
             validate(frame, table)
             _check_numbers(frame, table)
-    _check_geometries(frames)
+    return _check_geometries(frames)
 
 
 def _check_names(build: KeptRun) -> None:
@@ -102,8 +114,8 @@ def _check_numbers(frame: "pd.DataFrame", table: Table) -> None:
             _require(frame[column.name].notna(), frame, table, f"{column.name} is missing or infinite")
 
 
-def _check_geometries(frames: "dict[str, pd.DataFrame]") -> None:
-    """Refuse geometries that are missing, empty, not valid, or of another type."""
+def _check_geometries(frames: "dict[str, pd.DataFrame]") -> dict[str, NDArray[np.object_]]:
+    """Refuse geometries that are missing, empty, not valid, or of another type; return them as WKB."""
     tables = [table for table in TABLES if table.geometry and table.name in frames]
     for table in tables:
         frame = frames[table.name]
@@ -114,10 +126,18 @@ def _check_geometries(frames: "dict[str, pd.DataFrame]") -> None:
         _require(~shapely.is_empty(shapes), frame, table, "the geometry is empty")
     # Those of all tables at once, because threads take longer to start than a small table to check.
     everything = np.concatenate([np.empty(0, dtype=object), *(geometries(frames[table.name]) for table in tables)])
-    valid = np.concatenate(in_threads(shapely.is_valid, np.array_split(everything, cores())))
+    decided = in_threads(_as_wkb, np.array_split(everything, cores()))
+    wkb, valid = (np.concatenate(own) for own in zip(*decided, strict=True))
     ends = np.cumsum([len(frames[table.name]) for table in tables])
     for table, holds in zip(tables, np.split(valid, ends), strict=False):
         _require(holds, frames[table.name], table, "the geometry is not valid")
+    return {table.name: own for table, own in zip(tables, np.split(wkb, ends), strict=False)}
+
+
+def _as_wkb(shapes: NDArray[np.object_]) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
+    """Return geometries as the database keeps them, and which are valid."""
+    wkb = as_multipolygons(shapely.to_wkb(shapes, byte_order=1))
+    return wkb, are_valid(wkb)
 
 
 def _check_keys(frames: "dict[str, pd.DataFrame]") -> None:

@@ -28,6 +28,7 @@ from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects.dialect import Dialect
 from msbdb.database.runs.mosaics import Mosaic
+from msbdb.database.runs.normalform import normal_form
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import exact_json, plain, text_id, to_json
 from msbdb.surveyplan import Plan
@@ -152,7 +153,7 @@ class RunContent:
         Parameters, counts, timings and notices.
     columns : mapping of str to mapping of str to (N,) ndarray
         The columns of each of ``tables.TABLES`` by their names: int64, float64 with NaN for null, or objects for texts
-        and geometries; whole numbers that may be null are int64 where all are known.
+        and geometries, which may be little-endian WKB; whole numbers that may be null are int64 where all are known.
         Rows are in the table's order, polygons are multipolygons.
     rasters : mapping of str to (H, W) ndarray or Mosaic
         Heights, classes and labels of the regions, by the names of their rows.
@@ -214,9 +215,8 @@ def portable(values: NDArray[Any]) -> NDArray[Any]:
 def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
     """Return a column's content as bytes; equal columns give equal bytes."""
     if name == "geometry":
-        # A point needs no normalisation.
-        shapes = shapely.normalize(values) if shapely.get_dimensions(values).any() else values
-        return b"".join(shapely.to_wkb(shapes, byte_order=1))
+        is_wkb = values.size and isinstance(values[0], bytes)
+        return normal_form(values if is_wkb else shapely.to_wkb(values, byte_order=1))
     if values.dtype.kind in "if":
         return portable(values).tobytes()
     words = values.tolist()

@@ -160,14 +160,14 @@ class _Merge:
         for method, rows in frames["candidate_region"].groupby("method"):
             known = self.of_method.get(str(method), NOTHING)
             self.of_method[str(method)] = np.union1d(known, rows["candidate_id"].to_numpy(np.int64))
-        ids = rejection_ids(self.head.survey.name, frames["rejection"])
+        ids = rejection_ids(self.head.survey.name, columns_of(frames["rejection"]))
         again = np.isin(ids, self.seen["rejection"])
         ids[again] = [text_id("rejection", int(one), *piece.key) for one in ids[again]]
         self.seen["rejection"] = np.union1d(self.seen["rejection"], ids)
-        check_frames(frames)
+        outlines = check_frames(frames)
         # Buildings come before the parts that refer to them.
         for name in ROWS:
-            self._write(name, frames[name], ids if name == "rejection" else None)
+            self._write(name, frames[name], outlines.get(name), ids if name == "rejection" else None)
 
     def write_rest(self, piece: Piece) -> None:
         """Write the links and the rasters of a tile, after the rows of all tiles."""
@@ -203,14 +203,20 @@ class _Merge:
             return answers
         return cells
 
-    def _write(self, name: str, frame: "pd.DataFrame", ids: NDArray[np.int64] | None = None) -> None:
+    def _write(
+        self,
+        name: str,
+        frame: "pd.DataFrame",
+        outlines: NDArray[np.object_] | None = None,
+        ids: NDArray[np.int64] | None = None,
+    ) -> None:
         """Write rows of a table."""
         self.report.rows[name] = self.report.rows.get(name, 0) + len(frame)
         if not len(frame):
             return
+        content = columns_of(frame, outlines)
         if ids is None:
-            frame = ordered(frame, BY_NAME[name])
-        content = columns_of(frame)
+            content = ordered(content, BY_NAME[name])
         write_columns(self.connection, self.dialect, name, content, run_id=self.run_id, srid=self.srid, ids=ids)
 
 
@@ -247,9 +253,8 @@ def merge_tiles(
         When the database cannot be written.
     """
     srid = srid_of(head.survey.epsg, head.survey.crs_wkt)
-    engine = open_database(
-        target, create=True, srid=head.survey.epsg, crs_wkt=head.survey.crs_wkt, timeout_s=PATIENCE_S
-    )
+    crs: dict[str, Any] = {"srid": head.survey.epsg, "crs_wkt": head.survey.crs_wkt}
+    engine = open_database(target, create=True, **crs, timeout_s=PATIENCE_S, keep_open=True)
     dialect, report = dialect_of(engine.url), MergeReport()
     try:
         with guarded(engine.url), suppress(_UnchangedError), dialect.writing(engine) as connection:

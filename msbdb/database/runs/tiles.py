@@ -96,7 +96,7 @@ def begin_tiles(
     resume : bool
         Keep what an earlier build of this digest finished; tiles that are not done are queued again.
     """
-    engine = open_database(target, create=True, srid=epsg, crs_wkt=crs_wkt, timeout_s=PATIENCE_S)
+    engine = open_database(target, create=True, srid=epsg, crs_wkt=crs_wkt, timeout_s=PATIENCE_S, keep_open=True)
     dialect, survey = dialect_of(engine.url), tiles[0].survey
     try:
         with guarded(engine.url), dialect.writing(engine) as connection:

@@ -7,7 +7,6 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from sqlalchemy import URL, Connection, Engine, delete, func, insert, select, text, update
 
@@ -15,7 +14,7 @@ from msbdb.database.dialects import migration as upgrade
 from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require_srid
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.runs.basis import BuildBasis
-from msbdb.database.runs.checks import check_build, geometries
+from msbdb.database.runs.checks import check_build
 from msbdb.database.runs.digests import RunContent, portable, run_row, source_rows, survey_row
 from msbdb.database.runs.packing import pack
 from msbdb.database.runs.tiles import forget_tiles
@@ -91,13 +90,13 @@ def store_build(
     MsbdbError
         See `open_database` and `write_build`.
     """
-    check_build(build)
+    rows = _Rows.of(build, check_build(build))
     survey = build.survey
     url = database_url(target)
     dialect = dialect_of(url)
     with guarded(url):
         if not dialect.exists(url, timeout_s):
-            rows, rasters = _Rows.of(build), _packed(build)
+            rasters = _packed(build)
             srid = srid_of(survey.epsg, survey.crs_wkt)
 
             def fill(connection: Connection) -> None:
@@ -107,9 +106,10 @@ def store_build(
             if dialect.create(url, timeout_s, fill):
                 logger.info("Created the database %s with the SRID %d", shown(url), srid)
                 return _report(build, rows, "created")
-    engine = open_database(url, create=True, srid=survey.epsg, crs_wkt=survey.crs_wkt, timeout_s=timeout_s)
+    crs: dict[str, Any] = {"srid": survey.epsg, "crs_wkt": survey.crs_wkt}
+    engine = open_database(url, create=True, **crs, timeout_s=timeout_s, keep_open=True)
     try:
-        return _write(engine, build, basis)
+        return _write(engine, build, rows, basis)
     finally:
         engine.dispose()
 
@@ -142,14 +142,12 @@ def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = No
     DatabaseError
         When the database is locked, full or cannot be reached; nothing was written.
     """
-    check_build(build)
-    return _write(engine, build, basis)
+    return _write(engine, build, _Rows.of(build, check_build(build)), basis)
 
 
-def _write(engine: Engine, build: KeptRun, basis: BuildBasis | None) -> WriteReport:
+def _write(engine: Engine, build: KeptRun, rows: "_Rows", basis: BuildBasis | None) -> WriteReport:
     """Write a build that was checked."""
     dialect = dialect_of(engine.url)
-    rows = _Rows.of(build)
     _, run_id = keys_of(build)
     srid = srid_of(build.survey.epsg, build.survey.crs_wkt)
     with guarded(engine.url), engine.connect() as reading:
@@ -176,21 +174,24 @@ class _Rows:
     digest: str
 
     @classmethod
-    def of(cls, build: KeptRun) -> Self:
-        """Return the rows of a build in the tables' order."""
-        frames = {table.name: ordered(build.frames[table.name], table) for table in TABLES}
-        counts = {name: len(frame) for name, frame in frames.items()}
+    def of(cls, build: KeptRun, outlines: Mapping[str, NDArray[np.object_]]) -> Self:
+        """Return the rows of a build in the tables' order; ``outlines`` are those of `check_build`."""
+        columns = {
+            table.name: ordered(columns_of(build.frames[table.name], outlines.get(table.name)), table)
+            for table in TABLES
+        }
+        counts = {name: len(frame) for name, frame in build.frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
         counts["survey_plan"] = int(build.plan is not None)
-        columns = {table: columns_of(frame) for table, frame in frames.items()}
         content = RunContent(build.survey, build.run, columns, build.rasters.by_name(), build.plan)
-        ids = rejection_ids(build.survey.name, frames["rejection"])
+        ids = rejection_ids(build.survey.name, columns["rejection"])
         return cls(columns, ids, counts, content.digest())
 
 
-def columns_of(frame: "pd.DataFrame") -> dict[str, NDArray[Any]]:
-    """Return the columns of a frame as `RunContent` has them."""
-    return {str(name): _array(column) for name, column in frame.items()}
+def columns_of(frame: "pd.DataFrame", outlines: NDArray[np.object_] | None = None) -> dict[str, NDArray[Any]]:
+    """Return the columns of a frame as `RunContent` has them, with the WKB that `check_frames` returns."""
+    columns = {str(name): _array(column) for name, column in frame.items() if name != "geometry"}
+    return columns if outlines is None else columns | {"geometry": outlines}
 
 
 def _array(column: "pd.Series") -> NDArray[Any]:
@@ -312,10 +313,7 @@ def write_columns(
         columns["rejection_id"] = ids[order]
     table = BY_NAME[name]
     for column, values in content.items():
-        if column == "geometry":
-            columns[column] = shapely.to_wkb(values[order], byte_order=1)
-        else:
-            columns[column] = _stored(values[order], table[column])
+        columns[column] = values[order] if column == "geometry" else _stored(values[order], table[column])
     dialect.insert_rows(connection, name, columns, srid)
 
 
@@ -327,34 +325,40 @@ def _stored(values: NDArray[Any], column: Column) -> NDArray[Any] | list[Any]:
     return values if values.dtype.kind in "iubf" else values.tolist()
 
 
-def rejection_ids(survey: str, frame: "pd.DataFrame") -> NDArray[np.int64]:
+def rejection_ids(survey: str, ledger: Mapping[str, Any]) -> NDArray[np.int64]:
     """Return keys of ledger rows; rows with the same region, stage and reason are numbered.
 
     A region's id is a digest already. The key is this id XOR a digest of method, stage, reason and number. So it is
-    unique among the rows with the same words, and almost certainly among all rows.
+    unique among the rows with the same words, and almost certainly among all rows. ``ledger`` has the columns.
     """
-    why = frame.groupby(["method", "stage", "reason"], sort=False).ngroup().rename("why")
-    again = frame.groupby([why, "region_id"], sort=False).cumcount().to_numpy()
-    both = why.to_numpy() * (again.max(initial=0) + 1) + again
-    _, first, group = np.unique(both, return_index=True, return_inverse=True)
-    kinds = frame[["method", "stage", "reason"]].iloc[first]
-    words = zip(*(kinds[name] for name in kinds), again[first], strict=True)
-    digests = np.array([text_id("rejection", survey, *row) for row in words], dtype=np.int64)
-    ids: NDArray[np.int64] = np.maximum(frame["region_id"].to_numpy(np.int64) ^ digests[group], 1)
+    known: dict[tuple[str, str, str], int] = {}
+    words = zip(*(ledger[name].tolist() for name in ("method", "stage", "reason")), strict=True)
+    why = np.array([known.setdefault(one, len(known)) for one in words], dtype=np.int64)
+    region = np.asarray(ledger["region_id"], dtype=np.int64)
+    order = np.lexsort((region, why))
+    again = np.empty(order.size, dtype=np.int64)
+    again[order] = _repeats(why[order], region[order])
+    kinds = why * (again.max(initial=0) + 1) + again
+    _, first, group = np.unique(kinds, return_index=True, return_inverse=True)
+    names = list(known)
+    digests = [text_id("rejection", survey, *names[why[one]], again[one]) for one in first.tolist()]
+    ids: NDArray[np.int64] = np.maximum(region ^ np.array(digests, dtype=np.int64)[group], 1)
     return ids
 
 
-def ordered(frame: "pd.DataFrame", table: Table) -> "pd.DataFrame":
-    """Return the rows in the table's order, with polygons as multipolygons."""
-    import pandas as pd
+def _repeats(*sorted_keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each row of sorted keys how many rows before it have the same."""
+    places = np.arange(sorted_keys[0].size)
+    begins = np.ones(places.size, dtype=np.bool_)
+    begins[1:] = np.any([own[1:] != own[:-1] for own in sorted_keys], axis=0)
+    own: NDArray[np.int64] = places - np.maximum.accumulate(np.where(begins, places, 0))
+    return own
 
-    order = table.order
-    if frame[order[0]].is_unique:
-        order = order[:1]
-    rows = pd.DataFrame(frame).sort_values(order, kind="stable", ignore_index=True)
-    if table.geometry == "MULTIPOLYGON":
-        shapes = geometries(rows).copy()
-        simple = shapely.get_type_id(shapes) == shapely.GeometryType.POLYGON
-        shapes[simple] = shapely.multipolygons(shapes[simple], indices=np.arange(simple.sum()))
-        rows["geometry"] = pd.Series(shapes, dtype=object)
-    return rows
+
+def ordered(columns: Mapping[str, NDArray[Any]], table: Table) -> dict[str, NDArray[Any]]:
+    """Return the rows in the table's order."""
+    first = columns[table.order[0]]
+    order = np.argsort(first, kind="stable")
+    if (first[order][1:] == first[order][:-1]).any():
+        order = np.lexsort([columns[name] for name in reversed(table.order)])
+    return {name: values[order] for name, values in columns.items()}

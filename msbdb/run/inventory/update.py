@@ -110,7 +110,7 @@ def is_built(
 
 def advance_inventory(db: str | Path, survey: str, *, aoi: Path | None) -> AdvanceReport:
     """Update the inventory by a survey that is built already; see `msbdb.api.advance`."""
-    engine = open_database(db, timeout_s=PATIENCE_S)
+    engine = open_database(db, timeout_s=PATIENCE_S, keep_open=True)
     try:
         record = read_survey(engine, survey)
         require_date(survey, record.date)
