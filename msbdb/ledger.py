@@ -64,7 +64,8 @@ class Ledger:
         codes, words = pd.factorize(reasons, sort=True)
         for code, word in enumerate(words):
             chosen = cells[(codes == code)[labels - 1]]
-            self._marks.append(((stage, str(word)), chosen.astype(np.int64)))
+            # Points share cells; a cell is marked once.
+            self._marks.append(((stage, str(word)), np.unique(chosen).astype(np.int64)))
 
     def count(
         self, stage: str, entered: int, kept: int, dropped: int, *, pieces: int = 0, written: bool = True

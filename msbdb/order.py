@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.threads import kernel
+
 MOST_MARKS = 1_000_000
 """Up to this span of numbers, those that occur are marked; beyond, they are sorted."""
 
@@ -75,13 +77,10 @@ def order_of_points(
     """
     groups = 0 if group is None or not len(group) else int(group.max()).bit_length()
     bits = (KEY_BITS - groups) // 2
-    column = _leading(x, bits)
-    if group is not None:
-        column |= group.astype(np.uint64) << np.uint64(bits)
-    key = column << np.uint64(bits) | _leading(y, bits)
-    del column
+    before = np.zeros(len(x), dtype=np.uint8) if group is None else group
+    key = _packed(before, (x, *_scale(x, bits)), (y, *_scale(y, bits)), np.uint64(bits))
     order = np.argsort(key)
-    some = _undecided(key[order], x[order], bits)
+    some = _undecided(key, order, x, np.uint64(bits))
     if some.any():
         few = np.sort(order[some])
         keys = [values[few] for values in (*reversed(ties), y, x)]
@@ -109,30 +108,48 @@ def ranks(numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int
     return np.flatnonzero(occurs) + low, (np.cumsum(occurs) - 1)[numbers - low]
 
 
-def _leading(values: NDArray[np.float64], bits: int) -> NDArray[np.uint64]:
-    """Return whole numbers of so many bits that never fall where the values rise."""
+def _scale(values: NDArray[np.float64], bits: int) -> tuple[float, float]:
+    """Return the lowest value, and the factor that makes whole numbers of so many bits of what is above it."""
     if not values.size:
-        return np.zeros(0, dtype=np.uint64)
+        return 0.0, 0.0
     low, high = float(values.min()), float(values.max())
     # Half of the numbers at most, so that no rounding leads beyond them.
-    scale = (2.0 ** (bits - 1) - 1) / (high - low) if high > low else 0.0
-    return ((values - low) * scale).astype(np.uint64)
+    return low, (2.0 ** (bits - 1) - 1) / (high - low) if high > low else 0.0
 
 
-def _undecided(key: NDArray[np.uint64], x: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
+@kernel
+def _packed(
+    group: NDArray[np.integer],
+    columns: tuple[NDArray[np.float64], float, float],
+    rows: tuple[NDArray[np.float64], float, float],
+    bits: np.uint64,
+) -> NDArray[np.uint64]:
+    """Return numbers of 64 bits that never fall where group, x and y rise, in this order."""
+    (x, west, across), (y, south, along) = columns, rows
+    key = np.empty(x.size, dtype=np.uint64)
+    for point in range(x.size):
+        column = np.uint64(group[point]) << bits | np.uint64((x[point] - west) * across)
+        key[point] = column << bits | np.uint64((y[point] - south) * along)
+    return key
+
+
+@kernel
+def _undecided(
+    key: NDArray[np.uint64], order: NDArray[np.intp], x: NDArray[np.float64], bits: np.uint64
+) -> NDArray[np.bool_]:
     """Return which points, in the order of the keys, the keys do not separate: equal keys, or x of equal digits."""
-    same = np.diff(key) == 0
-    column = key >> np.uint64(bits)
-    alike = np.diff(column) == 0
-    mixed = alike & (np.diff(x) != 0)
-    if mixed.any():  # all points of such a column
-        number = np.concatenate([[0], np.cumsum(~alike)])
-        wrong = np.zeros(int(number[-1]) + 1, dtype=np.bool_)
-        wrong[number[:-1][mixed]] = True
-        same |= alike & wrong[number[1:]]
-    undecided = np.zeros(len(key), dtype=np.bool_)
-    undecided[1:] |= same
-    undecided[:-1] |= same
+    undecided = np.zeros(key.size, dtype=np.bool_)
+    first = 0
+    for stop in range(1, key.size + 1):
+        if stop < key.size and key[order[stop]] >> bits == key[order[first]] >> bits:
+            continue
+        mixed = False  # whether the x of this column differ, which its digits do not show
+        for place in range(first + 1, stop):
+            mixed = mixed or x[order[place]] != x[order[place - 1]]
+        for place in range(first + 1, stop):
+            if mixed or key[order[place]] == key[order[place - 1]]:
+                undecided[place] = undecided[place - 1] = True
+        first = stop
     return undecided
 
 

@@ -115,10 +115,11 @@ def compare(
     offset = estimate_offset(before, after, least_pairs=params.offset_pairs)
     spec = heights.spec
     known = earlier_heights(earlier, spec, offset)
-    rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values) - np.float32(offset.dz_m)
+    rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values)
+    rise -= np.float32(offset.dz_m)
     if levels is not None:
         known_levels = [*earlier_levels, *[None] * (len(earlier) - len(earlier_levels))]
-        rise = _level_rise(rise, levels, earlier, known_levels, offset)
+        _put_level_rise(rise, levels, earlier, known_levels, offset)
     inside = heights.valid if surveyed is None else heights.valid & surveyed
     shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
     epochs = Epochs(
@@ -135,23 +136,23 @@ def compare(
     return Comparison(offset, decisions.changes(), decisions.new_versions())
 
 
-def _level_rise(
+def _put_level_rise(
     rise: Rise, levels: Grid, earlier: Sequence[Grid], earlier_levels: Sequence[Grid | None], offset: Offset
-) -> Rise:
-    """Return the change of level in each cell, and the given rise above ground where no earlier level is known.
+) -> None:
+    """Put the change of level into the given rise above ground, in each cell with an earlier level.
 
     Two surveys may count their levels from different zeros. Their vertical offset is the change on which most cells
     agree, streets included.
     """
-    found, left = rise.copy(), levels.valid.copy()
+    left = levels.valid.copy()
     for heights, known in zip(earlier, earlier_levels, strict=True):
         before = earlier_heights([heights if known is None else known], levels.spec, offset)
         both = levels.valid & before.valid
         if known is not None and both.any():
             change = np.asarray(levels.values) - np.asarray(before.values)
-            np.copyto(found, change - _agreed(change[both]), where=both & left)
+            change -= _agreed(change[both])
+            np.copyto(rise, change, where=both & left)
         left &= ~before.valid
-    return found
 
 
 def _agreed(change: Rise) -> np.float32:

@@ -1,13 +1,14 @@
 """What differs between two surveys: their offset, the pieces built or gone, and the links between footprints."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from skimage.morphology import isotropic_dilation, isotropic_opening
+from skimage.morphology import isotropic_dilation, isotropic_erosion, isotropic_opening
 
 from msbdb.errors import PassingNotice, give_notice
 from msbdb.grid import Grid, GridSpec
@@ -31,6 +32,9 @@ HALVINGS = 8
 
 AGREEMENT_M = 0.5
 """Differences of height within this of one agree: a few times the noise of two surveys, far below a storey."""
+
+BAND_CELLS = 1 << 19
+"""Cells of a band: distances and places of all cells at once would take more memory than both surveys."""
 
 MEDIAN_FACTOR = 1.4826
 """Times the median absolute deviation gives the standard deviation of normal errors."""
@@ -214,12 +218,26 @@ def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Gr
     values = np.zeros(spec.shape, dtype=np.float32)
     valid = np.zeros(spec.shape, dtype=np.bool_)
     east, north = spec.centres()
-    places = east - offset.dx_m, north - offset.dy_m
-    for grid in grids:
-        new = grid.spec.sample(grid.valid, *places, outside=False) & ~valid
-        np.copyto(values, grid.spec.sample(np.asarray(grid.values), *places, outside=0), where=new)
-        valid |= new
+    for rows in bands(spec.shape):
+        places = east - offset.dx_m, north[rows] - offset.dy_m
+        for grid in grids:
+            new = grid.spec.sample(grid.valid, *places, outside=False) & ~valid[rows]
+            np.copyto(values[rows], grid.spec.sample(np.asarray(grid.values), *places, outside=0), where=new)
+            valid[rows] |= new
     return Grid(values, valid, spec)
+
+
+def bands(shape: tuple[int, int]) -> Iterator[slice]:
+    """Yield the rows of a lattice in bands of about `BAND_CELLS` cells.
+
+    Examples
+    --------
+    >>> list(bands((3, BAND_CELLS // 2)))
+    [slice(0, 2, None), slice(2, 3, None)]
+    """
+    step = max(BAND_CELLS // max(shape[1], 1), 1)
+    for first in range(0, shape[0], step):
+        yield slice(first, min(first + step, shape[0]))
 
 
 def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
@@ -230,25 +248,27 @@ def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     two builds without a change of height (a crown beside a roof, a courtyard) is no change, and neither is a sliver
     along an outline.
     """
-    in_before, in_after, rise = epochs.before > 0, epochs.after > 0, epochs.rise
-    values = np.asarray(rise.values)
-    rose = ~rise.valid | (values >= params.rise_m)
-    # Where the earlier height is not known, a building is gone only where its place is open now.
-    fell = np.where(rise.valid, values <= -params.rise_m, np.asarray(epochs.heights.values) < params.rise_m)
+    rise, values, heights = epochs.rise, np.asarray(epochs.rise.values), np.asarray(epochs.heights.values)
+    high = heights >= params.rise_m
     # A courtyard that the area closing filled has no roof.
-    stood = in_before & ~(epochs.earlier.valid & (np.asarray(epochs.earlier.values) < params.rise_m))
-    stands = in_after & (np.asarray(epochs.heights.values) >= params.rise_m)
-    gain = stands & ~stood & epochs.surveyed & rose
-    loss = in_before & ~stands & epochs.surveyed & fell
+    stood = (epochs.before > 0) & ~(epochs.earlier.valid & (np.asarray(epochs.earlier.values) < params.rise_m))
+    gain = (epochs.after > 0) & high & ~stood & epochs.surveyed
+    gain &= ~rise.valid | (values >= params.rise_m)
+    gains = thick(gain, rise.spec, params)
+    # Where the earlier height is not known, a building is gone only where its place is open now.
+    fell = np.where(rise.valid, values <= -params.rise_m, heights < params.rise_m)
+    loss = (epochs.before > 0) & ~((epochs.after > 0) & high) & epochs.surveyed & fell
+    del gain, fell
+    losses = thick(loss, rise.spec, params)
     # A roof that was raised rises as a whole, also where the later footprint lacks a part of it.
-    still = np.asarray(epochs.heights.values) >= params.rise_m
-    lift = still & stood & epochs.surveyed & rise.valid & (np.abs(values) >= params.rise_m)
+    still = high & stood & epochs.surveyed & rise.valid
     # Raised and sunken parts may touch, but are not one piece.
-    higher, lower = lift & (values > 0), lift & (values < 0)
-    up, down = (thick(side, rise.spec, params) for side in (higher, lower))
-    down[down > 0] += up.max(initial=0)
-    lifts = np.where(up > 0, up, down)
-    return Pieces(thick(gain, rise.spec, params), thick(loss, rise.spec, params), lifts, loss, higher, lower)
+    higher, lower = still & (values >= params.rise_m) & (values > 0), still & (values <= -params.rise_m) & (values < 0)
+    del high, stood, still
+    up, lifts = (thick(side, rise.spec, params) for side in (higher, lower))
+    lifts[lifts > 0] += up.max(initial=0)
+    np.copyto(lifts, up, where=up > 0)
+    return Pieces(gains, losses, lifts, loss, higher, lower)
 
 
 def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dict[int, set[int]]:
@@ -273,15 +293,50 @@ def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dic
 
 def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
     """Label the 8-connected pieces of a mask that a disc fits into and that are large enough, in row order."""
-    # The lattice ends where nothing is known; its border must not make a piece thin.
-    margin = int(np.ceil(params.thickness_m / spec.cell_m)) + 1
-    padded = np.pad(mask, margin, mode="edge")
     reach = params.thickness_m / spec.cell_m
-    opened = isotropic_opening(padded, reach)  # type: ignore[no-untyped-call]  # scikit-image
     # The disc rounds corners off; dilation inside of the mask gives them back.
-    whole = isotropic_dilation(opened, reach)[margin:-margin, margin:-margin] & mask  # type: ignore[no-untyped-call]  # scikit-image
-    pieces, count = label_zones(whole)
+    pieces, count = label_zones(opened_and_dilated(mask, reach) & mask)
     return renumber(pieces, sizes(pieces, count) * spec.cell_area_m2 >= params.least_m2)[0]
+
+
+def opened_and_dilated(mask: Mask, reach: float, halo: int | None = None) -> Mask:
+    """Return where a disc fits into a mask, and the cells within its radius of that, band by band.
+
+    Parameters
+    ----------
+    mask : (H, W) ndarray of bool
+        It goes on beyond the lattice as at its border, which must not make a piece thin.
+    reach : float
+        Radius of the disc, cells.
+    halo : int, optional
+        Rows that a band sees beyond its own; by default as many as it needs.
+
+    Notes
+    -----
+    Erosion and both dilations look at cells within the radius, so that a cell depends on those within three of them.
+    Bands that see so many whole rows more give what the whole mask gives; with a row less they do not.
+    """
+    halo = 3 * math.floor(reach) if halo is None else halo
+    margin = math.ceil(reach) + 1
+    padded = np.pad(mask, margin, mode="edge")
+    found = np.zeros_like(mask)
+    for rows in bands(mask.shape):
+        first = max(rows.start + margin - halo, 0)
+        part = padded[first : rows.stop + margin + halo]
+        if part.any():
+            whole = _dilated(_dilated(_eroded(part, reach), reach), reach)
+            found[rows] = whole[rows.start + margin - first : rows.stop + margin - first, margin:-margin]
+    return found
+
+
+def _eroded(cells: Mask, reach: float) -> Mask:
+    """Return the cells that no cell outside of a mask lies near; a distance to nothing is not defined."""
+    return cells if cells.all() else isotropic_erosion(cells, reach)  # type: ignore[no-untyped-call]  # scikit-image
+
+
+def _dilated(cells: Mask, reach: float) -> Mask:
+    """Return the cells near those of a mask."""
+    return isotropic_dilation(cells, reach) if cells.any() else cells  # type: ignore[no-untyped-call]  # scikit-image
 
 
 def core(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:

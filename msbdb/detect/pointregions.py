@@ -4,7 +4,7 @@ They take heights and NDVI of the points, give their regions ids and rows on the
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
@@ -170,16 +170,12 @@ class PlacedPoints:
     spec: GridSpec
     key: str
 
-    def take(self, index: NDArray[np.integer]) -> "PlacedPoints":
-        """Return some of the points."""
-        return replace(self, x=self.x[index], y=self.y[index], area_m2=self.area_m2[index], place=self.place[index])
+    def labelled_cells(self, labels: Labels) -> tuple[Labels, NDArray[np.int64]]:
+        """Return labels and cells of the labelled points that lie on the lattice; each pair of them once, or more.
 
-    def cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return the flat indices of the cells of the points on the lattice, and which points these are."""
-        row, col = (number - PLACES // 2 for number in np.divmod(self.place, PLACES))
-        rows, cols = self.spec.shape
-        there = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        return row[there] * cols + col[there], there
+        Of points that follow each other and share label and cell, the first one counts.
+        """
+        return _labelled_cells(labels, self.place, self.spec.shape)
 
     def areas(self, labels: Labels, count: int) -> Floats:
         """Return the area of each region, m2."""
@@ -226,6 +222,27 @@ def _places(easting: Floats, northing: Floats, frame: Frame) -> NDArray[np.int64
     return found
 
 
+@kernel
+def _labelled_cells(
+    labels: Labels, place: NDArray[np.int64], shape: tuple[int, int]
+) -> tuple[Labels, NDArray[np.int64]]:
+    """Return the pairs of `PlacedPoints.labelled_cells`."""
+    rows, cols = shape
+    found, cells = np.empty(labels.size, dtype=labels.dtype), np.empty(labels.size, dtype=np.int64)
+    count = 0
+    for i in range(labels.size):
+        if labels[i] == 0:
+            continue
+        row, col = place[i] // PLACES - PLACES // 2, place[i] % PLACES - PLACES // 2
+        if row < 0 or row >= rows or col < 0 or col >= cols:
+            continue
+        cell = row * cols + col
+        if count == 0 or cells[count - 1] != cell or found[count - 1] != labels[i]:
+            found[count], cells[count] = labels[i], cell
+            count += 1
+    return found[:count].copy(), cells[:count].copy()
+
+
 class PointLedger(Ledger):
     """The ledger of a detector on points: labelled regions become ``tables.REJECTION``, and their cells are marked."""
 
@@ -250,8 +267,7 @@ class PointLedger(Ledger):
             Number of the height scale, from 1; 0 without height scales.
         """
         count = len(reasons)
-        inside = np.flatnonzero(labels != 0)
-        points, labels = self.points.take(inside), labels[inside]
+        points = self.points
         xcen, ycen = points.centroids(labels, count)
         rows = pd.DataFrame(
             {
@@ -263,8 +279,7 @@ class PointLedger(Ledger):
                 "ycen": ycen,
             }
         )
-        cells, there = points.cells()
-        self.mark(stage, reasons, labels[there], cells)
+        self.mark(stage, reasons, *points.labelled_cells(labels))
         return self.write(stage, rows)
 
     def rejections(self) -> pd.DataFrame:

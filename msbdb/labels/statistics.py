@@ -84,9 +84,9 @@ def region_means(values: NDArray[np.generic], labels: Labels, count: int) -> NDA
     >>> region_means(np.array([4.0, 6.0, np.nan, 1.0]), np.array([1, 1, 2, 0]), 2)
     array([ 5., nan])
     """
-    numbers = values.astype(np.float64)
-    use = np.flatnonzero((labels > 0) & np.isfinite(numbers))
-    total, size = sums(labels[use], numbers[use], count), sizes(labels[use], count)
+    numbers = values.astype(np.float64, copy=False)
+    labels = np.where((labels > 0) & np.isfinite(numbers), labels, labels.dtype.type(0))
+    total, size = sums(labels, numbers, count), sizes(labels, count)
     return np.where(size > 0, total / np.maximum(size, 1), np.nan)
 
 

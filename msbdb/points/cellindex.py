@@ -141,6 +141,18 @@ def parts_of(index: CellIndex) -> list[tuple[int, int]]:
     return list(pairwise(bounds.tolist()))
 
 
+def near_cells(chosen: NDArray[np.bool_], index: CellIndex) -> NDArray[np.bool_]:
+    """Return which points lie in the cells of chosen ones, (N,) booleans, or in cells that touch these.
+
+    Examples
+    --------
+    >>> index = index_cells(np.array([0.5, 1.5, 2.5]), np.zeros(3), 1.0)
+    >>> near_cells(np.array([True, False, False]), index)
+    array([ True,  True, False])
+    """
+    return _near_cells(chosen, index)
+
+
 @kernel
 def cell_place(index: CellIndex, cell: int) -> tuple[int, int]:
     """Return the row and the column of a cell, given its place in ``index.keys``; for kernels."""
@@ -169,6 +181,23 @@ def strip(index: CellIndex, row: int, first_col: int, last_col: int) -> tuple[in
     while stop < index.keys.size and index.keys[stop] <= last_key:
         stop += 1
     return index.starts[first], index.starts[stop]
+
+
+@kernel
+def _near_cells(chosen: NDArray[np.bool_], index: CellIndex) -> NDArray[np.bool_]:
+    """Mark the points around each cell with a chosen point."""
+    found = np.zeros(chosen.size, dtype=np.bool_)
+    for cell in range(index.keys.size):
+        held = False
+        for place in range(index.starts[cell], index.starts[cell + 1]):
+            held = held or chosen[index.order[place]]
+        if held:
+            row, col = cell_place(index, cell)
+            for other in range(row - 1, row + 2):
+                first, stop = strip(index, other, col - 1, col + 1)
+                for place in range(first, stop):
+                    found[index.order[place]] = True
+    return found
 
 
 @kernel

@@ -114,6 +114,10 @@ class PointCloud:
         changes = {name: value[index] for name, value in self.arrays().items()}
         return replace(self, **changes)
 
+    def places(self) -> "PointCloud":
+        """Return the points with their places and echoes alone, all that detectors take."""
+        return replace(self, classification=None, intensity=None, colours=None, colour_names=())
+
     @property
     def bounds(self) -> Bounds:
         """West, south, east and north, metres."""

@@ -36,6 +36,9 @@ A_POINT = 8
 FEW = 64
 """Up to so many neighbours are sorted by insertion."""
 
+NOBODY = np.zeros(0, dtype=np.int32)
+"""No neighbours, in place of those that are in the graph by now."""
+
 ROOT = -1
 """Marks a point that is the first of its component or cluster so far."""
 
@@ -67,17 +70,6 @@ class PointGraph:
     def __len__(self) -> int:
         """Return the number of points."""
         return self.indptr.size - 1
-
-    def among(self, chosen: NDArray[np.bool_]) -> "PointGraph":
-        """Return the graph of some of the points, (N,) booleans, which keep their order.
-
-        Examples
-        --------
-        >>> graph = connect(np.arange(4.0), np.zeros(4), np.zeros(4), 1.5)
-        >>> graph.among(np.array([False, True, True, True])).indices
-        array([1, 0, 2, 1], dtype=int32)
-        """
-        return PointGraph(*_among(chosen, self.indptr, self.indices))
 
     def with_neighbours(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the points of a set, (N,) booleans, and all that are connected to one of them."""
@@ -142,7 +134,12 @@ def connect(
     np.cumsum(degree, out=indptr[1:])
     _require_affordable(int(indptr[-1]), MOST_NEIGHBOURS, x.size, distance_m)
     indices = np.empty(indptr[-1], dtype=np.int32)
-    in_threads(lambda each: _place(search, *each, indptr, indices), zip(parts, found, strict=True))
+
+    def place(part: int) -> None:
+        _place(search, parts[part], found[part], indptr, indices)
+        found[part] = NOBODY
+
+    in_threads(place, range(len(parts)))
     return PointGraph(indptr, indices)
 
 
@@ -207,7 +204,7 @@ def _find(search: _GraphSearch, degree: NDArray[np.int32], earlier: bool, part: 
                         end += 1
             _sort(found[begin:end])
             degree[point] = end - begin
-    return found[:end]
+    return found[:end].copy()  # without the space that was not needed
 
 
 @kernel
@@ -329,32 +326,6 @@ def _number_components(
             else:
                 labels[point] = labels[node[point]]
     return labels, found
-
-
-@kernel
-def _among(
-    chosen: NDArray[np.bool_], indptr: NDArray[np.int64], indices: NDArray[np.int32]
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Return the rows of the chosen points, with the chosen neighbours alone, under their new numbers."""
-    number = np.empty(chosen.size, dtype=np.int32)
-    points = pairs = 0
-    for point in range(chosen.size):
-        if chosen[point]:
-            number[point] = points
-            points += 1
-            for other in indices[indptr[point] : indptr[point + 1]]:
-                pairs += chosen[other]
-    rows, neighbours = np.zeros(points + 1, dtype=np.int64), np.empty(pairs, dtype=np.int32)
-    points = pairs = 0
-    for point in range(chosen.size):
-        if chosen[point]:
-            for other in indices[indptr[point] : indptr[point + 1]]:
-                if chosen[other]:
-                    neighbours[pairs] = number[other]
-                    pairs += 1
-            points += 1
-            rows[points] = pairs
-    return rows, neighbours
 
 
 @kernel

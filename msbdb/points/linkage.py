@@ -69,8 +69,11 @@ def linked(x: Floats, y: Floats, z: Floats, distance_m: float) -> tuple[NDArray[
     require_coordinates(x=x, y=y, z=z)
     require_distance("distance below which points belong together", distance_m)
     index = index_cells(x, y, distance_m * (1 + MARGIN))
-    search = _LinkSearch(index, x[index.order], y[index.order], z[index.order], distance_m**2)
-    labels, count = _number_clusters(_joined(search), index.order)
+    # One by one, as a column that nobody else holds is freed.
+    x = x[index.order]
+    y = y[index.order]
+    z = z[index.order]
+    labels, count = _number_clusters(_joined(_LinkSearch(index, x, y, z, distance_m**2)), index.order)
     return labels, int(count)
 
 

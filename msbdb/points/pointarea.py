@@ -7,7 +7,7 @@ points; its on-set at h is the filtered on-set of h.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -20,6 +20,7 @@ from msbdb.labels import chosen_cells, sums
 from msbdb.morphology.area import find_root
 from msbdb.order import order_of
 from msbdb.points.graph import PointGraph, components
+from msbdb.points.linkage import linked
 from msbdb.threads import kernel
 
 T = TypeVar("T", bound=np.generic)
@@ -137,7 +138,13 @@ def area_open_close(
 
 
 def open_close_on_sets(
-    values: NDArray[Any], graph: PointGraph, threshold: float, heights: Sequence[float], *, weights: NDArray[np.float64]
+    values: NDArray[Any],
+    graph: PointGraph,
+    threshold: float,
+    heights: Sequence[float],
+    *,
+    weights: NDArray[np.float64],
+    lowest: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """Open, then close the on-sets of a few heights: as `area_open_close` does, faster, and without its small islands.
 
@@ -147,6 +154,9 @@ def open_close_on_sets(
         As for `area_opening`. The graph may hold each pair by its later point alone.
     heights : sequence of float
         h_j, ascending.
+    lowest : (N,) ndarray of bool, optional
+        What is on at the lowest height, from `open_close_linked`. Then the points may be these and those connected to
+        them alone, with others or without.
 
     Returns
     -------
@@ -166,18 +176,55 @@ def open_close_on_sets(
     found = np.full(values.size, -np.inf)
     if not len(heights):
         return found
-    on = ~_large(~_large(values >= heights[0], graph, threshold, weights), graph, threshold, weights)
+    on = lowest
+    if on is None:
+        on = ~_large(~_large(values >= heights[0], graph, threshold, weights), graph, threshold, weights)
     found[on] = heights[0]
     inner = graph.with_neighbours(on)
-    rim, highest = ~on[inner], found[inner]
-    graph, values, weights = graph.among(inner), values[inner], weights[inner]
+    rim = inner & ~on
     for height in heights[1:]:
-        opened = _large((values >= height) & ~rim, graph, threshold, weights)
-        highest[~_large(~opened, graph, threshold, weights, rim)] = height
-    everything = np.ones(values.size, dtype=np.bool_)
-    highest[~_large(everything, graph, threshold, weights, rim)] = -np.inf
-    found[inner] = highest
+        opened = _large((values >= height) & on, graph, threshold, weights)
+        found[inner & ~_large(inner & ~opened, graph, threshold, weights, rim)] = height
+    found[inner & ~_large(inner, graph, threshold, weights, rim)] = -np.inf
     return found
+
+
+def open_close_linked(
+    on: NDArray[np.bool_],
+    column: Callable[[int, NDArray[np.bool_]], NDArray[np.float64]],
+    distance_m: float,
+    threshold: float,
+    *,
+    weights: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Open, then close a set of points by area, without a graph of them: in a fraction of its memory.
+
+    Parameters
+    ----------
+    on : (N,) ndarray of bool
+        The on-set.
+    column : callable
+        Returns the coordinates 0 (x), 1 (y) or 2 (z) of chosen points, metres.
+    distance_m : float
+        T_c, below which points are connected, metres.
+    threshold : float
+        T_a, above 0, in the unit of the weights.
+    weights : (N,) ndarray of float64
+        Area of each point.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+        Of islands of less area than T_a, too, what the definition says: as the closing comes last, they are on.
+    """
+
+    def large(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        labels, count = linked(column(0, mask), column(1, mask), column(2, mask), distance_m)
+        found = mask.copy()
+        found[mask] = chosen_cells(labels, sums(labels, weights[mask], count) >= threshold)
+        return found
+
+    return ~large(~large(on))
 
 
 def _large(

@@ -142,11 +142,11 @@ def find_buildings(job: Job, stages: Stages, planned: Plan | None, window: Windo
         cloud = read_cloud(job.inputs, stages.progress, facts, area)
     own = None if window is None else window.own
     scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, own=own)
-    own_points = None if window is None or cloud is None else _held_by(cloud, window.own)
+    points, reach = (0, None) if window is None or cloud is None else _held_by(cloud, window.own)
     del cloud
     note_missing_sources(scene)
     choices = describe_choices(scene, params)
-    regions = detect(scene, job.methods, params, stages)
+    regions = detect(scene, job.methods, params, stages, frugal=window is not None)
     if job.denoising_figure is not None and "flatregions" in job.methods:
         _draw_denoising(scene, params, job.denoising_figure)
     scene = scene.without_sources()
@@ -158,17 +158,17 @@ def find_buildings(job: Job, stages: Stages, planned: Plan | None, window: Windo
         stated=job.inputs.stated(),
         chosen=choices,
     )
-    if own_points is None or not len(own_points):
-        return Found(scene, plan, found, counts)
-    low, high = own_points.min(axis=0).tolist(), own_points.max(axis=0).tolist()
-    return Found(scene, plan, found, counts, len(own_points), (*low, *high))
+    return Found(scene, plan, found, counts, points, reach)
 
 
-def _held_by(cloud: PointCloud, own: Bounds) -> NDArray[np.float64]:
-    """Return easting and northing of the points in bounds; those on the west or south edge count."""
+def _held_by(cloud: PointCloud, own: Bounds) -> tuple[int, Bounds | None]:
+    """Return how many points lie in bounds, and how far they reach; those on the west or south edge count."""
     west, south, east, north = own
     held = (cloud.x >= west) & (cloud.x < east) & (cloud.y >= south) & (cloud.y < north)
-    return np.column_stack([cloud.x[held], cloud.y[held]])
+    if not held.any():
+        return 0, None
+    x, y = cloud.x[held], cloud.y[held]
+    return len(x), (float(x.min()), float(y.min()), float(x.max()), float(y.max()))
 
 
 def record_run(job: Job, counts: Counts, timings: dict[str, float], notices: Notices) -> Run:
@@ -210,15 +210,22 @@ def relabelled(
     return KeptRun(kept.survey, run, found.frames, found.rasters, kept.plan)
 
 
-def detect(scene: Scene, methods: Sequence[str], params: Params, stages: Stages) -> dict[str, Regions]:
-    """Run the detectors on a scene, a stage each, side by side on the cores; none knows of the others."""
+def detect(
+    scene: Scene, methods: Sequence[str], params: Params, stages: Stages, *, frugal: bool = False
+) -> dict[str, Regions]:
+    """Run the detectors on a scene, a stage each; none knows of the others.
+
+    They run side by side on the cores. To be ``frugal`` with memory they run one by one, and keep no labels of points.
+    """
 
     def find(method: str) -> Regions:
         with stages.stage(method):
-            return DETECTORS[method].detect(scene, params)
+            found = DETECTORS[method].detect(scene, params)
+        return replace(found, of_points=None) if frugal else found
 
     with stages.side_by_side():
-        return dict(zip(methods, in_threads(find, methods), strict=True))
+        found = [find(method) for method in methods] if frugal else in_threads(find, methods)
+    return dict(zip(methods, found, strict=True))
 
 
 def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:

@@ -195,7 +195,7 @@ def prepare(
         elevations,
         parcels=parcels,
         surface=surface,
-        cloud=draft.cloud,
+        cloud=None if draft.cloud is None else draft.cloud.places(),
         bands=bands,
         above=draft.above,
         intensity=intensity,

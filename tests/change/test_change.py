@@ -4,13 +4,16 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given
+from hypothesis import strategies as st
 from pyproj import CRS
 from shapely import box
 from shapely.affinity import translate
 
+from msbdb.change import differences
 from msbdb.change.comparison import Comparison, compare, measure_roofs
 from msbdb.change.decisions import BEYOND_BORDER, KINDS, NO_FOOTPRINT, STOOD_BEFORE
-from msbdb.change.differences import estimate_offset, without_slivers
+from msbdb.change.differences import Offset, earlier_heights, estimate_offset, opened_and_dilated, without_slivers
 from msbdb.detect.scene import Elevations
 from msbdb.errors import PassingNotice
 from msbdb.fuse.roofheights import measure_heights
@@ -469,3 +472,43 @@ def test_a_vertical_offset_needs_buildings_that_agree(rises: tuple[float, ...], 
         assert (found.dz_m, found.pairs) == (0.0, 5)
     else:
         assert estimate_offset(before, after, least_pairs=5).dz_m == pytest.approx(expected)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1.0, 1.5, 2.0, 2.9]), st.integers(3, 60))
+def test_bands_with_their_halo_give_what_the_whole_gives(seed: int, reach: float, rows: int) -> None:
+    """On random masks of all densities, and on bands of any number of rows."""
+    random = np.random.default_rng(seed)
+    coarse = random.random((12, 10)) < random.random()
+    mask = np.kron(coarse, np.ones((5, 4), dtype=np.bool_)) ^ (random.random((60, 40)) < 0.02 * random.random())
+    whole = opened_and_dilated(mask, reach)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(differences, "BAND_CELLS", rows * mask.shape[1])
+        np.testing.assert_array_equal(opened_and_dilated(mask, reach), whole)
+
+
+def test_a_halo_with_a_row_less_does_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a disc the top cell is missing, so that no cell beneath it is near a place where the disc fits."""
+    reach, rows = 4, np.arange(60)[:, None]
+    mask = np.hypot(rows - 20, np.arange(41) - 20) <= reach
+    below = 20 + 2 * reach
+    mask[below, 20] = True
+    assert opened_and_dilated(mask, reach)[below, 20]
+    mask[20 - reach, 20] = False
+    monkeypatch.setattr(differences, "BAND_CELLS", below * mask.shape[1])
+    assert not opened_and_dilated(mask, reach, 3 * reach).any()
+    assert opened_and_dilated(mask, reach, 3 * reach - 1)[below, 20]
+
+
+def test_heights_are_sampled_in_bands_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of several surveys the first valid one counts in each band, too."""
+    offset = Offset(0.7, -0.4, 0.0, 0, float("nan"))
+    first, other = ground(ROW), ground(ROW, 4.0)
+    half = Grid(
+        np.where(np.arange(SPEC.shape[1]) < 150, first.values, 0), first.valid & (np.arange(SPEC.shape[1]) < 150), SPEC
+    )
+    whole = earlier_heights([half, other], SPEC, offset)
+    monkeypatch.setattr(differences, "BAND_CELLS", 7 * SPEC.shape[1])
+    found = earlier_heights([half, other], SPEC, offset)
+    np.testing.assert_array_equal(found.values, whole.values)
+    np.testing.assert_array_equal(found.valid, whole.valid)
+    assert 0 < np.count_nonzero(whole.valid) < whole.valid.size

@@ -56,6 +56,9 @@ KINDS = {GREEN: "NDVI of vegetation", SCATTERED: "scattered surface or split ech
 NEAREST = 4
 """A point returns to one of so many nearest points of regions, the nearest of like height."""
 
+ASKING = 1 << 18
+"""Points that look for these at once: the distances of all would take more memory than the points."""
+
 
 @dataclass(frozen=True, slots=True)
 class ClusterStep:
@@ -292,15 +295,18 @@ def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) 
     inside, outside = np.flatnonzero(labels != 0), np.flatnonzero(labels == 0)
     if not inside.size or not outside.size or reach_m == 0:
         return labels
-    place = np.column_stack((points.x, points.y))
-    _, nearest = cKDTree(place[inside]).query(place[outside], k=NEAREST, distance_upper_bound=reach_m, workers=cores())
-    there = nearest < inside.size
-    source = inside[np.where(there, nearest, 0)]
-    fits = there & (np.abs(points.z[source] - points.z[outside, None]) <= step_m)
-    some = fits.any(axis=1)
-    chosen = source[np.arange(outside.size), np.argmax(fits, axis=1)]
+    tree = cKDTree(np.column_stack((points.x[inside], points.y[inside])))
     result = labels.copy()
-    result[outside[some]] = labels[chosen[some]]
+    for start in range(0, len(outside), ASKING):
+        asking = outside[start : start + ASKING]
+        place = np.column_stack((points.x[asking], points.y[asking]))
+        _, nearest = tree.query(place, k=NEAREST, distance_upper_bound=reach_m, workers=cores())
+        there = nearest < inside.size
+        source = inside[np.where(there, nearest, 0)]
+        fits = there & (np.abs(points.z[source] - points.z[asking, None]) <= step_m)
+        some = fits.any(axis=1)
+        chosen = source[np.arange(asking.size), np.argmax(fits, axis=1)]
+        result[asking[some]] = labels[chosen[some]]
     return result
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.detect.area3d.curvature import PointStructure, measure_structure
+from msbdb.detect.area3d.curvature import measure_structure
 from msbdb.detect.area3d.heightscales import NormalisedCloud, OnSets, fuse_over_scales, height_scales
 from msbdb.detect.pointregions import (
     Candidates,
@@ -22,10 +22,10 @@ from msbdb.grid import GridSpec
 from msbdb.labels import chosen_cells, sums
 from msbdb.order import order_of_points
 from msbdb.params import Area3dParams, Params
-from msbdb.points.cellindex import index_cells
+from msbdb.points.cellindex import MARGIN, index_cells, near_cells
 from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.points.graph import PointGraph, components, connect
-from msbdb.points.pointarea import build_point_scale_space, open_close_on_sets
+from msbdb.points.pointarea import build_point_scale_space, open_close_linked, open_close_on_sets
 
 logger = logging.getLogger(__name__)
 
@@ -146,7 +146,7 @@ def _require(cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.f
 
 def _canonical_order(
     cloud: PointCloud, heights: NDArray[np.float64], ndvi: NDArray[np.float32] | None
-) -> NDArray[np.intp]:
+) -> NDArray[np.int32]:
     """Return the index that sorts the points by place, and points at one place by all their other values.
 
     Blocks come first: points near each other in plan lie near each other in memory, for the graph and neighbours.
@@ -154,8 +154,9 @@ def _canonical_order(
     blocks = index_cells(cloud.x, cloud.y, BLOCK_M)
     block = np.empty(len(cloud), dtype=np.int32)
     block[blocks.order] = np.repeat(np.arange(blocks.keys.size, dtype=np.int32), np.diff(blocks.starts))
+    del blocks
     echoes = [values for values in (ndvi, cloud.number_of_returns, cloud.return_number) if values is not None]
-    return order_of_points(cloud.x, cloud.y, [cloud.z, heights, *echoes], group=block)
+    return order_of_points(cloud.x, cloud.y, [cloud.z, heights, *echoes], group=block).astype(np.int32)
 
 
 def _prepare(
@@ -164,38 +165,55 @@ def _prepare(
     ndvi: NDArray[np.float32] | None,
     spec: GridSpec,
     params: Params,
-) -> tuple[tuple[OnSets, ...], tuple[float, ...], NDArray[np.intp]]:
+) -> tuple[tuple[OnSets, ...], tuple[float, ...], NDArray[np.int32]]:
     """Return the input of all height scales for each area, the heights, and the places of its points in the cloud.
 
-    The density and the filters take all points. No later step looks at points that are off at all heights and lower
-    than the feet of walls, so they are left out.
+    The density and the lowest height's filter take all points. For one area scale, no later step looks at points that
+    are off then, lower than the feet of walls, and beside none that is on: so they are left out, and only the others
+    are connected.
     """
     own, mask_m = params.area3d, params.surface.mask_m
-    order = _canonical_order(cloud, heights, ndvi)
-    heights = heights[order]
-    points = np.empty((len(cloud), 3), order="F")  # by columns, as the steps take single columns without a copy
-    x, y, z = points.T
-    for column, values in zip((x, y, z), (cloud.x, cloud.y, cloud.z), strict=True):
-        np.take(values, order, out=column)
-    origin = np.floor(points.min(axis=0) / ORIGIN_M) * ORIGIN_M
-    points -= origin
-    density = measure_density(x, y, cloud.first_echo[order], cloud.facts)
+    columns = (cloud.x, cloud.y, cloud.z)
+    origin = np.array([np.floor(each.min() / ORIGIN_M) * ORIGIN_M for each in columns])
+    density = measure_density(cloud.x - origin[0], cloud.y - origin[1], cloud.first_echo, cloud.facts)
     link_m = max(own.link_spacings * density.spacing_m, density.step_m)
     areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
-    graph = connect(x, y, z, link_m, earlier=len(areas) == 1)
     scales = height_scales(heights, own, mask_m=mask_m)
-    filtered = _open_close(heights, graph, density.area_m2, areas, scales)
-    some = (heights >= min(own.foot_m, mask_m, scales[0])) | (filtered > -np.inf).any(axis=0)
-    graph, order, heights, filtered = graph.among(some), order[some], heights[some], filtered[:, some]
-    points = np.asfortranarray(points[some])
+    order = _canonical_order(cloud, heights, ndvi)
+    lowest = None
+    if len(areas) == 1:
+
+        def column(axis: int, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+            return np.asarray(columns[axis][order[chosen]] - origin[axis])
+
+        area_m2 = density.area_m2[order]
+        lowest = open_close_linked(heights[order] >= scales[0], column, link_m, areas[0], weights=area_m2)
+        del area_m2
+        some = np.zeros(len(cloud), dtype=np.bool_)
+        some[order] = lowest
+        some = near_cells(some, index_cells(cloud.x, cloud.y, link_m * (1 + MARGIN)))
+        some = (some | (heights >= min(own.foot_m, mask_m, scales[0])))[order]
+        order, lowest = order[some], lowest[some]
+    heights, area_m2 = heights[order], density.area_m2[order]
+    spacing_m = density.spacing_m
+    del density
+    points = np.empty((len(order), 3), order="F")  # by columns, as the steps take single columns without a copy
+    for axis, values in enumerate(columns):
+        np.take(values, order, out=points[:, axis])
+    points -= origin
+    x, y, z = points.T
+    graph = connect(x, y, z, link_m, earlier=lowest is not None)
+    filtered = _open_close(heights, graph, area_m2, areas, scales, lowest=lowest)
     several = cloud.number_of_returns[order] > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
-    structure = _structure(points, several, np.logical_or.reduce(filtered >= scales[0]), own)
+    levels = [np.searchsorted(scales, each, side="right").astype(np.uint16) for each in filtered]
+    del filtered
+    curvature, smooth = _structure(points, several, np.logical_or.reduce(levels) > 0, own)
     green = None if ndvi is None else ndvi[order].astype(np.float64)
     place = places(spec, cloud.x[order], cloud.y[order])
-    known = NormalisedCloud(points, heights, density.area_m2[some], several, green, place, origin[:2])
+    known = NormalisedCloud(points, heights, area_m2, several, green, place, origin[:2])
     scenes = tuple(
-        OnSets(known, graph, on, density.spacing_m, link_m, structure, replace(own, smallest_m2=area), mask_m)
-        for on, area in zip(filtered, areas, strict=True)
+        OnSets(known, graph, on, spacing_m, link_m, curvature, smooth, replace(own, smallest_m2=area), mask_m)
+        for on, area in zip(levels, areas, strict=True)
     )
     return scenes, scales, order
 
@@ -206,6 +224,8 @@ def _open_close(
     area_m2: NDArray[np.float64],
     areas: tuple[float, ...],
     scales: tuple[float, ...],
+    *,
+    lowest: NDArray[np.bool_] | None,
 ) -> NDArray[np.float64]:
     """Return, for each area scale, the highest height scale at which each point is on after AOC (C6, C7).
 
@@ -221,6 +241,8 @@ def _open_close(
         Ta_k, m2, ascending; SP_k is fed by SP_{k-1} (Eq. 3).
     scales : tuple of float
         h_j, metres, ascending.
+    lowest : (N,) ndarray of bool or None
+        For one area scale, what is on at the lowest height.
 
     Returns
     -------
@@ -234,7 +256,7 @@ def _open_close(
     over all heights (`open_close_on_sets`) and gives the same.
     """
     if len(areas) == 1:
-        return open_close_on_sets(heights, graph, areas[0], scales, weights=area_m2)[None]
+        return open_close_on_sets(heights, graph, areas[0], scales, weights=area_m2, lowest=lowest)[None]
     islands, count = components(np.ones(len(heights), dtype=np.bool_), graph)
     size = sums(islands, area_m2, count)
     space = build_point_scale_space(heights, graph, areas, weights=area_m2)
@@ -248,11 +270,12 @@ def _open_close(
 
 def _structure(
     points: NDArray[np.float64], several: NDArray[np.bool_] | None, on: NDArray[np.bool_], own: Area3dParams
-) -> PointStructure:
-    """Measure the structure of the points of the on-set; it is 0 for all others."""
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the change of curvature of the points of the on-set, 0 for all others, and which points are no crown."""
     found = measure_structure(
         points[on], None if several is None else several[on], neighbours=own.neighbours, thin_m=own.thin_m
     )
-    spread = PointStructure(np.zeros(len(on)), np.zeros(len(on)))
-    spread.curvature[on], spread.echo_share[on] = found.curvature, found.echo_share
-    return spread
+    curvature, smooth = np.zeros(len(on)), np.full(len(on), own.max_curvature >= 0 and own.max_echo_share >= 0)
+    curvature[on] = found.curvature
+    smooth[on] = (found.curvature <= own.max_curvature) & (found.echo_share <= own.max_echo_share)
+    return curvature, smooth

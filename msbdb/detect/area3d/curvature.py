@@ -11,13 +11,20 @@ from scipy.spatial import cKDTree
 
 from msbdb.grid import cell_along
 from msbdb.points.nearest import nearest
-from msbdb.threads import cores, in_threads
+from msbdb.threads import cores, in_threads, kernel
 
 BATCH = 1 << 13
 """Points worked on at once: their neighbours' coordinates stay in the processor's cache."""
 
 NEAREST = 3
 """The height of the roof beside a point comes from so many points of regions."""
+
+
+ASKING = 1 << 18
+"""Points that look for their nearest neighbours at once: all distances would take more memory than the points."""
+
+MOST_CUBES = 2**62
+"""Cubes beyond which they cannot be numbered in 64 bits, unless only those that hold points count."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,11 +71,11 @@ def measure_structure(
     if len(points) == 0:
         return PointStructure(np.zeros(0), np.zeros(0))
     first, of = _one_a_cube(points, thin_m)
-    sample = points[first]
-    x, y, z = (np.ascontiguousarray(column) for column in sample.T)
+    points = points[first]  # if nobody else holds the others, they are freed
+    x, y, z = (np.ascontiguousarray(each) for each in points.T)
     around = nearest(x, y, z, neighbours)
-    own = _variation(sample, around)
-    curvature, share = np.empty(len(sample)), np.zeros(len(sample))
+    own = _variation(points, around)
+    curvature, share = np.empty(len(points)), np.zeros(len(points))
     echoes = None if several is None else several[first]
 
     def spread(start: int) -> None:
@@ -77,22 +84,48 @@ def measure_structure(
         if echoes is not None:
             share[part] = echoes[around[part]].mean(axis=1)
 
-    in_threads(spread, range(0, len(sample), BATCH))
+    in_threads(spread, range(0, len(points), BATCH))
     return PointStructure(curvature[of], share[of])
 
 
-def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _one_a_cube(points: NDArray[np.float64], side_m: float) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
     """Return the first point of each cube, and the number of each point's cube; cubes of no size have a point each."""
     if side_m <= 0:
-        return np.arange(len(points)), np.arange(len(points))
-    cube = cell_along(points, side_m).astype(np.int64)
-    cube -= cube.min(axis=0)
-    _, column = np.unique(cube[:, 0] * (cube[:, 1].max() + 1) + cube[:, 1], return_inverse=True)
-    _, first, of = np.unique(column * (cube[:, 2].max() + 1) + cube[:, 2], return_index=True, return_inverse=True)
-    order = np.argsort(first)  # in the points' own order, neighbours lie together in memory
-    rank = np.empty_like(order)
-    rank[order] = np.arange(order.size)
-    return first[order], rank[of]
+        return np.arange(len(points)), np.arange(len(points), dtype=np.int32)
+    cube, most = np.zeros(len(points), dtype=np.int64), 1
+    for values in points.T:
+        number = cell_along(values, side_m).astype(np.int64)
+        number -= number.min()
+        span = int(number.max()) + 1
+        if most * span > MOST_CUBES:
+            occurring, cube = np.unique(cube, return_inverse=True)
+            most = len(occurring)
+        cube *= span
+        cube += number
+        most *= span
+    # Cubes are numbered in the points' own order, so that neighbours lie together in memory.
+    first, of = _leaders(cube, np.argsort(cube, kind="stable"))
+    return np.flatnonzero(first), of
+
+
+@kernel
+def _leaders(cube: NDArray[np.int64], order: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
+    """Return which points are the first ones of their cubes, and the number of each point's first point among these."""
+    first, of = np.zeros(cube.size, dtype=np.bool_), np.empty(cube.size, dtype=np.int32)
+    leader = 0
+    for place in range(order.size):
+        if place == 0 or cube[order[place]] != cube[leader]:
+            leader = order[place]
+            first[leader] = True
+        of[order[place]] = leader
+    number = np.empty(cube.size, dtype=np.int32)
+    found = 0
+    for point in range(cube.size):
+        if first[point]:
+            number[point] = found
+            found += 1
+        of[point] = number[of[point]]  # a leader is no later than its points
+    return first, of
 
 
 def _variation(points: NDArray[np.float64], around: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -232,16 +265,16 @@ def grow_regions(
     if reach.level_m <= 0 or not members.size or not asking.size:
         return labels
     tree = cKDTree(points[members, :2], balanced_tree=False, compact_nodes=False)
-    distance, near = tree.query(
-        points[asking, :2],
-        k=np.arange(1, NEAREST + 1),
-        distance_upper_bound=np.nextafter(max(1.0, reach.wall_factor) * reach.level_m, np.inf),
-        workers=cores(),
-    )
-    roof = np.append(points[members, 2], -np.inf)[near].max(axis=1)
-    split = np.zeros(len(asking), dtype=np.bool_) if several is None else several[asking]
-    within = reach.of(points[asking, 2] - roof, heights[asking], split)
-    returns = (within > 0) & (distance[:, 0] <= within)
+    farthest_m = np.nextafter(max(1.0, reach.wall_factor) * reach.level_m, np.inf)
+    roofs = np.append(points[members, 2], -np.inf)
     grown = labels.copy()
-    grown[asking[returns]] = labels[members[near[returns, 0]]]
+    for start in range(0, len(asking), ASKING):
+        some = asking[start : start + ASKING]
+        distance, near = tree.query(
+            points[some, :2], k=np.arange(1, NEAREST + 1), distance_upper_bound=farthest_m, workers=cores()
+        )
+        split = np.zeros(len(some), dtype=np.bool_) if several is None else several[some]
+        within = reach.of(points[some, 2] - roofs[near].max(axis=1), heights[some], split)
+        returns = (within > 0) & (distance[:, 0] <= within)
+        grown[some[returns]] = labels[members[near[returns, 0]]]
     return grown

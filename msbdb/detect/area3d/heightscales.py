@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.detect.area3d.curvature import PointStructure, Reach, grow_regions
+from msbdb.detect.area3d.curvature import Reach, grow_regions
 from msbdb.detect.area3d.regionshape import Shapes, judge, measure_shapes, reasons_against
 from msbdb.detect.pointregions import PlacedPoints, PointLedger
 from msbdb.grid import GridSpec
@@ -163,15 +163,16 @@ class OnSets:
         The points in canonical order.
     graph : PointGraph
         Which points are connected (C2).
-    filtered : (N,) ndarray of float64, metres
-        The highest h_j at which each point is on after opening and closing by area (C6, C7). A point is in the on-set
-        of h_j when this is h_j or more. Minus infinity without one.
+    levels : (N,) ndarray of uint16
+        At how many height scales, from the lowest one, each point is on after opening and closing by area (C6, C7).
     spacing_m : float
         Mean point spacing.
     link_m : float
         T_c, below which points are connected.
-    structure : PointStructure
-        Of all points; measured on the lowest on-set, 0 elsewhere.
+    curvature : (N,) ndarray of float64
+        Change of curvature (C16), measured on the lowest on-set; 0 elsewhere.
+    smooth : (N,) ndarray of bool
+        Which points are no crown by their neighbourhood (C16; the echoes are ours).
     params : Area3dParams
         The section of this detector.
     mask_m : float
@@ -180,18 +181,13 @@ class OnSets:
 
     cloud: NormalisedCloud
     graph: PointGraph
-    filtered: NDArray[np.float64]
+    levels: NDArray[np.uint16]
     spacing_m: float
     link_m: float
-    structure: PointStructure
+    curvature: NDArray[np.float64]
+    smooth: Mask
     params: Area3dParams
     mask_m: float
-
-    @property
-    def smooth(self) -> Mask:
-        """(N,) bool, which points are no crown by their neighbourhood (C16; the echoes are ours)."""
-        kept: Mask = self.structure.curvature <= self.params.max_curvature
-        return kept & (self.structure.echo_share <= self.params.max_echo_share)
 
     @property
     def grow_m(self) -> float:
@@ -256,8 +252,8 @@ def fuse_over_scales(scenes: tuple[OnSets, ...], scales: tuple[float, ...], ledg
     labels = np.zeros(len(scenes[0].cloud.heights), dtype=np.int32)
     recorded = np.zeros(len(labels), dtype=np.bool_)
     rules, heights = [np.zeros(0, dtype=np.int8)], [np.zeros(0)]
-    for number, (scene, height_m) in enumerate(product(scenes, scales), 1):
-        found, rule = _Level(scene, ledger, number, height_m, labels > 0, recorded).regions()
+    for number, (scene, (rank, height_m)) in enumerate(product(scenes, enumerate(scales, 1)), 1):
+        found, rule = _Level(scene, ledger, number, rank, height_m, labels > 0, recorded).regions()
         before = sum(len(values) for values in rules)
         labels += np.where(found > 0, found + np.int32(before), np.int32(0))
         rules.append(rule)
@@ -270,6 +266,7 @@ def fuse_over_scales(scenes: tuple[OnSets, ...], scales: tuple[float, ...], ledg
 class _Level:
     """One height scale of an area scale: its steps, in their order, and what they write into the ledger.
 
+    ``number`` counts from 1 over all scales of areas and heights, ``rank`` over the heights of one area scale.
     ``taken`` are the points of regions that lower scales accepted, ``recorded`` the points of regions that the opening
     removed. Each scale adds its own points to the latter, because the ledger has a region once, at its lowest height.
     """
@@ -277,6 +274,7 @@ class _Level:
     scene: OnSets
     ledger: PointLedger
     number: int
+    rank: int
     height_m: float
     taken: Mask
     recorded: Mask
@@ -285,7 +283,7 @@ class _Level:
         """Return the regions accepted at this height, and the rule that accepted each."""
         scene = self.scene
         left = self.without_absorbed()
-        on = (scene.filtered >= self.height_m) & ~self.taken
+        on = (scene.levels >= self.rank) & ~self.taken
         opened = self.without_small(on, *left)
         del left
         labels, count = self.without_crowns(*self.without_leaves(on, opened))
@@ -349,7 +347,7 @@ class _Level:
     def without_crowns(self, labels: Labels, count: int) -> tuple[Labels, int]:
         """Drop the regions that are crowns as a whole (ours): by curvature and echoes together, and by NDVI."""
         cloud, own = self.scene.cloud, self.scene.params
-        curvature = region_means(self.scene.structure.curvature, labels, count)
+        curvature = region_means(self.scene.curvature, labels, count)
         if cloud.several is None:
             crown = curvature > own.max_crown_curvature
         else:

@@ -176,6 +176,7 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
         before, after, heights=heights, levels=levels, earlier=earlier, earlier_levels=earlier_levels,
         surveyed=inside, params=params.change,
     )  # fmt: skip
+    del levels, earlier, earlier_levels
     found, states = _states(found, before, after, heights)
     states = _with_roofs(states, found, engine, record, heights)
     states = _with_parts(states, found, engine, record.name)

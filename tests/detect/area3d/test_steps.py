@@ -417,13 +417,13 @@ def test_below_the_mask_only_feet_of_walls_return():
 def test_the_threshold_on_crowns_follows_the_spacing(spacing_m, thin_m, times):
     """Where points are twice as far apart as cubes are wide, it is twice as high; as given without cubes."""
     own = replace(OURS, thin_m=thin_m, max_crown=0.003)
-    scene = OnSets(None, None, None, spacing_m, 1.0, None, own, 2.0)
+    scene = OnSets(None, None, None, spacing_m, 1.0, None, None, own, 2.0)
     assert scene.max_crown == pytest.approx(0.003 * times)
 
 
 def test_regions_grow_by_metres_and_at_least_by_spacings():
     """The reach is that of `grow_m` where points are dense, of `grow_spacings` where they are not, none as written."""
-    dense = OnSets(None, None, None, 0.2, 1.0, None, replace(OURS, grow_m=0.6, grow_spacings=1.0), 2.0)
+    dense = OnSets(None, None, None, 0.2, 1.0, None, None, replace(OURS, grow_m=0.6, grow_spacings=1.0), 2.0)
     assert dense.grow_m == 0.6
     assert replace(dense, spacing_m=1.0).grow_m == 1.0
     assert replace(dense, params=PAPER).grow_m == 0.0
