@@ -75,11 +75,11 @@ def order_of_points(
     """
     groups = 0 if group is None or not len(group) else int(group.max()).bit_length()
     bits = (KEY_BITS - groups) // 2
-    column = _leading(x, bits)
+    key = _leading(x, bits)
     if group is not None:
-        column |= group.astype(np.uint64) << np.uint64(bits)
-    key = column << np.uint64(bits) | _leading(y, bits)
-    del column
+        key |= group.astype(np.uint64) << np.uint64(bits)
+    key <<= np.uint64(bits)
+    key |= _leading(y, bits)
     order = np.argsort(key)
     some = _undecided(key[order], x[order], bits)
     if some.any():
@@ -121,10 +121,10 @@ def _leading(values: NDArray[np.float64], bits: int) -> NDArray[np.uint64]:
 
 def _undecided(key: NDArray[np.uint64], x: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
     """Return which points, in the order of the keys, the keys do not separate: equal keys, or x of equal digits."""
-    same = np.diff(key) == 0
+    same = key[1:] == key[:-1]
     column = key >> np.uint64(bits)
-    alike = np.diff(column) == 0
-    mixed = alike & (np.diff(x) != 0)
+    alike = column[1:] == column[:-1]
+    mixed = alike & (x[1:] != x[:-1])
     if mixed.any():  # all points of such a column
         number = np.concatenate([[0], np.cumsum(~alike)])
         wrong = np.zeros(int(number[-1]) + 1, dtype=np.bool_)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.labels import look_up
 from msbdb.morphology.area import find_root
 from msbdb.points.cellindex import (
     MARGIN,
@@ -69,7 +70,8 @@ def linked(x: Floats, y: Floats, z: Floats, distance_m: float) -> tuple[NDArray[
     require_coordinates(x=x, y=y, z=z)
     require_distance("distance below which points belong together", distance_m)
     index = index_cells(x, y, distance_m * (1 + MARGIN))
-    search = _LinkSearch(index, x[index.order], y[index.order], z[index.order], distance_m**2)
+    east, north, up = (look_up(axis, index.order) for axis in (x, y, z))
+    search = _LinkSearch(index, east, north, up, distance_m**2)
     labels, count = _number_clusters(_joined(search), index.order)
     return labels, int(count)
 

@@ -182,7 +182,7 @@ def _prepare(
     density = measure_density(x, y, cloud.first_echo[order], cloud.facts)
     link_m = max(own.link_spacings * density.spacing_m, density.step_m)
     areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
-    graph = connect(x, y, z, link_m, earlier=len(areas) == 1)
+    graph = connect(x, y, z, link_m, once=len(areas) == 1)
     scales = height_scales(heights, own, mask_m=mask_m)
     filtered = _open_close(heights, graph, density.area_m2, areas, scales)
     some = (heights >= min(own.foot_m, mask_m, scales[0])) | (filtered > -np.inf).any(axis=0)
