@@ -220,12 +220,14 @@ def measure_spacing(
         return 1.0, 1.0, 1.0
     chosen = first_echo if first_echo.any() else np.ones(len(x), dtype=np.bool_)
     east, north = x[chosen], y[chosen]
-    link_m = least_link(east, north)
-    cells = _covered(east, north, link_m)
+    cells = _covered(east, north)
+    link_m = least_link(east, north, _spacing(cells))
+    if cells.cell_m < link_m:
+        cells = _covered(east, north, link_m)
     return _spacing(cells), _typical_spacing(cells), link_m
 
 
-def least_link(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+def least_link(x: NDArray[np.float64], y: NDArray[np.float64], spacing_m: float = 0.0) -> float:
     """Return the least link by which most points of a place are connected, metres.
 
     Points that are spread evenly or by chance need 1 to 1.4 mean spacings. Those on scan lines need the distance of the
@@ -235,6 +237,8 @@ def least_link(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     ----------
     x, y : (N,) ndarray of float64, metres
         At least one point.
+    spacing_m : float
+        Their mean spacing; 0 measures it.
 
     Returns
     -------
@@ -258,7 +262,7 @@ def least_link(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     >>> round(least_link(x, y), 1)
     1.1
     """
-    spacing_m = _spacing(_covered(x, y))
+    spacing_m = spacing_m or _spacing(_covered(x, y))
     squares = index_cells(x, y, SQUARE_SPACINGS * spacing_m)
     count = np.diff(squares.starts)
     full = np.flatnonzero((count >= SQUARE_SPACINGS**2 / 2) & (count <= 4 * SQUARE_SPACINGS**2))

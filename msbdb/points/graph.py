@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
+from msbdb.labels import look_up
 from msbdb.morphology.area import find_root
 from msbdb.points.cellindex import (
     MARGIN,
@@ -52,8 +53,8 @@ class PointGraph:
     indptr : (N + 1,) ndarray of int64
         Where in ``indices`` the neighbours of each point begin, and E at the end.
     indices : (E,) ndarray of int32
-        The neighbours, ascending for each point. Each pair is held from both ends, or by its later point alone; no
-        point is its own neighbour.
+        The neighbours. Each pair is held from both ends, and they ascend for each point; or it is held from one end
+        alone, and they come in any order. No point is its own neighbour.
     """
 
     indptr: NDArray[np.int64]
@@ -62,8 +63,8 @@ class PointGraph:
     def __post_init__(self) -> None:
         """Refuse rows that do not fit, which would lead the kernels astray."""
         indptr, indices = self.indptr, self.indices
-        fits = indptr.size > 0 and indptr[0] == 0 and indptr[-1] == indices.size and (np.diff(indptr) >= 0).all()
-        if not fits or (indices.size and not 0 <= indices.min() <= indices.max() < len(self)):
+        fits = indptr.size > 0 and indptr[0] == 0 and indptr[-1] == indices.size and (indptr[1:] >= indptr[:-1]).all()
+        if not fits or (indices.size and indices.view(np.uint32).max() >= len(self)):
             msg = f"The rows of a graph of {indptr.size - 1} points do not fit its {indices.size} neighbours."
             raise InputError(msg)
 
@@ -77,7 +78,7 @@ class PointGraph:
 
 
 def connect(
-    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], distance_m: float, *, earlier: bool = False
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], distance_m: float, *, once: bool = False
 ) -> PointGraph:
     """Connect all points whose distance in space is smaller than T_c.
 
@@ -87,8 +88,8 @@ def connect(
         Finite coordinates, also none. Not modified.
     distance_m : float
         T_c, metres, above 0. The paper gives none; 1.5 to 2 times the spacing of the points joins a surface.
-    earlier : bool
-        Hold each pair by its later point alone, in half of the memory: enough for `components`.
+    once : bool
+        Hold each pair from one end alone, in half of the memory and time: enough for `components`.
 
     Returns
     -------
@@ -129,7 +130,7 @@ def connect(
     search = _GraphSearch(order, starts, strips, _sorted(x, order), _sorted(y, order), _sorted(z, order), distance_m**2)
     degree = np.zeros(x.size, dtype=np.int32)
     parts = parts_of(index)
-    found = in_threads(partial(_find, search, degree, earlier), parts)
+    found = in_threads(partial(_find, search, degree, once), parts)
     indptr = np.zeros(x.size + 1, dtype=np.int64)
     np.cumsum(degree, out=indptr[1:])
     _require_affordable(int(indptr[-1]), MOST_NEIGHBOURS, x.size, distance_m)
@@ -178,10 +179,11 @@ def _strips(index: CellIndex) -> NDArray[np.int32]:
 
 
 @kernel
-def _find(search: _GraphSearch, degree: NDArray[np.int32], earlier: bool, part: tuple[int, int]) -> NDArray[np.int32]:
-    """Return the neighbours of the points in a range of cells, or the earlier ones of them, ascending for each point.
+def _find(search: _GraphSearch, degree: NDArray[np.int32], once: bool, part: tuple[int, int]) -> NDArray[np.int32]:
+    """Return the neighbours of the points in a range of cells, ascending for each point, or each pair once.
 
-    They come in the order of the cells; ``degree`` gets how many each point has.
+    They come in the order of the cells; ``degree`` gets how many each point has. A pair that is held once is held by
+    the point that comes later in the order of the cells: the other one is in its own row or in that to the south.
     """
     order, starts, strips, x, y, z, limit_m2 = search
     found = np.empty(max(A_POINT * (starts[part[1]] - starts[part[0]]), FEW), dtype=np.int32)
@@ -194,15 +196,15 @@ def _find(search: _GraphSearch, degree: NDArray[np.int32], earlier: bool, part: 
             while end + around > found.size:
                 found = np.concatenate((found, np.empty_like(found)))
             point, begin = order[own], end
-            for side in range(3):
-                for other in range(strips[cell, side, 0], strips[cell, side, 1]):
-                    if order[other] >= point if earlier else order[other] == point:
-                        continue
+            for side in range(2 if once else 3):
+                stop = own if once and side == 1 else strips[cell, side, 1]
+                for other in range(strips[cell, side, 0], stop):
                     dx, dy, dz = x[other] - x[own], y[other] - y[own], z[other] - z[own]
-                    if dx * dx + dy * dy + dz * dz < limit_m2:
-                        found[end] = order[other]
-                        end += 1
-            _sort(found[begin:end])
+                    # There is space for all around. About half of it is used: a branch would be foreseen badly.
+                    found[end] = order[other]
+                    end += dx * dx + dy * dy + dz * dz < limit_m2 and other != own
+            if not once:
+                _sort(found[begin:end])
             degree[point] = end - begin
     return found[:end].copy()  # without the space that was not needed
 
@@ -242,7 +244,7 @@ def _sort(values: NDArray[np.int32]) -> None:
 
 def _sorted(column: NDArray[np.float64], order: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return a coordinate in the order of the cells, in 64 bits."""
-    return column[order].astype(np.float64, copy=False)
+    return look_up(column, order).astype(np.float64, copy=False)
 
 
 def _require_affordable(pairs: int, most: int, points: int, distance_m: float) -> None:
@@ -300,16 +302,14 @@ def components(mask: NDArray[np.bool_], graph: PointGraph) -> tuple[NDArray[np.i
 def _number_components(
     mask: NDArray[np.bool_], indptr: NDArray[np.int64], indices: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], int]:
-    """Join each point of the set to the earlier ones that it is connected to, under the earliest; then number them."""
+    """Join each point of the set to those that it is connected to, under the earliest; then number them."""
     node = np.full(mask.size, ROOT, dtype=np.int32)
     for point in range(mask.size):
         if not mask[point]:
             continue
-        root = point  # no later point has joined it yet
+        root = find_root(node, point)
         for place in range(indptr[point], indptr[point + 1]):
             other = indices[place]
-            if other > point:
-                break  # neighbours ascend; the later ones join this point when they come
             if mask[other]:
                 its = find_root(node, other)
                 if its != root:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
+from msbdb.labels import look_up
 from msbdb.points.cellindex import CellIndex, cell_place, index_cells, parts_of, require_coordinates, strip
 from msbdb.threads import in_threads, kernel
 
@@ -83,7 +84,7 @@ def nearest(x: Floats, y: Floats, z: Floats, count: int) -> NDArray[np.int32]:
     cell_m = _cell_size(x, y)
     while left.any():
         index = index_cells(x, y, cell_m)
-        search = _NearestSearch(index, x[index.order], y[index.order], z[index.order])
+        search = _NearestSearch(index, *(look_up(axis, index.order) for axis in (x, y, z)))
         in_threads(partial(_find, search, left, found), parts_of(index))
         cell_m *= LARGER
     return found

@@ -151,7 +151,7 @@ def open_close_on_sets(
     Parameters
     ----------
     values, graph, threshold, weights
-        As for `area_opening`. The graph may hold each pair by its later point alone.
+        As for `area_opening`. The graph may hold each pair from one end alone.
     heights : sequence of float
         h_j, ascending.
     lowest : (N,) ndarray of bool, optional

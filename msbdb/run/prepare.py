@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
@@ -39,7 +40,7 @@ from msbdb.run.planning import (
 )
 from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import kept_intensity, spectral_bands
-from msbdb.spectral.coverclasses import classify_cover, keep_labels
+from msbdb.spectral.coverclasses import Cover, classify_cover, keep_labels
 from msbdb.surface import Surface, cover_from_surface, surface_from_rasters
 from msbdb.surface.gridding import CELL_LADDER_M, cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
@@ -159,34 +160,36 @@ def prepare(
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
     counted = None if own is None else spec.holding(own)
-    with stages.stage("classes"):
+
+    def classify() -> tuple[Cover, Params, Plan]:
         if plan is None:
-            plan, [fitted] = decide([draft], params)
+            chosen, [fitted] = decide([draft], params)
         else:
             require_fitting(plan, surface, cloud)
-            fitted = fitted_by(plan, bands)
-        params = settled(params, plan)
-        echoes = cloud is not None and cloud.has_echoes
+            chosen, fitted = plan, fitted_by(plan, bands)
         cover = classify_cover(
             structure.cover,
             bands,
             surface.ndsm,
             structure.roughness_m,
-            params,
-            echoes=echoes,
+            settled(params, chosen),
+            echoes=cloud is not None and cloud.has_echoes,
             fitted=fitted,
             counted=counted,
         )
-        if label.classes is not None:
-            cover = keep_labels(cover, label.classes)
+        return cover if label.classes is None else keep_labels(cover, label.classes), settled(params, chosen), chosen
+
+    def keep() -> tuple[Evidence, Elevations, NDArray[np.uint8] | None]:
+        evidence = Evidence.of(structure)
+        # What is too low for a building, or is no roof, has no intensity that is read.
+        high = np.asarray(surface.ndsm.values, dtype=np.float32) >= params.surface.mask_m
+        intensity = kept_intensity(bands, high & (evidence.roof_probability >= CAN_BE_ROOF))
+        return evidence, Elevations.of(surface, cloud), intensity
+
+    with stages.stage("classes"):
+        (cover, known, planned), (evidence, elevations, intensity) = together(classify, keep)
     record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
-    evidence, elevations = Evidence.of(structure), Elevations.of(surface, cloud)
     parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec, everywhere=own is None)
-    intensity = kept_intensity(bands)
-    if intensity is not None:
-        # What is too low for a building, or is no roof, is not read.
-        low = np.asarray(surface.ndsm.values, dtype=np.float32) < params.surface.mask_m
-        intensity[low | (evidence.roof_probability < CAN_BE_ROOF)] = 0
     scene = Scene(
         record,
         surface.ndsm,
@@ -200,7 +203,7 @@ def prepare(
         above=draft.above,
         intensity=intensity,
     )
-    return scene, params, plan
+    return scene, known, planned
 
 
 def is_large(inputs: Inputs) -> bool:

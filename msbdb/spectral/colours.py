@@ -84,18 +84,20 @@ def grid_intensity(points: PointCloud, spec: GridSpec, *, max_gap_m: float) -> B
     return _filled(values[None], measured, ("intensity",), spec, max_gap_m)
 
 
-def kept_intensity(bands: Bands | None) -> NDArray[np.uint8] | None:
+def kept_intensity(bands: Bands | None, wanted: Mask | None = None) -> NDArray[np.uint8] | None:
     """Return the intensity as a run keeps it, in steps of its logarithm; None when there is none.
 
     Parameters
     ----------
     bands : Bands, optional
         The bands of a survey.
+    wanted : (H, W) ndarray of bool, optional
+        The cells in which it is kept; by default all.
 
     Returns
     -------
     (H, W) ndarray of uint8 or None
-        0 where it is unknown or none, otherwise 1 + `INTENSITY_STEPS` ln I.
+        0 where it is unknown, none or not wanted, otherwise 1 + `INTENSITY_STEPS` ln I.
 
     Examples
     --------
@@ -108,10 +110,15 @@ def kept_intensity(bands: Bands | None) -> NDArray[np.uint8] | None:
     """
     if bands is None or "intensity" not in bands.names:
         return None
-    values = bands.values[bands.names.index("intensity")].astype(np.float64)
+    values = bands.values[bands.names.index("intensity")]
     known = bands.valid & (values > 0)
-    steps = 1 + np.rint(INTENSITY_STEPS * np.log(np.maximum(values, 1)))
-    return np.where(known, np.minimum(steps, 255), 0).astype(np.uint8)
+    if wanted is not None:
+        known &= wanted
+    steps = np.zeros(known.shape, dtype=np.uint8)
+    steps[known] = np.minimum(
+        1 + np.rint(INTENSITY_STEPS * np.log(np.maximum(values[known].astype(np.float64), 1))), 255
+    )
+    return steps
 
 
 def stack(*parts: Bands) -> Bands:

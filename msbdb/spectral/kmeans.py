@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
 from msbdb.grid import Bands
@@ -149,6 +148,8 @@ def fit_centres(sample: Sample, *, classes: int, seed: int, tail_percent: float)
     -----
     One thread, and a fixed number of starts and iterations: the same sample gives the same centres everywhere.
     """
+    from sklearn.cluster import KMeans  # it takes a second to load, which a build without colours does not need
+
     scaling = fit_scaling(sample.filtered, sample.names, tail_percent)
     scaled = scaling.apply(sample.filtered)
     distinct = np.unique(scaled, axis=0)

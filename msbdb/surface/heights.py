@@ -83,8 +83,11 @@ def normalise(dsm: Grid, dtm: Grid) -> Grid:
         raise GridMismatchError(msg)
     valid = dsm.valid & dtm.valid
     height = np.asarray(dsm.values, dtype=np.float64) - np.asarray(dtm.values, dtype=np.float64)
-    whole = np.round(np.where(valid, height, 0) * PER_METRE) / PER_METRE
-    return Grid(whole.astype(np.float32), valid, dsm.spec)
+    height[~valid] = 0
+    height *= PER_METRE
+    np.rint(height, out=height)
+    height /= PER_METRE
+    return Grid(height.astype(np.float32), valid, dsm.spec)
 
 
 def heights_above(points: PointCloud, dtm: Grid) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from skimage.filters import threshold_otsu
 from msbdb.detect.pointregions import PlacedPoints, places
 from msbdb.errors import InputError
 from msbdb.grid import GridSpec
+from msbdb.labels import look_up
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams
 from msbdb.points.cellindex import CellIndex, cell_place, index_cells, strip
@@ -254,8 +255,8 @@ def plane_residuals(x: Floats, y: Floats, z: Floats, radius_m: float) -> NDArray
     """
     index = index_cells(x, y, radius_m / SPLITS)
     found = np.empty(len(x), dtype=np.float32)
-    sorted_points = Sorted(index, x[index.order], y[index.order], radius_m)
-    sorted_z = z[index.order]
+    sorted_points = Sorted(index, look_up(x, index.order), look_up(y, index.order), radius_m)
+    sorted_z = look_up(z, index.order)
     in_threads(lambda part: _residuals(sorted_points, sorted_z, part, found), _parts(index))
     return found
 
@@ -283,7 +284,7 @@ def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: fl
     """
     index = index_cells(x, y, radius_m / SHARING)
     found = np.empty(values.shape, dtype=np.float32)
-    sorted_points = Sorted(index, x[index.order], y[index.order], radius_m)
+    sorted_points = Sorted(index, look_up(x, index.order), look_up(y, index.order), radius_m)
     sorted_values = np.ascontiguousarray(values[index.order])
     in_threads(lambda part: _means(sorted_points, sorted_values, part, found), _parts(index))
     return found

@@ -202,7 +202,7 @@ def _prepare(
         np.take(values, order, out=points[:, axis])
     points -= origin
     x, y, z = points.T
-    graph = connect(x, y, z, link_m, earlier=lowest is not None)
+    graph = connect(x, y, z, link_m, once=lowest is not None)
     filtered = _open_close(heights, graph, area_m2, areas, scales, lowest=lowest)
     several = cloud.number_of_returns[order] > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
     levels = [np.searchsorted(scales, each, side="right").astype(np.uint16) for each in filtered]
