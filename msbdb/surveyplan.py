@@ -44,6 +44,8 @@ class PointFacts:
         Points from which it is known.
     density : float
         First echoes a square metre of covered ground.
+    all_density : float
+        The same before what is denser than ``surface.most_density`` was thinned.
     spacing_m, typical_m, link_m : float
         Mean and median spacing of the first echoes, and their least link, metres (`msbdb.points.cloud.Density`).
     numbered, echoes : bool
@@ -64,6 +66,7 @@ class PointFacts:
 
     points: int
     density: float
+    all_density: float
     spacing_m: float
     typical_m: float
     link_m: float
@@ -260,12 +263,18 @@ def _of_points(facts: PointFacts) -> dict[str, str]:
     has |= {"intensity": facts.intensity} | dict.fromkeys(facts.colours, True)
     return {
         "points": f"{facts.points:,}, {100 * facts.ground_share:.0f} % in class 2",
-        "density": f"{facts.density:.1f} first echoes",
+        "density": _density(facts),
         "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground, "
         f"links of {facts.link_m:.2f} m",
         "points have": ", ".join(name for name, there in has.items() if there) or "coordinates alone",
         "elevations": "; ".join(f"{low:.1f} to {high:.1f} m" for low, high in facts.levels_m),
     }
+
+
+def _density(facts: PointFacts) -> str:
+    """Return the density in words, and how much of it is taken."""
+    found = f"{facts.all_density:.1f} first echoes"
+    return found if facts.density == facts.all_density else f"{found}, of which {facts.density:.1f} are taken"
 
 
 def basis_of(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

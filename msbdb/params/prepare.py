@@ -14,6 +14,10 @@ CALIBRATED = "calibrated together, on four surveys and thinned copies"
 class SurfaceParams:
     """From points to DSM, DTM and nDSM."""
 
+    most_density: float = param(30.0, "1/m2",
+        "Where there are more first echoes a square metre, a share of the points is taken, by lot; 0 takes all.",
+        ours="copies of three places with 54 to 69 points/m2 lose up to 8 points of quality without it; 25 does alike",
+        low=0, high=1e4)
     cell_m: float = param(0.0, "m", "Cell size; 0 takes the mean spacing of the first echoes, by cell_rule.",
         paper="V14: mean point spacing, 1/sqrt(density)", low=0, high=50)
     cell_rule: str = param("spacing", "-",

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from msbdb.points.cellindex import MARGIN, CellIndex, cell_place, index_cells, parts_of, strip
 from msbdb.points.cloud import PointCloud, measure_spacing
+from msbdb.points.lots import drawn
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
@@ -29,11 +30,6 @@ echoes of nine places have 0.20 to 0.40, and their first echoes alone 0.15 to 0.
 SECTORS, EMPTY = 12, 5
 """Of so many sectors around a point, so many beside each other may hold no higher point: about half a circle."""
 
-FACTORS = (73_856_093, 19_349_663, 83_492_791)
-"""Odd numbers that spread coordinates (Teschner et al. 2003), and one of 64 bits that mixes them (Knuth 1998)."""
-
-MIXING = np.uint64(0x9E3779B97F4A7C15)
-
 
 def under_distance(cloud: PointCloud) -> float:
     """Return the distance within which later echoes lie under others, metres; 0 without any, or if they are known.
@@ -52,7 +48,7 @@ def under_distance(cloud: PointCloud) -> float:
     if cloud.return_number is not None or not len(cloud):
         return 0.0
     spacing_m = _all_spacing(cloud)
-    sample = cloud.take(_chosen(cloud, (spacing_m / SAMPLE_SPACING_M) ** 2))
+    sample = cloud.take(drawn(cloud, (spacing_m / SAMPLE_SPACING_M) ** 2))
     under, uneven = _placed(sample, AROUND_SPACINGS * max(spacing_m, SAMPLE_SPACING_M))
     return AROUND_SPACINGS * spacing_m if under.sum() > MIXED_SHARE * uneven.sum() else 0.0
 
@@ -80,16 +76,6 @@ def numbered_by_place(cloud: PointCloud, around_m: float) -> PointCloud:
 def _all_spacing(cloud: PointCloud) -> float:
     """Return the mean spacing of all points, metres."""
     return measure_spacing(cloud.x, cloud.y, np.ones(len(cloud), dtype=np.bool_))[0]
-
-
-def _chosen(cloud: PointCloud, share: float) -> Mask:
-    """Return a share of the points, by a hash of their place in millimetres."""
-    if share >= 1:
-        return np.ones(len(cloud), dtype=np.bool_)
-    mixed = np.zeros(len(cloud), dtype=np.int64)
-    for values, factor in zip((cloud.x, cloud.y, cloud.z), FACTORS, strict=True):
-        mixed ^= np.round(values * 1000).astype(np.int64) * factor
-    return np.asarray(mixed.view(np.uint64) * MIXING < np.uint64(share * 2**64))
 
 
 def _placed(cloud: PointCloud, around_m: float) -> tuple[Mask, Mask]:

@@ -1,5 +1,6 @@
 """The plan of a survey: what its drafts give together, from the whole of it or from a sample of blocks."""
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,6 +27,7 @@ from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.tree import cell_sizes
 from msbdb.points.cloud import GROUND_CLASS, LONE_GAP_Z_M, PointCloud, levels_of, measure_spacing
 from msbdb.points.laterechoes import numbered_by_place, under_distance
+from msbdb.points.lots import thinned
 from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
 from msbdb.spectral.kmeans import lattice_keys, pooled
 from msbdb.spectral.model import ClassModel, fit_model
@@ -38,6 +40,8 @@ from msbdb.surveyplan import Plan, PointFacts, basis_of
 if TYPE_CHECKING:
     from pyproj import CRS
 
+
+logger = logging.getLogger(__name__)
 
 MOST_POINTS = 12_000_000
 """Ours: as many points are looked at for a plan, about what 4 GB of memory hold in a build."""
@@ -167,12 +171,32 @@ def _cut(grid: Grid, inside: NDArray[np.bool_]) -> Grid:
     return grid.with_values(values, grid.valid & inside)
 
 
-def with_facts(cloud: PointCloud) -> PointCloud:
-    """Return a cloud that knows what holds for all its points; echoes without numbers are numbered by their place."""
+def with_facts(cloud: PointCloud, most_density: float) -> PointCloud:
+    """Return a cloud that knows what holds for all its points.
+
+    Echoes without numbers are numbered by their place; then what is denser than ``most_density`` is thinned.
+    """
     if cloud.facts is None:
         cloud, under_m = told_apart(cloud)
-        return replace(cloud, facts=facts_of(cloud, under_m))
-    return numbered_by_place(cloud, cloud.facts.under_m) if cloud.facts.under_m else cloud
+        cloud, facts = sparse_enough(cloud, under_m, most_density)
+        return replace(cloud, facts=facts)
+    if cloud.facts.under_m:
+        cloud = numbered_by_place(cloud, cloud.facts.under_m)
+    return thinned(cloud, most_density)
+
+
+def sparse_enough(cloud: PointCloud, under_m: float, most_density: float) -> tuple[PointCloud, PointFacts]:
+    """Return a cloud that is nowhere denser than asked, and what holds for all its points (`facts_of`)."""
+    fewer = thinned(cloud, most_density)
+    facts = facts_of(fewer, under_m)
+    if fewer is not cloud:
+        facts = replace(facts, all_density=density(cloud, facts.link_m))
+        logger.info(
+            "Where there are more than %g first echoes a square metre, a share of the points is taken: %.0f %% of all",
+            most_density,
+            100 * len(fewer) / len(cloud),
+        )
+    return fewer, facts
 
 
 def told_apart(cloud: PointCloud) -> tuple[PointCloud, float]:
@@ -190,9 +214,11 @@ def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
         When there is no first echo.
     """
     spacing_m, typical_m, link_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
+    points_m2 = density(cloud, link_m)
     return PointFacts(
         points=len(cloud),
-        density=density(cloud, link_m),
+        density=points_m2,
+        all_density=points_m2,
         spacing_m=spacing_m,
         typical_m=typical_m,
         link_m=link_m,
@@ -226,6 +252,8 @@ def joined_facts(facts: Sequence[PointFacts]) -> PointFacts:
     return PointFacts(
         points=points,
         density=points / sum(each.points / each.density for each in facts),
+        all_density=sum(each.points / each.density * each.all_density for each in facts)
+        / sum(each.points / each.density for each in facts),
         spacing_m=math.sqrt(float(covered.sum()) / points),
         typical_m=middle([each.typical_m for each in facts]),
         link_m=middle([each.link_m for each in facts]),

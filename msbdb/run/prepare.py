@@ -29,12 +29,12 @@ from msbdb.run.planning import (
     Draft,
     blocks_to_sample,
     decide,
-    facts_of,
     fitted_by,
     is_sampled,
     joined_facts,
     require_fitting,
     settled,
+    sparse_enough,
     told_apart,
     with_facts,
 )
@@ -155,7 +155,7 @@ def prepare(
     plan : Plan
         That given, or that of the survey.
     """
-    cloud = None if cloud is None else with_facts(cloud)
+    cloud = None if cloud is None else with_facts(cloud, params.surface.most_density)
     draft = make_draft(inputs, cloud, params, stages, sampled=own is not None)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
@@ -221,13 +221,14 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
     if cloud is None or blocks is None:
-        cloud = None if cloud is None else with_facts(cloud)
+        cloud = None if cloud is None else with_facts(cloud, params.surface.most_density)
         plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)
         return plan
     cloud, under_m = told_apart(cloud)
     clouds = blocks.cut(cloud)
-    facts = joined_facts([facts_of(each, under_m) for each in clouds.values()])
-    drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each in clouds.values()]
+    known = [sparse_enough(each, under_m, params.surface.most_density) for each in clouds.values()]
+    facts = joined_facts([own for _, own in known])
+    drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each, _ in known]
     with stages.stage("classes"):
         plan, _ = decide(drafts, params)
     return replace(plan, blocks=tuple(clouds), block_m=blocks.side_m)
@@ -421,7 +422,7 @@ def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, clo
         crs_wkt=spec.crs.to_wkt(),
         epsg=spec.crs.to_epsg() or 0,
         vertical_crs=vertical.name if vertical is not None else "",
-        density=round(surface.density, 6),
+        density=round(surface.density if cloud is None or cloud.facts is None else cloud.facts.all_density, 6),
         cell_m=spec.cell_m,
         bounds=spec.bounds,
         sources=inputs.sources(),

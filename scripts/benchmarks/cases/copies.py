@@ -1,4 +1,4 @@
-"""Copies of a cloud as another sensor would have recorded it: fewer pulses, first echoes only, or no classes."""
+"""Copies of a cloud as another sensor would have recorded it: fewer pulses, more of them, first echoes only, or no classes."""
 
 import laspy
 import numpy as np
@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 from msbdb.points.cloud import UNCLASSIFIED_CLASS
 
 SEED = 1
+SHAKE_M = 0.02
+"""Noise in height of repeated points."""
+
 PULSE_TOLERANCE = 0.1
 """Times name pulses where there are as many of them as first echoes, but for this share."""
 
@@ -30,6 +33,17 @@ def thinned(cloud: laspy.LasData, share: float) -> laspy.LasData:
     return taken(cloud, kept[pulse])
 
 
+def thickened(cloud: laspy.LasData, target: float, density: float) -> laspy.LasData:
+    """Return a copy of so many first echoes a square metre: repeated points, shaken over half of a spacing and 2 cm in height."""
+    times, count = round(target / density), len(cloud.points)
+    copy = taken(cloud, np.tile(np.arange(count), times))
+    random, new = np.random.default_rng(SEED), np.arange(times * count) >= count
+    reach = 0.5 * density**-0.5
+    copy.x, copy.y = (np.asarray(axis) + new * random.uniform(-reach, reach, new.size) for axis in (copy.x, copy.y))
+    copy.z = np.asarray(copy.z) + new * random.normal(0, SHAKE_M, new.size)
+    return copy
+
+
 def on_lines(cloud: laspy.LasData, ratio: float, spacing_m: float) -> laspy.LasData:
     """Return the echoes of bands one spacing wide and ``ratio`` spacings apart, as scan lines from west to east."""
     return taken(cloud, np.asarray(cloud.y) / (ratio * spacing_m) % 1 < 1 / ratio)
@@ -51,6 +65,6 @@ def with_class_alone(cloud: laspy.LasData, kept: int | None) -> laspy.LasData:
     return copy
 
 
-def taken(cloud: laspy.LasData, chosen: NDArray[np.bool_]) -> laspy.LasData:
-    """Return a copy of the chosen points."""
+def taken(cloud: laspy.LasData, chosen: NDArray[np.generic]) -> laspy.LasData:
+    """Return a copy of the chosen points, by mask or number."""
     return laspy.LasData(cloud.header, cloud.points[chosen].copy())

@@ -1,4 +1,4 @@
-"""The kinds of cases: the places as they are, thinned, on scan lines, with first echoes only, and laid over hills."""
+"""The kinds of cases: the places as they are, thinned, denser, on scan lines, with first echoes only, and laid over hills."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 from simulated.hills import RELIEFS, Relief, lifted, relief_of
 
-from cases.copies import first_only, on_lines, taken, thinned
+from cases.copies import first_only, on_lines, taken, thickened, thinned
 from cases.labelled import NAMED, PLACES, Place, cell_for, first_density, reference_of
 from cases.measures import Case
 from msbdb.grid import lattice
@@ -23,6 +23,9 @@ LINES = (3.0, 5.0, 8.0)
 """Distance of scan lines, in the spacings of the points along them."""
 
 THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
+
+DENSE, DENSE_M2 = ("delft_2", "montpellier", "champs"), 66.0
+"""The places of which there are dense copies, and about how many first echoes a square metre these have."""
 
 LIFTED = ("delft_2", "montpellier", "amsterdam", "sevilla_plaza", "beziers_right")
 
@@ -55,6 +58,14 @@ def with_fewer_pulses(data: Path, names: set[str], densities: tuple[float, ...] 
                 copies = [thinned(cloud, target / density) for cloud in clouds]
                 reference = reference_of(place, clouds, data, cell_for(target))
                 yield Case(f"{name}, {target:g}", place.crs, copies, reference, {})
+
+
+def with_more_points(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places as dense as the densest surveys."""
+    for case in as_they_are(data, names & set(DENSE)):
+        density = first_density(case.clouds)
+        copies = [thickened(cloud, DENSE_M2, density) for cloud in case.clouds]
+        yield Case(f"{case.name}, {DENSE_M2:g}", case.crs, copies, case.reference, {})
 
 
 def with_scan_lines(data: Path, names: set[str]) -> Iterator[Case]:

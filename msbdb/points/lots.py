@@ -1,0 +1,90 @@
+"""Fewer points of the same places: a share of them, or no more a square metre than all values were judged on."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.points.cellindex import CellIndex, index_cells
+from msbdb.points.cloud import PointCloud
+from msbdb.threads import kernel
+
+Mask = NDArray[np.bool_]
+
+CELL_M = 2.0
+"""Side of the cells whose points are counted: large enough that chance hardly counts."""
+
+FACTORS = (73_856_093, 19_349_663, 83_492_791)
+"""Odd numbers that spread coordinates (Teschner et al. 2003), and one of 64 bits that mixes them (Knuth 1998)."""
+
+MIXING = np.uint64(0x9E3779B97F4A7C15)
+
+
+def lots(cloud: PointCloud) -> NDArray[np.uint64]:
+    """Return (N,) numbers that are spread evenly over 64 bits: a hash of each point's place in millimetres."""
+    mixed = np.zeros(len(cloud), dtype=np.int64)
+    for values, factor in zip((cloud.x, cloud.y, cloud.z), FACTORS, strict=True):
+        mixed ^= np.round(values * 1000).astype(np.int64) * factor
+    return np.asarray(mixed.view(np.uint64) * MIXING)
+
+
+def drawn(cloud: PointCloud, share: float) -> Mask:
+    """Return which points belong to a share of them, by lot; the same ones in any part of the survey."""
+    if share >= 1:
+        return np.ones(len(cloud), dtype=np.bool_)
+    return lots(cloud) < np.uint64(share * 2**64)
+
+
+def thinned(cloud: PointCloud, most_density: float) -> PointCloud:
+    """Return a cloud that has no more first echoes a square metre than asked.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Of any density.
+    most_density : float
+        First echoes a square metre; 0 returns the cloud as it is.
+
+    Returns
+    -------
+    PointCloud
+        The same one where nothing is too dense.
+
+    Notes
+    -----
+    Cells of 2 m on the absolute lattice that hold more first echoes keep a share of all their echoes, by lot. So strips
+    that overlap become as dense as others, and a part of a survey keeps the points that the whole does. Border: a cell
+    that the survey cuts is judged by the area of a whole one.
+
+    Examples
+    --------
+    >>> from pyproj import CRS
+    >>> x, y = np.random.default_rng(1).uniform(0, 10, (2, 10_000))
+    >>> dense = PointCloud(x, y, np.zeros(10_000), CRS.from_epsg(2154))
+    >>> round(len(thinned(dense, 20.0)) / 100)
+    20
+    >>> thinned(dense, 200.0) is dense
+    True
+    """
+    if not most_density or not len(cloud):
+        return cloud
+    index = index_cells(cloud.x, cloud.y, CELL_M)
+    most = most_density * CELL_M**2
+    if np.diff(index.starts).max() <= most:
+        return cloud
+    kept = _kept(index, cloud.first_echo, lots(cloud), most)
+    return cloud if kept.all() else cloud.take(kept)
+
+
+@kernel
+def _kept(index: CellIndex, first: Mask, lot: NDArray[np.uint64], most: float) -> Mask:
+    """Return which points stay."""
+    kept = np.ones(first.size, dtype=np.bool_)
+    for cell in range(index.keys.size):
+        points = index.order[index.starts[cell] : index.starts[cell + 1]]
+        count = 0
+        for point in points:
+            count += first[point]
+        if count > most:
+            limit = most / count * 2.0**64
+            for point in points:
+                kept[point] = lot[point] < limit
+    return kept
