@@ -6,7 +6,7 @@ else that a build computes depends on what lies around a place.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -162,8 +162,7 @@ class Plan:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plan as plain values, with the version of their form."""
-        known: dict[str, Any] = plain({"form": FORM, **asdict(self)})
-        return known
+        return {"form": FORM, **plain(self)}
 
     def as_json(self) -> str:
         """Return the plan as JSON: the same text for the same plan."""

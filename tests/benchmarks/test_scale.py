@@ -61,6 +61,20 @@ def test_the_rows_of_some_extractors_are_a_sound_build(script, tile):
     assert len(few.frames["part_flat_region"]) == len(tile.frames["part_flat_region"])
 
 
+def test_loads_in_turn_have_one_line_for_each_number_of_buildings(script):
+    """A line has medians and the range of the ratios, and takes the place of the older one."""
+    rows = {"building": 20_040, "part": 1_000}
+
+    def figures(client: float, server: float) -> dict[str, object]:
+        return {"rows": rows, "client_cpu_seconds": client, "server_cpu_seconds": server}
+
+    rounds = [[figures(2.0, 3.0), figures(2.0, 2.0)], [figures(1.0, 3.0), figures(2.0, 2.0)]]
+    line = script.turns_line(rounds)
+    assert line == "| 20 040 | 21 040 | 2 | 1.5 | 3.0 | 2.0 | 2.0 | 1.12 (1.00 to 1.25) |"
+    page = f"Before\n\n{script.HEAD}\n|---|\n| 20 040 | old |\n| 100 200 | kept |\n\nAfter\n"
+    assert script.with_line(page, line) == page.replace("| 20 040 | old |", line)
+
+
 @pytest.mark.long
 @pytest.mark.postgis
 @pytest.mark.skipif(not shutil.which("ogr2ogr"), reason="ogr2ogr is not installed")

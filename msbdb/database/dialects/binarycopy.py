@@ -40,7 +40,7 @@ def packed_rows(columns: Mapping[str, Sequence[Any] | NDArray[Any]], kinds: Mapp
     b'\x00\x02\x00\x00\x00\x04\x00\x00\x00\x07\x00\x00\x00\x02ab\xff\xff'
     """
     numbers = [name for name in columns if kinds[name] in NUMBERS]
-    texts = [_cells(values) for name, values in columns.items() if name not in numbers]
+    texts = [_cells(values, kinds[name]) for name, values in columns.items() if name not in numbers]
     form = chain.from_iterable(((f"length {name}", LENGTH), (name, NUMBERS[kinds[name]])) for name in numbers)
     rows = np.empty(len(next(iter(columns.values()))), dtype=[("values of a row", ">i2"), *form])
     rows["values of a row"] = len(columns)
@@ -67,17 +67,12 @@ def _numbers(values: Sequence[Any] | NDArray[Any]) -> tuple[NDArray[Any], NDArra
     return np.array([0 if gone else value for value, gone in zip(values, null.tolist(), strict=True)]), null
 
 
-def _cells(values: Sequence[Any] | NDArray[Any]) -> list[bytes]:
+def _cells(values: Sequence[Any] | NDArray[Any], kind: str) -> list[bytes]:
     """Return texts or bytes with their lengths; equal texts are encoded once."""
+    if kind == "bytea":
+        return [NULL if value is None else len(value).to_bytes(4, "big") + value for value in values]
     known: dict[str | None, bytes] = {None: NULL}
-    found = []
-    for value in values:
-        if isinstance(value, bytes):
-            found.append(len(value).to_bytes(4, "big") + value)
-            continue
-        cell = known.get(value)
-        if cell is None:
-            encoded = value.encode()
-            cell = known[value] = len(encoded).to_bytes(4, "big") + encoded
-        found.append(cell)
-    return found
+    for value in set(values) - {None}:
+        encoded = value.encode()
+        known[value] = len(encoded).to_bytes(4, "big") + encoded
+    return [known[value] for value in values]

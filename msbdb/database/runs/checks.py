@@ -1,7 +1,7 @@
 """Checks of a build before it is loaded; their errors name the row, not a constraint of the database."""
 
-from collections.abc import Collection, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -33,7 +33,7 @@ _SHAPES = {"MULTIPOLYGON": (shapely.GeometryType.POLYGON, shapely.GeometryType.M
 _POINT = (shapely.GeometryType.POINT,)
 
 
-def check_build(build: KeptRun) -> dict[str, NDArray[np.object_]]:
+def check_build(build: KeptRun) -> dict[str, dict[str, NDArray[Any]]]:
     """Check that a build can be stored: names, declared columns, numbers, geometries and references.
 
     Returns
@@ -53,32 +53,44 @@ def check_build(build: KeptRun) -> dict[str, NDArray[np.object_]]:
     if set(build.frames) != expected:
         msg = f"A build needs the tables {sorted(expected)}; got {sorted(build.frames)}."
         raise TableError(msg)
-    outlines = check_frames(build.frames)
+    columns = check_frames(build.frames)
     _check_keys(build.frames)
     _check_references(build.frames, build.run.methods)
     validate_parts(build.frames["part"])
-    return outlines
+    return columns
 
 
-def check_frames(frames: "dict[str, pd.DataFrame]") -> dict[str, NDArray[np.object_]]:
+def check_frames(frames: "dict[str, pd.DataFrame]") -> dict[str, dict[str, NDArray[Any]]]:
     """Check the declared columns, numbers and geometries of some tables.
 
     Returns
     -------
     dict
-        By table the (N,) geometries as the database keeps them: little-endian WKB, polygons as multipolygons.
+        By table its columns as ``RunContent`` has them, with geometries as the database keeps them: (N,) little-endian
+        WKB, polygons as multipolygons.
 
     Raises
     ------
     TableError
         With the table, the column and the first wrong rows.
     """
+    columns = {}
     for table in TABLES:
         if table.name in frames:
             frame = frames[table.name]
             validate(frame, table)
-            _check_numbers(frame, table)
-    return _check_geometries(frames)
+            own = columns[table.name] = {str(name): _array(one) for name, one in frame.items() if name != "geometry"}
+            _check_numbers(own, frame, table)
+    for name, wkb in _check_geometries(frames).items():
+        columns[name]["geometry"] = wkb
+    return columns
+
+
+def _array(column: "pd.Series") -> NDArray[Any]:
+    """Return a column as ``RunContent`` has it."""
+    if column.dtype == "Int64":
+        return column.to_numpy(np.float64, na_value=np.nan) if column.hasnans else column.to_numpy(np.int64)
+    return column.to_numpy()
 
 
 def _check_names(build: KeptRun) -> None:
@@ -100,17 +112,14 @@ def geometries(frame: "pd.DataFrame") -> NDArray[np.object_]:
     return np.asarray(frame["geometry"], dtype=object)
 
 
-def _check_numbers(frame: "pd.DataFrame", table: Table) -> None:
+def _check_numbers(columns: Mapping[str, NDArray[Any]], frame: "pd.DataFrame", table: Table) -> None:
     """Refuse infinite values, and missing values in columns that are not nullable."""
-    # All numbers at once: taking a column out of a frame costs more than looking at its values.
-    numbers = [column for column in table.columns if column.dtype == "float64"]
-    values = frame[[column.name for column in numbers]].to_numpy(np.float64)
-    required = np.array([not column.nullable for column in numbers], dtype=np.bool_)
-    fails = np.isinf(values) | (np.isnan(values) & required)
-    for place in np.flatnonzero(fails.any(axis=0)).tolist():
-        _require(~fails[:, place], frame, table, f"{numbers[place].name} is missing or infinite")
     for column in table.columns:
-        if not column.nullable and column.dtype not in ("float64", "int64"):
+        values = columns[column.name]
+        if column.dtype == "float64":
+            holds = ~np.isinf(values) if column.nullable else np.isfinite(values)
+            _require(holds, frame, table, f"{column.name} is missing or infinite")
+        elif not column.nullable and column.dtype != "int64":
             _require(frame[column.name].notna(), frame, table, f"{column.name} is missing or infinite")
 
 

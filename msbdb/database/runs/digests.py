@@ -6,7 +6,7 @@ of earlier ones. So each of its rows has its own digest, in the column `COLUMN`.
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -190,20 +190,19 @@ class RunContent:
 
 def run_row(run: Run) -> dict[str, Any]:
     """Return a run's own values by name; parameters and timings are not copied, which takes longer than using them."""
-    return {field.name: getattr(run, field.name) for field in fields(run)} | {"counts": asdict(run.counts)}
+    return {field.name: getattr(run, field.name) for field in fields(run)} | {"counts": plain(run.counts)}
 
 
 def survey_row(survey: Survey) -> dict[str, Any]:
     """Return the survey's columns except its key."""
-    row = asdict(survey)
-    del row["sources"]
+    row = {field.name: getattr(survey, field.name) for field in fields(survey) if field.name != "sources"}
     row["west"], row["south"], row["east"], row["north"] = row.pop("bounds")
     return {name: plain(value) for name, value in row.items()}
 
 
 def source_rows(survey: Survey) -> list[dict[str, Any]]:
     """Return the sources in canonical order."""
-    rows = [plain(asdict(source)) for source in survey.sources]
+    rows = [plain(source) for source in survey.sources]
     return sorted(rows, key=lambda row: (row["role"], row["name"], row["sha256"]))
 
 
@@ -222,4 +221,4 @@ def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
     words = values.tolist()
     # Each different text is encoded once.
     written = {word: to_json(word) for word in set(words)}
-    return f"[{', '.join(written[word] for word in words)}]".encode()
+    return f"[{', '.join(map(written.__getitem__, words))}]".encode()

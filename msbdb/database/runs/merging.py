@@ -22,7 +22,6 @@ from msbdb.database.runs.tiles import forget_results
 from msbdb.database.runs.writing import (
     BY_NAME,
     LOADED,
-    columns_of,
     keys_of,
     ordered,
     raster_row,
@@ -142,8 +141,8 @@ class _Merge:
 
     def write_whole(self) -> None:
         """Write the tables of the run as a whole."""
-        for name in WHOLE:
-            self._write(name, self.head.frames[name])
+        for name, columns in check_frames({name: self.head.frames[name] for name in WHOLE}).items():
+            self._write(name, columns)
 
     def write_rows(self, piece: Piece) -> None:
         """Write what a tile owns, but for what an earlier tile has."""
@@ -160,14 +159,14 @@ class _Merge:
         for method, rows in frames["candidate_region"].groupby("method"):
             known = self.of_method.get(str(method), NOTHING)
             self.of_method[str(method)] = np.union1d(known, rows["candidate_id"].to_numpy(np.int64))
-        ids = rejection_ids(self.head.survey.name, columns_of(frames["rejection"]))
+        columns = check_frames(frames)
+        ids = rejection_ids(self.head.survey.name, columns["rejection"])
         again = np.isin(ids, self.seen["rejection"])
         ids[again] = [text_id("rejection", int(one), *piece.key) for one in ids[again]]
         self.seen["rejection"] = np.union1d(self.seen["rejection"], ids)
-        outlines = check_frames(frames)
         # Buildings come before the parts that refer to them.
         for name in ROWS:
-            self._write(name, frames[name], outlines.get(name), ids if name == "rejection" else None)
+            self._write(name, columns[name], ids if name == "rejection" else None)
 
     def write_rest(self, piece: Piece) -> None:
         """Write the links and the rasters of a tile, after the rows of all tiles."""
@@ -178,9 +177,8 @@ class _Merge:
             known = np.isin(frame[first], self.seen[one]) & np.isin(frame[second], self.seen[other])
             self.report.unlinked += int((~known).sum())
             frames[name] = frame[known].reset_index(drop=True)
-        check_frames(frames)
-        for name, frame in frames.items():
-            self._write(name, frame)
+        for name, columns in check_frames(frames).items():
+            self._write(name, columns)
         row, column = piece.origin
         place = {"run_id": self.run_id, "lattice_row": row, "lattice_column": column}
         for name, cells in piece.rasters.items():
@@ -203,21 +201,15 @@ class _Merge:
             return answers
         return cells
 
-    def _write(
-        self,
-        name: str,
-        frame: "pd.DataFrame",
-        outlines: NDArray[np.object_] | None = None,
-        ids: NDArray[np.int64] | None = None,
-    ) -> None:
+    def _write(self, name: str, columns: dict[str, NDArray[Any]], ids: NDArray[np.int64] | None = None) -> None:
         """Write rows of a table."""
-        self.report.rows[name] = self.report.rows.get(name, 0) + len(frame)
-        if not len(frame):
+        count = len(next(iter(columns.values())))
+        self.report.rows[name] = self.report.rows.get(name, 0) + count
+        if not count:
             return
-        content = columns_of(frame, outlines)
         if ids is None:
-            content = ordered(content, BY_NAME[name])
-        write_columns(self.connection, self.dialect, name, content, run_id=self.run_id, srid=self.srid, ids=ids)
+            columns = ordered(columns, BY_NAME[name])
+        write_columns(self.connection, self.dialect, name, columns, run_id=self.run_id, srid=self.srid, ids=ids)
 
 
 def merge_tiles(

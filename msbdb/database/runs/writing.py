@@ -4,7 +4,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,6 @@ from msbdb.identity import text_id
 from msbdb.kept import KeptRun
 from msbdb.tables import TABLES, Column, Table
 from msbdb.threads import in_threads
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 RUN = SQL["run"]
 
@@ -174,31 +171,15 @@ class _Rows:
     digest: str
 
     @classmethod
-    def of(cls, build: KeptRun, outlines: Mapping[str, NDArray[np.object_]]) -> Self:
-        """Return the rows of a build in the tables' order; ``outlines`` are those of `check_build`."""
-        columns = {
-            table.name: ordered(columns_of(build.frames[table.name], outlines.get(table.name)), table)
-            for table in TABLES
-        }
+    def of(cls, build: KeptRun, checked: Mapping[str, Mapping[str, NDArray[Any]]]) -> Self:
+        """Return the rows of a build in the tables' order, of the columns that `check_build` returns."""
+        columns = {table.name: ordered(checked[table.name], table) for table in TABLES}
         counts = {name: len(frame) for name, frame in build.frames.items()}
         counts |= {"run_method": len(build.run.methods), "run_state": len(build.rasters.by_name())}
         counts["survey_plan"] = int(build.plan is not None)
         content = RunContent(build.survey, build.run, columns, build.rasters.by_name(), build.plan)
         ids = rejection_ids(build.survey.name, columns["rejection"])
         return cls(columns, ids, counts, content.digest())
-
-
-def columns_of(frame: "pd.DataFrame", outlines: NDArray[np.object_] | None = None) -> dict[str, NDArray[Any]]:
-    """Return the columns of a frame as `RunContent` has them, with the WKB that `check_frames` returns."""
-    columns = {str(name): _array(column) for name, column in frame.items() if name != "geometry"}
-    return columns if outlines is None else columns | {"geometry": outlines}
-
-
-def _array(column: "pd.Series") -> NDArray[Any]:
-    """Return a column as `RunContent` has it."""
-    if column.dtype == "Int64":
-        return column.to_numpy(np.float64, na_value=np.nan) if column.hasnans else column.to_numpy(np.int64)
-    return column.to_numpy()
 
 
 def _report(build: KeptRun, rows: _Rows, status: str) -> WriteReport:
@@ -303,7 +284,7 @@ def write_columns(
 ) -> None:
     """Write one table's rows in bulk, in the order of their keys, which is the quickest.
 
-    ``content`` has the columns as `columns_of` returns them; ``ids`` are the keys of the ledger's rows.
+    ``content`` has the columns as `check_frames` returns them; ``ids`` are the keys of the ledger's rows.
     """
     count = len(next(iter(content.values())))
     columns: dict[str, Any] = {"run_id": np.full(count, run_id)}
