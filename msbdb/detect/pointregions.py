@@ -80,8 +80,15 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
         The table has the columns of ``tables.CANDIDATE_REGION`` and outlines; the labels are the cells within these.
     """
     cloud, surface, spec = scene.require_cloud(), scene.require_surface(), scene.heights.spec
-    heights, ndvi = point_heights(scene, params), point_ndvi(scene.bands, cloud)
-    found = extract(cloud, heights, spec=spec, survey=scene.survey.name, params=params, ndvi=ndvi)
+    # Heights and NDVI have no name here, so that a detector can free them.
+    found = extract(
+        cloud,
+        point_heights(scene, params),
+        spec=spec,
+        survey=scene.survey.name,
+        params=params,
+        ndvi=point_ndvi(scene.bands, cloud),
+    )
     spacing_m = 1 / surface.density**0.5
     # Where regions meet, the order decides: by place, because the ids depend on the name of the survey.
     order = np.lexsort((found.regions["xcen"], found.regions["ycen"]))
