@@ -4,7 +4,7 @@ They take heights and NDVI of the points, give their regions ids and rows on the
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
@@ -31,6 +31,10 @@ Floats = NDArray[np.float64]
 
 PLACES = 2**31
 """Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
+
+
+FEW = 4
+"""Rejected points that are less than one in so many are looked at apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +181,10 @@ class PlacedPoints:
     spec: GridSpec
     key: str
 
+    def take(self, index: NDArray[np.integer]) -> "PlacedPoints":
+        """Return some of the points."""
+        return replace(self, x=self.x[index], y=self.y[index], area_m2=self.area_m2[index], place=self.place[index])
+
     def labelled_cells(self, labels: Labels) -> tuple[Labels, NDArray[np.int64]]:
         """Return labels and cells of the labelled points that lie on the lattice; each pair of them once, or more.
 
@@ -275,6 +283,9 @@ class PointLedger(Ledger):
         """
         count = len(reasons)
         points = self.points
+        if FEW * np.count_nonzero(labels) < labels.size:  # else a copy would take more memory than it saves time
+            inside = np.flatnonzero(labels)
+            points, labels = points.take(inside), labels[inside]
         xcen, ycen = points.centroids(labels, count)
         rows = pd.DataFrame(
             {
