@@ -65,7 +65,7 @@ class Ledger:
         for code, word in enumerate(words):
             chosen = cells[(codes == code)[labels - 1]]
             # Points share cells; a cell is marked once.
-            self._marks.append(((stage, str(word)), np.unique(chosen).astype(np.int64)))
+            self._marks.append(((stage, str(word)), pd.unique(chosen).astype(np.int64)))
 
     def count(
         self, stage: str, entered: int, kept: int, dropped: int, *, pieces: int = 0, written: bool = True

@@ -172,6 +172,21 @@ def test_freed_memory_serves_the_next_array():
     assert int(Path("/proc/self/statm").read_text().split()[1]) < int(held) - size / page / 2
 
 
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the allocator is not glibc's")
+def test_large_arrays_go_back_where_memory_is_bounded():
+    """As soon as one is freed, also from between others."""
+    size, page = 1 << 26, resource.getpagesize()
+
+    def held() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * page
+
+    with memory_reused(bounded=True):
+        arrays = [np.ones(size, dtype=np.uint8) for _ in range(3)]
+        before = held()
+        del arrays[1]
+        assert held() < before - size / 2
+
+
 def test_notices_of_threads_come_in_the_order_of_the_items(monkeypatch):
     """Also while another thread records all warnings, as compilers do: each notice is collected once."""
     monkeypatch.setattr(threads, "cores", lambda: 2)

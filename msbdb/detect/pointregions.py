@@ -4,7 +4,7 @@ They take heights and NDVI of the points, give their regions ids and rows on the
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
@@ -31,6 +31,10 @@ Floats = NDArray[np.float64]
 
 PLACES = 2**31
 """Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
+
+
+FEW = 4
+"""Rejected points that are less than one in so many are looked at apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +84,15 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
         The table has the columns of ``tables.CANDIDATE_REGION`` and outlines; the labels are the cells within these.
     """
     cloud, surface, spec = scene.require_cloud(), scene.require_surface(), scene.heights.spec
-    heights, ndvi = point_heights(scene, params), point_ndvi(scene.bands, cloud)
-    found = extract(cloud, heights, spec=spec, survey=scene.survey.name, params=params, ndvi=ndvi)
+    # Heights and NDVI have no name here, so that a detector can free them.
+    found = extract(
+        cloud,
+        point_heights(scene, params),
+        spec=spec,
+        survey=scene.survey.name,
+        params=params,
+        ndvi=point_ndvi(scene.bands, cloud),
+    )
     spacing_m = 1 / surface.density**0.5
     # Where regions meet, the order decides: by place, because the ids depend on the name of the survey.
     order = np.lexsort((found.regions["xcen"], found.regions["ycen"]))
@@ -169,6 +180,10 @@ class PlacedPoints:
     place: NDArray[np.int64]
     spec: GridSpec
     key: str
+
+    def take(self, index: NDArray[np.integer]) -> "PlacedPoints":
+        """Return some of the points."""
+        return replace(self, x=self.x[index], y=self.y[index], area_m2=self.area_m2[index], place=self.place[index])
 
     def labelled_cells(self, labels: Labels) -> tuple[Labels, NDArray[np.int64]]:
         """Return labels and cells of the labelled points that lie on the lattice; each pair of them once, or more.
@@ -268,6 +283,9 @@ class PointLedger(Ledger):
         """
         count = len(reasons)
         points = self.points
+        if FEW * np.count_nonzero(labels) < labels.size:  # else a copy would take more memory than it saves time
+            inside = np.flatnonzero(labels)
+            points, labels = points.take(inside), labels[inside]
         xcen, ycen = points.centroids(labels, count)
         rows = pd.DataFrame(
             {

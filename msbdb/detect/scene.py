@@ -101,7 +101,8 @@ class Scene:
     bands : Bands, optional
         Colours of the orthophoto or the points.
     above : (N,) ndarray of float64, optional
-        Heights of the points above ground, metres.
+        Heights of the points above ground, metres, of a ground filter among the points; those of others are found
+        again as quickly as they are kept.
     intensity : (H, W) ndarray of uint8, optional
         That of the first echoes in steps of its logarithm (`msbdb.spectral.colours.kept_intensity`); None where the
         points have none.

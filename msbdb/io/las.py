@@ -49,6 +49,9 @@ logging.getLogger("laspy").addHandler(logging.NullHandler())
 CHUNK_POINTS = 1_000_000
 """Points in memory in their raw form at a time."""
 
+MORE = 1.05
+"""Share of room for points in an area beyond what headers promise if points are spread evenly."""
+
 MAX_EASTING_M = 1e8
 """Beyond it no projected CRS has a point: the largest false origins, with a zone's number in front, end at 6.1e7."""
 
@@ -181,7 +184,7 @@ def _read(
     colours = [set(_colour_fields(info)) for info in files]
     common = tuple(name for name in COLOURS if name in set.intersection(*colours))
     count = sum(info.points for info in files)
-    room = count if wanted.area is None else min(count, CHUNK_POINTS)
+    room = count if wanted.area is None else min(count, _expected(wanted.area, files, references))
     columns = Columns(room, common, indexed=wanted.indexed, noise=wanted.noise)
     columns.shape = None if wanted.area is None else wanted.area.shape_in(references[0].crs)
     for info, each in zip(files, references, strict=True):
@@ -275,6 +278,18 @@ def _meeting(
         msg = f"No point file lies in {area.what}. Check the area, its CRS, and that of the points."
         raise NodataError(msg)
     return [info for info, _ in found], [each for _, each in found]
+
+
+def _expected(area: Area, files: Sequence[LasInfo], references: Sequence[Reference]) -> int:
+    """Return about how many points lie in an area, as far as headers tell that; room for more is made if needed."""
+    box, found = shapely.box(*shapely.bounds(area.shape_in(references[0].crs))), 0.0
+    for info, each in zip(files, references, strict=True):
+        if each.transformer is None:
+            xs, ys, _ = each.to_metres(np.array(info.bounds[::2]), np.array(info.bounds[1::2]), np.zeros(2))
+            ground = shapely.box(xs[0], ys[0], xs[1], ys[1])
+            if shapely.is_valid(ground) and ground.area > 0:
+                found += info.points * shapely.intersection(ground, box).area / ground.area
+    return max(round(MORE * found), CHUNK_POINTS)
 
 
 def _union(bounds: Sequence[Bounds]) -> Bounds:

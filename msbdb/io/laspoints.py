@@ -37,6 +37,9 @@ NODE = np.dtype(
 MOST_POINTS = 10_000_000
 """In a node; writers put about 100,000 there."""
 
+GROWTH = 1.3
+"""Factor by which columns grow: the larger, the more memory is left over, and the less is copied."""
+
 DTYPES = {
     "x": np.float64,
     "y": np.float64,
@@ -221,8 +224,8 @@ class Columns:
         return found
 
     def _grow(self, rows: int) -> None:
-        """Make room for as many rows, and as many again, where nobody knows how many there will be."""
-        size = max(rows, 2 * len(self.arrays["x"]))
+        """Make room for as many rows, and some more, where nobody knows how many there will be."""
+        size = max(rows, round(GROWTH * len(self.arrays["x"])))
         if self.indexed:
             self.index = _longer(self.index, self.filled, size)
         for name, column in self.arrays.items():

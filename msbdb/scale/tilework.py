@@ -93,7 +93,7 @@ def work(task: TileTask) -> TileSummary:
     """
     begin = time.perf_counter()
     found, reason, halo_m, cut = None, "", task.halo_m, 0
-    with alone_on(task.cores), collected_notices() as notices, memory_reused():
+    with alone_on(task.cores), collected_notices() as notices, memory_reused(bounded=True):
         while True:
             try:
                 found = _in_window(task, halo_m)

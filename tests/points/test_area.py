@@ -8,7 +8,6 @@ from support import oracles
 from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.points.cellindex import MARGIN, index_cells, near_cells
 from msbdb.points.graph import PointGraph, components, connect
 from msbdb.points.pointarea import (
     PointScaleSpace,
@@ -89,20 +88,22 @@ def test_on_sets_are_filtered_as_by_the_sweep_over_all_heights(function, seed, t
             np.testing.assert_array_equal(found[~small] >= height, swept[~small] >= height)
 
 
-@given(clouds(), st.sampled_from([0.5, 1.1, 2.0]), st.integers(0, 2**32 - 1), st.floats(0.25, 30))
-def test_on_sets_need_no_graph_of_what_is_off(cloud, distance_m, seed, threshold):
-    """The lowest on-set by linkage, the higher ones among its points and those near them: as with all points."""
+@given(clouds(), st.sampled_from([0.5, 1.1, 2.0]), st.integers(0, 2**32 - 1), st.floats(0.25, 30), st.floats(0, 1))
+def test_on_sets_need_no_graph_of_what_is_off(cloud, distance_m, seed, threshold, share):
+    """The lowest on-set by linkage, the higher ones among its points and any others: as with all points."""
     x, y, z = cloud
     values = np.random.default_rng(seed).integers(0, 5, x.size)
     weights = weights_for(x.size, seed)
     heights = (2, 3, 4)
     whole = open_close_on_sets(values, connect(x, y, z, distance_m), threshold, heights, weights=weights)
-    lowest = open_close_linked(
+    on, rim = open_close_linked(
         values >= 2, lambda axis, chosen: cloud[axis][chosen], distance_m, threshold, weights=weights
     )
-    some = near_cells(lowest, index_cells(x, y, distance_m * (1 + MARGIN)))
+    some = on | (np.random.default_rng(seed).random(x.size) < share)
     graph = connect(x[some], y[some], z[some], distance_m)
-    found = open_close_on_sets(values[some], graph, threshold, heights, weights=weights[some], lowest=lowest[some])
+    found = open_close_on_sets(
+        values[some], graph, threshold, heights, weights=weights[some], lowest=(on[some], rim[some])
+    )
     np.testing.assert_array_equal(found, whole[some])
     assert (whole[~some] == -np.inf).all()
 

@@ -142,6 +142,7 @@ def extract_adaptive(
     """
     own = params.adaptive
     points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
+    del heights, ndvi
     placed = points.placed(spec, survey)
     ledger = PointLedger(METHOD, placed)
     found = structure(points, own)

@@ -269,7 +269,7 @@ def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: fl
     x, y : (N,) ndarray of float64, metres
         Finite coordinates.
     values : (N, 3) ndarray of float32
-        Finite.
+        Finite. Overwritten by the means.
     radius_m : float
         Radius, metres.
 
@@ -283,11 +283,10 @@ def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: fl
     disc around their own mean place. Where points are dense this takes a fraction of the time.
     """
     index = index_cells(x, y, radius_m / SHARING)
-    found = np.empty(values.shape, dtype=np.float32)
     sorted_points = Sorted(index, look_up(x, index.order), look_up(y, index.order), radius_m)
     sorted_values = np.ascontiguousarray(values[index.order])
-    in_threads(lambda part: _means(sorted_points, sorted_values, part, found), _parts(index))
-    return found
+    in_threads(lambda part: _means(sorted_points, sorted_values, part, values), _parts(index))
+    return values
 
 
 def _parts(index: CellIndex) -> list[tuple[int, int]]:

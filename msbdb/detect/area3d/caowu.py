@@ -22,7 +22,7 @@ from msbdb.grid import GridSpec
 from msbdb.labels import chosen_cells, sums
 from msbdb.order import order_of_points
 from msbdb.params import Area3dParams, Params
-from msbdb.points.cellindex import MARGIN, index_cells, near_cells
+from msbdb.points.cellindex import index_cells
 from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.points.graph import PointGraph, components, connect
 from msbdb.points.pointarea import build_point_scale_space, open_close_linked, open_close_on_sets
@@ -111,6 +111,7 @@ def extract_area3d(
     """
     _require(cloud, heights, ndvi)
     scenes, scales, order = _prepare(cloud, heights, ndvi, spec, params)
+    del heights, ndvi
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
     ledger = PointLedger(METHOD, placed)
@@ -169,8 +170,7 @@ def _prepare(
     """Return the input of all height scales for each area, the heights, and the places of its points in the cloud.
 
     The density and the lowest height's filter take all points. For one area scale, no later step looks at points that
-    are off then, lower than the feet of walls, and beside none that is on: so they are left out, and only the others
-    are connected.
+    are off then and lower than the feet of walls: so they are left out, and only the others are connected.
     """
     own, mask_m = params.area3d, params.surface.mask_m
     columns = (cloud.x, cloud.y, cloud.z)
@@ -186,14 +186,11 @@ def _prepare(
         def column(axis: int, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
             return np.asarray(columns[axis][order[chosen]] - origin[axis])
 
-        area_m2 = density.area_m2[order]
-        lowest = open_close_linked(heights[order] >= scales[0], column, link_m, areas[0], weights=area_m2)
-        del area_m2
-        some = np.zeros(len(cloud), dtype=np.bool_)
-        some[order] = lowest
-        some = near_cells(some, index_cells(cloud.x, cloud.y, link_m * (1 + MARGIN)))
-        some = (some | (heights >= min(own.foot_m, mask_m, scales[0])))[order]
-        order, lowest = order[some], lowest[some]
+        on, rim = open_close_linked(
+            heights[order] >= scales[0], column, link_m, areas[0], weights=density.area_m2[order]
+        )
+        some = on | (heights[order] >= min(own.foot_m, mask_m, scales[0]))
+        order, lowest = order[some], (on[some], rim[some])
     heights, area_m2 = heights[order], density.area_m2[order]
     spacing_m = density.spacing_m
     del density
@@ -225,7 +222,7 @@ def _open_close(
     areas: tuple[float, ...],
     scales: tuple[float, ...],
     *,
-    lowest: NDArray[np.bool_] | None,
+    lowest: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None,
 ) -> NDArray[np.float64]:
     """Return, for each area scale, the highest height scale at which each point is on after AOC (C6, C7).
 
@@ -241,8 +238,8 @@ def _open_close(
         Ta_k, m2, ascending; SP_k is fed by SP_{k-1} (Eq. 3).
     scales : tuple of float
         h_j, metres, ascending.
-    lowest : (N,) ndarray of bool or None
-        For one area scale, what is on at the lowest height.
+    lowest : two (N,) ndarrays of bool, or None
+        For one area scale, what is on at the lowest height, and its rim.
 
     Returns
     -------
