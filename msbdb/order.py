@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.threads import kernel
+
 MOST_MARKS = 1_000_000
 """Up to this span of numbers, those that occur are marked; beyond, they are sorted."""
 
@@ -81,7 +83,7 @@ def order_of_points(
     key <<= np.uint64(bits)
     key |= _leading(y, bits)
     order = np.argsort(key)
-    some = _undecided(key[order], x[order], bits)
+    some = _undecided(key, np.asarray(x, dtype=np.float64), order, bits)
     if some.any():
         few = np.sort(order[some])
         keys = [values[few] for values in (*reversed(ties), y, x)]
@@ -119,20 +121,24 @@ def _leading(values: NDArray[np.float64], bits: int) -> NDArray[np.uint64]:
     return ((values - low) * scale).astype(np.uint64)
 
 
-def _undecided(key: NDArray[np.uint64], x: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
+@kernel
+def _undecided(
+    key: NDArray[np.uint64], x: NDArray[np.float64], order: NDArray[np.intp], bits: int
+) -> NDArray[np.bool_]:
     """Return which points, in the order of the keys, the keys do not separate: equal keys, or x of equal digits."""
-    same = key[1:] == key[:-1]
-    column = key >> np.uint64(bits)
-    alike = column[1:] == column[:-1]
-    mixed = alike & (x[1:] != x[:-1])
-    if mixed.any():  # all points of such a column
-        number = np.concatenate([[0], np.cumsum(~alike)])
-        wrong = np.zeros(int(number[-1]) + 1, dtype=np.bool_)
-        wrong[number[:-1][mixed]] = True
-        same |= alike & wrong[number[1:]]
-    undecided = np.zeros(len(key), dtype=np.bool_)
-    undecided[1:] |= same
-    undecided[:-1] |= same
+    undecided = np.zeros(order.size, dtype=np.bool_)
+    begin = 0
+    while begin < order.size:
+        # All points whose x have the same leading digits are undecided together, where these x differ.
+        first, column = x[order[begin]], key[order[begin]] >> np.uint64(bits)
+        end, differ = begin + 1, False
+        while end < order.size and key[order[end]] >> np.uint64(bits) == column:
+            differ |= x[order[end]] != first
+            end += 1
+        for place in range(begin + 1, end):
+            if differ or key[order[place]] == key[order[place - 1]]:
+                undecided[place - 1] = undecided[place] = True
+        begin = end
     return undecided
 
 
