@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
@@ -24,7 +25,7 @@ from msbdb.database.schema.srid import srid_of
 from msbdb.identity import text_id
 from msbdb.kept import KeptRun
 from msbdb.tables import TABLES, Column, Table
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, together
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,7 +98,7 @@ def store_build(
     dialect = dialect_of(url)
     with guarded(url):
         if not dialect.exists(url, timeout_s):
-            rows, rasters = _Rows.of(build), _packed(build)
+            rows, rasters = together(partial(_Rows.of, build), partial(_packed, build))
             srid = srid_of(survey.epsg, survey.crs_wkt)
 
             def fill(connection: Connection) -> None:
