@@ -17,7 +17,6 @@ from msbdb.detect.scene import Elevations
 from msbdb.grid import Grid
 from msbdb.kept import PER_METRE
 from msbdb.labels import Labels, boxes, label_zones, neighbours, quantiles, sizes, sums, widened
-from msbdb.morphology import nearest_cells
 from msbdb.params import HeightParams, SurfaceParams
 from msbdb.parts.clusters import storeys
 
@@ -372,8 +371,8 @@ def _around(
     reach = int(np.ceil(near_m / ndsm.spec.cell_m))
     # What lies beyond the lattice has no height, like any other cell without data.
     wide, level, height, valid = (np.pad(one, reach) for one in (labels, terrain, np.asarray(ndsm.values), ndsm.valid))
-    nearest, distance = nearest_cells(wide > 0)
-    owner, distance_m = wide.ravel()[nearest], distance * ndsm.spec.cell_m
+    distance, (rows, cols) = distance_transform_edt(wide == 0, return_indices=True)
+    owner, distance_m = wide[rows, cols], distance * ndsm.spec.cell_m
     near = distance_m <= near_m
     nodata = sizes(owner[near & ~valid], count) / sizes(owner[near], count)
     bare = (wide == 0) & valid & (np.abs(height) <= params.bare_m)

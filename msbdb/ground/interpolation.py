@@ -5,13 +5,12 @@ The filters on cells check regions by their edges: walls rise above the ground b
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
 from msbdb.ground.trend import known_trend
 from msbdb.labels import sizes
-from msbdb.morphology.distances import nearest_cells
 from msbdb.morphology.windows import erosion
 from msbdb.params import GroundParams
 
@@ -62,12 +61,12 @@ def interpolate_ground(
         raise NodataError(msg)
     known = np.asarray(values, dtype=np.float32)
     if not ground.all():
-        source, distance = nearest_cells(ground)
+        distance, (rows, cols) = distance_transform_edt(~ground, return_indices=True)
         if nearest:
-            known = known.ravel()[source]
+            known = known[rows, cols]
         else:
             trend = known_trend(known, ground, spec.origin)
-            smooth = trend + _relax((known - trend).ravel()[source], distance)
+            smooth = trend + _relax((known - trend)[rows, cols], distance)
             known = np.where(ground, known, np.clip(smooth, known[ground].min(), known[ground].max()))
     return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
 

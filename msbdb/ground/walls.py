@@ -5,7 +5,7 @@ The progressive filter is sure of some ground. What else is ground follows from 
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -14,7 +14,6 @@ from msbdb.ground.interpolation import interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
 from msbdb.labels import Pairs, chosen_cells, label_zones, minimum_cut, neighbours, sizes, sums
-from msbdb.morphology.distances import nearest_cells
 from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import GroundParams
 
@@ -133,7 +132,8 @@ def _without_hollows(above_trend: Heights, cell_m: float, params: GroundParams) 
             houses += sizes(labels[here][edge & high[there]], count)
     border = np.concatenate([labels[side].ravel() for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])])
     hollows = chosen_cells(labels, few & (houses <= MOST_HOUSES * rim) & (sizes(border, count) == 0))
-    return np.asarray(above_trend.ravel()[nearest_cells(~hollows)[0]])
+    rows, cols = distance_transform_edt(hollows, return_distances=False, return_indices=True)
+    return np.asarray(above_trend[rows, cols])
 
 
 def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:
@@ -216,7 +216,7 @@ def _wells(surface: Grid, ground: Mask, sure: Mask, params: GroundParams) -> Mas
     if not doubtful.any() or not others.any():
         return np.zeros_like(ground)
     terrain = np.asarray(interpolate_ground(surface.values, others, surface.spec).values)
-    most_m = params.height_m + params.slope * surface.spec.cell_m * nearest_cells(others)[1]
+    most_m = params.height_m + params.slope * surface.spec.cell_m * distance_transform_edt(~others)
     rises = np.asarray(surface.values) - terrain - most_m
     return chosen_cells(regions, doubtful & (sums(regions, rises, count) > 0))
 

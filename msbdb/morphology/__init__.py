@@ -5,7 +5,6 @@ The same area filters on the points themselves are in `msbdb.points.pointarea`.
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening
 from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, sums
-from msbdb.morphology.distances import nearest_cells
 from msbdb.morphology.levelzones import label_level_zones
 from msbdb.morphology.profiles import AttributeProfile, build_profile, zone_thresholds
 from msbdb.morphology.scalespace import ScaleSpace, build_scale_space, find_scales, opening_areas
@@ -36,7 +35,6 @@ __all__ = [
     "is_increasing",
     "label_level_zones",
     "merge_small_zones",
-    "nearest_cells",
     "opening_areas",
     "second_order_gradient",
     "sums",

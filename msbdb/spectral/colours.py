@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Bands, Frame, GridSpec
-from msbdb.morphology import nearest_cells
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import cell_of
 from msbdb.threads import in_threads, kernel
@@ -238,17 +238,18 @@ def fill_gaps(values: NDArray[np.float32], measured: Mask, cell_m: float, reach_
 
     Notes
     -----
-    Of cells equally near, the western counts, then the northern (`msbdb.morphology.nearest_cells`).
+    Of cells equally near, the western counts, then the northern: the rule of SciPy's distance transform.
     """
     valid = measured.copy()
     if not measured.any():
         return valid
-    nearest, distance = nearest_cells(measured)
-    filled = np.flatnonzero(~measured & (distance * cell_m <= reach_m))
-    source = nearest.ravel()[filled]
-    for band in values.reshape(len(values), -1):
-        band[filled] = band[source]
-    valid.ravel()[filled] = True
+    nearest = ndimage.distance_transform_edt(~measured, return_distances=False, return_indices=True)
+    gap = np.nonzero(~measured)
+    row, col = (index[gap].astype(np.int64) for index in nearest)
+    reached = np.sqrt((row - gap[0]) ** 2 + (col - gap[1]) ** 2) * cell_m <= reach_m
+    filled = gap[0][reached], gap[1][reached]
+    values[:, *filled] = values[:, row[reached], col[reached]]
+    valid[filled] = True
     return valid
 
 

@@ -95,3 +95,11 @@ def test_an_export_loads_no_frames_maps_or_detectors(town: str, tmp_path: Path, 
     loaded = loaded_by("export", town, str(path))
     assert ("footprint" if ending == "gpkg" else "town") in pyogrio.list_layers(path)[:, 0]
     assert not (DETECTION | (FRAMES - {"pyogrio"}) | ELSEWHERE | {"msbdb.labels", "rich"}) & loaded
+
+
+def test_the_command_runs_as_a_module() -> None:
+    """An interpreter whose scripts are not on the path runs the same command, and names it as ever."""
+    done = subprocess.run(
+        [sys.executable, "-m", "msbdb", "--version"], env=environment(), capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("msbdb, version ")

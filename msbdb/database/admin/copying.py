@@ -243,11 +243,12 @@ def _rows_of(connection: Connection, table: Table) -> int:
 
 
 def _copy_table(reading: Connection, writing: Connection, dialect: Dialect, table: Table, srid: int) -> None:
-    """Copy a table's rows in batches, in the order of its key."""
+    """Copy a table's rows in batches, in the order of its key; parts after their fathers, which SQLite needs."""
     columns = [column for column in table.columns if column.computed is None]
     chosen: list[Any] = [literal_column("ST_AsBinary(geometry)") if c.name == "geometry" else c for c in columns]
     documents = [isinstance(column.type, JSON) for column in columns]
-    query = select(*chosen).select_from(table).order_by(*table.primary_key.columns)
+    fathers_first = [table.c.scale] if "supscale" in table.c else []
+    query = select(*chosen).select_from(table).order_by(*fathers_first, *table.primary_key.columns)
     result = reading.execute(query, execution_options={"yield_per": BATCH})
     names = [column.name for column in columns]
     for rows in result.partitions():

@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -216,10 +217,16 @@ def keys_in_sets(connection: Connection, tables: Sequence[str], run_id: int) -> 
 def insert_rows(
     connection: Connection, table: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]], srid: int
 ) -> None:
-    """Insert rows by one prepared statement."""
+    """Insert rows by one prepared statement, parts after their fathers.
+
+    As long as a reference is open, SQLite looks with each row for all rows that wait for it, through an index that may
+    hold the whole run: the time would grow with the square of the parts.
+    """
     rows = plain_rows(columns)
     if not rows:
         return
+    if "supscale" in columns:
+        rows.sort(key=itemgetter(list(columns).index("scale")))
     values = ", ".join(f"ST_GeomFromWKB(?, {srid})" if name == "geometry" else "?" for name in columns)
     statement = f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({values})"  # noqa: S608  (names are the models')
     connection.exec_driver_sql(statement, rows)

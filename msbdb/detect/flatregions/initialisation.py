@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
-from msbdb.morphology import nearest_cells, window_profile
+from msbdb.morphology import window_profile
 from msbdb.params import FlatRegionParams
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import lowest_heights
@@ -96,7 +97,7 @@ def initialise(points: PointCloud, spec: GridSpec, *, max_gap_m: float = 0.0) ->
         raise NodataError(msg)
     wanted = ~known
     if max_gap_m > 0 and wanted.any():
-        wanted &= nearest_cells(known)[1] <= max(max_gap_m / spec.cell_m, 2.0)
+        wanted &= distance_transform_edt(wanted) <= max(max_gap_m / spec.cell_m, 2.0)
     values = fill_by_idw(lowest, known, wanted)
     return Grid(values.astype(np.float32), known | wanted, spec)
 
