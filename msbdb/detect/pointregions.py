@@ -209,9 +209,7 @@ class PlacedPoints:
         Every label from 1 to ``count`` has a point. Regions that share their first cell are numbered in the order of
         their labels.
         """
-        first = np.full(count + 1, np.iinfo(np.int64).max)
-        np.minimum.at(first, labels, self.place)
-        first = first[1:]
+        first = _first_places(labels, self.place, count)[1:]
         order = np.argsort(first, kind="stable")
         begins = np.diff(first[order], prepend=-1) != 0
         piece = np.empty(count, dtype=np.int64)
@@ -256,6 +254,15 @@ def _labelled_cells(
             found[count], cells[count] = labels[i], cell
             count += 1
     return found[:count].copy(), cells[:count].copy()
+
+
+@kernel
+def _first_places(labels: Labels, place: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Return the least place of each label from 0 on."""
+    found = np.full(count + 1, np.iinfo(np.int64).max)
+    for i in range(labels.size):
+        found[labels[i]] = min(found[labels[i]], place[i])
+    return found
 
 
 class PointLedger(Ledger):

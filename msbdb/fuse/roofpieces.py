@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from msbdb.fuse.roofdirections import RoofDirections
 from msbdb.labels import Labels, around, boxes, label_zones, look_up, sums, widened
+from msbdb.threads import together
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -129,8 +131,9 @@ def cut_pieces(
     has_core[islands[cores > 0]] = True
     # An island without any core is one piece here.
     seeds = np.where(look_up(has_core, islands), cores, islands + count)
-    between = _flooded(relief, seeds, built)
-    below = _flooded(-smooth, label_zones(top)[0], built)
+    between, below = together(
+        partial(_flooded, relief, seeds, built), partial(_flooded, -smooth, label_zones(top)[0], built)
+    )
     both = np.where(built, between.astype(np.int64) * (int(below.max()) + 2) + below + 1, 0)
     return label_zones(both, connectivity=4)[0]
 

@@ -1,5 +1,7 @@
 """A second look at the cells that the detectors decided: roofs are planes, and planes do not end inside of a roof."""
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, median, uniform_filter
@@ -12,6 +14,7 @@ from msbdb.labels import Labels, chosen_cells, label_zones, neighbours, sizes, s
 from msbdb.morphology.windows import dilation
 from msbdb.params import FuseParams
 from msbdb.surface.texture import NO_PLANE_M, grid_samples, scatter
+from msbdb.threads import in_threads
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
@@ -155,15 +158,16 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     labels, count = label_zones(decided)
     bare = heights.valid & (np.asarray(heights.values) < BARE_M) & (roughness_m < NO_PLANE_M)
     side = 2 * round(AROUND_M / cell_m / 2) + 1
-    weight = uniform_filter(bare.astype(np.float64), side, mode="constant")
-    logs = np.where(bare, np.log(np.maximum(roughness_m, LEAST_M).astype(np.float64)), 0.0)
-    mean = uniform_filter(logs, side, mode="constant") / np.maximum(weight, 1 / side**2)
+    logs = np.zeros(bare.shape)
+    logs[bare] = np.log(np.maximum(roughness_m[bare], LEAST_M).astype(np.float64))
+    around = partial(uniform_filter, size=side, mode="constant")
+    weight, log = (found[decided] for found in in_threads(around, (bare.astype(np.float64), logs)))
     # Less than one bare cell in the square leaves what rounding has left.
-    even_m = np.where(weight * side**2 > 0.5, np.exp(mean), 0.0)
+    even_m = np.where(weight * side**2 > 0.5, np.exp(log / np.maximum(weight, 1 / side**2)), 0.0)
     limit_m = np.maximum(params.smooth_m, NOISE * even_m)
+    own, own_m = labels[decided], roughness_m[decided]
     smooth, nearly = (
-        _share_of_known(labels, count, roughness_m <= limit, roughness_m, unknown=1.0)
-        for limit in (limit_m, 2 * limit_m)
+        _share_of_known(own, count, own_m <= limit, own_m, unknown=1.0) for limit in (limit_m, 2 * limit_m)
     )
     rough = chosen_cells(labels, (smooth < HARDLY) & (nearly < MOST))
     return decided & ~(rough & ~_only_noisy(rough, roughness_m, heights))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,7 @@ from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_bends, cut_pieces, mea
 from msbdb.grid import Grid
 from msbdb.labels import Labels, boxes, label_zones, look_up, touching_pairs, widened
 from msbdb.params import TouchingParams
+from msbdb.threads import together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,8 +135,10 @@ def divide(
     if params.divide:
         # A round structure, such as an arena, is one: its tiers and stairs are no houses.
         divisible = built & ~_round(islands, params.round_share)
-        borders = find_roof_borders(smooth, divisible, cell_m=cell_m, spacing_m=spacing_m)
-        directions = find_directions(smooth, np.where(divisible, islands, 0), cell_m=cell_m)
+        borders, directions = together(
+            partial(find_roof_borders, smooth, divisible, cell_m=cell_m, spacing_m=spacing_m),
+            partial(find_directions, smooth, np.where(divisible, islands, 0), cell_m=cell_m),
+        )
         evidence = (borders.step_m, borders.valley_m, borders.wall_m, directions.turn_deg)
         strength = np.maximum.reduce([found / limit for found, limit in zip(evidence[:3], least, strict=False)])
         labels = cut_pieces(smooth, built, strength, cell_m=cell_m, core_m=params.core_m)

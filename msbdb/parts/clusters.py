@@ -258,10 +258,11 @@ def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int, houses:
     -----
     Rows are in order of the scale, and within it of the first cell. Linear in the cells of each scale.
     """
+    # A value and a house in one number: slices have 16 bits.
+    apart = None if houses is None else houses.astype(np.int64) << 16
 
     def label(values: NDArray[Any]) -> tuple[Labels, int, pd.DataFrame]:
-        # A value and a house in one number: slices have 16 bits.
-        zones = values if houses is None else np.where(values > 0, values + (houses.astype(np.int64) << 16), 0)
+        zones = values if apart is None else np.where(values > 0, values + apart, 0)
         labels, count = label_zones(zones, connectivity=connectivity)
         return labels, count, measure(labels, count)
 

@@ -1,6 +1,7 @@
 """The forest of parts: clusters with ids, fathers and attributes, and the ledger (V22 to V26, V33)."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -25,6 +26,7 @@ from msbdb.parts.fakefathers import spread_of_children
 from msbdb.parts.links import NONE, find_roots, link
 from msbdb.parts.spectrum import measure_spectrum, spectral_modes
 from msbdb.tables import PART, REJECTION, validate_parts
+from msbdb.threads import in_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +104,12 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     has_father = father != NONE
     scale = _scale_of(rows["level"], context)
     roots = find_roots(father)
+    work = (
+        partial(_places, clusters, context.ndsm.spec),
+        partial(_heights, clusters, father, context),
+        partial(_spectra, clusters, context),
+    )
+    places, heights, spectra = in_threads(lambda each: each(), work)
     parts = pd.DataFrame(
         {
             "part_id": ids[: len(rows)],
@@ -111,10 +119,10 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
             "building_id": ids[_largest_roots(clusters, father, ids, context)[roots]],
             "scale": scale,
             "hzone": rows["hzone"].to_numpy(),
-            **_places(clusters, context.ndsm.spec),
+            **places,
             "stddis": spread_of_children(clusters, father, context.ndsm.spec.cell_m)["stddis"].to_numpy(),
-            **_heights(clusters, father, context),
-            **_spectra(clusters, context),
+            **heights,
+            **spectra,
             # Until it is outlined, a part is its cells.
             "outline_source": "traced",
         }

@@ -7,7 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import sparse
 
-from msbdb.labels import Labels, label_zones, look_up, measure, renumber
+from msbdb.labels import Labels, label_zones, look_up, measure, renumber, sizes
 from msbdb.parts.adjacency import edges, reaching_in
 from msbdb.parts.clusters import Clusters, Step
 from msbdb.parts.links import NONE, link
@@ -92,9 +92,8 @@ def _blobs(
     if not (vegetation & over).any():
         return np.zeros(0, dtype=np.int32), np.zeros(1, dtype=np.int32)
     labels, count = label_zones(vegetation, connectivity=connectivity)
-    meets = np.zeros(count + 1, dtype=np.bool_)
-    meets[labels[over]] = True
-    labels, count = renumber(labels, meets[1:])
+    meets = sizes(np.where(over, labels, np.int32(0)), count) > 0
+    labels, count = renumber(labels, meets)
     cells = np.flatnonzero(labels != 0).astype(np.int32)
     member = labels.ravel()[cells] - 1
     # Turning a sparse matrix from rows to columns is a counting sort.
@@ -104,9 +103,7 @@ def _blobs(
 
 def _labels_in(objects: Labels, cells: NDArray[np.bool_], count: int) -> NDArray[np.intp]:
     """Return the row numbers of the objects that have some of the cells."""
-    found = np.zeros(count + 1, dtype=np.bool_)
-    found[objects[cells]] = True
-    return np.flatnonzero(found[1:])
+    return np.flatnonzero(sizes(np.where(cells, objects, np.int32(0)), count) > 0)
 
 
 def cut(
@@ -243,9 +240,7 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
             cells = look_up(clusters.flags(own), clusters.labels[origin])
             image[cells] = clusters.labels[origin][cells]
         here = np.flatnonzero(clusters.alive & (target == scale))
-        shown = np.zeros(len(rows) + 1, dtype=np.bool_)
-        shown[image] = True
-        covered.append(here[~shown[here + 1]])
+        covered.append(here[sizes(image, len(rows))[here] == 0])
         images[scale] = image
     for origin in np.unique(level[moved]).tolist():
         gone = clusters.flags(moved[level[moved] == origin])

@@ -154,6 +154,16 @@ def near_cells(chosen: NDArray[np.bool_], index: CellIndex) -> NDArray[np.bool_]
 
 
 @kernel
+def cell_of_each(index: CellIndex) -> NDArray[np.int32]:
+    """Return (N,) the place in ``index.keys`` of each point's cell, in the points' order."""
+    cells = np.empty(index.order.size, dtype=np.int32)
+    for cell in range(index.keys.size):
+        for place in range(index.starts[cell], index.starts[cell + 1]):
+            cells[index.order[place]] = cell
+    return cells
+
+
+@kernel
 def cell_place(index: CellIndex, cell: int) -> tuple[int, int]:
     """Return the row and the column of a cell, given its place in ``index.keys``; for kernels."""
     key = index.keys[cell]

@@ -11,7 +11,8 @@ from scipy.cluster.hierarchy import linkage
 
 from msbdb.errors import InputError
 from msbdb.grid import Bounds, require_metric
-from msbdb.points.cellindex import CellIndex, index_cells
+from msbdb.labels import look_up
+from msbdb.points.cellindex import CellIndex, cell_of_each, index_cells
 from msbdb.surveyplan import PointFacts
 
 UNCLASSIFIED_CLASS, GROUND_CLASS, BUILDING_CLASS = 1, 2, 6
@@ -305,9 +306,7 @@ def _typical_spacing(cells: CellIndex) -> float:
 def _areas(cells: CellIndex) -> NDArray[np.float64]:
     """Share the area of each cell among its points."""
     points = np.diff(cells.starts)
-    area = np.empty(cells.order.size)
-    area[cells.order] = np.repeat(cells.cell_m**2 / points, points)
-    return area
+    return look_up(cells.cell_m**2 / points, cell_of_each(cells))
 
 
 def lone_points(

@@ -232,7 +232,7 @@ def open_close_linked(
     index = index_cells(column(0, every), column(1, every), distance_m * (1 + MARGIN))
     border = near_cells(on, index) & near_cells(~on, index)
     del index, every
-    graph = connect(column(0, border), column(1, border), column(2, border), distance_m, earlier=True)
+    graph = connect(column(0, border), column(1, border), column(2, border), distance_m, once=True)
     rim = np.zeros(on.size, dtype=np.bool_)
     rim[border] = graph.with_neighbours(~on[border])
     return on, rim & on

@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +37,7 @@ from msbdb.surface.gridding import density
 from msbdb.surface.heights import GIVEN_GROUND
 from msbdb.surface.structure import Structure
 from msbdb.surveyplan import Plan, PointFacts, basis_of
+from msbdb.threads import together
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -300,7 +302,9 @@ def decide(drafts: Sequence[Draft], params: Params) -> tuple[Plan, list[Fitted |
         sizes = [cell_sizes(each.surface.ndsm, each.structure.cover, params) for each in drafts]
         scales = scales_of_sizes(np.concatenate(sizes), params.granulometry)
     with_scales = with_values(params, {"scale": {"scales_m2": scales}})
-    fitted = _fit(drafts, with_scales)
+    fitted, (heights_m, ndvi) = together(
+        partial(_fit, drafts, with_scales), lambda: (_heights(drafts, params), _ndvi(drafts, params))
+    )
     model = next((each.model for each in fitted if each is not None), None)
     facts = None if first.cloud is None else first.cloud.facts
     spec = first.surface.ndsm.spec
@@ -311,8 +315,8 @@ def decide(drafts: Sequence[Draft], params: Params) -> tuple[Plan, list[Fitted |
         points=facts,
         ground_filter=first.surface.ground_filter,
         scales_m2=tuple(map(float, scales)),
-        heights_m=_heights(drafts, params),
-        ndvi_threshold=_ndvi(drafts, params),
+        heights_m=heights_m,
+        ndvi_threshold=ndvi,
         classes=None if model is None else model.plan,
         basis=basis_of(as_dict(params)),
     )

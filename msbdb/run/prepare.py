@@ -241,15 +241,14 @@ def make_draft(
 
     A block that is ``sampled`` has no bands where it lies beyond the images.
     """
-    with stages.stage("surface"):
-        surface = make_surface(inputs, cloud, params)
-    spec = surface.ndsm.spec
 
-    def separate() -> Structure:
+    def separate() -> tuple[Surface, Structure]:
+        with stages.stage("surface"):
+            surface = make_surface(inputs, cloud, params)
         with stages.stage("cover"):
-            return cover_from_surface(surface, cloud, params)
+            return surface, cover_from_surface(surface, cloud, params)
 
-    def gather() -> Bands | None:
+    def gather(spec: GridSpec) -> Bands | None:
         with stages.stage("bands"):
             try:
                 ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
@@ -259,8 +258,14 @@ def make_draft(
                     raise
                 return None
 
-    with stages.side_by_side():
-        structure, bands = together(separate, gather)
+    if cloud is None:
+        surface, structure = separate()
+        spec = surface.ndsm.spec
+        bands = gather(spec)
+    else:
+        spec = lattice_of_points(cloud, params)
+        with stages.side_by_side():
+            (surface, structure), bands = together(separate, partial(gather, spec))
     draft, area = Draft.of(surface, structure, bands, cloud, params), inputs.area()
     if area is None:
         return draft
@@ -355,8 +360,7 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
     """
     points_m2 = density(points)
     note_sparse(points_m2, "first echoes")
-    cell_m = params.surface.cell_m or cell_of_points(points, points_m2, params)
-    spec = lattice(points.bounds, cell_m, points.crs)
+    spec = lattice_of_points(points, params)
     aligned = None if given is None else align_grid(given(spec), spec, role="DTM")
     if aligned is None:
         gridding, filtering = partial(grid_surface, points, spec, params), partial(terrain, points, spec, params.ground)
@@ -365,9 +369,15 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
         dsm, samples = grid_surface(points, spec, params)
         dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
     surface_is = "The surface has %d x %d cells of %s m from %.1f points/m2. The ground is by the filter '%s'"
-    logger.info(surface_is, *spec.shape, cell_m, points_m2, name)
+    logger.info(surface_is, *spec.shape, spec.cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
     return surface if given is None else note_offset(surface)
+
+
+def lattice_of_points(points: PointCloud, params: Params) -> GridSpec:
+    """Return the lattice on which a survey from points is built."""
+    cell_m = params.surface.cell_m or cell_of_points(points, density(points), params)
+    return lattice(points.bounds, cell_m, points.crs)
 
 
 def cell_of_points(points: PointCloud, points_m2: float, params: Params) -> float:

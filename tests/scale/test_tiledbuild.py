@@ -105,6 +105,15 @@ def test_tiles_that_see_enough_give_the_content_of_the_whole(files, whole, tmp_p
     assert msbdb.why(db, 389_088.0, 5_821_080.0).building is not None
 
 
+def test_what_two_tiles_claim_is_there_once_with_its_links(files, whole, tmp_path, monkeypatch):
+    """Where windows see a place otherwise, two tiles may claim a building: the first one has it."""
+    every = "msbdb.scale.tileresults.owned_buildings"
+    monkeypatch.setattr(every, lambda _tile, parts: np.unique(parts["building_id"]))
+    db = tmp_path / "town.sqlite"
+    msbdb.build(files, db=db, survey="town", tile=TILE_M)
+    assert without_counts(lines(db)) == without_counts(lines(whole))
+
+
 @pytest.mark.parametrize("order", [reversed, lambda tasks: random.Random(3).sample(tasks, len(tasks))])
 def test_the_order_of_tiles_does_not_matter(files, quick, tmp_path, monkeypatch, order):
     """The dump is the same to the byte."""

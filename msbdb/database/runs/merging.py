@@ -134,6 +134,7 @@ class _Merge:
         """Begin without rows."""
         self.run_id = keys_of(self.head)[1]
         self.seen = dict.fromkeys(ROWS, NOTHING)
+        self.left_out: dict[tuple[tuple[int, int], str], NDArray[np.int64]] = {}
         self.of_method: dict[str, NDArray[np.int64]] = {}
         counted = self.head.frames["rejection_count"]
         names = (counted[name].tolist() for name in ("method", "stage", "reason", "number"))
@@ -154,6 +155,7 @@ class _Merge:
         taken |= {name: frames[name]["building_id"].isin(lost).to_numpy() for name in ("part", "building")}
         for name, key in KEYS.items():
             self.report.twice += int(taken[name].sum())
+            self.left_out[piece.key, name] = frames[name].loc[taken[name], key].to_numpy(np.int64)
             frames[name] = frames[name][~taken[name]].reset_index(drop=True)
             self.seen[name] = np.union1d(self.seen[name], frames[name][key].to_numpy(np.int64))
         for method, rows in frames["candidate_region"].groupby("method"):
@@ -169,11 +171,15 @@ class _Merge:
             self._write(name, columns[name], ids if name == "rejection" else None)
 
     def write_rest(self, piece: Piece) -> None:
-        """Write the links and the rasters of a tile, after the rows of all tiles."""
+        """Write the links and the rasters of a tile, after the rows of all tiles.
+
+        What an earlier tile has comes with that tile's links.
+        """
         frames = {}
         for name, (one, other) in LINKS.items():
             frame = piece.frames[name]
             first, second = frame.columns[:2]
+            frame = frame[~np.isin(frame[first], self.left_out[piece.key, one])]
             known = np.isin(frame[first], self.seen[one]) & np.isin(frame[second], self.seen[other])
             self.report.unlinked += int((~known).sum())
             frames[name] = frame[known].reset_index(drop=True)

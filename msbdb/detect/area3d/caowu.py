@@ -22,7 +22,7 @@ from msbdb.grid import GridSpec
 from msbdb.labels import chosen_cells, sums
 from msbdb.order import order_of_points
 from msbdb.params import Area3dParams, Params
-from msbdb.points.cellindex import index_cells
+from msbdb.points.cellindex import cell_of_each, index_cells
 from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.points.graph import PointGraph, components, connect
 from msbdb.points.pointarea import build_point_scale_space, open_close_linked, open_close_on_sets
@@ -152,10 +152,7 @@ def _canonical_order(
 
     Blocks come first: points near each other in plan lie near each other in memory, for the graph and neighbours.
     """
-    blocks = index_cells(cloud.x, cloud.y, BLOCK_M)
-    block = np.empty(len(cloud), dtype=np.int32)
-    block[blocks.order] = np.repeat(np.arange(blocks.keys.size, dtype=np.int32), np.diff(blocks.starts))
-    del blocks
+    block = cell_of_each(index_cells(cloud.x, cloud.y, BLOCK_M))
     echoes = [values for values in (ndvi, cloud.number_of_returns, cloud.return_number) if values is not None]
     return order_of_points(cloud.x, cloud.y, [cloud.z, heights, *echoes], group=block).astype(np.int32)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from msbdb.grid import cell_along
+from msbdb.labels import look_up
 from msbdb.points.nearest import nearest
 from msbdb.threads import cores, in_threads, kernel
 
@@ -74,15 +75,15 @@ def measure_structure(
     points = points[first]  # if nobody else holds the others, they are freed
     x, y, z = (np.ascontiguousarray(each) for each in points.T)
     around = nearest(x, y, z, neighbours)
-    own = _variation(points, around)
+    own = _variation((x, y, z), around)
     curvature, share = np.empty(len(points)), np.zeros(len(points))
     echoes = None if several is None else several[first]
 
     def spread(start: int) -> None:
         part = slice(start, start + BATCH)
-        curvature[part] = own[around[part]].min(axis=1)
+        curvature[part] = look_up(own, around[part]).min(axis=1)
         if echoes is not None:
-            share[part] = echoes[around[part]].mean(axis=1)
+            share[part] = look_up(echoes, around[part]).mean(axis=1)
 
     in_threads(spread, range(0, len(points), BATCH))
     return PointStructure(curvature[of], share[of])
@@ -128,13 +129,13 @@ def _leaders(cube: NDArray[np.int64], order: NDArray[np.intp]) -> tuple[NDArray[
     return first, of
 
 
-def _variation(points: NDArray[np.float64], around: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return λ3 / (λ1 + λ2 + λ3) of the covariance of each (N, K) set of points."""
+def _variation(places: tuple[NDArray[np.float64], ...], around: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return λ3 / (λ1 + λ2 + λ3) of the covariance of each (N, K) set of points, given as x, y and z."""
     found = np.empty(len(around))
 
     def work(start: int) -> None:
         of = slice(start, start + BATCH)
-        x, y, z = (points[:, axis][around[of]] for axis in range(3))
+        x, y, z = (look_up(axis, around[of]) for axis in places)
         for values in (x, y, z):
             values -= values.mean(axis=1, keepdims=True)
         pairs = ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))
