@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msbdb.errors import ParameterError
 from msbdb.params import DETECTORS, Params, as_dict
 from msbdb.params import profile as named_profile
 from msbdb.run.reports import BuildReport, ClassifyReport, Notices, Progress, Stages
@@ -102,6 +101,7 @@ def build(
         `msbdb.plan` returns, its JSON file, or a database whose survey has one. By default the survey makes its own.
     tile : float, optional
         Build in square tiles of this side, metres: a tile is in memory at a time, whatever the area (docs/scale.md).
+        By default in one piece; with ``workers``, ``scheduler`` or ``resume`` in tiles for 2 GiB of memory each.
     workers : int, optional
         Build the tiles by so many processes of this machine; needs ``msbdb[cluster]``.
     scheduler : str, optional
@@ -131,9 +131,6 @@ def build(
     from msbdb.run.reports import collect_notices
     from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
-    if tile is None and (workers is not None or scheduler is not None or resume):
-        msg = "Workers, a scheduler and --resume are for a build in tiles. Add --tile 1000 for instance."
-        raise ParameterError(msg)
     values = params or named_profile(profile)
     known = read_plan(plan) if isinstance(plan, str | Path) else plan
     if known is not None:
@@ -157,7 +154,7 @@ def build(
     labelled = read_labelled_classes(db, label.name)
     label = dataclasses.replace(label, classes=labelled)
     job = Job(inputs, values, profile, label, methods, denoising_figure, known)
-    if tile is not None:
+    if tile is not None or workers is not None or scheduler is not None or resume:
         from msbdb.database import BuildBasis
         from msbdb.scale.tiledbuild import build_with
 

@@ -16,7 +16,8 @@ _OPTIONS = (
         "--tile",
         type=click.FloatRange(min=0, min_open=True),
         metavar="METRES",
-        help="Build in square tiles of this side, one in memory at a time, whatever the area. [default: one piece]",
+        help="Build in square tiles of this side, one in memory at a time, whatever the area. [default: one piece; "
+        "with --workers, --scheduler or --resume tiles for 2 GiB of memory each]",
     ),
     click.option(
         "--workers",

@@ -46,7 +46,7 @@ from msbdb.run.store import overview_of, refused_areas
 from msbdb.scale.tileresults import Result
 from msbdb.scale.tilesums import sum_up_tiles
 from msbdb.scale.tilework import Outcome, TileTask, one_by_one, result_file
-from msbdb.scale.tiling import HALO_M, Tile, tiles_over
+from msbdb.scale.tiling import HALO_M, Tile, side_for, tiles_over
 from msbdb.surveyplan import Plan
 from msbdb.tables import BUILDING, Reason
 from msbdb.threads import cores
@@ -93,8 +93,8 @@ class TiledBuild:
     build: str
 
     @classmethod
-    def of(cls, job: Job, target: str, side_m: float, stages: Stages) -> "TiledBuild":
-        """Make the plan of a survey where none is given, and cut the survey.
+    def of(cls, job: Job, target: str, side_m: float | None, stages: Stages) -> "TiledBuild":
+        """Make the plan of a survey where none is given, and cut the survey; without a side by its density.
 
         Raises
         ------
@@ -106,6 +106,7 @@ class TiledBuild:
         boxes = _boxes(job)
         plan = make_plan(inputs, job.params, stages) if job.plan is None else job.plan
         interest = inputs.area()
+        side_m = side_m or side_for(1.0 if plan.points is None else plan.points.all_density)
         tiles = tiles_over(boxes, side_m, None if interest is None else interest.shape_in(plan_crs(plan)))
         words = {
             "sources": sorted((source.role, source.sha256) for source in inputs.sources()),
@@ -227,7 +228,7 @@ def _boxes(job: Job) -> tuple[Bounds, ...]:
 def build_with(
     job: Job,
     target: str,
-    side_m: float,
+    side_m: float | None,
     stages: Stages,
     notices: Notices,
     *,
@@ -250,7 +251,7 @@ def build_with(
 def build_tiles(
     job: Job,
     target: str,
-    side_m: float,
+    side_m: float | None,
     stages: Stages,
     notices: Notices,
     *,
@@ -266,8 +267,8 @@ def build_tiles(
         What to do.
     target : str
         Path or URL of the database.
-    side_m : float
-        Side of a tile, metres.
+    side_m : float, optional
+        Side of a tile, metres; by default that of `msbdb.scale.tiling.side_for`.
     stages : Stages
         For timings and progress.
     notices : Notices

@@ -25,6 +25,15 @@ STEP_M = 50.0
 LEAST_TILE_M = 50.0
 """Ours: smaller tiles would be halo for the most part."""
 
+SEEN_POINTS = 10_000_000
+"""Ours: so many points of a window take 2 GiB of memory (docs/scale.md)."""
+
+ECHOES = 1.3
+"""Ours: echoes a pulse, in towns with trees."""
+
+SIDES_M = (200.0, 2000.0)
+"""Ours: least and largest side that is chosen; larger tiles hardly save halo."""
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Tile:
@@ -68,6 +77,19 @@ class Tile:
     def __str__(self) -> str:
         """Return its row and column."""
         return f"{self.row},{self.column}"
+
+
+def side_for(density: float) -> float:
+    """Return the side of tiles whose windows take 2 GiB of memory, metres, by the first echoes a square metre.
+
+    Examples
+    --------
+    >>> [side_for(density) for density in (1.0, 8.0, 20.0, 66.0)]
+    [2000.0, 750.0, 400.0, 200.0]
+    """
+    window_m = math.sqrt(SEEN_POINTS / (ECHOES * density))
+    least, most = SIDES_M
+    return min(max((window_m - 2 * HALO_M) // STEP_M * STEP_M, least), most)
 
 
 def tiles_over(boxes: Sequence[Bounds], side_m: float, within: shapely.Geometry | None = None) -> tuple[Tile, ...]:

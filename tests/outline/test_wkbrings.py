@@ -98,6 +98,29 @@ def test_the_normal_form_is_that_of_geos(shapes):
     assert normal_form(own) == b"".join(expected)
 
 
+def repeated(shape: shapely.Geometry, random: np.random.Generator) -> shapely.Geometry:
+    """Return a shape some vertices of which are there twice, the first and last ones too."""
+
+    def twice(ring: shapely.LinearRing) -> list[tuple[float, float]]:
+        return [place for place in ring.coords for _ in range(random.integers(1, 3))]
+
+    parts = [
+        shapely.Polygon(twice(part.exterior), [twice(hole) for hole in part.interiors])
+        for part in shapely.get_parts(shape)
+    ]
+    return shapely.MultiPolygon(parts)
+
+
+@given(st.lists(areas(), min_size=1, max_size=6), st.integers(0, 2**32 - 1))
+def test_the_normal_form_of_repeated_vertices_is_that_of_geos(shapes, seed):
+    """GEOS leaves some of them out, between shapes that keep their length."""
+    random = np.random.default_rng(seed)
+    valid = [shape for shape in shapes if shapely.is_valid(shape)]
+    own = wkb([repeated(shape, random) if random.random() < 0.5 else shape for shape in valid])
+    expected = shapely.to_wkb(shapely.normalize(shapely.from_wkb(own)), byte_order=1)
+    assert normal_form(own) == b"".join(expected)
+
+
 def test_points_are_in_normal_form():
     """Their bytes stay."""
     points = shapely.to_wkb(shapely.points([[1.5, 2.0], [-3.0, 4.0]]), byte_order=1)

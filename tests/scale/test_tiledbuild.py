@@ -105,6 +105,15 @@ def test_tiles_that_see_enough_give_the_content_of_the_whole(files, whole, tmp_p
     assert msbdb.why(db, 389_088.0, 5_821_080.0).building is not None
 
 
+def test_a_build_in_tiles_finds_their_size_by_itself(files, whole, tmp_path):
+    """Resumed or given to workers, a survey is cut so that a window takes 2 GiB: the small town into one tile."""
+    db = tmp_path / "town.sqlite"
+    msbdb.build(files, db=db, survey="town", resume=True)
+    [tile] = msbdb.tiles(db)
+    assert tile.east - tile.west == 2000
+    assert without_counts(lines(db)) == without_counts(lines(whole))
+
+
 def test_what_two_tiles_claim_is_there_once_with_its_links(files, whole, tmp_path, monkeypatch):
     """Where windows see a place otherwise, two tiles may claim a building: the first one has it."""
     every = "msbdb.scale.tileresults.owned_buildings"
@@ -363,8 +372,6 @@ def test_classes_of_a_survey_in_tiles_are_labelled_again(quick, tmp_path):
     [
         ({"tile": 20}, ParameterError, "at least 50 m"),
         ({"tile": 60, "denoising_figure": "figure.png"}, InputError, "does not take a picture"),
-        ({"workers": 2}, ParameterError, "Add --tile"),
-        ({"resume": True}, ParameterError, "Add --tile"),
     ],
 )
 def test_what_cannot_be_cut_is_refused(files, tmp_path, given, error, words):

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, TableError
 from msbdb.kept import KeptRun
-from msbdb.outline.wkbrings import are_valid, as_multipolygons
 from msbdb.params import DETECTORS, POINT_DETECTORS
 from msbdb.tables import (
     BUILDING,
@@ -145,6 +144,8 @@ def _check_geometries(frames: "dict[str, pd.DataFrame]") -> dict[str, NDArray[np
 
 def _as_wkb(shapes: NDArray[np.object_]) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
     """Return geometries as the database keeps them, and which are valid."""
+    from msbdb.outline.wkbrings import are_valid, as_multipolygons  # numba takes long to load
+
     wkb = as_multipolygons(shapely.to_wkb(shapes, byte_order=1))
     return wkb, are_valid(wkb)
 

@@ -28,7 +28,6 @@ from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects.dialect import Dialect
 from msbdb.database.runs.mosaics import Mosaic
-from msbdb.database.runs.normalform import normal_form
 from msbdb.database.schema.sqltables import SQL
 from msbdb.identity import exact_json, plain, text_id, to_json
 from msbdb.surveyplan import Plan
@@ -214,8 +213,11 @@ def portable(values: NDArray[Any]) -> NDArray[Any]:
 def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
     """Return a column's content as bytes; equal columns give equal bytes."""
     if name == "geometry":
-        is_wkb = values.size and isinstance(values[0], bytes)
-        return normal_form(values if is_wkb else shapely.to_wkb(values, byte_order=1))
+        if not values.size or not isinstance(values[0], bytes):
+            return b"".join(shapely.to_wkb(shapely.normalize(values), byte_order=1))
+        from msbdb.database.runs.normalform import normal_form  # numba takes long to load
+
+        return normal_form(values)
     if values.dtype.kind in "if":
         return portable(values).tobytes()
     words = values.tolist()

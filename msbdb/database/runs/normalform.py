@@ -41,10 +41,18 @@ def normal_form(wkb: NDArray[np.object_]) -> bytes:
     data, begins = joined(wkb)
     rings, vertices = rings_of(data, begins)
     normal, sure = _normal(data, begins, vertices, rings)
+    # GEOS leaves out vertices that are repeated at the end of a ring, so that what it writes may be shorter.
+    pieces, written = [], 0
     for g in np.flatnonzero(~sure).tolist():
-        own = shapely.to_wkb(shapely.normalize(shapely.from_wkb(wkb[g])), byte_order=1)
-        normal[begins[g] : begins[g + 1]] = np.frombuffer(own, dtype=np.uint8)
-    return normal.tobytes()
+        pieces += [normal[written : begins[g]].tobytes(), _by_geos(wkb[g])]
+        written = begins[g + 1]
+    return b"".join([*pieces, normal[written:].tobytes()])
+
+
+def _by_geos(wkb: bytes) -> bytes:
+    """Return the normal form of one geometry."""
+    found: bytes = shapely.to_wkb(shapely.normalize(shapely.from_wkb(wkb)), byte_order=1)
+    return found
 
 
 @kernel
