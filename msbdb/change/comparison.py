@@ -14,13 +14,13 @@ from msbdb.change.differences import (
     AGREEMENT_M,
     Epochs,
     Links,
-    Mask,
     Offset,
     earlier_heights,
     estimate_offset,
     find_pieces,
     moved,
 )
+from msbdb.change.thickness import Mask
 from msbdb.detect.scene import Elevations
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid, GridSpec

@@ -8,7 +8,8 @@ import pandas as pd
 import shapely
 from scipy.ndimage import distance_transform_edt
 
-from msbdb.change.differences import Epochs, Links, Offset, Pieces, core, thick, without_slivers
+from msbdb.change.differences import Epochs, Links, Offset, Pieces
+from msbdb.change.thickness import core, thick, without_slivers
 from msbdb.grid import GridSpec
 from msbdb.labels import Box, Labels, boxes, sizes
 from msbdb.outline.polygons import polygonise

@@ -10,10 +10,11 @@ from pyproj import CRS
 from shapely import box
 from shapely.affinity import translate
 
-from msbdb.change import differences
+from msbdb.change import thickness
 from msbdb.change.comparison import Comparison, compare, measure_roofs
 from msbdb.change.decisions import BEYOND_BORDER, KINDS, NO_FOOTPRINT, STOOD_BEFORE
-from msbdb.change.differences import Offset, earlier_heights, estimate_offset, opened_and_dilated, without_slivers
+from msbdb.change.differences import Offset, earlier_heights, estimate_offset
+from msbdb.change.thickness import opened_and_dilated, without_slivers
 from msbdb.detect.scene import Elevations
 from msbdb.errors import PassingNotice
 from msbdb.fuse.roofheights import measure_heights
@@ -482,7 +483,7 @@ def test_bands_with_their_halo_give_what_the_whole_gives(seed: int, reach: float
     mask = np.kron(coarse, np.ones((5, 4), dtype=np.bool_)) ^ (random.random((60, 40)) < 0.02 * random.random())
     whole = opened_and_dilated(mask, reach)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(differences, "BAND_CELLS", rows * mask.shape[1])
+        patched.setattr(thickness, "BAND_CELLS", rows * mask.shape[1])
         np.testing.assert_array_equal(opened_and_dilated(mask, reach), whole)
 
 
@@ -494,7 +495,7 @@ def test_a_halo_with_a_row_less_does_not_do(monkeypatch: pytest.MonkeyPatch) -> 
     mask[below, 20] = True
     assert opened_and_dilated(mask, reach)[below, 20]
     mask[20 - reach, 20] = False
-    monkeypatch.setattr(differences, "BAND_CELLS", below * mask.shape[1])
+    monkeypatch.setattr(thickness, "BAND_CELLS", below * mask.shape[1])
     assert not opened_and_dilated(mask, reach, 3 * reach).any()
     assert opened_and_dilated(mask, reach, 3 * reach - 1)[below, 20]
 
@@ -507,7 +508,7 @@ def test_heights_are_sampled_in_bands_as_at_once(monkeypatch: pytest.MonkeyPatch
         np.where(np.arange(SPEC.shape[1]) < 150, first.values, 0), first.valid & (np.arange(SPEC.shape[1]) < 150), SPEC
     )
     whole = earlier_heights([half, other], SPEC, offset)
-    monkeypatch.setattr(differences, "BAND_CELLS", 7 * SPEC.shape[1])
+    monkeypatch.setattr(thickness, "BAND_CELLS", 7 * SPEC.shape[1])
     found = earlier_heights([half, other], SPEC, offset)
     np.testing.assert_array_equal(found.values, whole.values)
     np.testing.assert_array_equal(found.valid, whole.valid)
