@@ -53,7 +53,7 @@ class Offset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Epochs:
-    """Both sides of a comparison on the lattice of the later survey, the inventory shifted onto it.
+    """Both sides of a comparison in a window of the later survey, the inventory shifted onto its lattice.
 
     Parameters
     ----------
@@ -61,6 +61,8 @@ class Epochs:
         Footprints: 0 for none, otherwise row number + 1 of the frame.
     surveyed : (H, W) ndarray of bool
         Where the later survey has heights, within the area of interest.
+    whole : GridSpec
+        The lattice of the survey, of which all others here are a window.
     rise : Grid
         Height above ground now less that of before, without the vertical offset, metres; invalid where the earlier one
         is not known.
@@ -71,6 +73,7 @@ class Epochs:
     before: Labels
     after: Labels
     surveyed: Mask
+    whole: GridSpec
     rise: Grid
     heights: Grid
     earlier: Grid
@@ -166,9 +169,11 @@ def _aligned(before: Shapes, after: Shapes, start: tuple[float, float]) -> tuple
 
 def _agreed(rise: NDArray[np.float64], least_pairs: int) -> float:
     """Return the median of the largest group of like differences, of equal groups the lowest; 0 for a small group."""
-    near = np.abs(rise[:, None] - rise[None, :]) <= AGREEMENT_M
-    first = np.lexsort((np.abs(rise), -near.sum(axis=1)))[0]
-    count = int(near[first].sum())
+    ordered = np.sort(rise)
+    alike = np.searchsorted(ordered, rise + AGREEMENT_M, "right") - np.searchsorted(ordered, rise - AGREEMENT_M, "left")
+    middle = rise[np.lexsort((np.abs(rise), -alike))[0]]
+    near = np.abs(rise - middle) <= AGREEMENT_M
+    count = int(near.sum())
     if count < least_pairs and 2 * count < len(rise):
         msg = (
             f"The heights of the survey and of the inventory agree on no offset: of {len(rise)} buildings that are "
@@ -176,7 +181,7 @@ def _agreed(rise: NDArray[np.float64], least_pairs: int) -> float:
         )
         give_notice(msg, PassingNotice)
         return 0.0
-    return float(np.median(rise[near[first]]))
+    return float(np.median(rise[near]))
 
 
 def _like(before: NDArray[np.object_], after: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.int64]:
@@ -308,7 +313,7 @@ class Links:
 
     @property
     def spec(self) -> GridSpec:
-        """The survey's lattice."""
+        """The window's lattice."""
         return self.epochs.rise.spec
 
     def is_surveyed(self, i: int) -> bool:
@@ -318,7 +323,7 @@ class Links:
         """
         shape = self.shifted[i - 1]
         seen = self.seen[i - 1] * self.spec.cell_area_m2
-        is_cut = not shapely.box(*self.spec.bounds).contains(shape)
+        is_cut = not shapely.box(*self.epochs.whole.bounds).contains(shape)
         return bool(seen >= self.params.surveyed_share * shape.area > 0 or (is_cut and seen >= self.params.least_m2))
 
     def _linked(self) -> dict[int, list[int]]:

@@ -1,19 +1,25 @@
 """What a survey did to the buildings: every kind of change on small towns, and none where nothing changed."""
 
+import itertools
+from collections.abc import Sequence
+
 import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from geopandas.testing import assert_geodataframe_equal
 from hypothesis import given
 from hypothesis import strategies as st
+from pandas.testing import assert_frame_equal
 from pyproj import CRS
 from shapely import box
 from shapely.affinity import translate
 
-from msbdb.change import thickness
-from msbdb.change.comparison import Comparison, compare, measure_roofs
+from msbdb.change import comparison, thickness
+from msbdb.change.comparison import Comparison, measure_roofs
 from msbdb.change.decisions import BEYOND_BORDER, KINDS, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.change.differences import Offset, earlier_heights, estimate_offset
+from msbdb.change.surveywindows import Heights
 from msbdb.change.thickness import opened_and_dilated, without_slivers
 from msbdb.detect.scene import Elevations
 from msbdb.errors import PassingNotice
@@ -46,6 +52,26 @@ def ground(houses: list[House], dx: float = 0.0) -> Grid:
     labels = rasterise([translate(shape, dx) for shape in frame.geometry], SPEC)
     heights = np.concatenate([[0.0], frame["h_p90"].to_numpy()])
     return Grid(heights[labels].astype(np.float32), np.ones(SPEC.shape, dtype=np.bool_), SPEC)
+
+
+def compare(
+    before: gpd.GeoDataFrame,
+    after: gpd.GeoDataFrame,
+    *,
+    heights: Grid,
+    earlier: Sequence[Grid] = (),
+    levels: Grid | None = None,
+    earlier_levels: Sequence[Grid | None] = (),
+    **options: object,
+) -> Comparison:
+    """Compare two towns in one window, and again in small ones, with the same result."""
+    options["survey"] = Heights(heights, levels)
+    options["earlier"] = [Heights(*both) for both in itertools.zip_longest(earlier, earlier_levels)]
+    whole, part = (comparison.compare(before, after, **options, window_cells=side) for side in (10_000, 30))
+    assert repr(whole.offset) == repr(part.offset)
+    assert_frame_equal(whole.changes, part.changes)
+    assert_geodataframe_equal(whole.versions, part.versions)
+    return whole
 
 
 def compared(before: list[House], after: list[House], **options: object) -> Comparison:
@@ -175,9 +201,7 @@ def test_the_first_survey_of_a_place_brings_new_buildings() -> None:
 
 def test_buildings_outside_of_the_survey_have_no_row() -> None:
     """Neither demolished nor unchanged: they were not surveyed."""
-    east = np.zeros(SPEC.shape, dtype=np.bool_)
-    east[:, 200:] = True
-    found = compared(ROW, [], surveyed=east)
+    found = compared(ROW, [], area=box(WEST + 100, SOUTH, WEST + 200, SOUTH + 120))
     assert found.changes["before"].tolist() == [5, 6, 7]
     assert set(found.changes["kind"]) <= {"unchanged", "demolished"}
 
