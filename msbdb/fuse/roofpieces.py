@@ -3,15 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from msbdb.fuse.roofdirections import RoofDirections
-from msbdb.labels import Labels, around, boxes, label_zones, look_up, sums, widened
-from msbdb.threads import together
+from msbdb.labels import Box, Labels, around, boxes, label_zones, sums, widened
+from msbdb.threads import in_threads
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -117,26 +116,25 @@ def cut_pieces(
     .. [1] Beucher, S., Meyer, F., 1993. The morphological approach to segmentation: the watershed transformation.
        Mathematical Morphology in Image Processing, 433-481.
     """
-    islands, island_count = label_zones(built)
-    core, top = np.zeros_like(built), np.zeros_like(built)
-    relief, smooth = np.zeros_like(heights), np.zeros_like(heights)
+    islands, _ = label_zones(built)
     margin = math.ceil(TRUNCATE * SMOOTH_M / cell_m) + 1
-    for number, window in boxes(islands).items():
+    found = np.zeros(built.shape, dtype=np.int64)
+
+    def cut(island: tuple[int, Box]) -> None:
+        number, window = island
         near = widened(window, margin)
         own = islands[near] == number
-        found = _marks(heights[near], built[near], strength[near], cell_m=cell_m, core_m=core_m)
-        for whole, part in zip((core, top, relief, smooth), found, strict=True):
-            whole[near][own] = part[own]
-    cores, count = label_zones(core)
-    has_core = np.zeros(island_count + 1, dtype=np.bool_)
-    has_core[islands[cores > 0]] = True
-    # An island without any core is one piece here.
-    seeds = np.where(look_up(has_core, islands), cores, islands + count)
-    between, below = together(
-        partial(_flooded, relief, seeds, built), partial(_flooded, -smooth, label_zones(top)[0], built)
-    )
-    both = np.where(built, between.astype(np.int64) * (int(below.max()) + 2) + below + 1, 0)
-    return label_zones(both, connectivity=4)[0]
+        core, top, relief, smooth = _marks(heights[near], built[near], strength[near], cell_m=cell_m, core_m=core_m)
+        # An island without any core is one piece here.
+        seeds = core & own if (core & own).any() else own
+        between, below = (
+            _flooded(each, label_zones(of & own)[0], own) for each, of in ((relief, seeds), (-smooth, top))
+        )
+        # No cell is of two islands, so threads never write to the same place.
+        found[near][own] = (between.astype(np.int64) * (int(below.max()) + 1) + below)[own]
+
+    in_threads(cut, boxes(islands).items())
+    return label_zones(found, connectivity=4)[0]
 
 
 def cut_bends(labels: Labels, turn_deg: NDArray[np.float32], least_deg: float) -> Labels:
