@@ -97,12 +97,12 @@ def linked(
 
 
 def near_others(x: Floats, y: Floats, z: Floats, distance_m: float, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which points are nearer than a distance to a point of the other kind, chosen or not, (N,) booleans.
+    """Return which of the chosen points are nearer than a distance to one that is not chosen, (N,) booleans.
 
     Examples
     --------
     >>> near_others(np.array([0.0, 1.0, 2.5, 9.0]), np.zeros(4), np.zeros(4), 2.0, np.array([True, False, True, True]))
-    array([ True,  True,  True, False])
+    array([ True, False,  True, False])
     """
     index = index_cells(x, y, distance_m * (1 + MARGIN))
     found = np.zeros(x.size, dtype=np.bool_)
@@ -122,23 +122,28 @@ def near_others(x: Floats, y: Floats, z: Floats, distance_m: float, chosen: NDAr
 def _look_beside(
     search: _LinkSearch, part: tuple[int, int], chosen: NDArray[np.bool_], found: NDArray[np.bool_]
 ) -> None:
-    """Mark the points of a range of cells that have one of the other kind near; these come as the coordinates do."""
+    """Mark the chosen points of a range of cells that have others near; ``chosen`` comes as the coordinates do."""
     index, begin, x, y, z, limit_m2 = search
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
         strips = [strip(index, other, col - 1, col + 1) for other in range(row - 1, row + 2)]
-        for place in range(index.starts[cell], index.starts[cell + 1]):
-            point = place - begin
+        some = False
+        for first, stop in strips:
+            for other in range(first - begin, stop - begin):
+                some = some or not chosen[other]
+        if not some:
+            continue
+        for point in range(index.starts[cell] - begin, index.starts[cell + 1] - begin):
+            near = not chosen[point]
             for first, stop in strips:
                 for other in range(first - begin, stop - begin):
-                    if chosen[other] == chosen[point]:
+                    if near:
+                        break
+                    if chosen[other]:
                         continue
                     dx, dy, dz = x[other] - x[point], y[other] - y[point], z[other] - z[point]
-                    if dx * dx + dy * dy + dz * dz < limit_m2:
-                        found[index.order[place]] = True
-                        break
-                if found[index.order[place]]:
-                    break
+                    near = dx * dx + dy * dy + dz * dz < limit_m2
+            found[index.order[begin + point]] = near and chosen[point]
 
 
 @kernel
@@ -159,6 +164,8 @@ def _join(search: _LinkSearch, part: tuple[int, int], node: NDArray[np.int32]) -
             east, north, up = x[point - begin], y[point - begin], z[point - begin]
             for first, stop in (own, below):
                 for other in range(first, min(stop, point)):
+                    if node[other] == root:  # joined already
+                        continue
                     dx, dy, dz = x[other - begin] - east, y[other - begin] - north, z[other - begin] - up
                     if dx * dx + dy * dy + dz * dz >= limit_m2:
                         continue

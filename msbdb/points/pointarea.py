@@ -226,7 +226,7 @@ def open_close_linked(
 
     x, y, z = points
     on = ~large(~large(on))
-    return on, on & near_others(x, y, z, distance_m, on)
+    return on, near_others(x, y, z, distance_m, on)
 
 
 def _large(
