@@ -250,6 +250,10 @@ class Grid:
         """Return other values on the same lattice, with the same validity unless another is given."""
         return Grid(values, self.valid if valid is None else valid, self.spec)
 
+    def crop(self, rows: slice, cols: slice) -> "Grid":
+        """Return the part within two slices of non-negative start and stop."""
+        return Grid(self.values[rows, cols], self.valid[rows, cols], self.spec.crop(rows, cols))
+
 
 def require_metric(crs: CRS) -> None:
     """Refuse a CRS that is not projected with metres on both axes.

@@ -1,5 +1,7 @@
 """Comparison of a survey with the inventory: what happened to each building, and the new states."""
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,18 +11,19 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
+from msbdb.change.decided import joined
 from msbdb.change.decisions import Decisions
 from msbdb.change.differences import (
     AGREEMENT_M,
     Epochs,
     Links,
-    Mask,
     Offset,
     earlier_heights,
     estimate_offset,
     find_pieces,
     moved,
 )
+from msbdb.change.surveywindows import WINDOW_CELLS, Ground, Heights, islands, read_around, windows
 from msbdb.detect.scene import Elevations
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.grid import Grid, GridSpec
@@ -32,7 +35,7 @@ from msbdb.tables import HEIGHTS
 Rise = NDArray[np.float32]
 
 ENOUGH_CELLS = 1_000_000
-"""An even choice of this many cells gives the vertical offset of two surveys; more add nothing but time."""
+"""About as many cells, evenly chosen, give the vertical offset of two surveys; more add nothing but time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,12 +71,11 @@ def compare(
     before: gpd.GeoDataFrame,
     after: gpd.GeoDataFrame,
     *,
-    heights: Grid,
-    earlier: Sequence[Grid] = (),
-    levels: Grid | None = None,
-    earlier_levels: Sequence[Grid | None] = (),
-    surveyed: Mask | None = None,
+    survey: Ground,
+    earlier: Sequence[Ground] = (),
+    area: shapely.Geometry | None = None,
     params: ChangeParams | None = None,
+    window_cells: int = WINDOW_CELLS,
 ) -> Comparison:
     """Compare the buildings of a survey with those of the inventory.
 
@@ -83,19 +85,17 @@ def compare(
         Current buildings of the inventory that may lie in the survey, with ``h_p90`` (NaN where unknown).
     after : GeoDataFrame
         Buildings of the survey, with ``h_p90``.
-    heights : Grid
-        Heights above ground of the survey, metres.
-    earlier : sequence of Grid
-        Heights above ground that the inventory has of the place, the latest first; none where it began from
+    survey : Ground
+        Heights above ground of the survey, and above sea where its terrain is known.
+    earlier : sequence of Ground
+        The same of the surveys that the inventory has of the place, the latest first; none where it began from
         footprints alone.
-    levels : Grid, optional
-        Levels of the survey above sea, metres, on the lattice of ``heights``; None where its terrain is not known.
-    earlier_levels : sequence of Grid or None, optional
-        The same of each of ``earlier``; by default none is known.
-    surveyed : (H, W) ndarray of bool, optional
-        The area of interest on the survey's lattice; all of it by default.
+    area : Polygon or MultiPolygon, optional
+        The area of interest, in the survey's CRS; all of it by default.
     params : ChangeParams, optional
         Thresholds of change.
+    window_cells : int
+        Side of the windows, cells. The result does not depend on it.
 
     Returns
     -------
@@ -110,54 +110,104 @@ def compare(
 
     A roof rose or sank where its level above sea changed. The ground beneath a block is interpolated, so
     two surveys differ there although nothing changed. Heights above ground decide where a level is not known.
+
+    Nothing depends on footprints farther off than the thickness that counts and two cells. So footprints that are
+    nearer to each other, of both sides, are an island, and each island is compared as a whole in one window. A window
+    holds the heights, not the survey. The offsets between both surveys are those of the whole.
     """
     params = params or ChangeParams()
     offset = estimate_offset(before, after, least_pairs=params.offset_pairs)
-    spec = heights.spec
-    known = earlier_heights(earlier, spec, offset)
-    rise = np.asarray(heights.values, dtype=np.float32) - np.asarray(known.values)
-    rise -= np.float32(offset.dz_m)
-    if levels is not None:
-        known_levels = [*earlier_levels, *[None] * (len(earlier) - len(earlier_levels))]
-        _put_level_rise(rise, levels, earlier, known_levels, offset)
-    inside = heights.valid if surveyed is None else heights.valid & surveyed
+    zeros = _zeros(survey, earlier, offset, window_cells)
     shifted = moved(before.geometry.to_numpy(), offset.dx_m, offset.dy_m)
-    epochs = Epochs(
-        _painted(shifted, spec),
-        _painted(after.geometry.to_numpy(), spec),
-        inside,
-        Grid(rise, known.valid & heights.valid, spec),
-        heights,
-        known,
-    )
-    links = Links(before, after, shifted, epochs, find_pieces(epochs, params), params)
-    decisions = Decisions(links, offset)
-    decisions.decide()
-    return Comparison(offset, decisions.changes(), decisions.new_versions())
+    shapes = np.concatenate([shifted, after.geometry.to_numpy()])
+    cell_m = survey.spec.cell_m
+    island = islands(shapes, params.thickness_m + 2 * cell_m)
+    found = []
+    for rows, box in windows(shapes, island, survey.spec, around_m=2 * cell_m, side=window_cells):
+        one, other = rows[rows < len(before)], rows[rows >= len(before)] - len(before)
+        here, known = survey.read(*box), [_beneath(ground, survey.spec.crop(*box), offset) for ground in earlier]
+        inside = here.above_ground.valid
+        if area is not None:
+            inside = inside & (rasterise([area], here.spec) > 0)
+        rise, earlier_here = _rise(here, known, zeros, offset)
+        epochs = Epochs(
+            _painted(shifted[one], here.spec),
+            _painted(shapes[rows[rows >= len(before)]], here.spec),
+            inside,
+            survey.spec,
+            rise,
+            here.above_ground,
+            earlier_here,
+        )
+        links = Links(before.iloc[one], after.iloc[other], shifted[one], epochs, find_pieces(epochs, params), params)
+        found.append(Decisions(links, offset, one, other, (box[0].start, box[1].start)).decide())
+    return Comparison(offset, *joined(found, after.crs))
 
 
-def _put_level_rise(
-    rise: Rise, levels: Grid, earlier: Sequence[Grid], earlier_levels: Sequence[Grid | None], offset: Offset
-) -> None:
-    """Put the change of level into the given rise above ground, in each cell with an earlier level.
+def _beneath(ground: Ground, spec: GridSpec, offset: Offset) -> Heights | None:
+    """Return the window of an earlier survey that lies beneath a lattice of the survey; None beside it."""
+    x, y = spec.centres()
+    place = np.array([x[0], y[-1, 0], x[-1], y[0, 0]]) - (offset.dx_m, offset.dy_m) * 2
+    return read_around(ground, tuple(place.tolist()))
+
+
+def _rise(
+    here: Heights, earlier: Sequence[Heights | None], zeros: Sequence[np.float32 | None], offset: Offset
+) -> tuple[Grid, Grid]:
+    """Return what rose in a window, and the earlier heights above ground.
+
+    The rise is the change of level in each cell with an earlier level, and else that of the height above ground.
+    """
+    spec, valid = here.spec, here.above_ground.valid
+    there = [(known, zero) for known, zero in zip(earlier, zeros, strict=True) if known is not None]
+    earlier_here = earlier_heights([known.above_ground for known, _ in there], spec, offset)
+    rise = np.asarray(here.above_ground.values, dtype=np.float32) - np.asarray(earlier_here.values)
+    rise -= np.float32(offset.dz_m)
+    if here.above_sea is not None:
+        left = here.above_sea.valid.copy()
+        for known, zero in there:
+            before = earlier_heights([known.above_ground if known.above_sea is None else known.above_sea], spec, offset)
+            if zero is not None:
+                change = np.asarray(here.above_sea.values) - np.asarray(before.values)
+                change -= zero
+                np.copyto(rise, change, where=here.above_sea.valid & before.valid & left)
+            left &= ~before.valid
+    return Grid(rise, earlier_here.valid & valid, spec), earlier_here
+
+
+def _zeros(survey: Ground, earlier: Sequence[Ground], offset: Offset, window_cells: int) -> list[np.float32 | None]:
+    """Return the vertical offset of the survey's levels to those of each earlier one; None where one has no levels.
 
     Two surveys may count their levels from different zeros. Their vertical offset is the change on which most cells
-    agree, streets included.
+    agree, streets included. Every n-th row and column of the whole survey is looked at.
     """
-    left = levels.valid.copy()
-    for heights, known in zip(earlier, earlier_levels, strict=True):
-        before = earlier_heights([heights if known is None else known], levels.spec, offset)
-        both = levels.valid & before.valid
-        if known is not None and both.any():
-            change = np.asarray(levels.values) - np.asarray(before.values)
-            change -= _agreed(change[both])
-            np.copyto(rise, change, where=both & left)
-        left &= ~before.valid
+    spec = survey.spec
+    step = math.ceil(math.sqrt(spec.shape[0] * spec.shape[1] / ENOUGH_CELLS))
+    changes: list[list[Rise]] = [[] for _ in earlier]
+    for top, left in itertools.product(*(range(0, size, window_cells) for size in spec.shape)):
+        box = slice(top, min(top + window_cells, spec.shape[0])), slice(left, min(left + window_cells, spec.shape[1]))
+        levels = survey.read(*box).above_sea
+        if levels is None:
+            break
+        some = slice(-top % step, None, step), slice(-left % step, None, step)
+        x, y = levels.spec.centres()
+        places = x[some[1]] - offset.dx_m, y[some[0]] - offset.dy_m
+        for ground, found in zip(earlier, changes, strict=True):
+            beneath = _beneath(ground, levels.spec, offset)
+            if beneath is not None and beneath.above_sea is not None:
+                known = beneath.above_sea
+                both = levels.valid[some] & known.spec.sample(known.valid, *places, outside=False)
+                change = np.asarray(levels.values)[some] - known.spec.sample(
+                    np.asarray(known.values), *places, outside=0
+                )
+                found.append(change[both])
+    every = [np.concatenate([np.zeros(0, dtype=np.float32), *found]) for found in changes]
+    return [_agreed(change) if len(change) else None for change in every]
 
 
 def _agreed(change: Rise) -> np.float32:
     """Return the median of the largest group of changes that lie close together, of equal groups the lowest."""
-    ordered = np.sort(change[:: -(-len(change) // ENOUGH_CELLS)])
+    ordered = np.sort(change)
     ends = np.searchsorted(ordered, ordered + np.float32(2 * AGREEMENT_M), side="right")
     first = int(np.argmax(ends - np.arange(len(ordered))))
     return np.float32(np.median(ordered[first : ends[first]]))
@@ -229,7 +279,7 @@ def measure_roofs(
     rows, cols = _box(shape, heights.spec, params.heights.far_ring_m)
     if rows.stop <= rows.start or cols.stop <= cols.start:
         return {}
-    near = Grid(np.asarray(heights.values)[rows, cols], heights.valid[rows, cols], heights.spec.crop(rows, cols))
+    near = heights.crop(rows, cols)
     labels = rasterise([shape], near.spec)
     if not (near.valid & (labels > 0)).any():
         return {}

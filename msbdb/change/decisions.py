@@ -4,11 +4,13 @@ from dataclasses import dataclass, field, replace
 
 import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from msbdb.change.differences import Epochs, Links, Offset, Pieces, core, thick, without_slivers
+from msbdb.change.decided import Decided, Rank
+from msbdb.change.differences import Epochs, Links, Offset, Pieces
+from msbdb.change.thickness import core, thick, without_slivers
 from msbdb.grid import GridSpec
 from msbdb.labels import Box, Labels, boxes, sizes
 from msbdb.outline.polygons import polygonise
@@ -24,30 +26,22 @@ STOOD_BEFORE = "existed before, and is distinguished from its surroundings for t
 
 BEYOND_BORDER = "it reaches beyond the border of the earlier surveys, and is known as a whole for the first time"
 
-CHANGE_COLUMNS = {
-    "kind": "str",
-    "before": "int64",
-    "after": "int64",
-    "version": "int64",
-    "outline": "bool",
-    "height": "bool",
-    "parts": "bool",
-    "overlap_m2": "float64",
-    "iou": "float64",
-    "dh_m": "float64",
-    "darea_m2": "float64",
-    "note": "str",
-}
-
 
 @dataclass(eq=False)
 class Decisions:
-    """The decisions, building by building; 0 is no building, otherwise row number + 1."""
+    """The decisions, building by building; 0 is no building, otherwise row number + 1.
+
+    ``rows_before`` and ``rows_after`` are the rows of the window's buildings in the whole frames, and ``first`` has row
+    and column of the window's first cell.
+    """
 
     links: Links
     offset: Offset
-    rows: list[dict[str, object]] = field(default_factory=list)
-    versions: list[tuple[int, int, bool, shapely.Geometry]] = field(default_factory=list)
+    rows_before: NDArray[np.int64]
+    rows_after: NDArray[np.int64]
+    first: tuple[int, int]
+    decided: Decided = field(default_factory=Decided)
+    rank: Rank = (0, 0, 0)
 
     def __post_init__(self) -> None:
         """Find where each building and piece lies."""
@@ -86,16 +80,17 @@ class Decisions:
 
     @property
     def spec(self) -> GridSpec:
-        """The survey's lattice."""
+        """The window's lattice."""
         return self.links.spec
 
-    def decide(self) -> None:
+    def decide(self) -> Decided:
         """Decide on every building that was surveyed, then on what is new."""
         merged = self.links.merging()
         done: set[int] = set()
         for i in range(1, len(self.before) + 1):
             if i in done or not self.links.is_surveyed(i):
                 continue
+            self.rank = (0, self._row(i, self.rows_before), 0)
             group = merged.get(i, (i,))
             if len(group) > 1:
                 self._merge(group)
@@ -103,6 +98,11 @@ class Decisions:
             else:
                 self._alone(i)
         self._newcomers()
+        return self.decided
+
+    def _row(self, number: int, rows: NDArray[np.int64]) -> int:
+        """Return the row of a building in the whole frame; -1 for none."""
+        return int(rows[number - 1]) if number else -1
 
     def _merge(self, group: tuple[int, ...]) -> None:
         """Join buildings into one, which keeps the identity of the largest."""
@@ -251,6 +251,7 @@ class Decisions:
             if a in self.used or a in known:
                 continue
             if a in self.box_after:
+                self.rank = (1, self._row(a, self.rows_after), 0)
                 self._arrive(a)
         taken = {piece for pieces in self.links.gains.values() for piece in pieces}
         for piece, own in self.links.gain_after.items():
@@ -277,7 +278,9 @@ class Decisions:
     def _detached(self, piece: int, a: int) -> None:
         """Enter a new building that is detached from the others of its footprint."""
         box = self.box_gain[piece]
-        shape = polygonise((self.pieces.gain[box] == piece).astype(np.int32), self.spec.crop(*box), 1)[0]
+        cells = self.pieces.gain[box] == piece
+        self.rank = (2, self.first[0] + box[0].start, self.first[1] + box[1].start + int(cells[0].argmax()))
+        shape = polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0]
         self._note("new", 0, a, version=self._enter(0, a, shape, adopted=False))
 
     def _outline(self, group: tuple[int, ...], a: int) -> tuple[shapely.Geometry, bool]:
@@ -299,16 +302,17 @@ class Decisions:
         return (shape, adopted) if unseen is None else (shapely.union(shape, unseen), False)
 
     def _unseen(self, group: tuple[int, ...]) -> shapely.Geometry | None:
-        """Return the part of buildings that lies beyond the survey's lattice; None where no disc fits into it."""
+        """Return the part of buildings that lies beyond the whole survey; None where no disc fits into it."""
         shapes = shapely.union_all(self.links.shifted[[i - 1 for i in group]])
-        unseen = shapely.difference(shapes, shapely.box(*self.spec.bounds))
+        unseen = shapely.difference(shapes, shapely.box(*self.epochs.whole.bounds))
         parts = [part for part in shapely.get_parts(unseen) if not part.buffer(-self.params.thickness_m).is_empty]
         return shapely.union_all(parts) if parts else None
 
     def _enter(self, i: int, a: int, shape: shapely.Geometry, *, adopted: bool) -> int:
         """Write a new state and return its row number; 0 is a building that begins with it."""
-        self.versions.append((i - 1, a - 1, adopted, shape))
-        return len(self.versions) - 1
+        rows = self._row(i, self.rows_before), self._row(a, self.rows_after)
+        self.decided.versions.append((self.rank, *rows, adopted, shape))
+        return len(self.decided.versions) - 1
 
     def _note(
         self,
@@ -329,41 +333,22 @@ class Decisions:
         box = self.box_before[i] if i else self.box_after[a]
         cells = self.epochs.before[box] == i if i else self.epochs.after[box] == a
         known = self.rise[box][cells & self.epochs.rise.valid[box] & self.epochs.surveyed[box]]
-        self.rows.append(
-            {
-                "kind": kind,
-                "before": i - 1,
-                "after": a - 1,
-                "version": version,
-                "outline": outline,
-                "height": height,
-                "parts": parts,
-                "overlap_m2": overlap,
-                "iou": overlap / (area_b + area_a - overlap) if i and a else 0.0,
-                "dh_m": float(np.median(known)) if known.size else float("nan"),
-                # A footprint may cover several buildings; the version has the part of this one.
-                "darea_m2": (float(shapely.area(self.versions[version][3])) if version >= 0 else area_a) - area_b,
-                "note": note,
-            }
-        )
-
-    def changes(self) -> pd.DataFrame:
-        """Return all rows, in order of the inventory, then of the survey."""
-        frame = pd.DataFrame(self.rows, columns=list(CHANGE_COLUMNS)).astype(CHANGE_COLUMNS)
-        is_new = frame["before"] < 0
-        return frame.assign(is_new=is_new).sort_values(["is_new", "before", "after"], kind="stable", ignore_index=True)[
-            list(CHANGE_COLUMNS)
-        ]
-
-    def new_versions(self) -> gpd.GeoDataFrame:
-        """Return the new states of the buildings that changed."""
-        frame = gpd.GeoDataFrame(
-            [row[:3] for row in self.versions],
-            columns=["before", "after", "adopted"],
-            geometry=[row[3] for row in self.versions],
-            crs=self.after.crs,
-        )
-        return frame.astype({"before": "int64", "after": "int64", "adopted": "bool"})
+        row = {
+            "kind": kind,
+            "before": self._row(i, self.rows_before),
+            "after": self._row(a, self.rows_after),
+            "version": version,
+            "outline": outline,
+            "height": height,
+            "parts": parts,
+            "overlap_m2": overlap,
+            "iou": overlap / (area_b + area_a - overlap) if i and a else 0.0,
+            "dh_m": float(np.median(known)) if known.size else float("nan"),
+            # A footprint may cover several buildings; the version has the part of this one.
+            "darea_m2": (float(shapely.area(self.decided.versions[version][4])) if version >= 0 else area_a) - area_b,
+            "note": note,
+        }
+        self.decided.rows.append((self.rank, row))
 
 
 def _around(found: list[Box]) -> Box:

@@ -1,21 +1,20 @@
 """What differs between two surveys: their offset, the pieces built or gone, and the links between footprints."""
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from skimage.morphology import isotropic_dilation, isotropic_erosion, isotropic_opening
+from skimage.morphology import isotropic_dilation
 
+from msbdb.change.thickness import Mask, bands, thick
 from msbdb.errors import PassingNotice, give_notice
 from msbdb.grid import Grid, GridSpec
-from msbdb.labels import Labels, boxes, chosen_cells, label_zones, renumber, shared_cells, sizes
+from msbdb.labels import Labels, boxes, shared_cells, sizes
 from msbdb.params import ChangeParams
 
-Mask = NDArray[np.bool_]
 Shapes = NDArray[np.object_]
 
 LIKE_OVERLAP = 0.6
@@ -32,9 +31,6 @@ HALVINGS = 8
 
 AGREEMENT_M = 0.5
 """Differences of height within this of one agree: a few times the noise of two surveys, far below a storey."""
-
-BAND_CELLS = 1 << 19
-"""Cells of a band: distances and places of all cells at once would take more memory than both surveys."""
 
 MEDIAN_FACTOR = 1.4826
 """Times the median absolute deviation gives the standard deviation of normal errors."""
@@ -57,7 +53,7 @@ class Offset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Epochs:
-    """Both sides of a comparison on the lattice of the later survey, the inventory shifted onto it.
+    """Both sides of a comparison in a window of the later survey, the inventory shifted onto its lattice.
 
     Parameters
     ----------
@@ -65,6 +61,8 @@ class Epochs:
         Footprints: 0 for none, otherwise row number + 1 of the frame.
     surveyed : (H, W) ndarray of bool
         Where the later survey has heights, within the area of interest.
+    whole : GridSpec
+        The lattice of the survey, of which all others here are a window.
     rise : Grid
         Height above ground now less that of before, without the vertical offset, metres; invalid where the earlier one
         is not known.
@@ -75,6 +73,7 @@ class Epochs:
     before: Labels
     after: Labels
     surveyed: Mask
+    whole: GridSpec
     rise: Grid
     heights: Grid
     earlier: Grid
@@ -170,9 +169,11 @@ def _aligned(before: Shapes, after: Shapes, start: tuple[float, float]) -> tuple
 
 def _agreed(rise: NDArray[np.float64], least_pairs: int) -> float:
     """Return the median of the largest group of like differences, of equal groups the lowest; 0 for a small group."""
-    near = np.abs(rise[:, None] - rise[None, :]) <= AGREEMENT_M
-    first = np.lexsort((np.abs(rise), -near.sum(axis=1)))[0]
-    count = int(near[first].sum())
+    ordered = np.sort(rise)
+    alike = np.searchsorted(ordered, rise + AGREEMENT_M, "right") - np.searchsorted(ordered, rise - AGREEMENT_M, "left")
+    middle = rise[np.lexsort((np.abs(rise), -alike))[0]]
+    near = np.abs(rise - middle) <= AGREEMENT_M
+    count = int(near.sum())
     if count < least_pairs and 2 * count < len(rise):
         msg = (
             f"The heights of the survey and of the inventory agree on no offset: of {len(rise)} buildings that are "
@@ -180,7 +181,7 @@ def _agreed(rise: NDArray[np.float64], least_pairs: int) -> float:
         )
         give_notice(msg, PassingNotice)
         return 0.0
-    return float(np.median(rise[near[first]]))
+    return float(np.median(rise[near]))
 
 
 def _like(before: NDArray[np.object_], after: NDArray[np.object_], dx: float, dy: float) -> NDArray[np.int64]:
@@ -225,19 +226,6 @@ def earlier_heights(grids: Sequence[Grid], spec: GridSpec, offset: Offset) -> Gr
             np.copyto(values[rows], grid.spec.sample(np.asarray(grid.values), *places, outside=0), where=new)
             valid[rows] |= new
     return Grid(values, valid, spec)
-
-
-def bands(shape: tuple[int, int]) -> Iterator[slice]:
-    """Yield the rows of a lattice in bands of about `BAND_CELLS` cells.
-
-    Examples
-    --------
-    >>> list(bands((3, BAND_CELLS // 2)))
-    [slice(0, 2, None), slice(2, 3, None)]
-    """
-    step = max(BAND_CELLS // max(shape[1], 1), 1)
-    for first in range(0, shape[0], step):
-        yield slice(first, min(first + step, shape[0]))
 
 
 def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
@@ -291,72 +279,6 @@ def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dic
     return found
 
 
-def thick(mask: Mask, spec: GridSpec, params: ChangeParams) -> Labels:
-    """Label the 8-connected pieces of a mask that a disc fits into and that are large enough, in row order."""
-    reach = params.thickness_m / spec.cell_m
-    # The disc rounds corners off; dilation inside of the mask gives them back.
-    pieces, count = label_zones(opened_and_dilated(mask, reach) & mask)
-    return renumber(pieces, sizes(pieces, count) * spec.cell_area_m2 >= params.least_m2)[0]
-
-
-def opened_and_dilated(mask: Mask, reach: float, halo: int | None = None) -> Mask:
-    """Return where a disc fits into a mask, and the cells within its radius of that, band by band.
-
-    Parameters
-    ----------
-    mask : (H, W) ndarray of bool
-        It goes on beyond the lattice as at its border, which must not make a piece thin.
-    reach : float
-        Radius of the disc, cells.
-    halo : int, optional
-        Rows that a band sees beyond its own; by default as many as it needs.
-
-    Notes
-    -----
-    Erosion and both dilations look at cells within the radius, so that a cell depends on those within three of them.
-    Bands that see so many whole rows more give what the whole mask gives; with a row less they do not.
-    """
-    halo = 3 * math.floor(reach) if halo is None else halo
-    margin = math.ceil(reach) + 1
-    padded = np.pad(mask, margin, mode="edge")
-    found = np.zeros_like(mask)
-    for rows in bands(mask.shape):
-        first = max(rows.start + margin - halo, 0)
-        part = padded[first : rows.stop + margin + halo]
-        if part.any():
-            whole = _dilated(_dilated(_eroded(part, reach), reach), reach)
-            found[rows] = whole[rows.start + margin - first : rows.stop + margin - first, margin:-margin]
-    return found
-
-
-def _eroded(cells: Mask, reach: float) -> Mask:
-    """Return the cells that no cell outside of a mask lies near; a distance to nothing is not defined."""
-    return cells if cells.all() else isotropic_erosion(cells, reach)  # type: ignore[no-untyped-call]  # scikit-image
-
-
-def _dilated(cells: Mask, reach: float) -> Mask:
-    """Return the cells near those of a mask."""
-    return isotropic_dilation(cells, reach) if cells.any() else cells  # type: ignore[no-untyped-call]  # scikit-image
-
-
-def core(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
-    """Return the cells of a mask that a disc inside of it covers; beyond the array there is no mask."""
-    reach = params.thickness_m / spec.cell_m
-    margin = int(np.ceil(reach)) + 1
-    opened = isotropic_opening(np.pad(cells, margin), reach)  # type: ignore[no-untyped-call]  # scikit-image
-    return np.asarray(opened[margin:-margin, margin:-margin] & cells)
-
-
-def without_slivers(cells: Mask, spec: GridSpec, params: ChangeParams) -> Mask:
-    """Return a footprint without its pieces that no disc fits into, unless none else is left.
-
-    After a part was pulled down, strips too thin to be a change can be left along the old outline.
-    """
-    pieces, count = label_zones(cells, connectivity=4)  # as outlines are traced
-    whole = sizes(pieces[core(cells, spec, params)], count) > 0
-    return chosen_cells(pieces, whole) if whole.any() else cells
-
-
 @dataclass(eq=False)
 class Links:
     """The buildings of both sides, numbered by row + 1, and what links them.
@@ -391,7 +313,7 @@ class Links:
 
     @property
     def spec(self) -> GridSpec:
-        """The survey's lattice."""
+        """The window's lattice."""
         return self.epochs.rise.spec
 
     def is_surveyed(self, i: int) -> bool:
@@ -401,7 +323,7 @@ class Links:
         """
         shape = self.shifted[i - 1]
         seen = self.seen[i - 1] * self.spec.cell_area_m2
-        is_cut = not shapely.box(*self.spec.bounds).contains(shape)
+        is_cut = not shapely.box(*self.epochs.whole.bounds).contains(shape)
         return bool(seen >= self.params.surveyed_share * shape.area > 0 or (is_cut and seen >= self.params.least_m2))
 
     def _linked(self) -> dict[int, list[int]]:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from msbdb.change.differences import Offset, earlier_heights
+from msbdb.change.surveywindows import Ground, read_around
 from msbdb.fuse.touching import divide
-from msbdb.grid import Grid, lattice
+from msbdb.grid import lattice
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
 from msbdb.params import ChangeParams, TouchingParams
@@ -43,17 +44,14 @@ class Surveyed:
     ----------
     area : Polygon
         The box of its lattice.
-    heights : Grid
-        Heights above ground, metres.
-    levels : Grid, optional
-        Heights above sea, metres; None where its terrain is not known.
+    ground : Ground
+        Its heights, above sea where its terrain is known.
     density : float
         First echoes a square metre; 0 for a raster.
     """
 
     area: shapely.Polygon
-    heights: Grid
-    levels: Grid | None
+    ground: Ground
     density: float
 
 
@@ -133,10 +131,12 @@ def find_links(
     """
     shapes = pieces.geometry.to_numpy()
     owners = pieces["survey_id"].to_numpy()
-    widest = max((one.heights.spec.cell_m for one in surveys.values()), default=0.0)
+    widest = max((one.ground.spec.cell_m for one in surveys.values()), default=0.0)
     pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=REACH_CELLS * widest)
     found = []
-    for one, other in sorted(zip(*pairs.tolist(), strict=True)):
+    corners = shapely.bounds(shapes)
+    # Neighbours follow each other, because windows that lie near each other are read faster.
+    for one, other in sorted(zip(*pairs.tolist(), strict=True), key=lambda pair: (*corners[pair[0]], *pair)):
         if one >= other or owners[one] == owners[other] or not (loose[one] or loose[other]):
             continue
         a, b = shapes[one], shapes[other]
@@ -156,7 +156,7 @@ def find_links(
 
 def _reach_m(surveys: Sequence[Surveyed]) -> float:
     """Return how far apart pieces of one building may end, metres."""
-    return REACH_CELLS * max(side.heights.spec.cell_m for side in surveys)
+    return REACH_CELLS * max(side.ground.spec.cell_m for side in surveys)
 
 
 def _between(a: shapely.Geometry, b: shapely.Geometry, surveys: Sequence[Surveyed]) -> shapely.Geometry:
@@ -176,9 +176,10 @@ def _is_one(
     zone = _between(a, b, surveys)
     west, south, east, north = zone.bounds
     around = (west - NEAR_M, south - NEAR_M, east + NEAR_M, north + NEAR_M)
-    cell_m = max(side.heights.spec.cell_m for side in surveys)
-    spec = lattice(around, cell_m, surveys[0].heights.spec.crs)
-    heights = earlier_heights([side.heights for side in surveys], spec, NO_OFFSET)
+    cell_m = max(side.ground.spec.cell_m for side in surveys)
+    spec = lattice(around, cell_m, surveys[0].ground.spec.crs)
+    seen = [part for part in (read_around(side.ground, spec.bounds) for side in surveys) if part is not None]
+    heights = earlier_heights([part.above_ground for part in seen], spec, NO_OFFSET)
     painted = rasterise([a, b], spec)
     gap = (rasterise([zone], spec) > 0) & (painted == 0) & (np.asarray(heights.values) >= params.rise_m)
     nearest = distance_transform_edt(painted == 0, return_distances=False, return_indices=True)
@@ -186,8 +187,8 @@ def _is_one(
     densities = [side.density for side in surveys]
     spacing_m = 1 / np.sqrt(min(densities)) if min(densities) > 0 else cell_m
     grids = [heights]
-    levels = [side.levels for side in surveys if side.levels is not None]
-    if len(levels) == len(surveys):
+    levels = [part.above_sea for part in seen if part.above_sea is not None]
+    if len(levels) == len(seen):
         grids.append(earlier_heights(levels, spec, NO_OFFSET))
     for grid in grids:
         built = (sides > 0) & grid.valid

@@ -58,7 +58,7 @@ from msbdb.database.runs.basis import (
     read_labelled_classes,
 )
 from msbdb.database.runs.merging import LINKS, METHODS, ROWS, MergeReport, Piece, merge_tiles
-from msbdb.database.runs.mosaics import read_value_counts
+from msbdb.database.runs.mosaics import RasterWindows, read_value_counts
 from msbdb.database.runs.places import DetectorAnswer, Place, explain_places
 from msbdb.database.runs.reading import (
     RunSummary,
@@ -118,6 +118,7 @@ __all__ = [
     "OutdatedError",
     "Piece",
     "Place",
+    "RasterWindows",
     "Rows",
     "RunSummary",
     "Seams",

@@ -1,6 +1,7 @@
 """Pieces of roofs: the cells of buildings cut along all lines where a house may end, and where the pieces touch."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -223,7 +224,7 @@ def _moments(row: Floats, col: Floats) -> tuple[Floats, ...]:
     return row, col, row * row, col * col, row * col
 
 
-def spread(count: float, moments: Floats) -> tuple[float, float]:
+def spread(count: float, moments: Sequence[float]) -> tuple[float, float]:
     """Return the smaller and the larger side of the rectangle with the second moments of cells, cells.
 
     Examples
@@ -231,11 +232,11 @@ def spread(count: float, moments: Floats) -> tuple[float, float]:
     Two rows of four cells:
 
     >>> row, col = np.divmod(np.arange(8.0), 4)
-    >>> sums_of = np.array([part.sum() for part in (row, col, row * row, col * col, row * col)])
+    >>> sums_of = [float(part.sum()) for part in (row, col, row * row, col * col, row * col)]
     >>> tuple(round(side, 6) for side in spread(8, sums_of))
     (2.0, 4.0)
     """
-    row, col, row2, col2, both = (moments / count).tolist()
+    row, col, row2, col2, both = (moment / count for moment in moments)
     # A cell itself has the variance 1/12.
     one, other, mixed = row2 - row * row + 1 / 12, col2 - col * col + 1 / 12, both - row * col
     middle, half = (one + other) / 2, math.hypot((one - other) / 2, mixed)

@@ -143,8 +143,10 @@ def fit_coverage(
     runs = divide(chains.places, no_frames(chains.count), costs)
     frames = arc_frames(chains, runs, len(geometries))
     chains = from_corners(chains, runs)
-    chains = from_corners(chains, divide(chains.places, frames, costs))
     runs = divide(chains.places, frames, costs)
+    chains = from_corners(chains, runs)
+    # Rings have another beginning now; the walls of the other arcs are found.
+    runs = redivided(runs, chains.places, frames, np.flatnonzero(chains.nodes[0] < 0), costs)
     level = np.zeros(chains.count, dtype=np.int64)
     # Where there are no main directions, walls are the chords of a curve.
     curved = np.flatnonzero(np.diff(frames[2]) == 0)
@@ -174,7 +176,7 @@ def fit_coverage(
         again = fault & (level < TRACED)
         for step, share in enumerate(SHARES):
             chosen = np.flatnonzero(again & (level == step))
-            if len(chosen):
+            if share < 1 and len(chosen):
                 runs = redivided(runs, chains.places, frames, chosen, costs.scaled(share))
     fitted = np.ones(len(geometries), dtype=np.bool_)
     fitted[arcs.geometry[level[chains.own] >= TRACED]] = False

@@ -1,19 +1,26 @@
 """What a survey did to the buildings: every kind of change on small towns, and none where nothing changed."""
 
+import itertools
+from collections.abc import Sequence
+
 import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from geopandas.testing import assert_geodataframe_equal
 from hypothesis import given
 from hypothesis import strategies as st
+from pandas.testing import assert_frame_equal
 from pyproj import CRS
 from shapely import box
 from shapely.affinity import translate
 
-from msbdb.change import differences
-from msbdb.change.comparison import Comparison, compare, measure_roofs
+from msbdb.change import comparison, thickness
+from msbdb.change.comparison import Comparison, measure_roofs
 from msbdb.change.decisions import BEYOND_BORDER, KINDS, NO_FOOTPRINT, STOOD_BEFORE
-from msbdb.change.differences import Offset, earlier_heights, estimate_offset, opened_and_dilated, without_slivers
+from msbdb.change.differences import Offset, earlier_heights, estimate_offset
+from msbdb.change.surveywindows import Heights
+from msbdb.change.thickness import opened_and_dilated, without_slivers
 from msbdb.detect.scene import Elevations
 from msbdb.errors import PassingNotice
 from msbdb.fuse.roofheights import measure_heights
@@ -45,6 +52,26 @@ def ground(houses: list[House], dx: float = 0.0) -> Grid:
     labels = rasterise([translate(shape, dx) for shape in frame.geometry], SPEC)
     heights = np.concatenate([[0.0], frame["h_p90"].to_numpy()])
     return Grid(heights[labels].astype(np.float32), np.ones(SPEC.shape, dtype=np.bool_), SPEC)
+
+
+def compare(
+    before: gpd.GeoDataFrame,
+    after: gpd.GeoDataFrame,
+    *,
+    heights: Grid,
+    earlier: Sequence[Grid] = (),
+    levels: Grid | None = None,
+    earlier_levels: Sequence[Grid | None] = (),
+    **options: object,
+) -> Comparison:
+    """Compare two towns in one window, and again in small ones, with the same result."""
+    options["survey"] = Heights(heights, levels)
+    options["earlier"] = [Heights(*both) for both in itertools.zip_longest(earlier, earlier_levels)]
+    whole, part = (comparison.compare(before, after, **options, window_cells=side) for side in (10_000, 30))
+    assert repr(whole.offset) == repr(part.offset)
+    assert_frame_equal(whole.changes, part.changes)
+    assert_geodataframe_equal(whole.versions, part.versions)
+    return whole
 
 
 def compared(before: list[House], after: list[House], **options: object) -> Comparison:
@@ -174,9 +201,7 @@ def test_the_first_survey_of_a_place_brings_new_buildings() -> None:
 
 def test_buildings_outside_of_the_survey_have_no_row() -> None:
     """Neither demolished nor unchanged: they were not surveyed."""
-    east = np.zeros(SPEC.shape, dtype=np.bool_)
-    east[:, 200:] = True
-    found = compared(ROW, [], surveyed=east)
+    found = compared(ROW, [], area=box(WEST + 100, SOUTH, WEST + 200, SOUTH + 120))
     assert found.changes["before"].tolist() == [5, 6, 7]
     assert set(found.changes["kind"]) <= {"unchanged", "demolished"}
 
@@ -482,7 +507,7 @@ def test_bands_with_their_halo_give_what_the_whole_gives(seed: int, reach: float
     mask = np.kron(coarse, np.ones((5, 4), dtype=np.bool_)) ^ (random.random((60, 40)) < 0.02 * random.random())
     whole = opened_and_dilated(mask, reach)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(differences, "BAND_CELLS", rows * mask.shape[1])
+        patched.setattr(thickness, "BAND_CELLS", rows * mask.shape[1])
         np.testing.assert_array_equal(opened_and_dilated(mask, reach), whole)
 
 
@@ -494,7 +519,7 @@ def test_a_halo_with_a_row_less_does_not_do(monkeypatch: pytest.MonkeyPatch) -> 
     mask[below, 20] = True
     assert opened_and_dilated(mask, reach)[below, 20]
     mask[20 - reach, 20] = False
-    monkeypatch.setattr(differences, "BAND_CELLS", below * mask.shape[1])
+    monkeypatch.setattr(thickness, "BAND_CELLS", below * mask.shape[1])
     assert not opened_and_dilated(mask, reach, 3 * reach).any()
     assert opened_and_dilated(mask, reach, 3 * reach - 1)[below, 20]
 
@@ -507,7 +532,7 @@ def test_heights_are_sampled_in_bands_as_at_once(monkeypatch: pytest.MonkeyPatch
         np.where(np.arange(SPEC.shape[1]) < 150, first.values, 0), first.valid & (np.arange(SPEC.shape[1]) < 150), SPEC
     )
     whole = earlier_heights([half, other], SPEC, offset)
-    monkeypatch.setattr(differences, "BAND_CELLS", 7 * SPEC.shape[1])
+    monkeypatch.setattr(thickness, "BAND_CELLS", 7 * SPEC.shape[1])
     found = earlier_heights([half, other], SPEC, offset)
     np.testing.assert_array_equal(found.values, whole.values)
     np.testing.assert_array_equal(found.valid, whole.valid)

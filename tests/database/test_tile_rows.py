@@ -7,6 +7,8 @@ from support.tiledtown import TILE_M, write_town
 
 import msbdb
 from msbdb.database import (
+    OutdatedError,
+    RasterWindows,
     canonical_dump,
     check_database,
     copy_database,
@@ -48,6 +50,31 @@ def test_tiles_are_built_into_every_dialect(files, target, tmp_path):
         assert connection.scalar(text("SELECT count(*) FROM tile WHERE state = 'done' AND result IS NULL")) == 4
         connection.execute(text("DELETE FROM raster_tile WHERE name = 'valid'"))
     assert {finding.check for finding in check_database(engine)} == {"rasters", "content"}
+    engine.dispose()
+
+
+@pytest.mark.parametrize("tile", [TILE_M, None], ids=["pieces", "whole"])
+def test_rasters_are_read_by_windows(files, target, tile):
+    """Windows at will, one after the other, are the cells of the whole, over the edges of pieces, too."""
+    msbdb.build(files, db=target, survey="town", extract="multiscale", tile=tile)
+    engine, random = open_database(target), np.random.default_rng(0)
+    whole, reader = read_rasters(engine).by_name(), RasterWindows(engine, "town")
+    assert reader.names == set(whole)
+    for _ in range(10):
+        rows, cols = (slice(*sorted(random.choice(size + 1, 2, replace=False))) for size in whole["valid"].shape)
+        for name in ("ndsm_cm", "valid", "terrain_cm"):
+            assert np.array_equal(reader.read(name, rows, cols), whole[name][rows, cols])
+    engine.dispose()
+
+
+def test_a_window_of_a_replaced_run_is_refused(files, target):
+    """Others may build the survey again meanwhile; cells of two builds are never mixed."""
+    msbdb.build(files, db=target, survey="town", extract="multiscale", tile=TILE_M)
+    engine = open_database(target)
+    reader = RasterWindows(engine, "town")
+    msbdb.build(files, db=target, survey="town", extract="multiscale", replace=True)
+    with pytest.raises(OutdatedError):
+        reader.read("valid", slice(0, 4), slice(0, 4))
     engine.dispose()
 
 

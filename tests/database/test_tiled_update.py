@@ -1,11 +1,14 @@
 """The inventory is updated by surveys in tiles as by surveys in one piece, on both dialects."""
 
+from functools import partial
+
 import pytest
 from support.tiledtown import TILE_M, write_town
 
 import msbdb
 from msbdb.database import canonical_dump, check_database, opened
 from msbdb.errors import TilesError
+from msbdb.run.inventory import ground, update
 from msbdb.scale import tilework
 
 ONE = {"extract": "multiscale"}
@@ -45,6 +48,16 @@ def test_updates_in_tiles_end_as_those_in_one_piece(target, epochs, expected):
     for how in (TILES, ONE):
         again = msbdb.update(epochs[1][0], db=target, **epochs[1][1], **how)
         assert (again.build, again.inventory.status) == (None, "unchanged")
+    assert content(target) == expected
+
+
+@pytest.mark.parametrize("how", [TILES, ONE], ids=["tiles", "one"])
+def test_a_comparison_by_small_windows_ends_as_one_of_the_whole(target, epochs, expected, how, monkeypatch):
+    """Windows of 10 m, smaller than each house: rasters in pieces and whole ones are read alike."""
+    monkeypatch.setattr(update, "compare", partial(update.compare, window_cells=10))
+    monkeypatch.setattr(ground, "WINDOW_CELLS", 10)
+    for files, words in epochs:
+        msbdb.update(files, db=target, **words, **how)
     assert content(target) == expected
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,10 +11,15 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, select
 
 from msbdb.database.dialects.connection import snapshot
+from msbdb.database.runs.basis import OutdatedError
 from msbdb.database.runs.packing import unpack
 from msbdb.database.schema.sqltables import SQL
 
-RASTER_TILE, RUN, SURVEY = SQL["raster_tile"], SQL["run"], SQL["survey"]
+RASTER_TILE, RUN, RUN_STATE, SURVEY = SQL["raster_tile"], SQL["run"], SQL["run_state"], SQL["survey"]
+
+
+Held = dict[tuple[int, int], NDArray[Any]]
+"""Cells of pieces by their first row and column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,16 +57,29 @@ class Mosaic:
         first, last = self.origin[0], self.origin[0] + self.shape[0]
         edges = {edge for row, _, rows, _ in self.places for edge in (row, row + rows) if first < edge < last}
         cuts = [first, *sorted(edges), last]
-        held: dict[tuple[int, int], NDArray[Any]] = {}
+        held: Held = {}
         for top, bottom in pairwise(cuts):
-            band = np.zeros((bottom - top, self.shape[1]), dtype=self.dtype)
-            meeting = [place for place in self.places if place[0] < bottom and place[0] + place[2] > top]
-            held = {place[:2]: held[place[:2]] for place in meeting if place[:2] in held}
-            for row, column, _, _ in meeting:
-                if (row, column) not in held:
-                    held[row, column] = self._read(row, column)
-                self._paste(band, held[row, column][top - row : bottom - row], column - self.origin[1])
-            yield band
+            yield self.window(slice(top - first, bottom - first), slice(0, self.shape[1]), held)
+
+    def window(self, rows: slice, cols: slice, held: Held) -> NDArray[Any]:
+        """Return the cells within two slices; ``held`` gets the pieces that they meet, and keeps no others."""
+        top, bottom = self.origin[0] + rows.start, self.origin[0] + rows.stop
+        left, right = self.origin[1] + cols.start, self.origin[1] + cols.stop
+        cells = np.zeros((bottom - top, right - left), dtype=self.dtype)
+        meeting = [
+            (row, column, row + height, column + width)
+            for row, column, height, width in self.places
+            if row < bottom and row + height > top and column < right and column + width > left
+        ]
+        for place in held.keys() - {place[:2] for place in meeting}:
+            del held[place]
+        for row, column, end_row, end_column in meeting:
+            if (row, column) not in held:
+                held[row, column] = self._read(row, column)
+            high, low, west, east = max(row, top), min(end_row, bottom), max(column, left), min(end_column, right)
+            some = held[row, column][high - row : low - row, west - column : east - column]
+            cells[high - top : low - top, west - left : east - left] = some
+        return cells
 
     def whole(self) -> NDArray[Any]:
         """Return all cells."""
@@ -88,14 +106,10 @@ class Mosaic:
             own.lattice_row == row,
             own.lattice_column == column,
         )
-        found = self.connection.execute(query).one()
+        found = self.connection.execute(query).one_or_none()
+        if found is None:
+            raise OutdatedError
         return unpack(found.data, found.dtype, found.shape)
-
-    def _paste(self, band: NDArray[Any], cells: NDArray[Any], column: int) -> None:
-        """Write the rows of a piece into a band, as far as the survey reaches."""
-        left, right = max(column, 0), min(column + cells.shape[1], self.shape[1])
-        if left < right:
-            band[:, left:right] = cells[:, left - column : right - column]
 
 
 def mosaics_of(connection: Connection, run_id: int) -> dict[str, Mosaic]:
@@ -129,12 +143,54 @@ def mosaics_of(connection: Connection, run_id: int) -> dict[str, Mosaic]:
     }
 
 
+class RasterWindows:
+    """Rasters of a run, read window by window.
+
+    Of a raster in pieces the pieces of the last window are in memory; one that was written whole is there as a whole.
+    """
+
+    def __init__(self, engine: Engine, survey: str) -> None:
+        self._engine = engine
+        with snapshot(engine) as connection:
+            self._run_id = _run_of(connection, survey)
+            self._mosaics = mosaics_of(connection, self._run_id)
+            names = connection.scalars(select(RUN_STATE.c.name).where(RUN_STATE.c.run_id == self._run_id))
+            self.names = frozenset([*names, *self._mosaics])
+        self._held: dict[str, Held] = {name: {} for name in self._mosaics}
+        self._whole: dict[str, NDArray[Any]] = {}
+
+    def read(self, name: str, rows: slice, cols: slice) -> NDArray[Any]:
+        """Return the cells of a raster within two slices.
+
+        Raises
+        ------
+        OutdatedError
+            When others replaced the run meanwhile.
+        """
+        if name in self._whole:
+            return self._whole[name][rows, cols]
+        with snapshot(self._engine) as connection:
+            if name in self._mosaics:
+                return replace(self._mosaics[name], connection=connection).window(rows, cols, self._held[name])
+            query = select(RUN_STATE).where(RUN_STATE.c.run_id == self._run_id, RUN_STATE.c.name == name)
+            found = connection.execute(query).one_or_none()
+        if found is None:
+            raise OutdatedError
+        self._whole[name] = unpack(found.data, found.dtype, found.shape)
+        return self._whole[name][rows, cols]
+
+
 def read_value_counts(engine: Engine, survey: str, name: str, count: int) -> NDArray[np.int64]:
     """Return how many cells of a raster in pieces have each value from 0 to below ``count``."""
     found = np.zeros(count, dtype=np.int64)
     with snapshot(engine) as connection:
-        query = select(RUN.c.run_id).join(SURVEY, RUN.c.survey_id == SURVEY.c.survey_id).where(SURVEY.c.name == survey)
-        raster = mosaics_of(connection, connection.scalars(query).one()).get(name)
+        raster = mosaics_of(connection, _run_of(connection, survey)).get(name)
         for band in () if raster is None else raster.bands():
             found += np.bincount(band.ravel(), minlength=count)
     return found
+
+
+def _run_of(connection: Connection, survey: str) -> int:
+    """Return the key of a survey's run."""
+    query = select(RUN.c.run_id).join(SURVEY, RUN.c.survey_id == SURVEY.c.survey_id).where(SURVEY.c.name == survey)
+    return int(connection.scalars(query).one())

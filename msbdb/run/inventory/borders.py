@@ -103,7 +103,7 @@ def make_seams(
     timeline = _Timeline(pieces, standing)
     if len(pieces):
         links = find_links(pieces, loose, surveys, params=params, touching=touching)
-        reach_m = REACH_CELLS / 2 * max(one.heights.spec.cell_m for one in surveys.values())
+        reach_m = REACH_CELLS / 2 * max(one.ground.spec.cell_m for one in surveys.values())
         days = pieces["valid_from"].to_numpy()
         for day in sorted(set(days)):
             rows = np.flatnonzero(days <= day)

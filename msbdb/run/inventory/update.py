@@ -26,7 +26,6 @@ from msbdb.database import (
     read_buildings,
     read_parts,
     read_plan,
-    read_rasters,
     read_run,
     read_standing,
     read_survey,
@@ -34,19 +33,16 @@ from msbdb.database import (
     write_advance,
 )
 from msbdb.errors import DatabaseError, InputError, give_notice
-from msbdb.grid import Grid
 from msbdb.identity import to_json
 from msbdb.io.vector import read_polygons
-from msbdb.kept import heights_of, in_metres
-from msbdb.outline.polygons import rasterise
 from msbdb.params import DETECTORS, Params, as_dict, with_values
 from msbdb.params import profile as named_profile
 from msbdb.run.compose import choose_detectors
 from msbdb.run.inputs import Inputs, Paths
 from msbdb.run.inventory.borders import combined, make_seams, near_pieces, pieces_of
+from msbdb.run.inventory.ground import StoredGround
 from msbdb.run.prepare import Label
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
-from msbdb.run.store import recall_elevations
 from msbdb.surveyplan import Plan
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey
 from msbdb.version import __version__
@@ -165,20 +161,15 @@ def _advance(engine: Engine, record: Survey, area: shapely.MultiPolygon) -> Adva
         own = standing.offsets[standing.offsets["survey_id"] == survey_key(record.name)]
         offset = {str(name): value for name, value in own.drop(columns="survey_id").iloc[0].items()}
         return _report(record, date, "unchanged", standing.applied, offset, is_compared=len(standing.before) > 0)
-    before, (heights, levels) = standing.before, _heights(engine, record)
-    inside = None
-    if not area.equals(shapely.box(*record.bounds)):
-        inside = rasterise([area], heights.spec) > 0
+    before, ground = standing.before, StoredGround(engine, record)
     after = read_buildings(engine, record.name)
-    params = _params(engine, record.name)
-    earlier, earlier_levels = _earlier(engine, standing)
+    is_whole = area.equals(shapely.box(*record.bounds))
     found = compare(
-        before, after, heights=heights, levels=levels, earlier=earlier, earlier_levels=earlier_levels,
-        surveyed=inside, params=params.change,
+        before, after, survey=ground, earlier=_earlier(engine, standing), area=None if is_whole else area,
+        params=_params(engine, record.name).change,
     )  # fmt: skip
-    del levels, earlier, earlier_levels
-    found, states = _states(found, before, after, heights)
-    states = _with_roofs(states, found, engine, record, heights)
+    found, states = _states(found, before, after, ground)
+    states = _with_roofs(states, found, engine, record, ground)
     states = _with_parts(states, found, engine, record.name)
     states = _with_unseen(states, found, before, record)
     made = Advance(
@@ -199,8 +190,7 @@ def _seams(engine: Engine, standing: Standing, made: Advance, record: Survey) ->
     surveys = {}
     for name in sorted(set(pieces["survey"])):
         other = record if name == record.name else read_survey(engine, name)
-        heights, levels = _heights(engine, other)
-        surveys[survey_key(name)] = Surveyed(shapely.box(*other.bounds), heights, levels, other.density)
+        surveys[survey_key(name)] = Surveyed(shapely.box(*other.bounds), StoredGround(engine, other), other.density)
     params = _params(engine, record.name)
     return make_seams(pieces, loose, surveys, standing, params=params.change, touching=params.touching)
 
@@ -211,50 +201,28 @@ def _params(engine: Engine, survey: str) -> Params:
     return with_values(Params(), {name: values.get(name, {}) for name in ("change", "touching")})
 
 
-def _heights(engine: Engine, record: Survey) -> tuple[Grid, Grid | None]:
-    """Return the heights of a survey above ground, and those above sea where its terrain is known."""
-    rasters = read_rasters(engine, record.name, more=["terrain_cm"])
-    heights = heights_of(record, rasters)
-    if rasters.terrain_cm is None:
-        return heights, None
-    level_m = in_metres(rasters.terrain_cm, above=np.asarray(heights.values))
-    level_m[~heights.valid] = 0
-    return heights, Grid(level_m, heights.valid, heights.spec)
+def _earlier(engine: Engine, standing: Standing) -> list[StoredGround]:
+    """Return the ground of the earlier surveys of the place, the latest first, each brought to the inventory's place.
 
-
-def _earlier(engine: Engine, standing: Standing) -> tuple[list[Grid], list[Grid | None]]:
-    """Return the heights of the earlier surveys of the place, the latest first, each brought to the inventory's place.
-
-    A survey that was applied before lies to the inventory as its stored offset says. The second list has the heights
-    above sea, each from its survey's own zero.
+    A survey that was applied before lies to the inventory as its stored offset says.
     """
-    grids: list[Grid] = []
-    levels: list[Grid | None] = []
     offsets = standing.offsets.set_index("survey_id")
+    grounds = []
     for event in standing.events.itertuples(index=False):
-        heights, level = _heights(engine, read_survey(engine, event.name))
         dx, dy, dz = (float(offsets.loc[event.survey_id, name]) for name in ("dx_m", "dy_m", "dz_m"))
-        grids.append(_moved_back(heights, dx, dy, dz))
-        levels.append(None if level is None else _moved_back(level, dx, dy, 0.0))
-    return grids, levels
-
-
-def _moved_back(grid: Grid, dx: float, dy: float, dz: float) -> Grid:
-    """Return heights without the offset that their survey had."""
-    transform = type(grid.spec.transform).translation(-dx, -dy) @ grid.spec.transform
-    values = np.where(grid.valid, np.asarray(grid.values) - np.float32(dz), np.float32(0)).astype(np.float32)
-    return Grid(values, grid.valid, replace(grid.spec, transform=transform))
+        grounds.append(StoredGround(engine, read_survey(engine, event.name), (dx, dy, dz)))
+    return grounds
 
 
 def _states(
-    found: Comparison, before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, heights: Grid
+    found: Comparison, before: gpd.GeoDataFrame, after: gpd.GeoDataFrame, ground: StoredGround
 ) -> tuple[Comparison, gpd.GeoDataFrame]:
     """Return the values of the new versions: those of the survey's own buildings, or measured in their outlines.
 
     A building of an imported inventory, which no survey has measured, gets a version with its own outline and the
     heights found there, also where it is unchanged.
     """
-    found = _with_first_measures(found, before, heights)
+    found = _with_first_measures(found, before, ground)
     versions = found.versions
     rows = versions["after"].to_numpy()
     known = pd.DataFrame(after.drop(columns="geometry")).astype(object)
@@ -267,9 +235,12 @@ def _states(
         crs=after.crs,
     )
     states["state"] = states["state"].fillna("unsure")
-    for row in np.flatnonzero(~versions["adopted"].to_numpy()).tolist():
-        for name, value in measure(versions.geometry.iloc[row], heights).items():
-            states.loc[states.index[row], name] = value
+    made = np.flatnonzero(~versions["adopted"].to_numpy())
+    shapes = versions.geometry.to_numpy()[made]
+    for some, heights, _ in ground.beneath(shapes):
+        for one in some:
+            for name, value in measure(shapes[one], heights).items():
+                states.loc[states.index[made[one]], name] = value
     # A building has the area of its cells, and its fitted outline a little more or less. Who keeps one keeps the other.
     changes = found.changes
     kept = changes[(changes["kind"] == "modified") & ~changes["outline"] & (changes["darea_m2"].abs() < SAME_M2)]
@@ -277,16 +248,19 @@ def _states(
     return found, states
 
 
-def _with_first_measures(found: Comparison, before: gpd.GeoDataFrame, heights: Grid) -> Comparison:
+def _with_first_measures(found: Comparison, before: gpd.GeoDataFrame, ground: StoredGround) -> Comparison:
     """Add a version to each unchanged building whose heights were unknown so far and are known now."""
     changes = found.changes.copy()
-    unknown = before["h_p90"].isna().to_numpy()
+    unknown = np.flatnonzero(before["h_p90"].isna())
     wanted = (changes["kind"] == "unchanged") & (changes["before"] >= 0) & (changes["version"] < 0)
+    wanted &= changes["before"].isin(unknown)
+    shapes = before.geometry.to_numpy()[changes.loc[wanted, "before"]]
+    measured = sorted(
+        one for some, heights, _ in ground.beneath(shapes) for one in some if measure(shapes[one], heights)
+    )
     more: list[dict[str, Any]] = []
-    for row in changes.index[wanted]:
+    for row in changes.index[wanted][measured]:
         at = int(changes.loc[row, "before"])
-        if not unknown[at] or not measure(before.geometry.iloc[at], heights):
-            continue
         changes.loc[row, "version"] = len(found.versions) + len(more)
         changes.loc[row, "note"] = "; ".join(word for word in (changes.loc[row, "note"], MEASURED_FIRST) if word)
         shape = before.geometry.iloc[at]
@@ -300,18 +274,19 @@ def _with_first_measures(found: Comparison, before: gpd.GeoDataFrame, heights: G
 
 
 def _with_roofs(
-    states: gpd.GeoDataFrame, found: Comparison, engine: Engine, record: Survey, heights: Grid
+    states: gpd.GeoDataFrame, found: Comparison, engine: Engine, record: Survey, ground: StoredGround
 ) -> gpd.GeoDataFrame:
     """Give versions with an outline that is not the survey's own the ground, eaves, ridge and storeys inside it."""
     rows = np.flatnonzero(~found.versions["adopted"].to_numpy())
     if not len(rows):
         return states
-    elevations = recall_elevations(record, read_rasters(engine, record.name, more=["terrain_cm", "echoes"]))
     values: Any = read_run(engine, record.name).parameters
     params = with_values(Params(), {name: values.get(name, {}) for name in ("heights", "surface")})
-    for row in rows.tolist():
-        for name, value in measure_roofs(states.geometry.iloc[row], heights, elevations, params).items():
-            states.loc[states.index[row], name] = value
+    shapes = states.geometry.to_numpy()[rows]
+    for some, heights, elevations in ground.beneath(shapes, params.heights.far_ring_m):
+        for one in some:
+            for name, value in measure_roofs(shapes[one], heights, elevations, params).items():
+                states.loc[states.index[rows[one]], name] = value
     return states
 
 
