@@ -332,7 +332,7 @@ def _fit(drafts: Sequence[Draft], params: Params) -> list[Fitted | None]:
         if each.bands is None or not is_imagery(each.bands):
             filtered.append(None)
             continue
-        rough = each.structure.roughness_m
+        rough = each.structure.filled_m
         sample, bands = sample_to_classify(each.bands, each.surface.ndsm, rough, params)
         samples.append(sample)
         filtered.append(bands)

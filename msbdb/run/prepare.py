@@ -177,7 +177,7 @@ def prepare(
             structure.cover,
             bands,
             surface.ndsm,
-            structure.roughness_m,
+            structure.filled_m,
             settled(params, chosen),
             echoes=cloud is not None and cloud.has_echoes,
             fitted=fitted,
