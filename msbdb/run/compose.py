@@ -24,6 +24,7 @@ from msbdb.kept import KeptRun
 from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
+from msbdb.points.aside import let_go
 from msbdb.points.cloud import PointCloud
 from msbdb.run.describe import Description, count_cells, describe, describe_choices
 from msbdb.run.inputs import Inputs
@@ -168,8 +169,12 @@ def _held_by(cloud: PointCloud, own: Bounds) -> tuple[int, Bounds | None]:
     held = (cloud.x >= west) & (cloud.x < east) & (cloud.y >= south) & (cloud.y < north)
     if not held.any():
         return 0, None
-    x, y = cloud.x[held], cloud.y[held]
-    return len(x), (float(x.min()), float(y.min()), float(x.max()), float(y.max()))
+    # Without copies of the coordinates, which would be the highest peak of all.
+    (west, east), (south, north) = (
+        (float(each.min(where=held, initial=np.inf)), float(each.max(where=held, initial=-np.inf)))
+        for each in (cloud.x, cloud.y)
+    )
+    return int(np.count_nonzero(held)), (west, south, east, north)
 
 
 def record_run(job: Job, counts: Counts, timings: dict[str, float], notices: Notices) -> Run:
@@ -222,6 +227,7 @@ def detect(
     def find(method: str) -> Regions:
         with stages.stage(method):
             found = DETECTORS[method].detect(scene, params)
+            let_go()
         return replace(found, of_points=None) if frugal else found
 
     with stages.side_by_side():

@@ -106,7 +106,7 @@ class TiledBuild:
         boxes = _boxes(job)
         plan = make_plan(inputs, job.params, stages) if job.plan is None else job.plan
         interest = inputs.area()
-        side_m = side_m or side_for(1.0 if plan.points is None else plan.points.all_density)
+        side_m = side_m or side_for(1.0 if plan.points is None else plan.points.all_density, plan.cell_m)
         tiles = tiles_over(boxes, side_m, None if interest is None else interest.shape_in(plan_crs(plan)))
         words = {
             "sources": sorted((source.role, source.sha256) for source in inputs.sources()),

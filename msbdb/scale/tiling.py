@@ -25,8 +25,12 @@ STEP_M = 50.0
 LEAST_TILE_M = 50.0
 """Ours: smaller tiles would be halo for the most part."""
 
-SEEN_POINTS = 10_000_000
-"""Ours: so many points of a window take 2 GiB of memory (docs/scale.md)."""
+WORKING_BYTES = 1.65 * 2**30
+"""Ours: what a window may take of 2 GiB beside the program."""
+
+POINT_BYTES, CELL_BYTES, LARGEST_CELL_BYTES = 65, 95, 300
+"""Ours, measured (docs/scale.md): what a detector takes for each point, and for each cell beside it; and what the steps
+on cells take for each."""
 
 ECHOES = 1.3
 """Ours: echoes a pulse, in towns with trees."""
@@ -79,15 +83,24 @@ class Tile:
         return f"{self.row},{self.column}"
 
 
-def side_for(density: float) -> float:
-    """Return the side of tiles whose windows take 2 GiB of memory, metres, by the first echoes a square metre.
+def side_for(density: float, cell_m: float) -> float:
+    """Return the side of tiles whose windows take 2 GiB of memory, metres.
+
+    Parameters
+    ----------
+    density : float
+        First echoes a square metre.
+    cell_m : float
+        Side of a cell, metres.
 
     Examples
     --------
-    >>> [side_for(density) for density in (1.0, 8.0, 20.0, 66.0)]
-    [2000.0, 750.0, 400.0, 200.0]
+    >>> [side_for(*each) for each in ((1.0, 1.0), (8.0, 0.4), (20.0, 0.25), (20.0, 0.5), (66.0, 0.25))]
+    [2000.0, 750.0, 400.0, 700.0, 250.0]
     """
-    window_m = math.sqrt(SEEN_POINTS / (ECHOES * density))
+    cells = cell_m**-2
+    of_points = POINT_BYTES * ECHOES * density + CELL_BYTES * cells
+    window_m = math.sqrt(WORKING_BYTES / max(of_points, LARGEST_CELL_BYTES * cells))
     least, most = SIDES_M
     return min(max((window_m - 2 * HALO_M) // STEP_M * STEP_M, least), most)
 
