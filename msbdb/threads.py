@@ -40,6 +40,9 @@ RETURNING = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**25), (TRIM_THRESHOLD, 2**26
 
 _OF_THREAD = local()
 
+_IS_BOUNDED = list[bool]()
+"""Whether `memory_reused` bounds the memory; empty outside of it."""
+
 _ALONE, _SHARE = Lock(), list[int]()
 """Whose turn it is, and on how many cores, in a process that works for others."""
 
@@ -124,7 +127,8 @@ def end_now(code: int) -> NoReturn:
 def memory_reused(*, bounded: bool = False) -> Iterator[None]:
     """Let freed memory serve the next array while the block runs; then give it back to the system.
 
-    With ``bounded``, large arrays go back at once: a tile then takes a tenth less memory, in the same time.
+    With ``bounded``, large arrays go back at once, and what is not needed for a while waits in files
+    (`msbdb.points.aside`).
 
     By default glibc takes each large array from the system, page by page, and gives it back when it is freed. In a
     build of ten million points a quarter of the processor's time went there. Other allocators are left as they are.
@@ -132,14 +136,21 @@ def memory_reused(*, bounded: bool = False) -> Iterator[None]:
     """
     try:
         _set_allocator(BOUNDED if bounded else REUSING)
+        _IS_BOUNDED[:] = [bounded]
         gc.freeze()
         yield
     finally:
         gc.unfreeze()
+        _IS_BOUNDED.clear()
         _set_allocator(RETURNING)
         library = _glibc()
         if library is not None:
             library.malloc_trim(0)
+
+
+def memory_is_bounded() -> bool:
+    """Return whether a block runs in which memory is bounded."""
+    return any(_IS_BOUNDED)
 
 
 def share_one_heap() -> None:

@@ -21,6 +21,7 @@ from msbdb.ledger import Ledger, Marks
 from msbdb.outline.pointoutlines import outline_regions
 from msbdb.outline.polygons import Geometries, rasterise
 from msbdb.params import Params
+from msbdb.points.aside import let_go
 from msbdb.points.cellindex import number_along
 from msbdb.points.cloud import PointCloud
 from msbdb.surface import Surface, heights_above
@@ -31,7 +32,6 @@ Floats = NDArray[np.float64]
 
 PLACES = 2**31
 """Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
-
 
 FEW = 4
 """Rejected points that are less than one in so many are looked at apart."""
@@ -97,7 +97,11 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
     # Where regions meet, the order decides: by place, because the ids depend on the name of the survey.
     order = np.lexsort((found.regions["xcen"], found.regions["ycen"]))
     labels = reorder(found.labels, order, len(order))
-    by_place = outline_regions(cloud.x, cloud.y, labels, len(order), spacing_m=spacing_m, params=params.vector)
+    inside = np.flatnonzero(labels)
+    x, y, labels = cloud.x[inside], cloud.y[inside], labels[inside]
+    del inside
+    let_go()
+    by_place = outline_regions(x, y, labels, len(order), spacing_m=spacing_m, params=params.vector)
     outlines = by_place[np.argsort(order)]
     return Regions(
         found.method,

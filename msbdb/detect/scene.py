@@ -155,6 +155,10 @@ class Scene:
             return None
         return self.cover.crowns(self.evidence.roughness_mm / np.float32(1000), params.cover.leaf_m)
 
+    def with_points_aside(self) -> "Scene":
+        """Return the scene with points that files hold, where memory is bounded (`msbdb.points.aside.set_aside`)."""
+        return self if self.cloud is None else replace(self, cloud=self.cloud.aside())
+
     def without_sources(self) -> "Scene":
         """Return the scene without surface, points and bands, which no step after the detectors needs."""
         return replace(self, surface=None, cloud=None, bands=None, above=None)

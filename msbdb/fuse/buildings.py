@@ -270,7 +270,8 @@ def link_labels(
     """
     one, other, overlap, one_share, other_share = table.names
     _require_ids(other_labels, other_ids, other)
-    counted = [_overlaps(labels, one_ids, other_labels, table) for labels in one_labels]
+    used = np.flatnonzero(other_labels)
+    counted = [_overlaps(labels, one_ids, other_labels, used, table) for labels in one_labels]
     # A row without cells gives the columns where there is no image.
     found = pd.concat([pd.DataFrame(columns=["one", "other", "cells", "one_cells"], dtype=np.int64), *counted])
     found = found.sort_values(["one", "other"], ignore_index=True)
@@ -288,8 +289,13 @@ def link_labels(
     return table.typed(frame)
 
 
-def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, table: Table) -> pd.DataFrame:
-    """Count the cells that regions of two images share: rows ``one, other, cells, one_cells``."""
+def _overlaps(
+    one_labels: Labels, one_ids: Ids, other_labels: Labels, used: NDArray[np.intp], table: Table
+) -> pd.DataFrame:
+    """Count the cells that regions of two images share, of those that the other one uses.
+
+    The rows have the columns ``one, other, cells, one_cells``.
+    """
     if one_labels.shape != other_labels.shape:
         msg = (
             f"The regions of {table.name} must lie on one lattice; their labels have the shapes {one_labels.shape} and "
@@ -297,7 +303,7 @@ def _overlaps(one_labels: Labels, one_ids: Ids, other_labels: Labels, table: Tab
         )
         raise GridMismatchError(msg)
     _require_ids(one_labels, one_ids, table.names[0])
-    first, second, cells = shared_cells(one_labels, other_labels)
+    first, second, cells = shared_cells(one_labels.ravel()[used], other_labels.ravel()[used])
     one, other = first - 1, second - 1
     one_cells = sizes(one_labels, len(one_ids))[one]
     return pd.DataFrame({"one": one, "other": other, "cells": cells, "one_cells": one_cells})

@@ -33,7 +33,8 @@ LOWER_FIRST = 1e-3
 PAIRS, SHOWN, FIRST_KIND, DIFFER, LOWEST, SQUARED, MOMENTS = 0, 1, 2, 6, 7, 8, 9
 """The columns of ``Touches.counts``."""
 
-Floats = NDArray[np.float64]
+Counts = list[float]
+"""A row of ``Touches.counts``: single values are read from lists quicker than from arrays."""
 
 
 class Joining:
@@ -56,15 +57,16 @@ class Joining:
         self.cells, self.heights, self.tops = (
             values.tolist() for values in (pieces.cells, pieces.heights, pieces.tops)
         )
-        self.moments = list(pieces.moments)
-        self.directions = list(pieces.directions)
+        self.moments = pieces.moments.tolist()
+        self.directions = pieces.directions.tolist()
         self.owners = pieces.owners.tolist()
         self.small = [self._is_small(node) for node in range(len(self.cells))]
-        self.beside: list[dict[int, Floats]] = [{} for _ in self.cells]
-        for one, other, counts in zip(touches.one.tolist(), touches.other.tolist(), touches.counts, strict=True):
+        self.beside: list[dict[int, Counts]] = [{} for _ in self.cells]
+        rows = zip(touches.one.tolist(), touches.other.tolist(), touches.counts.tolist(), strict=True)
+        for one, other, counts in rows:
             self.beside[one][other] = self.beside[other][one] = counts
         self.around = [
-            rim + sum(float(counts[PAIRS]) for counts in beside.values())
+            rim + sum(counts[PAIRS] for counts in beside.values())
             for rim, beside in zip(pieces.rims.tolist(), self.beside, strict=True)
         ]
         self.version = [0] * len(self.cells)
@@ -156,18 +158,19 @@ class Joining:
         self.version[other] = -1
         if not self.small[other]:
             self.tops[one] = max(self.tops[one], self.tops[other])
-        self.around[one] += self.around[other] - 2 * float(self.beside[one][other][PAIRS])
+        self.around[one] += self.around[other] - 2 * self.beside[one][other][PAIRS]
         self.cells[one] += self.cells[other]
         self.heights[one] += self.heights[other]
-        self.moments[one] = self.moments[one] + self.moments[other]
-        self.directions[one] = self.directions[one] + self.directions[other]
+        self.moments[one] = _summed(self.moments[one], self.moments[other])
+        self.directions[one] = _summed(self.directions[one], self.directions[other])
         if not self.small[other]:
             self.owners[one] = self.owners[one] or self.owners[other]
         self.small[one] = self._is_small(one)
         for node, counts in self.beside[other].items():
             del self.beside[node][other]
             if node != one:
-                self.beside[one][node] = self.beside[node][one] = self.beside[one].get(node, 0) + counts
+                both = self.beside[one].get(node)
+                self.beside[one][node] = self.beside[node][one] = counts if both is None else _summed(both, counts)
         self.beside[other] = {}
         self._look_again(one)
         for node in self.beside[one]:
@@ -190,27 +193,30 @@ class Joining:
             return None
         return self._reason_of_roofs(one, other, counts) or self._reason_of_directions(one, other, counts)
 
-    def _reason_of_roofs(self, one: int, other: int, counts: Floats) -> str | None:
+    def _reason_of_roofs(self, one: int, other: int, counts: Counts) -> str | None:
         """Return which step, valley or wall divides two nodes; None for none."""
         if counts[SHOWN] < self.params.share * counts[PAIRS]:
             return None
-        levels = self.heights[one] / self.cells[one], self.heights[other] / self.cells[other]
-        mean_m, square_m2 = counts[LOWEST] / counts[PAIRS], counts[SQUARED] / counts[PAIRS]
-        # The upper end of the border: a valley that climbs to a ridge has a high one.
-        upper_m = mean_m + DEVIATIONS * np.sqrt(max(square_m2 - mean_m**2, 0))
-        rise = min(self.tops[one], self.tops[other]) - upper_m
         kinds = counts[FIRST_KIND : FIRST_KIND + len(ROOFS)]
-        holds = {
-            "step": abs(levels[0] - levels[1]) >= self.params.level_m,
-            "valley": rise >= self.params.rise_m and self._is_straight(counts),
-            "wall": True,
-        }
-        for kind in np.argsort(-kinds, kind="stable").tolist():
-            if 2 * kinds[kind] >= self.params.share * counts[PAIRS] and holds[ROOFS[kind]]:
-                return str(ROOFS[kind])
+        for shown, kind in sorted(zip(kinds, ROOFS, strict=True), key=lambda each: -each[0]):
+            if 2 * shown >= self.params.share * counts[PAIRS] and self._holds(kind, one, other, counts):
+                return kind
         return None
 
-    def _reason_of_directions(self, one: int, other: int, counts: Floats) -> str | None:
+    def _holds(self, kind: str, one: int, other: int, counts: Counts) -> bool:
+        """Return whether the roofs beside a step or a valley fit it; a wall needs no more."""
+        if kind == "step":
+            levels = self.heights[one] / self.cells[one], self.heights[other] / self.cells[other]
+            return bool(abs(levels[0] - levels[1]) >= self.params.level_m)
+        if kind == "valley":
+            mean_m, square_m2 = counts[LOWEST] / counts[PAIRS], counts[SQUARED] / counts[PAIRS]
+            # The upper end of the border: a valley that climbs to a ridge has a high one.
+            upper_m = mean_m + DEVIATIONS * math.sqrt(max(square_m2 - mean_m**2, 0))
+            rise = min(self.tops[one], self.tops[other]) - upper_m
+            return rise >= self.params.rise_m and self._is_straight(counts)
+        return True
+
+    def _reason_of_directions(self, one: int, other: int, counts: Counts) -> str | None:
         """Return DIRECTION where two nodes bend along their whole border, and each has one direction."""
         if counts[FIRST_KIND + len(ROOFS)] < self.params.share * counts[PAIRS]:
             return None
@@ -222,7 +228,7 @@ class Joining:
         differ = abs((angles[0] - angles[1] + 45) % 90 - 45)
         return DIRECTION if differ >= self.params.turn_deg else None
 
-    def _is_straight(self, counts: Floats) -> bool:
+    def _is_straight(self, counts: Counts) -> bool:
         """Return whether a border runs along one line: the two valleys beside a wing do not."""
         width, length = spread(counts[PAIRS], counts[MOMENTS:])
         return width <= BENT * length
@@ -235,3 +241,8 @@ class Joining:
         if cells * self.cell_m**2 < area_m2:
             return True
         return spread(cells, self.moments[node])[0] * self.cell_m < width_m
+
+
+def _summed(one: Counts, other: Counts) -> Counts:
+    """Return the sums of two rows."""
+    return [a + b for a, b in zip(one, other, strict=True)]

@@ -204,9 +204,9 @@ def roofs_of(labels: Labels, level: Grid, params: HeightParams) -> Roofs:
     building = np.zeros(number, dtype=np.int32)
     building[found[inside] - 1] = labels[inside] - 1
     rim = np.isfinite(edge)
-    eaves = quantiles(found[rim], edge[rim], number, params.eaves_share)
-    eaves = np.where(np.isnan(eaves), quantiles(found, heights, number, params.eaves_share), eaves)
-    ridge = quantiles(found, heights, number, params.ridge_share)
+    [eaves] = quantiles(found[rim], edge[rim], number, params.eaves_share)
+    low, ridge = quantiles(found, heights, number, params.eaves_share, params.ridge_share)
+    eaves = np.where(np.isnan(eaves), low, eaves)
     flat = np.unique(found[joined & strip[again]]) - 1
     ridge[flat] = eaves[flat]
     area_m2 = sizes(found, number).astype(np.float64) * level.spec.cell_area_m2
@@ -384,8 +384,8 @@ def _around(
         (wide > 0, 1),
     ):
         missing = np.isnan(levels[0]) & (sizes(owner[chosen], count) >= least)
-        for found, share in zip(levels, shares, strict=True):
-            found[missing] = quantiles(owner[chosen], level[chosen], count, share)[missing]
+        chosen &= np.append(False, missing)[owner]
+        levels[:, missing] = np.stack(quantiles(owner[chosen], level[chosen], count, *shares))[:, missing]
     return (levels[0], levels[1], levels[2]), nodata
 
 

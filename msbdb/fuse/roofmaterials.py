@@ -183,5 +183,5 @@ def _is_house(row: NDArray[np.int64], col: NDArray[np.int64], params: TouchingPa
     if sizes(pieces, count).min() * cell_m**2 < params.house_m2:
         return False
     y, x = row.astype(np.float64), col.astype(np.float64)
-    moments = np.array([values.sum() for values in (y, x, y * y, x * x, y * x)])
+    moments = [float(values.sum()) for values in (y, x, y * y, x * x, y * x)]
     return spread(float(y.size), moments)[0] * cell_m >= params.width_m

@@ -1,16 +1,16 @@
 """Pieces of roofs: the cells of buildings cut along all lines where a house may end, and where the pieces touch."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from msbdb.fuse.roofdirections import RoofDirections
-from msbdb.labels import Labels, around, boxes, label_zones, look_up, sums, widened
-from msbdb.threads import together
+from msbdb.labels import Box, Labels, around, boxes, label_zones, sums, widened
+from msbdb.threads import in_threads
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -116,26 +116,25 @@ def cut_pieces(
     .. [1] Beucher, S., Meyer, F., 1993. The morphological approach to segmentation: the watershed transformation.
        Mathematical Morphology in Image Processing, 433-481.
     """
-    islands, island_count = label_zones(built)
-    core, top = np.zeros_like(built), np.zeros_like(built)
-    relief, smooth = np.zeros_like(heights), np.zeros_like(heights)
+    islands, _ = label_zones(built)
     margin = math.ceil(TRUNCATE * SMOOTH_M / cell_m) + 1
-    for number, window in boxes(islands).items():
+    found = np.zeros(built.shape, dtype=np.int64)
+
+    def cut(island: tuple[int, Box]) -> None:
+        number, window = island
         near = widened(window, margin)
         own = islands[near] == number
-        found = _marks(heights[near], built[near], strength[near], cell_m=cell_m, core_m=core_m)
-        for whole, part in zip((core, top, relief, smooth), found, strict=True):
-            whole[near][own] = part[own]
-    cores, count = label_zones(core)
-    has_core = np.zeros(island_count + 1, dtype=np.bool_)
-    has_core[islands[cores > 0]] = True
-    # An island without any core is one piece here.
-    seeds = np.where(look_up(has_core, islands), cores, islands + count)
-    between, below = together(
-        partial(_flooded, relief, seeds, built), partial(_flooded, -smooth, label_zones(top)[0], built)
-    )
-    both = np.where(built, between.astype(np.int64) * (int(below.max()) + 2) + below + 1, 0)
-    return label_zones(both, connectivity=4)[0]
+        core, top, relief, smooth = _marks(heights[near], built[near], strength[near], cell_m=cell_m, core_m=core_m)
+        # An island without any core is one piece here.
+        seeds = core & own if (core & own).any() else own
+        between, below = (
+            _flooded(each, label_zones(of & own)[0], own) for each, of in ((relief, seeds), (-smooth, top))
+        )
+        # No cell is of two islands, so threads never write to the same place.
+        found[near][own] = (between.astype(np.int64) * (int(below.max()) + 1) + below)[own]
+
+    in_threads(cut, boxes(islands).items())
+    return label_zones(found, connectivity=4)[0]
 
 
 def cut_bends(labels: Labels, turn_deg: NDArray[np.float32], least_deg: float) -> Labels:
@@ -223,7 +222,7 @@ def _moments(row: Floats, col: Floats) -> tuple[Floats, ...]:
     return row, col, row * row, col * col, row * col
 
 
-def spread(count: float, moments: Floats) -> tuple[float, float]:
+def spread(count: float, moments: Sequence[float]) -> tuple[float, float]:
     """Return the smaller and the larger side of the rectangle with the second moments of cells, cells.
 
     Examples
@@ -231,11 +230,11 @@ def spread(count: float, moments: Floats) -> tuple[float, float]:
     Two rows of four cells:
 
     >>> row, col = np.divmod(np.arange(8.0), 4)
-    >>> sums_of = np.array([part.sum() for part in (row, col, row * row, col * col, row * col)])
+    >>> sums_of = [float(part.sum()) for part in (row, col, row * row, col * col, row * col)]
     >>> tuple(round(side, 6) for side in spread(8, sums_of))
     (2.0, 4.0)
     """
-    row, col, row2, col2, both = (moments / count).tolist()
+    row, col, row2, col2, both = (moment / count for moment in moments)
     # A cell itself has the variance 1/12.
     one, other, mixed = row2 - row * row + 1 / 12, col2 - col * col + 1 / 12, both - row * col
     middle, half = (one + other) / 2, math.hypot((one - other) / 2, mixed)

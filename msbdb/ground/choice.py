@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, median_filter, uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
@@ -21,6 +21,9 @@ from msbdb.surface.gridding import lowest
 MIN_GROUND_SHARE = 0.02
 """Below this share of class 2 the given classes are not taken for a classification of the ground."""
 
+VOID_M = 10.0
+"""Cells farther than this from all points are a void: water, or beyond the survey. Sparse scan lines lie nearer."""
+
 
 class GroundFilter(Protocol):
     """Detects the ground cells of a grid of lowest points."""
@@ -31,7 +34,7 @@ class GroundFilter(Protocol):
         Parameters
         ----------
         surface : Grid
-            Lowest heights, gap-free: every cell valid, metres.
+            Lowest heights, gap-free, metres. Valid are the cells near points; the values of others are mere guesses.
         params : GroundParams
             The filter's parameters.
         """
@@ -100,11 +103,16 @@ def _through(points: PointCloud, ground: NDArray[np.bool_], spec: GridSpec) -> G
 
 
 def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> Grid:
-    """Grid the lowest points without gaps, with isolated low outliers raised to their neighbourhood."""
+    """Grid the lowest points without gaps, with isolated low outliers raised to their neighbourhood.
+
+    All cells have values; valid are those within `VOID_M` of a cell with points.
+    """
     found = lowest(points, spec)
-    filled = interpolate_ground(found.values, _supported(found.valid), spec, nearest=True).values
+    supported = _supported(found.valid)
+    filled = interpolate_ground(found.values, supported, spec, nearest=True).values
     floor = median_filter(filled, size=5, mode="nearest") - np.float32(params.low_outlier_m)
-    return Grid(np.maximum(filled, floor), np.ones(spec.shape, dtype=np.bool_), spec)
+    near = distance_transform_edt(~supported) * spec.cell_m <= max(VOID_M, 2 * spec.cell_m)
+    return Grid(np.maximum(filled, floor), near, spec)
 
 
 def _supported(observed: NDArray[np.bool_]) -> NDArray[np.bool_]:

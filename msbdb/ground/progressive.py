@@ -78,13 +78,17 @@ def progressive_ground(surface: Grid, params: GroundParams) -> Mask:
     return open_progressively(heights - trend, cell_m, params.slope, params)
 
 
-def open_progressively(heights: Heights, cell_m: float, slope: float, params: GroundParams) -> Mask:
+def open_progressively(
+    heights: Heights, cell_m: float, slope: float, params: GroundParams, measured: Mask | None = None
+) -> Mask:
     """Run the openings with one slope, without a second run, and return the (H, W) ground cells."""
     opened = heights
-    ground = np.ones(heights.shape, dtype=np.bool_)
+    ground = np.ones(heights.shape, dtype=np.bool_) if measured is None else measured.copy()
     before = 0
     for radius in window_radii(params.window_m / cell_m, params.window_growth):
-        lower = opening(opened, 2 * radius + 1, None)
+        lower = opening(opened, 2 * radius + 1, measured)
+        if measured is not None:
+            lower[~measured] = 0
         ground &= opened - lower <= params.height_m + slope * (radius - before) * cell_m
         opened, before = lower, radius
     return ground

@@ -54,7 +54,7 @@ def lower_trend(surface: Grid, params: GroundParams) -> NDArray[np.float32]:
     Parameters
     ----------
     surface : Grid
-        Lowest heights, gap-free, metres.
+        Lowest heights, metres; a void has none.
     params : GroundParams
         ``block_m`` and ``low_share``.
 
@@ -65,7 +65,8 @@ def lower_trend(surface: Grid, params: GroundParams) -> NDArray[np.float32]:
     Notes
     -----
     The fit is a quantile regression (Koenker and Bassett 1978) by reweighted least squares.
-    Border: windows are cut; beyond the outermost centres the trend goes on straight.
+    Border: windows are cut; beyond the outermost centres the trend goes on straight. Nodata: a block without heights
+    does not count; where none is within reach the trend has no meaning.
 
     Examples
     --------
@@ -87,7 +88,8 @@ def lower_trend(surface: Grid, params: GroundParams) -> NDArray[np.float32]:
     """
     size = max(1, round(params.block_m / surface.spec.cell_m))
     begin = _begin(surface.spec.origin, size)
-    heights, rows, cols = _lowest_of_blocks(np.asarray(surface.values, dtype=np.float64), size, begin)
+    measured = np.where(surface.valid, np.asarray(surface.values, dtype=np.float64), np.inf)
+    heights, rows, cols = _lowest_of_blocks(measured, size, begin)
     planes = _fit_planes(heights, rows, cols, float(size), params.low_share)
     return _between_centres(planes, size, surface.spec.shape, begin)
 
@@ -224,7 +226,8 @@ def _fit_planes(heights: Floats, rows: Floats, cols: Floats, size: float, low_sh
     # In blocks, so that the normal equations are of one scale; the ridge keeps single rows of blocks solvable.
     design = np.stack([np.ones_like(z), east / size, north / size], axis=-1).reshape(*heights.shape, -1, 3)
     z, near = z.reshape(*heights.shape, -1), near.reshape(*heights.shape, -1)
-    ridge = np.diag([0.0, 1e-6, 1e-6])
+    nothing = np.all(~inside, axis=(-2, -1))
+    ridge = np.diag([0.0, 1e-6, 1e-6]) + np.multiply.outer(nothing, np.eye(3))
     weights, fit = near, np.zeros((*heights.shape, 3))
     for _ in range(ROUNDS):
         weighted = design * weights[..., None]

@@ -67,7 +67,7 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     Parameters
     ----------
     surface : Grid
-        Lowest heights, gap-free, metres.
+        Lowest heights, gap-free, metres; cells that are not valid are a void far from all points.
     params : GroundParams
         Section ``ground``.
 
@@ -79,7 +79,8 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     Notes
     -----
     The filter is ours. Steps are those between cells of 1 m; between larger cells they must be larger in proportion.
-    Border: the outermost cell is repeated. Ties go to the ground.
+    Border: the outermost cell is repeated. Nodata: a void is a border; it has no steps, and no cell of it is ground.
+    Ties go to the ground.
 
     Examples
     --------
@@ -98,15 +99,16 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     """
     heights = np.asarray(surface.values, dtype=np.float32)
     cell_m = surface.spec.cell_m
+    measured = surface.valid
     radius = max(1, round(params.clutter_m / cell_m))
-    opened = opening(heights, 2 * radius + 1, None)
-    above_trend = _without_hollows(opened - lower_trend(surface, params), cell_m, params)
-    sure = open_progressively(above_trend, cell_m, params.slope, params)
-    decided = _decide(opened, sure, cell_m, params)
+    opened = np.where(measured, opening(heights, 2 * radius + 1, measured), heights)
+    above_trend = _without_hollows(np.where(measured, opened - lower_trend(surface, params), 0), cell_m, params)
+    sure = open_progressively(above_trend, cell_m, params.slope, params, measured)
+    decided = _decide(opened, sure, measured, cell_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
-    reached: Mask = ground | _reached(heights, ground, cell_m, params)
+    reached: Mask = ground | _reached(heights, ground, measured, cell_m, params)
     return reached & ~_wells(surface, reached, sure, params)
 
 
@@ -136,19 +138,20 @@ def _without_hollows(above_trend: Heights, cell_m: float, params: GroundParams) 
     return np.asarray(above_trend[rows, cols])
 
 
-def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -> Mask:
+def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
     """Return the ground by the minimum cut; what is sure stays."""
     node = np.full(heights.shape, -1, dtype=np.int32)
-    count = int(np.count_nonzero(~sure))
+    free = measured & ~sure
+    count = int(np.count_nonzero(free))
     if not count:
         return sure
-    node[~sure] = np.arange(count, dtype=np.int32)
+    node[free] = np.arange(count, dtype=np.int32)
     costs = np.zeros(count)
     pairs = []
     for one, other in neighbours(heights.shape):
         for low, high in ((one, other), (other, one)):
             rise = heights[high] - heights[low]
-            chosen = (rise > 0) | ((rise == 0) & (low is one))
+            chosen = ((rise > 0) | ((rise == 0) & (low is one))) & measured[low] & measured[high]
             wall = np.clip(
                 (rise / max(cell_m, 1.0) - params.wall_low_m) / (params.wall_high_m - params.wall_low_m), 0, 1
             )
@@ -164,11 +167,11 @@ def _decide(heights: Heights, sure: Mask, cell_m: float, params: GroundParams) -
     first, second, terrace, smooth = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     cut = minimum_cut(costs, Pairs(first, second, terrace, smooth, np.ones_like(terrace), np.zeros_like(terrace)))
     ground = sure.copy()
-    ground[~sure] = ~cut
-    return ground & ~_podiums(heights, ground, cell_m, params)
+    ground[free] = ~cut
+    return ground & ~_podiums(heights, ground, measured, cell_m, params)
 
 
-def _podiums(heights: Heights, ground: Mask, cell_m: float, params: GroundParams) -> Mask:
+def _podiums(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
     """Return the regions of ground that fall by walls nearly all around.
 
     A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
@@ -180,9 +183,9 @@ def _podiums(heights: Heights, ground: Mask, cell_m: float, params: GroundParams
     for one, other in neighbours(heights.shape):
         for here, there in ((one, other), (other, one)):
             fall = heights[here] - heights[there]
-            differ = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m))
+            differ = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m) | ~measured[there])
             around[here] += differ
-            falls[here] += differ & (fall >= wall_m)
+            falls[here] += differ & (fall >= wall_m) & measured[there]
     for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
         around[side] += 1
     edges, walls = (np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls))
@@ -190,18 +193,18 @@ def _podiums(heights: Heights, ground: Mask, cell_m: float, params: GroundParams
     return podium
 
 
-def _reached(heights: Heights, ground: Mask, cell_m: float, params: GroundParams) -> Mask:
+def _reached(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
     """Return the regions above ground that a way from the ground leads to, for most of their cells."""
-    rise = dilation(heights, WAY_PX, None) - erosion(heights, WAY_PX, None)
-    even = rise < (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0)
+    rise = dilation(heights, WAY_PX, measured) - erosion(heights, WAY_PX, measured)
+    even = measured & (rise < (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0))
     ways, count = label_zones(even)
     of_ground = sizes(ways[ground], count)
     from_ground = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
     reached = dilation(chosen_cells(ways, from_ground).astype(np.float32), WAY_PX, None) > 0
-    regions, count = _joined(heights, ~ground, _wall_m(cell_m, params))
+    regions, count = _joined(heights, measured & ~ground, _wall_m(cell_m, params))
     cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))
     large = cells * cell_m**2 >= LEAST_M2
-    terrain: Mask = ~ground & (large & (of_them >= params.reached_share * cells))[regions]
+    terrain: Mask = measured & ~ground & (large & (of_them >= params.reached_share * cells))[regions]
     return terrain
 
 

@@ -29,13 +29,16 @@ def looked_up(table: NDArray[Any], labels: NDArray[np.int32]) -> tuple[NDArray[A
 def counted(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.int64], bool]:
     """Return (count + 1,) how often each label from 0 on occurs among (N,) labels, and whether all are among these."""
     found = np.zeros(count + 1, dtype=np.int64)
+    # Cells of one label follow each other: a counter that each of them raises would wait for itself.
+    last, run = 0, 0
     for label in labels:
-        # One counter that most cells raise would wait for itself.
-        if label != 0:
+        if label != last:
             if label < 0 or label > count:
                 return found, False
-            found[label] += 1
-    found[0] = labels.size - found.sum()
+            found[last] += run
+            last, run = label, 0
+        run += 1
+    found[last] += run
     return found, True
 
 

@@ -306,8 +306,8 @@ def shared_cells(
 
     Parameters
     ----------
-    one, other : (H, W) ndarray of int
-        Label images of one shape; 0 for none.
+    one, other : ndarray of int
+        Label images, or some of their cells, of one shape; 0 for none.
 
     Returns
     -------

@@ -172,8 +172,10 @@ def _quantile(
     return result
 
 
-def quantiles(labels: NDArray[np.int32], values: NDArray[np.floating], count: int, share: float) -> NDArray[np.float64]:
-    """Return a quantile of the values over the cells or points of each region; NaN for a region without any.
+def quantiles(
+    labels: NDArray[np.int32], values: NDArray[np.floating], count: int, *shares: float
+) -> list[NDArray[np.float64]]:
+    """Return quantiles of the values over the cells or points of each region; NaN for a region without any.
 
     Parameters
     ----------
@@ -183,20 +185,26 @@ def quantiles(labels: NDArray[np.int32], values: NDArray[np.floating], count: in
         Without NaN.
     count : int
         Number of regions.
-    share : float
+    *shares : float
         0 for the lowest value, 0.5 for the median, 1 for the highest; interpolated linearly between the two nearest.
+
+    Returns
+    -------
+    list of (count,) ndarray of float64
+        An array for each share.
 
     Examples
     --------
     >>> quantiles(np.array([1, 1, 1, 3, 0]), np.array([4.0, 6.0, 9.0, 1.0, 7.0]), 3, 0.5)
-    array([ 6., nan,  1.])
+    [array([ 6., nan,  1.])]
     """
     use = labels > 0
     member, numbers = labels[use], values[use].astype(np.float64)
     order = np.lexsort((numbers, member))
     starts = np.concatenate([[0], np.cumsum(sizes(member, count))])
     some = np.diff(starts) > 0
-    return np.where(some, _quantile(numbers[order], starts, some, share), np.nan)
+    grouped = numbers[order]
+    return [np.where(some, _quantile(grouped, starts, some, share), np.nan) for share in shares]
 
 
 def central_cells(

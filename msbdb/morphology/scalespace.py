@@ -116,11 +116,11 @@ def build_scale_space(
         msg = f"The area thresholds must be one or more ascending numbers of cells; got {thresholds}."
         raise ParameterError(msg)
     levels = np.empty((len(thresholds), *level.shape), dtype=level.dtype)
-    current, island = level, np.zeros(0, dtype=np.int64)
+    current, island = level, np.zeros(0, dtype=np.int32)
     for index, threshold in enumerate(thresholds):
         current = area_open_close(current, threshold, connectivity=connectivity)
         if keep_ground and index:
-            current[island < threshold] = 0
+            current = np.where(island < threshold, current.dtype.type(0), current)
         if merge_small:
             current = merge_small_zones(current, threshold, connectivity=connectivity)
         if keep_ground and not index:
@@ -129,10 +129,10 @@ def build_scale_space(
     return ScaleSpace(levels, tuple(int(threshold) for threshold in thresholds))
 
 
-def _island_sizes(level: NDArray[Any], connectivity: int) -> NDArray[np.int64]:
+def _island_sizes(level: NDArray[Any], connectivity: int) -> NDArray[np.int32]:
     """Return for each cell above 0 the number of cells of its island; 0 elsewhere."""
     islands, count = label_zones(level > 0, connectivity=connectivity)
-    return look_up(np.concatenate([[0], sizes(islands, count)]), islands)
+    return look_up(np.concatenate([[0], sizes(islands, count)]).astype(np.int32), islands)
 
 
 def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:

@@ -205,12 +205,30 @@ def at_fault(arcs: Arcs, drawn: Drawn, redrawable: NDArray[np.bool_], suspects: 
     return result
 
 
-def broken(geometries: Geometries) -> NDArray[np.bool_]:
-    """Return which geometries are invalid or overlap others."""
-    invalid = ~shapely.is_valid(geometries)
-    if invalid.any():
-        return np.asarray(invalid)
-    return np.asarray(~shapely.is_empty(shapely.coverage_invalid_edges(geometries)))
+class Soundness:
+    """Which geometries are sound; those that have not changed since the last look are not looked at again."""
+
+    def __init__(self, count: int) -> None:
+        self.checked, self.valid = np.full(count, None, dtype=np.object_), np.zeros(count, dtype=np.bool_)
+        self.compared, self.overlaps = self.checked, np.zeros(count, dtype=np.bool_)
+
+    def broken(self, geometries: Geometries) -> NDArray[np.bool_]:
+        """Return which geometries are invalid; which overlap others, where all are valid."""
+        new = ~shapely.equals_exact(geometries, self.checked)
+        self.valid[new] = shapely.is_valid(geometries[new])
+        self.checked = geometries
+        if not self.valid.all():
+            return ~self.valid
+        new = ~shapely.equals_exact(geometries, self.compared)
+        # A geometry overlaps what its box meets: what changed concerns those around its old and its new place.
+        tree = shapely.STRtree(geometries)
+        near = np.unique(tree.query(np.concatenate((geometries[new], self.compared[new])))[1])
+        around = np.unique(tree.query(geometries[near])[1])
+        if len(around):
+            wrong = ~shapely.is_empty(shapely.coverage_invalid_edges(geometries[around]))
+            self.overlaps[near] = wrong[np.isin(around, near)]
+        self.compared = geometries
+        return self.overlaps
 
 
 def _as_multi(geometries: Geometries) -> Geometries:

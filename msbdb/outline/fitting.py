@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError
 from msbdb.grid import GridSpec
 from msbdb.labels import Labels
-from msbdb.outline.arcs import Arcs, Chains, Drawn, assembled, at_fault, broken, cut, from_corners, traced_chains
+from msbdb.outline.arcs import Arcs, Chains, Drawn, Soundness, assembled, at_fault, cut, from_corners, traced_chains
 from msbdb.outline.corners import drawn_arcs, joined_walls, placed_nodes
 from msbdb.outline.directions import arc_frames, no_frames
 from msbdb.outline.polygons import Geometries, polygonise, tidied
@@ -143,14 +143,17 @@ def fit_coverage(
     runs = divide(chains.places, no_frames(chains.count), costs)
     frames = arc_frames(chains, runs, len(geometries))
     chains = from_corners(chains, runs)
-    chains = from_corners(chains, divide(chains.places, frames, costs))
     runs = divide(chains.places, frames, costs)
+    chains = from_corners(chains, runs)
+    # Rings have another beginning now; the walls of the other arcs are found.
+    runs = redivided(runs, chains.places, frames, np.flatnonzero(chains.nodes[0] < 0), costs)
     level = np.zeros(chains.count, dtype=np.int64)
     # Where there are no main directions, walls are the chords of a curve.
     curved = np.flatnonzero(np.diff(frames[2]) == 0)
     level[curved] = CHORDS
     runs = redivided(runs, chains.places, frames, curved, costs.scaled(SHARES[CHORDS]))
     smallest = np.minimum(least_m2, _ring_areas(arcs, arcs.as_given()))
+    soundness = Soundness(len(geometries))
     while True:
         walls = joined_walls(runs, chains.places, chains.nodes, chains.border)
         places = _settled(chains, placed_nodes(walls, chains.nodes), level, spec)
@@ -163,7 +166,9 @@ def fit_coverage(
             inside = np.clip(_fine(vertices), 0, spec.shape[::-1])
             drawn = _drawn(arcs, chains, (_world(inside, spec), offsets), level, tolerance_px * spec.cell_m)
             result = assembled(arcs, drawn)
-            occurrence = _faults(arcs, drawn, result, (level < LAST)[chains.own], smallest)
+            occurrence = _faults(
+                arcs, drawn, result, (level < LAST)[chains.own], smallest=smallest, soundness=soundness
+            )
             fault[chains.own[occurrence]] = True
             if result is not None and not fault.any():
                 break
@@ -174,19 +179,21 @@ def fit_coverage(
         again = fault & (level < TRACED)
         for step, share in enumerate(SHARES):
             chosen = np.flatnonzero(again & (level == step))
-            if len(chosen):
+            if share < 1 and len(chosen):
                 runs = redivided(runs, chains.places, frames, chosen, costs.scaled(share))
     fitted = np.ones(len(geometries), dtype=np.bool_)
     fitted[arcs.geometry[level[chains.own] >= TRACED]] = False
     return result, fitted
 
 
-def _faults(arcs: Arcs, drawn: Drawn, result: Geometries | None, redrawable: Mask, smallest: Floats) -> Mask:
+def _faults(
+    arcs: Arcs, drawn: Drawn, result: Geometries | None, redrawable: Mask, *, smallest: Floats, soundness: Soundness
+) -> Mask:
     """Return the occurrences of arcs that must be drawn anew."""
     if result is None:
         return np.asarray((drawn.ring_sizes(arcs) < 3)[arcs.ring] & redrawable)
     fault = (_ring_areas(arcs, drawn) < smallest - 1e-6)[arcs.ring] & redrawable
-    faulty = broken(result)
+    faulty = soundness.broken(result)
     if faulty.any():
         fault |= at_fault(arcs, drawn, redrawable, np.flatnonzero(faulty[arcs.geometry])) & redrawable
     return np.asarray(fault)

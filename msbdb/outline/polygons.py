@@ -163,7 +163,7 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
         msg = f"Labels must lie between 0 and {count}; got {labels.min()} to {labels.max()}."
         raise InputError(msg)
     owner, rings, ring_sizes, corners = _traced(np.ascontiguousarray(labels, dtype=np.int32))
-    vertices, ring_sizes = _with_nodes(corners, ring_sizes, _nodes(labels))
+    vertices, ring_sizes = _with_nodes(corners, ring_sizes, labels)
     world = np.column_stack(spec.corners(vertices[:, 1], vertices[:, 0]))
     offsets = (_offsets(ring_sizes), _offsets(rings), _offsets(sizes(owner, count)))
     outlines = shapely.from_ragged_array(shapely.GeometryType.MULTIPOLYGON, world, offsets)
@@ -217,10 +217,10 @@ def _traced(
     return owner, rings, sizes, np.rint(vertices).astype(np.int64).reshape(-1, 2)
 
 
-def _nodes(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return the (H + 1, W + 1) lattice vertices at which three labels or more meet."""
+def _are_nodes(labels: NDArray[np.int32], col: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether three labels or more meet at vertices of the lattice."""
     padded = np.pad(labels, 1)
-    a, b, c, d = padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]
+    a, b, c, d = padded[row, col], padded[row, col + 1], padded[row + 1, col], padded[row + 1, col + 1]
     distinct = (b != a).astype(np.int8)
     distinct += (c != a) & (c != b)
     distinct += (d != a) & (d != b) & (d != c)
@@ -228,9 +228,9 @@ def _nodes(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def _with_nodes(
-    corners: NDArray[np.int64], sizes: NDArray[np.int64], nodes: NDArray[np.bool_]
+    corners: NDArray[np.int64], sizes: NDArray[np.int64], labels: NDArray[np.int32]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Add the nodes that lie on the rings' edges as vertices; the rings are closed and run along the lattice."""
+    """Add the labels' nodes on the rings' edges as vertices; the rings are closed and run along the lattice."""
     ring = np.repeat(np.arange(len(sizes)), sizes)
     step = np.zeros_like(corners)
     step[:-1] = np.where((ring[1:] == ring[:-1])[:, None], corners[1:] - corners[:-1], 0)
@@ -239,7 +239,7 @@ def _with_nodes(
     index = np.repeat(np.arange(len(corners)), length)
     along = np.arange(len(index)) - np.repeat(np.cumsum(length) - length, length)
     dense = corners[index] + np.sign(step)[index] * along[:, None]
-    keep = (along == 0) | nodes[dense[:, 1], dense[:, 0]]
+    keep = (along == 0) | _are_nodes(labels, *dense.T)
     return dense[keep], np.bincount(ring[index[keep]], minlength=len(sizes))
 
 

@@ -16,6 +16,9 @@ FREE = -1
 STEEP = 1e-9
 """Costs must differ by more than this, so that rounding decides nothing."""
 
+ROUNDED = 1.0
+"""Sums of squares are exact to far less than this."""
+
 FREE_RMS = 0.6
 """A free run whose edges lie farther from its line, in tolerances (RMS), is not lengthened."""
 
@@ -252,6 +255,9 @@ def _end_runs(j: int, given: tuple[Floats, Floats, Floats], reach: float, costs:
             mean = ways[0, s] * mean_x + ways[1, s] * mean_y
             if high[s] - mean > reach or mean - low[s] > reach:
                 continue
+            # The squares make nothing cheaper, but for rounding.
+            if opened[i, s] + ways[2, s] >= best[j, s] + ROUNDED:
+                continue
             squares = ways[0, s] ** 2 * xx + 2 * ways[0, s] * ways[1, s] * xy + ways[1, s] ** 2 * yy
             cost = opened[i, s] + squares + ways[2, s]
             if cost < best[j, s] - STEEP:
@@ -260,9 +266,10 @@ def _end_runs(j: int, given: tuple[Floats, Floats, Floats], reach: float, costs:
             squares = max((xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy * xy), 0.0)
             free_alive = n < 4 or squares < n * (FREE_RMS * reach) ** 2
             cost = opened[i, free_state] + squares + ways[2, free_state]
-            angle = 0.5 * np.arctan2(2 * xy, xx - yy)
-            if cost < best[j, free_state] - STEEP and _within(middle[0, i:j], middle[1, i:j], angle, reach):
-                best[j, free_state], origin[j, free_state] = cost, i
+            if cost < best[j, free_state] - STEEP:
+                angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+                if _within(middle[0, i:j], middle[1, i:j], angle, reach):
+                    best[j, free_state], origin[j, free_state] = cost, i
         if not alive:
             break
 
@@ -286,5 +293,8 @@ def _turn(j: int, found: tuple[Floats, Floats, Ints], costs: Floats) -> None:
 @kernel
 def _within(x: Floats, y: Floats, angle: float, reach: float) -> bool:
     """Return whether all points lie within the reach of their line of a direction, at their mean."""
-    off = np.cos(angle) * (y - y.mean()) - np.sin(angle) * (x - x.mean())
-    return bool(np.abs(off).max() <= reach)
+    mean_x, mean_y, cosine, sine = x.mean(), y.mean(), np.cos(angle), np.sin(angle)
+    farthest = 0.0
+    for k in range(x.size):
+        farthest = max(farthest, abs(cosine * (y[k] - mean_y) - sine * (x[k] - mean_x)))
+    return bool(farthest <= reach)

@@ -5,7 +5,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.outline.arcs import Arcs, Drawn, assembled, at_fault, broken, cut
+from msbdb.outline.arcs import Arcs, Drawn, Soundness, assembled, at_fault, cut
 from msbdb.outline.polygons import Geometries
 
 Ints = NDArray[np.int64]
@@ -75,12 +75,13 @@ def simplify_coverage(geometries: Geometries, tolerance_m: float) -> Geometries:
     arcs = cut(geometries)
     level = np.zeros(len(arcs.sizes), dtype=np.int64)
     drawn = redrawn(arcs, arcs.as_given(), np.arange(len(level)), level, tolerance_m)
+    soundness = Soundness(len(geometries))
     while True:
         result = assembled(arcs, drawn)
         if result is None:
             fault = (drawn.ring_sizes(arcs) < 3)[arcs.ring]
         else:
-            faulty = broken(result)
+            faulty = soundness.broken(result)
             if not faulty.any():
                 return result
             fault = at_fault(arcs, drawn, level < LEVELS, np.flatnonzero(faulty[arcs.geometry]))

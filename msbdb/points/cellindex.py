@@ -16,6 +16,9 @@ from msbdb.grid import cell_along
 from msbdb.order import order_of
 from msbdb.threads import kernel
 
+Plan = tuple[NDArray[np.float64], NDArray[np.float64]]
+Sorting = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]
+
 MAX_POINTS = 2**31 - 2**16
 """Points are counted in 32 bits, which halves the memory."""
 
@@ -97,7 +100,8 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
     cells that are larger by a millionth, as `msbdb.points.graph.connect` does.
 
     Complexity: O(N) where the lattice has no more than two cells a point, else O(N log N); each `strip` is O(log M).
-    Memory: 4 bytes a point and 12 a cell, and 20 a point in passing. No border: what is not there has no cell.
+    Memory: 4 bytes a point and 12 a cell; sorting takes 20 a point in passing. No border: what is not there has no
+    cell.
 
     Examples
     --------
@@ -128,9 +132,9 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
         )
         raise ParameterError(msg)
     x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
-    keys = _keys(x, y, (west, south), float(cell_m), cols)
-    sort = _counted if rows * cols <= MOST_CELLS * keys.size else _sorted
-    return CellIndex(*sort(keys, rows * cols), (rows, cols), west * cell_m, south * cell_m, float(cell_m))
+    sort = _counted if rows * cols <= MOST_CELLS * x.size else _sorted
+    found = sort((x, y), (west, south), float(cell_m), (rows, cols))
+    return CellIndex(*found, (rows, cols), west * cell_m, south * cell_m, float(cell_m))
 
 
 def parts_of(index: CellIndex) -> list[tuple[int, int]]:
@@ -141,16 +145,20 @@ def parts_of(index: CellIndex) -> list[tuple[int, int]]:
     return list(pairwise(bounds.tolist()))
 
 
-def near_cells(chosen: NDArray[np.bool_], index: CellIndex) -> NDArray[np.bool_]:
-    """Return which points lie in the cells of chosen ones, (N,) booleans, or in cells that touch these.
+@kernel
+def places_around(index: CellIndex, part: tuple[int, int]) -> tuple[int, int]:
+    """Return where in ``index.order`` the points begin and end that lie in a range of cells or in cells that touch it.
 
-    Examples
-    --------
-    >>> index = index_cells(np.array([0.5, 1.5, 2.5]), np.zeros(3), 1.0)
-    >>> near_cells(np.array([True, False, False]), index)
-    array([ True,  True, False])
+    Others may lie between them. So a part of the work needs the coordinates of a slice alone.
     """
-    return _near_cells(chosen, index)
+    if part[0] >= part[1]:
+        return 0, 0
+    (row, col), cols = cell_place(index, part[0]), index.shape[1]
+    first, stop = strip(index, row - 1, col - 1, cols)
+    begin = first if stop > first else strip(index, row, 0, col)[0]
+    row, col = cell_place(index, part[1] - 1)
+    first, stop = strip(index, row + 1, 0, col + 1)
+    return begin, stop if stop > first else strip(index, row, col, cols)[1]
 
 
 @kernel
@@ -194,23 +202,6 @@ def strip(index: CellIndex, row: int, first_col: int, last_col: int) -> tuple[in
 
 
 @kernel
-def _near_cells(chosen: NDArray[np.bool_], index: CellIndex) -> NDArray[np.bool_]:
-    """Mark the points around each cell with a chosen point."""
-    found = np.zeros(chosen.size, dtype=np.bool_)
-    for cell in range(index.keys.size):
-        held = False
-        for place in range(index.starts[cell], index.starts[cell + 1]):
-            held = held or chosen[index.order[place]]
-        if held:
-            row, col = cell_place(index, cell)
-            for other in range(row - 1, row + 2):
-                first, stop = strip(index, other, col - 1, col + 1)
-                for place in range(first, stop):
-                    found[index.order[place]] = True
-    return found
-
-
-@kernel
 def _place_of(keys: NDArray[np.int64], key: int) -> int:
     """Return the first place whose key is no lower."""
     # Keys before `low` are lower, keys from `high` on are not.
@@ -225,24 +216,28 @@ def _place_of(keys: NDArray[np.int64], key: int) -> int:
 
 
 @kernel
-def _keys(
-    x: NDArray[np.float64], y: NDArray[np.float64], corner: tuple[int, int], cell_m: float, cols: int
-) -> NDArray[np.int64]:
-    """Return the number of each point's cell; the corner is the absolute column and row of the first cell."""
-    west, south = corner
+def _key(x: float, y: float, corner: tuple[int, int], cell_m: float, cols: int) -> int:
+    """Return the number of a point's cell; the corner is the absolute column and row of the first cell."""
+    return (int(number_along(y, cell_m)) - corner[1]) * cols + int(number_along(x, cell_m)) - corner[0]
+
+
+@kernel
+def _keys(plan: Plan, corner: tuple[int, int], cell_m: float, cols: int) -> NDArray[np.int64]:
+    """Return the number of each point's cell."""
+    x, y = plan
     keys = np.empty(x.size, dtype=np.int64)
     for point in range(x.size):
-        row, col = int(number_along(y[point], cell_m)) - south, int(number_along(x[point], cell_m)) - west
-        keys[point] = row * cols + col
+        keys[point] = _key(x[point], y[point], corner, cell_m, cols)
     return keys
 
 
 @kernel
-def _counted(keys: NDArray[np.int64], limit: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+def _counted(plan: Plan, corner: tuple[int, int], cell_m: float, shape: tuple[int, int]) -> Sorting:
     """Return what `_sorted` does, by counting: without a sort, but with a number for each cell of the lattice."""
+    (x, y), limit = plan, shape[0] * shape[1]
     place = np.zeros(limit, dtype=np.int32)
-    for key in keys:
-        place[key] += 1
+    for point in range(x.size):
+        place[_key(x[point], y[point], corner, cell_m, shape[1])] += 1
     cells = 0
     for key in range(limit):
         cells += place[key] > 0
@@ -256,16 +251,18 @@ def _counted(keys: NDArray[np.int64], limit: int) -> tuple[NDArray[np.int32], ND
             cell += 1
             total += points
     starts[cells] = total
-    order = np.empty(keys.size, dtype=np.int32)
-    for point in range(keys.size):
-        order[place[keys[point]]] = point
-        place[keys[point]] += 1
+    order = np.empty(x.size, dtype=np.int32)
+    for point in range(x.size):
+        key = _key(x[point], y[point], corner, cell_m, shape[1])
+        order[place[key]] = point
+        place[key] += 1
     return order, starts, occupied
 
 
-def _sorted(keys: NDArray[np.int64], limit: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
-    """Return order, starts and keys of a `CellIndex` from the points' keys, which are below the limit."""
-    wide = limit > 2**32
+def _sorted(plan: Plan, corner: tuple[int, int], cell_m: float, shape: tuple[int, int]) -> Sorting:
+    """Return order, starts and keys of a `CellIndex`."""
+    keys = _keys(plan, corner, cell_m, shape[1])
+    wide = shape[0] * shape[1] > 2**32
     order = np.argsort(keys, kind="stable").astype(np.int32) if wide else order_of(keys, descending=False)
     keys = keys[order]
     first = np.ones(keys.size, dtype=np.bool_)

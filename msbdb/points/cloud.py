@@ -12,6 +12,7 @@ from scipy.cluster.hierarchy import linkage
 from msbdb.errors import InputError
 from msbdb.grid import Bounds, require_metric
 from msbdb.labels import look_up
+from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cellindex import CellIndex, cell_of_each, index_cells
 from msbdb.surveyplan import PointFacts
 
@@ -119,6 +120,10 @@ class PointCloud:
         """Return the points with their places and echoes alone, all that detectors take."""
         return replace(self, classification=None, intensity=None, colours=None, colour_names=())
 
+    def aside(self) -> "PointCloud":
+        """Return the points as files hold them where memory is bounded (`msbdb.points.aside.set_aside`)."""
+        return replace(self, **{name: set_aside(values) for name, values in self.arrays().items()})  # type: ignore[arg-type]  # as they were
+
     @property
     def bounds(self) -> Bounds:
         """West, south, east and north, metres."""
@@ -210,7 +215,9 @@ def measure_density(
     )
     if not len(x):
         return Density(spacing_m, np.zeros(0), typical_m, link_m)
-    return Density(spacing_m, _areas(index_cells(x, y, max(2 * spacing_m, link_m))), typical_m, link_m)
+    cells = index_cells(x, y, max(2 * spacing_m, link_m))
+    let_go()
+    return Density(spacing_m, _areas(cells), typical_m, link_m)
 
 
 def measure_spacing(

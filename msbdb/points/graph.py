@@ -5,7 +5,6 @@ S_h and off-set is a choice of its points.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +13,14 @@ from numpy.typing import NDArray
 from msbdb.errors import InputError, ParameterError
 from msbdb.labels import look_up
 from msbdb.morphology.area import find_root
+from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cellindex import (
     MARGIN,
     CellIndex,
     cell_place,
     index_cells,
     parts_of,
+    places_around,
     require_coordinates,
     require_distance,
 )
@@ -72,6 +73,10 @@ class PointGraph:
         """Return the number of points."""
         return self.indptr.size - 1
 
+    def aside(self) -> "PointGraph":
+        """Return the graph as files hold it where memory is bounded (`msbdb.points.aside.set_aside`)."""
+        return PointGraph(set_aside(self.indptr), set_aside(self.indices))
+
     def with_neighbours(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the points of a set, (N,) booleans, and all that are connected to one of them."""
         return _with_neighbours(chosen, self.indptr, self.indices)
@@ -113,7 +118,7 @@ def connect(
     offsets do not matter.
 
     Complexity: O(N d) for d points in 3 by 3 cells. Memory: 8 bytes a point and 4 a neighbour, and in passing
-    as much again and some 50 a point.
+    some 30 a point.
 
     Examples
     --------
@@ -124,32 +129,54 @@ def connect(
     require_coordinates(x=x, y=y, z=z)
     require_distance("distance T_c below which points are connected", distance_m)
     index = index_cells(x, y, distance_m * (1 + MARGIN))
-    order, starts, strips = index.order, index.starts, _strips(index)
-    around = (strips[:, :, 1] - strips[:, :, 0]).sum(axis=1, dtype=np.int64)
-    _require_affordable(int(around @ np.diff(starts)), MOST_CANDIDATES, x.size, distance_m)
-    search = _GraphSearch(order, starts, strips, _sorted(x, order), _sorted(y, order), _sorted(z, order), distance_m**2)
     degree = np.zeros(x.size, dtype=np.int32)
-    parts = parts_of(index)
-    found = in_threads(partial(_find, search, degree, once), parts)
+    found = _neighbours(index, (x, y, z), distance_m, degree, once)
     indptr = np.zeros(x.size + 1, dtype=np.int64)
     np.cumsum(degree, out=indptr[1:])
     _require_affordable(int(indptr[-1]), MOST_NEIGHBOURS, x.size, distance_m)
     indices = np.empty(indptr[-1], dtype=np.int32)
 
     def place(part: int) -> None:
-        _place(search, parts[part], found[part], indptr, indices)
+        _place(index, parts[part], found[part], indptr, indices)
         found[part] = NOBODY
 
+    parts = parts_of(index)
     in_threads(place, range(len(parts)))
     return PointGraph(indptr, indices)
 
 
+def _neighbours(
+    index: CellIndex,
+    places: tuple[NDArray[np.float64], ...],
+    distance_m: float,
+    degree: NDArray[np.int32],
+    once: bool,
+) -> list[NDArray[np.int32]]:
+    """Return what `_find` does for each part of the cells, which alone has copies of its coordinates."""
+    strips = _strips(index)
+    around = (strips[:, :, 1] - strips[:, :, 0]).sum(axis=1, dtype=np.int64)
+    _require_affordable(int(around @ np.diff(index.starts)), MOST_CANDIDATES, degree.size, distance_m)
+
+    def find(part: tuple[int, int]) -> NDArray[np.int32]:
+        begin, end = places_around(index, part)
+        x, y, z = (_sorted(each, index.order[begin:end]) for each in places)
+        let_go()
+        search = _GraphSearch(index.order, index.starts, strips, begin, x, y, z, distance_m**2)
+        return _find(search, degree, once, part)
+
+    return in_threads(find, parts_of(index))
+
+
 class _GraphSearch(NamedTuple):
-    """What the kernels look for: points sorted by cells, the three strips around each cell, and T_c squared."""
+    """What the kernel looks for: points sorted by cells, the three strips around each cell, and T_c squared.
+
+    The coordinates are those from the place ``begin`` of this order on.
+    """
 
     order: NDArray[np.int32]
     starts: NDArray[np.int32]
     strips: NDArray[np.int32]
+    begin: int
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     z: NDArray[np.float64]
@@ -185,7 +212,7 @@ def _find(search: _GraphSearch, degree: NDArray[np.int32], once: bool, part: tup
     They come in the order of the cells; ``degree`` gets how many each point has. A pair that is held once is held by
     the point that comes later in the order of the cells: the other one is in its own row or in that to the south.
     """
-    order, starts, strips, x, y, z, limit_m2 = search
+    order, starts, strips, begin, x, y, z, limit_m2 = search
     found = np.empty(max(A_POINT * (starts[part[1]] - starts[part[0]]), FEW), dtype=np.int32)
     end = 0
     for cell in range(part[0], part[1]):
@@ -195,33 +222,33 @@ def _find(search: _GraphSearch, degree: NDArray[np.int32], once: bool, part: tup
         for own in range(starts[cell], starts[cell + 1]):
             while end + around > found.size:
                 found = np.concatenate((found, np.empty_like(found)))
-            point, begin = order[own], end
+            point, first = order[own], end
+            east, north, up = x[own - begin], y[own - begin], z[own - begin]
             for side in range(2 if once else 3):
                 stop = own if once and side == 1 else strips[cell, side, 1]
                 for other in range(strips[cell, side, 0], stop):
-                    dx, dy, dz = x[other] - x[own], y[other] - y[own], z[other] - z[own]
+                    dx, dy, dz = x[other - begin] - east, y[other - begin] - north, z[other - begin] - up
                     # There is space for all around. About half of it is used: a branch would be foreseen badly.
                     found[end] = order[other]
                     end += dx * dx + dy * dy + dz * dz < limit_m2 and other != own
             if not once:
-                _sort(found[begin:end])
-            degree[point] = end - begin
+                _sort(found[first:end])
+            degree[point] = end - first
     return found[:end].copy()  # without the space that was not needed
 
 
 @kernel
 def _place(
-    search: _GraphSearch,
+    index: CellIndex,
     part: tuple[int, int],
     found: NDArray[np.int32],
     indptr: NDArray[np.int64],
     indices: NDArray[np.int32],
 ) -> None:
     """Write the neighbours of the points in a range of cells into the points' rows."""
-    order, starts = search.order, search.starts
     place = 0
-    for own in range(starts[part[0]], starts[part[1]]):
-        point = order[own]  # rows do not overlap, so threads never write to the same place
+    for own in range(index.starts[part[0]], index.starts[part[1]]):
+        point = index.order[own]  # rows do not overlap, so threads never write to the same place
         for row in range(indptr[point], indptr[point + 1]):
             indices[row] = found[place]
             place += 1
@@ -295,6 +322,7 @@ def components(mask: NDArray[np.bool_], graph: PointGraph) -> tuple[NDArray[np.i
         msg = f"The set must be of {len(graph)} booleans, one a point; got {mask.dtype} of the shape {mask.shape}."
         raise InputError(msg)
     labels, count = _number_components(mask, graph.indptr, graph.indices)
+    let_go()
     return labels, int(count)
 
 

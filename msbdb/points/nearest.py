@@ -1,15 +1,17 @@
 """The nearest points of each point in space, by cells in plan."""
 
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from msbdb.errors import ParameterError
 from msbdb.labels import look_up
 from msbdb.points.cellindex import CellIndex, cell_place, index_cells, parts_of, require_coordinates, strip
-from msbdb.threads import in_threads, kernel
+from msbdb.threads import cores, in_threads, kernel
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +29,9 @@ LARGER = 4.0
 
 MOST_PIECES = 2 * (2 * RINGS + 1)
 """Largest number of stretches of rows in a ring."""
+
+ASKING = 1 << 18
+"""Points that ask a tree at once: the distances of all would take more memory than the points."""
 
 SLACK = 3e-6
 """Share of a cell by which a ring counts as nearer: rounding may put a point into the next cell."""
@@ -88,6 +93,39 @@ def nearest(x: Floats, y: Floats, z: Floats, count: int) -> NDArray[np.int32]:
         in_threads(partial(_find, search, left, found), parts_of(index))
         cell_m *= LARGER
     return found
+
+
+def nearest_in_plan(
+    tree: cKDTree, plan: tuple[Floats, Floats], asking: NDArray[np.integer], count: int, within_m: float
+) -> Iterator[tuple[NDArray[np.integer], Floats, NDArray[np.intp]]]:
+    """Yield for batches of the asking points which they are, and distances and numbers of their nearest in a tree.
+
+    Parameters
+    ----------
+    tree : cKDTree
+        Of other points in plan.
+    plan : two (N,) ndarrays of float64, metres
+        x and y of all points.
+    asking : (M,) ndarray of int
+        Which of them ask.
+    count : int
+        K, at least 1.
+    within_m : float
+        Only points nearer than this are found, metres; in place of others the distance is infinite, and the number
+        that of the tree's points.
+
+    Examples
+    --------
+    >>> plan = np.array([0.0, 1.0, 5.0]), np.zeros(3)
+    >>> for some, distance, number in nearest_in_plan(cKDTree([[0, 0], [4, 0]]), plan, np.array([1, 2]), 1, 2.0):
+    ...     print(some, distance.ravel(), number.ravel())
+    [1 2] [1. 1.] [0 1]
+    """
+    for start in range(0, len(asking), ASKING):
+        some = asking[start : start + ASKING]
+        place = np.column_stack([axis[some] for axis in plan])
+        distance, number = tree.query(place, k=np.arange(1, count + 1), distance_upper_bound=within_m, workers=cores())
+        yield some, distance, number
 
 
 def _cell_size(x: Floats, y: Floats) -> float:

@@ -7,7 +7,7 @@ points; its on-set at h is the filtered on-set of h.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -19,9 +19,8 @@ from msbdb.errors import InputError, ParameterError
 from msbdb.labels import chosen_cells, sums
 from msbdb.morphology.area import find_root
 from msbdb.order import order_of
-from msbdb.points.cellindex import MARGIN, index_cells, near_cells
-from msbdb.points.graph import PointGraph, components, connect
-from msbdb.points.linkage import linked
+from msbdb.points.graph import PointGraph, components
+from msbdb.points.linkage import linked, near_others
 from msbdb.threads import kernel
 
 T = TypeVar("T", bound=np.generic)
@@ -192,7 +191,7 @@ def open_close_on_sets(
 
 def open_close_linked(
     on: NDArray[np.bool_],
-    column: Callable[[int, NDArray[np.bool_]], NDArray[np.float64]],
+    points: Sequence[NDArray[np.float64]],
     distance_m: float,
     threshold: float,
     *,
@@ -204,8 +203,8 @@ def open_close_linked(
     ----------
     on : (N,) ndarray of bool
         The on-set.
-    column : callable
-        Returns the coordinates 0 (x), 1 (y) or 2 (z) of chosen points, metres.
+    points : sequence of (N,) ndarray of float64
+        x, y and z of all points, metres.
     distance_m : float
         T_c, below which points are connected, metres.
     threshold : float
@@ -222,20 +221,12 @@ def open_close_linked(
     """
 
     def large(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        labels, count = linked(column(0, mask), column(1, mask), column(2, mask), distance_m)
-        found = mask.copy()
-        found[mask] = chosen_cells(labels, sums(labels, weights[mask], count) >= threshold)
-        return found
+        labels, count = linked(x, y, z, distance_m, mask)
+        return chosen_cells(labels, sums(labels, weights, count) >= threshold)
 
+    x, y, z = points
     on = ~large(~large(on))
-    every = np.ones(on.size, dtype=np.bool_)
-    index = index_cells(column(0, every), column(1, every), distance_m * (1 + MARGIN))
-    border = near_cells(on, index) & near_cells(~on, index)
-    del index, every
-    graph = connect(column(0, border), column(1, border), column(2, border), distance_m, once=True)
-    rim = np.zeros(on.size, dtype=np.bool_)
-    rim[border] = graph.with_neighbours(~on[border])
-    return on, rim & on
+    return on, near_others(x, y, z, distance_m, on)
 
 
 def _large(

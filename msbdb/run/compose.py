@@ -144,6 +144,7 @@ def find_buildings(job: Job, stages: Stages, planned: Plan | None, window: Windo
     scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, own=own)
     points, reach = (0, None) if window is None or cloud is None else _held_by(cloud, window.own)
     del cloud
+    scene = scene.with_points_aside()
     note_missing_sources(scene)
     choices = describe_choices(scene, params)
     regions = detect(scene, job.methods, params, stages, frugal=window is not None)

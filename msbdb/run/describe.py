@@ -119,7 +119,7 @@ def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDa
     def outline(scale: int) -> None:
         first, stop = int(ends[scale]), int(ends[scale + 1])
         labels = forest.labels[scale]
-        local = np.where(labels > 0, labels - first, 0).astype(np.int32)
+        local = np.maximum(labels - np.int32(first), 0)
         outlines[first:stop], fitted[first:stop] = outline_labels(local, stop - first, spec, params)
 
     in_threads(outline, [scale for scale in range(len(forest.labels)) if ends[scale] < ends[scale + 1]])

@@ -1,6 +1,5 @@
 """The plan of a survey: what its drafts give together, from the whole of it or from a sample of blocks."""
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ from msbdb.detect.area3d.heightscales import height_scales
 from msbdb.detect.pointregions import heights_of_points, point_ndvi
 from msbdb.errors import InputError, collected_notices
 from msbdb.grid import Bands, Grid
+from msbdb.ground.choice import POINT_FILTERS
 from msbdb.io.crs import CrsLike, reference, same_crs
 from msbdb.io.extents import extent_of_points
 from msbdb.io.lasheader import read_las_header
@@ -42,8 +42,6 @@ from msbdb.threads import together
 if TYPE_CHECKING:
     from pyproj import CRS
 
-
-logger = logging.getLogger(__name__)
 
 MOST_POINTS = 12_000_000
 """Ours: as many points are looked at for a plan, about what 4 GB of memory hold in a build."""
@@ -134,7 +132,7 @@ class Draft:
     cloud : PointCloud or None
         The points, which know the facts of the survey; None for rasters.
     above : (N,) ndarray of float64 or None
-        Heights of the points above ground, metres.
+        Heights of the points above ground, metres; None where nobody asks for them.
     """
 
     surface: Surface
@@ -145,10 +143,18 @@ class Draft:
 
     @classmethod
     def of(
-        cls, surface: Surface, structure: Structure, bands: Bands | None, cloud: PointCloud | None, params: Params
+        cls,
+        surface: Surface,
+        structure: Structure,
+        bands: Bands | None,
+        cloud: PointCloud | None,
+        params: Params,
+        *,
+        planned: bool = False,
     ) -> "Draft":
-        """Return a draft, with the heights of its points."""
-        above = None if cloud is None else heights_of_points(surface, cloud, params)
+        """Return a draft; with the heights of its points where no plan is known, or they are slow to find again."""
+        known = cloud is None or (planned and surface.ground_filter not in POINT_FILTERS)
+        above = None if cloud is None or known else heights_of_points(surface, cloud, params)
         return cls(surface, structure, bands, cloud, above)
 
     def within(self, inside: NDArray[np.bool_]) -> "Draft":
@@ -193,11 +199,6 @@ def sparse_enough(cloud: PointCloud, under_m: float, most_density: float) -> tup
     facts = facts_of(fewer, under_m)
     if fewer is not cloud:
         facts = replace(facts, all_density=density(cloud, facts.link_m))
-        logger.info(
-            "Where there are more than %g first echoes a square metre, a share of the points is taken: %.0f %% of all",
-            most_density,
-            100 * len(fewer) / len(cloud),
-        )
     return fewer, facts
 
 
@@ -331,7 +332,7 @@ def _fit(drafts: Sequence[Draft], params: Params) -> list[Fitted | None]:
         if each.bands is None or not is_imagery(each.bands):
             filtered.append(None)
             continue
-        rough = each.structure.roughness_m
+        rough = each.structure.filled_m
         sample, bands = sample_to_classify(each.bands, each.surface.ndsm, rough, params)
         samples.append(sample)
         filtered.append(bands)

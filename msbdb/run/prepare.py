@@ -55,6 +55,12 @@ NO_IMAGERY = "There is no imagery: height texture and echoes alone separate roof
 
 NO_ECHOES = "No pulse has a second echo, or none is recorded: height texture alone separates roofs from vegetation."
 
+THINNED = (
+    "Where first echoes are denser than surface.most_density, a share of the points was left out, by lot. "
+    "The values of the detectors were not judged on denser ones."
+)
+"""Without numbers, so that the tiles of a build agree in it."""
+
 WINDOW_CELLS = 3
 """Least width of a window of the texture, cells."""
 
@@ -155,8 +161,8 @@ def prepare(
     plan : Plan
         That given, or that of the survey.
     """
-    cloud = None if cloud is None else with_facts(cloud, params.surface.most_density)
-    draft = make_draft(inputs, cloud, params, stages, sampled=own is not None)
+    cloud = None if cloud is None else _sparse_enough(cloud, params)
+    draft = make_draft(inputs, cloud, params, stages, sampled=own is not None, planned=plan is not None)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
     counted = None if own is None else spec.holding(own)
@@ -171,7 +177,7 @@ def prepare(
             structure.cover,
             bands,
             surface.ndsm,
-            structure.roughness_m,
+            structure.filled_m,
             settled(params, chosen),
             echoes=cloud is not None and cloud.has_echoes,
             fitted=fitted,
@@ -206,6 +212,14 @@ def prepare(
     return scene, known, planned
 
 
+def _sparse_enough(cloud: PointCloud, params: Params) -> PointCloud:
+    """Return a cloud that knows what holds for all its points, and give notice if some were left out for it."""
+    found = with_facts(cloud, params.surface.most_density)
+    if len(found) < len(cloud):
+        give_notice(THINNED)
+    return found
+
+
 def is_large(inputs: Inputs) -> bool:
     """Return whether a plan looks at a sample of the points; in an area of interest it looks at all."""
     return inputs.aoi is None and is_sampled(inputs.points)
@@ -221,12 +235,14 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
     if cloud is None or blocks is None:
-        cloud = None if cloud is None else with_facts(cloud, params.surface.most_density)
+        cloud = None if cloud is None else _sparse_enough(cloud, params)
         plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)
         return plan
     cloud, under_m = told_apart(cloud)
     clouds = blocks.cut(cloud)
     known = [sparse_enough(each, under_m, params.surface.most_density) for each in clouds.values()]
+    if sum(len(each) for each, _ in known) < sum(map(len, clouds.values())):
+        give_notice(THINNED)
     facts = joined_facts([own for _, own in known])
     drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each, _ in known]
     with stages.stage("classes"):
@@ -235,11 +251,18 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
 
 
 def make_draft(
-    inputs: Inputs, cloud: PointCloud | None, params: Params, stages: Stages, *, sampled: bool = False
+    inputs: Inputs,
+    cloud: PointCloud | None,
+    params: Params,
+    stages: Stages,
+    *,
+    sampled: bool = False,
+    planned: bool = False,
 ) -> Draft:
     """Return the surface, its cover by structure and its bands: all that needs no other value of the plan.
 
-    A block that is ``sampled`` has no bands where it lies beyond the images.
+    A block that is ``sampled`` has no bands where it lies beyond the images. What only a plan asks for is left out
+    where this is ``planned``.
     """
 
     def separate() -> tuple[Surface, Structure]:
@@ -266,7 +289,7 @@ def make_draft(
         spec = lattice_of_points(cloud, params)
         with stages.side_by_side():
             (surface, structure), bands = together(separate, partial(gather, spec))
-    draft, area = Draft.of(surface, structure, bands, cloud, params), inputs.area()
+    draft, area = Draft.of(surface, structure, bands, cloud, params, planned=planned), inputs.area()
     if area is None:
         return draft
     inside = rasterise([area.shape_in(spec.crs, margin=False)], spec) > 0

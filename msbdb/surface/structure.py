@@ -20,7 +20,7 @@ from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import CoverParams, Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.heights import Surface
-from msbdb.surface.texture import Echoes, echoes, roughness
+from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, roughness
 from msbdb.threads import in_threads
 
 ROOF, VEGETATION = 1, 2
@@ -42,12 +42,15 @@ class Structure:
         Of roof against vegetation, 0 to 1, by each cell's own echoes and texture, before any smoothing; also below
         the mask, where it means little.
     roughness_m : (H, W) ndarray of float32, metres
-        Residual of the best plane in the small window.
+        Residual of the best plane in the small window; `msbdb.surface.texture.NO_PLANE_M` where it has too few samples.
+    filled_m : (H, W) ndarray of float32, metres
+        The same, and there the residual in the wide window.
     """
 
     cover: ClassMap
     roof_probability: Field
     roughness_m: Field
+    filled_m: Field
 
 
 def structural_cover(
@@ -77,8 +80,14 @@ def structural_cover(
     Returns
     -------
     Structure
+
+    Notes
+    -----
+    Where the small window has too few samples for a plane, as beside strips that overlap, the wide one is judged:
+    sparse is not rough. In the odds with echoes such cells keep the penalty that they were calibrated with.
     """
     raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
+    filled_m = np.where(roughness_m < NO_PLANE_M, roughness_m, wide_roughness_m)
     if echoes:
         leafy = leaf_share(wide_roughness_m, ndsm.spec.cell_m, params)
         echoes = replace(
@@ -89,16 +98,16 @@ def structural_cover(
         )
         odds = _echo_odds(roughness_m, echoes, params)
     else:
-        odds = _rough_odds(roughness_m, wide_roughness_m, params)
+        odds = _rough_odds(filled_m, wide_roughness_m, params)
     probability = _sigmoid(odds)
     roof = smooth_share(probability, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
     neck_m = params.neck_m if echoes else params.blind_neck_m
     roof = _tidy(roof & raised, raised, ndsm.spec.cell_m, neck_m, params)
-    roof = _judge_regions(roof, roughness_m, echoes, ndsm.spec.cell_m, params)
+    roof = _judge_regions(roof, filled_m, echoes, ndsm.spec.cell_m, params)
     roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), ndsm.spec.cell_m, params)
     index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
     cover = ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
-    return Structure(cover, probability, roughness_m)
+    return Structure(cover, probability, roughness_m, filled_m)
 
 
 def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> Field:

@@ -42,6 +42,31 @@ def test_terraces_are_ground_and_houses_on_them_are_not():
     assert ground[~houses].mean() > 0.97
 
 
+@pytest.mark.parametrize("guess", [-1000, 0, 1000])
+def test_what_a_void_is_filled_with_decides_nothing(guess):
+    """A lake cuts the terraces, and a corner of the survey is missing: the rest is found as if both were a border."""
+    heights = terraced()
+    houses = np.zeros(heights.shape, dtype=bool)
+    houses[60:72, 34:44] = True
+    heights[houses] += 5
+    row, col = np.indices(heights.shape)
+    void = ((row - 95) ** 2 + (col - 80) ** 2 < 30**2) | (row + 2 * col < 90)
+    heights[void] = guess
+    surface = grid(heights)
+    ground = walled_ground(replace(surface, valid=~void), PARAMS)
+    assert not ground[houses | void].any()
+    assert ground[~houses & ~void].mean() > 0.97
+
+
+def test_what_a_void_is_filled_with_decides_no_trend():
+    """The trend of a slope goes on over a void that nothing is known of, however wide it is."""
+    heights = np.indices((100, 500))[1] * 0.2
+    surface = grid(np.where(np.arange(500) < 100, heights, -500))
+    trend = lower_trend(replace(surface, valid=np.tile(np.arange(500) < 100, (100, 1))), PARAMS)
+    assert np.isfinite(trend).all()
+    assert np.ptp((trend - heights)[:, :100]) < 0.5
+
+
 def test_a_steep_knoll_that_two_sides_lead_up_to_is_ground():
     """A plateau of 6 m with cliffs on two sides and slopes of 1 in 3 on the others; a house of that size is none."""
     heights = np.zeros((160, 200))

@@ -86,7 +86,7 @@ def test_quantiles_are_those_of_each_region(seed, share):
     rng = np.random.default_rng(seed)
     labels = rng.integers(0, 5, (7, 9)).astype(np.int32)
     values = rng.normal(size=labels.shape)
-    found = quantiles(labels, values, 6, share)
+    [found] = quantiles(labels, values, 6, share)
     for number in range(1, 7):
         own = values[labels == number]
         expected = np.quantile(own, share) if own.size else np.nan

@@ -14,6 +14,7 @@ from shapely import affinity
 from support.sizes import examples
 
 from msbdb.grid import GridSpec
+from msbdb.outline.arcs import Soundness
 from msbdb.outline.fitting import fit_coverage, outline_labels
 from msbdb.outline.polygons import polygonise, rasterise
 from msbdb.params import VectorParams
@@ -271,3 +272,30 @@ def test_no_labels_give_no_outlines():
     outlines, sound = outline_labels(none, 2, spec, replace(VectorParams(), walls="fitted"))
     assert shapely.is_empty(outlines).all()
     assert sound.all()
+
+
+def test_only_what_changed_is_looked_at_again_and_the_answers_are_those_of_a_look_at_all() -> None:
+    """Round by round some outlines change: squares that may overlap, and now and then one that crosses itself."""
+    rng = np.random.default_rng(3)
+    soundness = Soundness(25)
+    west, south = (10.0 * part for part in np.divmod(np.arange(25), 5))
+    outlines = shapely.box(west, south, west + 10, south + 10)
+    assert not soundness.broken(outlines).any()
+    kinds = set()
+    for turn in range(60):
+        outlines = outlines.copy()
+        for moved in rng.choice(25, 2):
+            x, y, side = west[moved], south[moved], rng.choice([8, 10, 10, 10, 12])
+            crossed = turn % 5 == 0 and moved % 2
+            corners = (
+                [(0, 0), (side, side), (side, 0), (0, side)]
+                if crossed
+                else [(0, 0), (side, 0), (side, side), (0, side)]
+            )
+            outlines[moved] = shapely.Polygon([(x + right, y + up) for right, up in corners])
+        invalid = ~shapely.is_valid(outlines)
+        overlaps = ~shapely.is_empty(shapely.coverage_invalid_edges(outlines))
+        expected = invalid if invalid.any() else overlaps
+        assert (soundness.broken(outlines) == expected).all()
+        kinds.add(bool(invalid.any()))
+    assert kinds == {False, True}

@@ -96,9 +96,7 @@ def test_on_sets_need_no_graph_of_what_is_off(cloud, distance_m, seed, threshold
     weights = weights_for(x.size, seed)
     heights = (2, 3, 4)
     whole = open_close_on_sets(values, connect(x, y, z, distance_m), threshold, heights, weights=weights)
-    on, rim = open_close_linked(
-        values >= 2, lambda axis, chosen: cloud[axis][chosen], distance_m, threshold, weights=weights
-    )
+    on, rim = open_close_linked(values >= 2, cloud, distance_m, threshold, weights=weights)
     some = on | (np.random.default_rng(seed).random(x.size) < share)
     graph = connect(x[some], y[some], z[some], distance_m)
     found = open_close_on_sets(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.points.cellindex import CellIndex, cell_place, index_cells, near_cells, strip
+from msbdb.points.cellindex import CellIndex, cell_place, index_cells, places_around, strip
 from msbdb.threads import kernel
 
 SIZES = st.sampled_from([0.3, 1.0, 2.5, 100.0])
@@ -134,12 +134,14 @@ def test_cells_that_cannot_be_numbered_are_refused():
         index_cells(np.array([0.0, 1e8]), np.array([0.0, 1e8]), 0.01)
 
 
-@given(clouds(), SIZES, st.integers(0, 2**32 - 1))
-def test_points_near_chosen_ones_lie_in_their_cells_or_in_touching_ones(cloud, cell_m, seed):
-    """By the definition, over all pairs of points."""
+@given(clouds(), SIZES, st.data())
+def test_points_around_a_range_of_cells_are_one_slice(cloud, cell_m, data):
+    """By the definition, over all cells and any range of them: all points of cells that touch it, and the order's."""
     x, y, _ = cloud
     index = index_cells(x, y, cell_m)
-    rows, cols = places(x, y, index)
-    chosen = np.random.default_rng(seed).random(x.size) < 0.2
-    apart = np.maximum(abs(rows[:, None] - rows[chosen]), abs(cols[:, None] - cols[chosen]))
-    np.testing.assert_array_equal(near_cells(chosen, index), (apart <= 1).any(axis=1))
+    first, stop = sorted(data.draw(st.tuples(*[st.integers(0, index.keys.size)] * 2)))
+    begin, end = places_around(index, (first, stop))
+    row, col = np.divmod(index.keys, max(index.shape[1], 1))
+    apart = np.maximum(abs(row[:, None] - row[first:stop]), abs(col[:, None] - col[first:stop]))
+    for cell in np.flatnonzero((apart <= 1).any(axis=1)):
+        assert begin <= index.starts[cell] <= index.starts[cell + 1] <= end

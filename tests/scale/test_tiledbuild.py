@@ -34,6 +34,8 @@ from msbdb.database import (
 )
 from msbdb.errors import InputError, ParameterError, TilesError
 from msbdb.grid import Grid, GridSpec
+from msbdb.params import Params, with_values
+from msbdb.run.prepare import THINNED
 from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
 
@@ -103,6 +105,18 @@ def test_tiles_that_see_enough_give_the_content_of_the_whole(files, whole, tmp_p
             assert numbers["dropped"] == one.regions[method][stage]["dropped"], (method, stage)
     assert not (tmp_path / f"town.sqlite{FOLDER}").exists()
     assert msbdb.why(db, 389_088.0, 5_821_080.0).building is not None
+
+
+@pytest.mark.parametrize("tile", [None, TILE_M])
+def test_points_that_are_left_out_are_told_once(files, quick, tmp_path, tile):
+    """Also by a build in tiles, whose plan and tiles all leave some out; nothing is said where all are taken."""
+    params = with_values(Params(), {"surface": {"most_density": 0.5}})
+    db = tmp_path / "town.sqlite"
+    report = msbdb.build(files, db=db, survey="town", extract="multiscale", tile=tile, params=params)
+    assert report.notices.count(THINNED) == 1
+    for path, times in ((db, 1), (quick, 0)):
+        with opened(path) as engine:
+            assert read_run(engine).notices.count(THINNED) == times
 
 
 def test_a_build_in_tiles_finds_their_size_by_itself(files, whole, tmp_path):

@@ -14,7 +14,7 @@ from msbdb.points.cloud import PointCloud
 from msbdb.run.prepare import build_surface
 from msbdb.surface import cover_from_surface, normalise, surface_from_rasters
 from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_share, structural_cover
-from msbdb.surface.texture import Echoes
+from msbdb.surface.texture import NO_PLANE_M, Echoes
 
 Scene = scenes.Scene
 PARAMS = with_values(Params(), {"surface": {"cell_m": 0.5}})
@@ -178,6 +178,24 @@ def test_split_echoes_of_a_plane_are_glass_and_those_of_a_rough_surface_leaves(r
     ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
     found = structural_cover(ndsm, rough, rough, echoes, mask_m=2.0, params=PARAMS.cover)
     assert set(np.unique(found.cover.index[heights > 0])) == {expected}
+
+
+@pytest.mark.parametrize("echoed", [True, False])
+@pytest.mark.parametrize(("wide_m", "expected"), [(0.03, ROOF), (0.6, VEGETATION)])
+def test_where_samples_are_too_few_the_wide_window_decides(wide_m, expected, echoed):
+    """A roof or a crown of 10 x 10 m with hardly a plane in the small window, as where one strip alone has seen it."""
+    spec = lattice((0, 0, 20, 20), 0.5, scenes.UTM33)
+    heights = np.zeros(spec.shape, dtype=np.float32)
+    heights[10:30, 10:30] = 6.0
+    raised, one = heights > 0, np.ones_like(heights)
+    rough = np.where(raised, np.float32(NO_PLANE_M), np.float32(0.02))
+    rough[12::6, 12::6] = wide_m
+    split = np.float32(0.25 if expected == VEGETATION else 0.1) * raised
+    echoes = Echoes(split, split, split, one) if echoed else None
+    ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
+    found = structural_cover(ndsm, rough, np.float32(wide_m) * one, echoes, mask_m=2.0, params=PARAMS.cover)
+    assert set(np.unique(found.cover.index[raised])) == {expected}
+    assert (found.roughness_m == rough).all()
 
 
 def test_the_share_of_leaves_rises_between_its_limits_which_grow_with_the_cell():

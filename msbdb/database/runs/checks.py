@@ -144,7 +144,7 @@ def _check_geometries(frames: "dict[str, pd.DataFrame]") -> dict[str, NDArray[np
 
 def _as_wkb(shapes: NDArray[np.object_]) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
     """Return geometries as the database keeps them, and which are valid."""
-    from msbdb.outline.wkbrings import are_valid, as_multipolygons  # numba takes long to load
+    from msbdb.database.runs.wkbrings import are_valid, as_multipolygons  # numba takes long to load
 
     wkb = as_multipolygons(shapely.to_wkb(shapes, byte_order=1))
     return wkb, are_valid(wkb)

@@ -4,7 +4,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from msbdb.outline.wkbrings import (
+from msbdb.database.runs.wkbrings import (
     MOST_RINGS,
     MULTIPOLYGON,
     POINT,

@@ -23,7 +23,7 @@ from msbdb.database.schema.srid import srid_of
 from msbdb.identity import text_id
 from msbdb.kept import KeptRun
 from msbdb.tables import TABLES, Column, Table
-from msbdb.threads import in_threads
+from msbdb.threads import in_threads, together
 
 RUN = SQL["run"]
 
@@ -87,13 +87,13 @@ def store_build(
     MsbdbError
         See `open_database` and `write_build`.
     """
-    rows = _Rows.of(build, check_build(build))
     survey = build.survey
     url = database_url(target)
     dialect = dialect_of(url)
     with guarded(url):
-        if not dialect.exists(url, timeout_s):
-            rasters = _packed(build)
+        is_new = not dialect.exists(url, timeout_s)
+        rows, rasters = together(lambda: _Rows.of(build, check_build(build)), lambda: _packed(build) if is_new else [])
+        if is_new:
             srid = srid_of(survey.epsg, survey.crs_wkt)
 
             def fill(connection: Connection) -> None:

@@ -36,9 +36,10 @@ from msbdb.grid import GridSpec
 from msbdb.labels import Labels, renumber
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams, Params
+from msbdb.points.aside import let_go
 from msbdb.points.cloud import PointCloud
 from msbdb.points.linkage import linked
-from msbdb.threads import cores
+from msbdb.points.nearest import nearest_in_plan
 
 logger = logging.getLogger(__name__)
 
@@ -55,9 +56,6 @@ KINDS = {GREEN: "NDVI of vegetation", SCATTERED: "scattered surface or split ech
 
 NEAREST = 4
 """A point returns to one of so many nearest points of regions, the nearest of like height."""
-
-ASKING = 1 << 18
-"""Points that look for these at once: the distances of all would take more memory than the points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +139,11 @@ def extract_adaptive(
     O(N) in time at a given density, but for sorting.
     """
     own = params.adaptive
-    points = off_ground(cloud, heights, ndvi, spec=spec, mask_m=params.surface.mask_m)
-    del heights, ndvi
+    given = [heights]
+    del heights  # so that nobody else holds them
+    points = off_ground(cloud, given.pop(), ndvi, spec=spec, mask_m=params.surface.mask_m)
+    del ndvi
+    let_go()
     placed = points.placed(spec, survey)
     ledger = PointLedger(METHOD, placed)
     found = structure(points, own)
@@ -150,7 +151,10 @@ def extract_adaptive(
     labels, count = _without_vegetation(points, found, own, steps[0], ledger)
     for number, step in enumerate(steps, start=1):
         labels, count = _tightened(points, found, (labels, count), (number, step), ledger)
+    del found
+    let_go()
     labels = regain(points, labels, reach_m=own.regain_factor * points.spacing_m, step_m=own.regain_step_m)
+    let_go()
     regions = describe(points, labels, count, placed)
     logger.info(
         "adaptive found %d regions among %d points above ground; they are %.2f m apart",
@@ -230,12 +234,7 @@ def cluster(points: OffGround, chosen: Mask, distance_m: float) -> tuple[Labels,
 
     Returns labels 1 to count in the order of the clusters' first points, 0 for points that are not chosen.
     """
-    inside = np.flatnonzero(chosen)
-    labels = np.zeros(len(points), dtype=np.int32)
-    if not inside.size:
-        return labels, 0
-    labels[inside], count = linked(points.x[inside], points.y[inside], points.z[inside], distance_m)
-    return labels, count
+    return linked(points.x, points.y, points.z, distance_m, chosen)
 
 
 def judge(
@@ -298,10 +297,7 @@ def regain(points: OffGround, labels: Labels, *, reach_m: float, step_m: float) 
         return labels
     tree = cKDTree(np.column_stack((points.x[inside], points.y[inside])))
     result = labels.copy()
-    for start in range(0, len(outside), ASKING):
-        asking = outside[start : start + ASKING]
-        place = np.column_stack((points.x[asking], points.y[asking]))
-        _, nearest = tree.query(place, k=NEAREST, distance_upper_bound=reach_m, workers=cores())
+    for asking, _, nearest in nearest_in_plan(tree, (points.x, points.y), outside, NEAREST, reach_m):
         there = nearest < inside.size
         source = inside[np.where(there, nearest, 0)]
         fits = there & (np.abs(points.z[source] - points.z[asking, None]) <= step_m)

@@ -4,7 +4,7 @@ The surface is measured by the residual of the plane through the neighbours, and
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from msbdb.grid import GridSpec
 from msbdb.labels import look_up
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams
+from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cellindex import CellIndex, cell_place, index_cells, strip
 from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.threads import in_threads, kernel
@@ -137,22 +138,26 @@ def off_ground(
             "Drop these points, or give a terrain that covers them."
         )
         raise InputError(msg)
+    let_go()
     density = measure_density(cloud.x, cloud.y, cloud.first_echo, cloud.facts)
     chosen = np.flatnonzero(heights >= mask_m)
-    chosen = chosen[_canonical(cloud, heights, ndvi, chosen)]
+    area_m2 = density.area_m2[chosen]
+    density = replace(density, area_m2=area_m2)  # of the others nobody asks
+    order = _canonical(cloud, heights, ndvi, chosen)
+    chosen, area_m2, heights = chosen[order], set_aside(area_m2[order]), set_aside(heights[chosen][order])
     x, y = cloud.x[chosen], cloud.y[chosen]
     origin = np.round([float(v.mean()) if len(v) else 0.0 for v in (x, y)], -3)
     return OffGround(
-        index=chosen,
-        x=x - origin[0],
-        y=y - origin[1],
-        z=cloud.z[chosen],
+        index=set_aside(chosen),
+        x=set_aside(x - origin[0]),
+        y=set_aside(y - origin[1]),
+        z=set_aside(cloud.z[chosen]),
         origin=origin,
-        heights=heights[chosen].astype(np.float64),
-        area_m2=density.area_m2[chosen],
+        heights=heights.astype(np.float64, copy=False),
+        area_m2=area_m2,
         split=None if not cloud.has_echoes else np.greater(cloud.number_of_returns[chosen], 1),  # type: ignore[index]  # there are echoes
         ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
-        place=places(spec, cloud.x[chosen], cloud.y[chosen]),
+        place=set_aside(places(spec, x, y)),
         spacing_m=density.spacing_m,
         typical_m=density.typical_m,
         step_m=density.step_m,
@@ -164,7 +169,8 @@ def _canonical(
 ) -> NDArray[np.int64]:
     """Return the order of chosen points by x and y, then by z and all else where points share a place in plan."""
     known = [cloud.z, cloud.return_number, cloud.number_of_returns, heights, ndvi]
-    ties = [values[chosen] for values in known if values is not None]
+    ties = [set_aside(values[chosen]) for values in known if values is not None]
+    let_go()
     return np.asarray(order_of_points(cloud.x[chosen], cloud.y[chosen], ties), dtype=np.int64)
 
 

@@ -22,6 +22,7 @@ from msbdb.grid import GridSpec
 from msbdb.labels import chosen_cells, sums
 from msbdb.order import order_of_points
 from msbdb.params import Area3dParams, Params
+from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cellindex import cell_of_each, index_cells
 from msbdb.points.cloud import PointCloud, measure_density
 from msbdb.points.graph import PointGraph, components, connect
@@ -110,8 +111,10 @@ def extract_area3d(
     building cut by the border is judged by its part inside. Halo: none suffices, as components are of any extent.
     """
     _require(cloud, heights, ndvi)
-    scenes, scales, order = _prepare(cloud, heights, ndvi, spec, params)
-    del heights, ndvi
+    given = [heights]
+    del heights  # so that nobody else holds them
+    scenes, scales, order = _prepare(cloud, given.pop(), ndvi, spec, params)
+    del ndvi
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
     ledger = PointLedger(METHOD, placed)
@@ -170,40 +173,40 @@ def _prepare(
     are off then and lower than the feet of walls: so they are left out, and only the others are connected.
     """
     own, mask_m = params.area3d, params.surface.mask_m
-    columns = (cloud.x, cloud.y, cloud.z)
-    origin = np.array([np.floor(each.min() / ORIGIN_M) * ORIGIN_M for each in columns])
-    density = measure_density(cloud.x - origin[0], cloud.y - origin[1], cloud.first_echo, cloud.facts)
-    link_m = max(own.link_spacings * density.spacing_m, density.step_m)
+    order = _canonical_order(cloud, heights, ndvi)
+    let_go()
+    origin = np.array([np.floor(each.min() / ORIGIN_M) * ORIGIN_M for each in (cloud.x, cloud.y, cloud.z)])
+    columns = [set_aside(values - low) for values, low in zip((cloud.x, cloud.y, cloud.z), origin, strict=True)]
+    density = measure_density(columns[0], columns[1], cloud.first_echo, cloud.facts)
+    spacing_m, link_m = density.spacing_m, max(own.link_spacings * density.spacing_m, density.step_m)
     areas = tuple(sorted(set(own.areas_m2))) or (own.smallest_m2,)
     scales = height_scales(heights, own, mask_m=mask_m)
-    order = _canonical_order(cloud, heights, ndvi)
+    heights, area_m2 = set_aside(heights[order]), set_aside(density.area_m2[order])
+    del density
+    for axis in range(3):
+        columns[axis] = set_aside(columns[axis][order])
+        let_go()
     lowest = None
     if len(areas) == 1:
-
-        def column(axis: int, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-            return np.asarray(columns[axis][order[chosen]] - origin[axis])
-
-        on, rim = open_close_linked(
-            heights[order] >= scales[0], column, link_m, areas[0], weights=density.area_m2[order]
-        )
-        some = on | (heights[order] >= min(own.foot_m, mask_m, scales[0]))
-        order, lowest = order[some], (on[some], rim[some])
-    heights, area_m2 = heights[order], density.area_m2[order]
-    spacing_m = density.spacing_m
-    del density
-    points = np.empty((len(order), 3), order="F")  # by columns, as the steps take single columns without a copy
-    for axis, values in enumerate(columns):
-        np.take(values, order, out=points[:, axis])
-    points -= origin
-    x, y, z = points.T
-    graph = connect(x, y, z, link_m, once=lowest is not None)
-    filtered = _open_close(heights, graph, area_m2, areas, scales, lowest=lowest)
+        on, rim = open_close_linked(heights >= scales[0], columns, link_m, areas[0], weights=area_m2)
+        some = on | (heights >= min(own.foot_m, mask_m, scales[0]))
+        columns, lowest = [values[some] for values in columns], (on[some], rim[some])
+        order, heights, area_m2 = order[some], set_aside(heights[some]), set_aside(area_m2[some])
+    points = set_aside(np.stack(columns)).T
+    del columns
     several = cloud.number_of_returns[order] > 1 if cloud.has_echoes and cloud.number_of_returns is not None else None
+    green = None if ndvi is None else ndvi[order].astype(np.float64)
+    place = set_aside(places(spec, cloud.x[order], cloud.y[order]))
+    order = set_aside(order)
+    let_go()
+    x, y, z = points.T
+    graph = connect(x, y, z, link_m, once=lowest is not None).aside()
+    let_go()
+    filtered = _open_close(heights, graph, area_m2, areas, scales, lowest=lowest)
     levels = [np.searchsorted(scales, each, side="right").astype(np.uint16) for each in filtered]
     del filtered
     curvature, smooth = _structure(points, several, np.logical_or.reduce(levels) > 0, own)
-    green = None if ndvi is None else ndvi[order].astype(np.float64)
-    place = places(spec, cloud.x[order], cloud.y[order])
+    let_go()
     known = NormalisedCloud(points, heights, area_m2, several, green, place, origin[:2])
     scenes = tuple(
         OnSets(known, graph, on, spacing_m, link_m, curvature, smooth, replace(own, smallest_m2=area), mask_m)
@@ -266,10 +269,9 @@ def _structure(
     points: NDArray[np.float64], several: NDArray[np.bool_] | None, on: NDArray[np.bool_], own: Area3dParams
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the change of curvature of the points of the on-set, 0 for all others, and which points are no crown."""
-    found = measure_structure(
-        points[on], None if several is None else several[on], neighbours=own.neighbours, thin_m=own.thin_m
-    )
+    echoes = None if several is None else several[on]
+    found = measure_structure(points[on], echoes, neighbours=own.neighbours, thin_m=own.thin_m)
     curvature, smooth = np.zeros(len(on)), np.full(len(on), own.max_curvature >= 0 and own.max_echo_share >= 0)
     curvature[on] = found.curvature
     smooth[on] = (found.curvature <= own.max_curvature) & (found.echo_share <= own.max_echo_share)
-    return curvature, smooth
+    return set_aside(curvature), smooth

@@ -11,18 +11,15 @@ from scipy.spatial import cKDTree
 
 from msbdb.grid import cell_along
 from msbdb.labels import look_up
-from msbdb.points.nearest import nearest
-from msbdb.threads import cores, in_threads, kernel
+from msbdb.points.aside import let_go
+from msbdb.points.nearest import nearest, nearest_in_plan
+from msbdb.threads import in_threads, kernel
 
 BATCH = 1 << 13
 """Points worked on at once: their neighbours' coordinates stay in the processor's cache."""
 
 NEAREST = 3
 """The height of the roof beside a point comes from so many points of regions."""
-
-
-ASKING = 1 << 18
-"""Points that look for their nearest neighbours at once: all distances would take more memory than the points."""
 
 MOST_CUBES = 2**62
 """Cubes beyond which they cannot be numbered in 64 bits, unless only those that hold points count."""
@@ -73,6 +70,7 @@ def measure_structure(
         return PointStructure(np.zeros(0), np.zeros(0))
     first, of = _one_a_cube(points, thin_m)
     points = points[first]  # if nobody else holds the others, they are freed
+    let_go()
     x, y, z = (np.ascontiguousarray(each) for each in points.T)
     around = nearest(x, y, z, neighbours)
     own = _variation((x, y, z), around)
@@ -269,11 +267,7 @@ def grow_regions(
     farthest_m = np.nextafter(max(1.0, reach.wall_factor) * reach.level_m, np.inf)
     roofs = np.append(points[members, 2], -np.inf)
     grown = labels.copy()
-    for start in range(0, len(asking), ASKING):
-        some = asking[start : start + ASKING]
-        distance, near = tree.query(
-            points[some, :2], k=np.arange(1, NEAREST + 1), distance_upper_bound=farthest_m, workers=cores()
-        )
+    for some, distance, near in nearest_in_plan(tree, (points[:, 0], points[:, 1]), asking, NEAREST, farthest_m):
         split = np.zeros(len(some), dtype=np.bool_) if several is None else several[some]
         within = reach.of(points[some, 2] - roofs[near].max(axis=1), heights[some], split)
         returns = (within > 0) & (distance[:, 0] <= within)

@@ -16,6 +16,7 @@ from msbdb.detect.pointregions import PlacedPoints, PointLedger
 from msbdb.grid import GridSpec
 from msbdb.labels import Labels, chosen_cells, region_means, renumber, sizes, sums
 from msbdb.params import Area3dParams
+from msbdb.points.aside import let_go
 from msbdb.points.graph import PointGraph, components, connect
 
 logger = logging.getLogger(__name__)
@@ -287,7 +288,9 @@ class _Level:
         opened = self.without_small(on, *left)
         del left
         labels, count = self.without_crowns(*self.without_leaves(on, opened))
+        let_go()
         labels = self.grown(labels)
+        let_go()
         shapes = scene.shapes(labels, count)
         rule = judge(shapes, scene.params)
         labels, _ = self.drop("rules", labels, reasons_against(shapes, rule, scene.params))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from support.sizes import sample
 
 from msbdb.database.runs.normalform import normal_form
-from msbdb.outline.wkbrings import are_valid, as_multipolygons, surely_valid
+from msbdb.database.runs.wkbrings import are_valid, as_multipolygons, surely_valid
 
 VALID = (
     "POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0))",
