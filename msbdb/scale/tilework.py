@@ -18,7 +18,7 @@ from msbdb.run.compose import Found, Job, find_buildings
 from msbdb.run.prepare import Window
 from msbdb.run.reports import Stages
 from msbdb.scale.tileresults import packed
-from msbdb.scale.tiling import STEP_M, Tile, cut_islands
+from msbdb.scale.tiling import Tile, cut_islands
 from msbdb.surveyplan import Plan
 from msbdb.tables import Reason
 from msbdb.threads import alone_on, memory_reused
@@ -103,7 +103,8 @@ def work(task: TileTask) -> TileSummary:
             cut = _cut(task, found, halo_m)
             if not cut or halo_m >= task.most_m:
                 break
-            halo_m = min(halo_m + STEP_M, task.most_m)
+            # At once as far as it may: how far a cut island goes on is not known, and each step is a whole build.
+            halo_m = task.most_m
             logger.info("Tile %s: %d islands reach beyond its window; it sees %g m now", task.tile, cut, halo_m)
     content = packed(task.tile, found, halo_m=halo_m, cut=cut, least_m2=task.job.params.fuse.piece_m2)
     status = replace(

@@ -20,7 +20,7 @@ GUARD_M = 20.0
 """Ours: an island of roofs is whole where it ends so far inside of the window; near its edge the ground is unsure."""
 
 STEP_M = 50.0
-"""Ours: the window grows by so much on each side, until it holds every island that reaches into the tile."""
+"""Ours: sides that are chosen are multiples of this."""
 
 LEAST_TILE_M = 50.0
 """Ours: smaller tiles would be halo for the most part."""

@@ -37,4 +37,4 @@ def test_workers_without_losses_repeat_nothing():
     asked = ("--area", "100", "--workers", "1", "--spread", "0", "--town-share", "0", "--start-minutes", "0")
     found = told("country", *asked, "--loss-hours", "1e9", "--reading-seconds", "0", "--merge-seconds", "0")["told"]
     assert found["repeated"] == 0
-    assert found["tile_hours"] == pytest.approx(100 * 71 * 1.44 / 3600, abs=0.06)
+    assert found["tile_hours"] == pytest.approx(100 * 58 * 1.44 / 3600, abs=0.06)

@@ -157,6 +157,7 @@ def test_other_tiles_give_the_same(files, quick, tmp_path):
 def test_the_window_grows_until_it_holds_whole_islands(files, whole, tmp_path, monkeypatch):
     """With a narrow halo the block over the corner is whole all the same, and each building is there once."""
     monkeypatch.setattr(tiledbuild, "HALO_M", 25.0)
+    monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 75.0)
     db = tmp_path / "town.sqlite"
     msbdb.build(files, db=db, survey="town", tile=TILE_M)
     assert {tile.halo_m for tile in msbdb.tiles(db)} == {75.0}
