@@ -4,6 +4,7 @@ import ipaddress
 import logging
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from urllib.parse import urlsplit
 
 from waitress import create_server
@@ -28,9 +29,11 @@ def run_server(db: str, *, host: str, port: int, url: str | None, started: Calla
     address = url.rstrip("/") if url else address_of(place)
     app = make_app(ServedTown(db, engine, address), trusted_names(place, address))
     server = create_server(app, sockets=[place], threads=THREADS, ident="msbdb")
-    started(address)
     try:
-        server.run()
+        # waitress takes an interrupt for its end only once it serves; it may come as soon as the address is told.
+        with suppress(KeyboardInterrupt):
+            started(address)
+            server.run()
     finally:
         server.close()
         engine.dispose()

@@ -37,7 +37,7 @@ from msbdb.errors import InputError, MissingDependencyError
 from msbdb.io.vector import WORLD_M
 from msbdb.run import townpage
 from msbdb.serve import tileprovider
-from msbdb.serve.httpserver import address_of, listening_socket, trusted_names
+from msbdb.serve.httpserver import address_of, listening_socket, run_server, trusted_names
 from msbdb.serve.webapp import CRS84, HEADERS, ServedTown, make_app
 from msbdb.tables.view_columns import IDS
 from msbdb.view.page import Library, read_library
@@ -127,9 +127,9 @@ def started(place) -> Iterator[str]:
         lines = [program.stdout.readline(), program.stdout.readline()]
         yield re.search(r"http://127\.0\.0\.1:\d+", lines[1])[0]
     finally:
-        program.send_signal(2)
-        assert program.wait(60) == 0
-        program.stdout.close()
+        with program.stdout:
+            program.send_signal(2)
+            assert program.wait(60) == 0
 
 
 def test_gdal_and_owslib_read_what_the_database_holds(place):
@@ -648,6 +648,18 @@ def test_the_address_is_the_loopback_unless_it_is_given():
     with listening_socket("0.0.0.0", 0) as place:
         assert "0.0.0.0" not in address_of(place)
         assert trusted_names(place, "http://town.example.org") is None
+
+
+def test_an_interrupt_ends_the_server_as_soon_as_its_address_is_known(place):
+    """Before the first request is waited for, too; the port is free again."""
+    told = []
+
+    def interrupted(address):
+        told.append(address)
+        raise KeyboardInterrupt
+
+    run_server(str(place), host="127.0.0.1", port=0, url=None, started=interrupted)
+    listening_socket("127.0.0.1", int(told[0].rpartition(":")[2])).close()
 
 
 def test_a_missing_library_names_the_extra(tmp_path, monkeypatch):
