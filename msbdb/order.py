@@ -36,7 +36,7 @@ def order_of(values: NDArray[Any], *, descending: bool) -> NDArray[np.int32]:
     >>> order_of(np.array([3, -1, 3, 7]), descending=True)
     array([3, 0, 2, 1], dtype=int32)
     """
-    keys = _keys(values)
+    keys = sort_keys(values)
     if keys is None:
         order = np.argsort(values).astype(np.int32)
         return np.ascontiguousarray(order[::-1]) if descending else order
@@ -153,8 +153,8 @@ def _undecided(
     return undecided
 
 
-def _keys(values: NDArray[Any]) -> NDArray[np.uint32] | None:
-    """Return whole numbers that are ordered as the values are; None where 32 bits cannot hold them."""
+def sort_keys(values: NDArray[Any]) -> NDArray[np.uint32] | None:
+    """Return whole numbers that are ordered as the values are, without NaN; None where 32 bits cannot hold them."""
     if values.dtype.kind == "f":
         return _float_keys(values) if values.dtype.itemsize <= 4 else None
     if values.size == 0:

@@ -122,3 +122,23 @@ def _number(labels: Labels, parent: NDArray[np.int32], marks: int) -> int:
         for col in range(labels.shape[1]):
             labels[row, col] = parent[labels[row, col]]
     return count
+
+
+def neighbour_steps(width: int, connectivity: int) -> NDArray[np.int32]:
+    """Return what leads from a cell to its neighbours where rows have the width given, (4 or 8,)."""
+    steps = [1, -1, width, -width, width + 1, width - 1, 1 - width, -1 - width]
+    return np.array(steps[:connectivity], dtype=np.int32)
+
+
+@kernel
+def find_root(node: NDArray[np.int32], item: int) -> int:
+    """Return the root of an item's component, the one with a negative mark, and halve the way to it.
+
+    ``node`` has a negative mark for each root, and for any other item its parent.
+    """
+    while node[item] >= 0:
+        parent = node[item]
+        if node[parent] >= 0:
+            node[item] = node[parent]
+        item = parent
+    return item

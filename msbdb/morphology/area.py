@@ -4,7 +4,8 @@ An area opening lowers each peak until its connected component holds at least s 
 pit in the same way. Values in the result are values of the input: nothing is computed, so nothing is rounded.
 
 The filters work on runs, stretches of equal value along a row. A grid of storeys has far fewer runs than cells, and
-each scale of the scale-space has fewer runs than the one before.
+each scale of the scale-space has fewer runs than the one before. Images with hardly a run of two cells, such as
+heights, are filtered block by block (`msbdb.morphology.blockwise`).
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.labels.numbering import require_connectivity, require_image
+from msbdb.labels.cellkernels import find_root
+from msbdb.labels.numbering import MAX_CELLS, require_connectivity, require_image
+from msbdb.morphology.blockwise import MOST_PX, filter_blockwise
 from msbdb.order import order_of
 from msbdb.threads import kernel
 
@@ -229,6 +232,10 @@ def area_open_close(values: NDArray[T], threshold_px: int, *, connectivity: int 
     array([[0, 0, 0, 0, 0, 4, 4, 4, 4, 4]])
     """
     require_threshold(threshold_px)
+    if _is_in_blocks(values, threshold_px):
+        return area_closing(
+            area_opening(values, threshold_px, connectivity=connectivity), threshold_px, connectivity=connectivity
+        )
     runs = find_runs(values, connectivity)
     opened = runs.with_values(_filtered(runs, threshold_px, from_top=True))
     return opened.paint(_filtered(opened, threshold_px, from_top=False))
@@ -245,8 +252,21 @@ def require_threshold(threshold_px: int) -> None:
 def _filter(values: NDArray[T], threshold_px: int, connectivity: int, *, from_top: bool) -> NDArray[T]:
     """Open from the top or close from the bottom; both give each run the value of another run."""
     require_threshold(threshold_px)
+    if _is_in_blocks(values, threshold_px):
+        require_image(values)
+        require_connectivity(connectivity)
+        filtered: NDArray[T] = filter_blockwise(values, int(threshold_px), connectivity, from_top=from_top)
+        return filtered
     runs = find_runs(values, connectivity)
     return runs.paint(_filtered(runs, threshold_px, from_top=from_top))
+
+
+def _is_in_blocks(values: NDArray[Any], threshold_px: int) -> bool:
+    """Return whether blocks are quicker: where runs have fewer than two cells on average, as with heights."""
+    known = values.dtype.kind in "iuf" and values.dtype.itemsize <= 4
+    if not known or values.ndim != 2 or threshold_px > MOST_PX or values.size > MAX_CELLS // 2:
+        return False
+    return bool(2 * np.count_nonzero(values[:, 1:] != values[:, :-1]) > values.size)
 
 
 def _filtered(runs: Runs, threshold_px: int, *, from_top: bool) -> NDArray[Any]:
@@ -305,14 +325,3 @@ def _absorb(order: NDArray[np.int32], layout: Layout, threshold: int) -> NDArray
         run = order[position]
         node[run] = run if node[run] < 0 else node[node[run]]
     return node
-
-
-@kernel
-def find_root(node: NDArray[np.int32], run: int) -> int:
-    """Return the root of a run's component, the one with a negative mark, and halve the way to it."""
-    while node[run] >= 0:
-        parent = node[run]
-        if node[parent] >= 0:
-            node[run] = node[parent]
-        run = parent
-    return run

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError
+from msbdb.labels.cellkernels import neighbour_steps
 from msbdb.labels.numbering import MAX_CELLS, require_connectivity
 from msbdb.morphology.area import require_valid
 from msbdb.morphology.flood import flood
@@ -142,7 +143,7 @@ def build_tree(values: NDArray[Any], valid: NDArray[np.bool_] | None = None, *, 
     order += order // np.int32(cols) * np.int32(2) + np.int32(width + 1)
     rank = np.full((rows + 2) * width, NONE, dtype=np.int32)
     rank[order] = np.arange(order.size, dtype=np.int32)
-    before, left = flood(rank, order, _steps(width, connectivity))
+    before, left = flood(rank, order, neighbour_steps(width, connectivity))
     del order
     framed = rank  # its ranks have served
     parent, leaders = _make_nodes(before, left, _comparable(flat), framed, width)
@@ -181,12 +182,6 @@ def _comparable(values: NDArray[Any]) -> NDArray[Any]:
     """Return numbers that are equal where the values are, of one of the few dtypes that the kernel is compiled for."""
     bits = 32 if values.dtype.itemsize <= 4 else 64
     return values.astype(f"{'f' if values.dtype.kind == 'f' else 'i'}{bits // 8}", copy=False)
-
-
-def _steps(width: int, connectivity: int) -> NDArray[np.int32]:
-    """Return what leads from a cell to its neighbours in rows of the width given."""
-    steps = [1, -1, width, -width, width + 1, width - 1, 1 - width, -1 - width]
-    return np.array(steps[:connectivity], dtype=np.int32)
 
 
 def _read_only(tree: ComponentTree) -> ComponentTree:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.labels import look_up
-from msbdb.morphology.area import find_root
+from msbdb.labels.cellkernels import find_root
 from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cellindex import (
     MARGIN,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.morphology.area import find_root
+from msbdb.labels.cellkernels import find_root
 from msbdb.points.aside import let_go
 from msbdb.points.cellindex import (
     MARGIN,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.labels import chosen_cells, sums
-from msbdb.morphology.area import find_root
+from msbdb.labels.cellkernels import find_root
 from msbdb.order import order_of
 from msbdb.points.graph import PointGraph, components
 from msbdb.points.linkage import linked, near_others

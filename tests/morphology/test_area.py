@@ -9,6 +9,8 @@ from support.strategies import CONNECTIVITIES, THRESHOLDS, images, integer_image
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology import area_closing, area_open_close, area_opening
+from msbdb.morphology.area import find_runs
+from msbdb.morphology.blockwise import filter_blockwise
 
 FILTERS = st.sampled_from([area_opening, area_closing, area_open_close])
 
@@ -35,6 +37,34 @@ def test_open_close_opens_first(image, threshold, connectivity):
     """AOC is an opening and then a closing with the same s (V5)."""
     result = area_open_close(image, threshold, connectivity=connectivity)
     np.testing.assert_array_equal(result, oracles.area_open_close(image, threshold, connectivity))
+
+
+@given(images(st.sampled_from([np.int16, np.uint8, np.float32])), THRESHOLDS, CONNECTIVITIES, st.integers(1, 6))
+def test_blocks_of_any_side_give_the_naive_definition(image, threshold, connectivity, side):
+    """Components over borders and corners of blocks, within one block, and over many."""
+    opened = filter_blockwise(image, threshold, connectivity, from_top=True, side=side)
+    closed = filter_blockwise(image, threshold, connectivity, from_top=False, side=side)
+    assert opened.dtype == closed.dtype == image.dtype
+    np.testing.assert_array_equal(opened, oracles.area_opening(image, threshold, connectivity))
+    np.testing.assert_array_equal(closed, oracles.area_closing(image, threshold, connectivity))
+
+
+@pytest.mark.parametrize("threshold", [30, 3000])
+def test_large_heights_are_filtered_in_blocks_as_in_runs(threshold):
+    """Several blocks in both directions; columns that are doubled make runs of two cells."""
+    heights = np.random.default_rng(4).normal(size=(600, 700)).astype(np.float32)
+    in_blocks = area_open_close(heights, threshold)
+    doubled = np.repeat(heights, 2, axis=1)
+    assert find_runs(doubled, 8).values.size * 2 == doubled.size
+    in_runs = area_open_close(doubled, 2 * threshold)
+    assert (in_blocks != heights).any()
+    np.testing.assert_array_equal(np.repeat(in_blocks, 2, axis=1), in_runs)
+
+
+def test_blocks_refuse_what_32_bits_cannot_order():
+    """Floats of 64 bits are filtered by runs."""
+    with pytest.raises(InputError, match="float64"):
+        filter_blockwise(np.zeros((3, 3)), 2, 8, from_top=True)
 
 
 @given(images(st.just(np.bool_), 0, 1), THRESHOLDS, CONNECTIVITIES)
