@@ -5,7 +5,7 @@ From it the classes can be labelled again without the source data, and a map can
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,10 @@ ANSWER_NAMES = {method: f"{name}_answer" for method, name in REGION_NAMES.items(
 
 REQUIRED_RASTERS = ("ndsm_cm", "structure", "valid")
 """Names of the rasters that every run has."""
+
+
+Packed = Mapping[str, tuple[NDArray[np.generic], dict[str, Any]]]
+"""Rasters by their names in the database, with their compressed rows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,6 +201,9 @@ class KeptRun:
         Heights, classes and labels of the regions.
     plan : Plan, optional
         The plan by which it was built; None where an older msbdb kept none.
+    packed : mapping of str to (ndarray, dict)
+        Rasters by their names that were compressed beside other work, with their rows (`msbdb.database.pack_rasters`).
+        All others are compressed when they are written.
     """
 
     survey: Survey
@@ -204,6 +211,7 @@ class KeptRun:
     frames: "dict[str, pd.DataFrame]"
     rasters: Rasters
     plan: Plan | None = None
+    packed: Packed = field(default_factory=dict)
 
     @property
     def heights(self) -> "Grid":

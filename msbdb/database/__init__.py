@@ -91,7 +91,7 @@ from msbdb.database.runs.tiles import (
     read_tile_status,
     tiles_with_results,
 )
-from msbdb.database.runs.writing import WriteReport, store_build, write_build
+from msbdb.database.runs.writing import WriteReport, pack_rasters, store_build, write_build
 from msbdb.database.schema.srid import srid_of
 
 __all__ = [
@@ -154,6 +154,7 @@ __all__ = [
     "open_database",
     "open_to_read",
     "opened",
+    "pack_rasters",
     "read_build",
     "read_buildings",
     "read_candidates",

@@ -7,11 +7,13 @@ kept run, detects parts under the new labels, and shares all later steps.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msbdb.database import pack_rasters
 from msbdb.detect.detectors import DETECTORS
 from msbdb.detect.flatregions.initialisation import denoise
 from msbdb.detect.flatregions.mongus2013 import lowest_surface
@@ -26,13 +28,13 @@ from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.points.aside import let_go
 from msbdb.points.cloud import PointCloud
-from msbdb.run.describe import Description, count_cells, describe, describe_choices
+from msbdb.run.describe import Description, count_cells, describe, describe_choices, describe_rasters
 from msbdb.run.inputs import Inputs
 from msbdb.run.prepare import Label, Window, is_large, make_plan, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
-from msbdb.threads import in_threads, memory_reused
+from msbdb.threads import in_threads, memory_reused, together
 from msbdb.version import __version__
 
 NO_POINTS = (
@@ -93,7 +95,8 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     with collect_notices(notices), memory_reused():
         found = find_buildings(job, stages, planned)
     run = record_run(job, found.counts, stages.timings, notices)
-    return KeptRun(found.scene.survey, run, found.description.frames, found.description.rasters, found.plan)
+    made = found.description
+    return KeptRun(found.scene.survey, run, made.frames, made.rasters, found.plan, made.packed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +155,7 @@ def find_buildings(job: Job, stages: Stages, planned: Plan | None, window: Windo
     if job.denoising_figure is not None and "flatregions" in job.methods:
         _draw_denoising(scene, params, job.denoising_figure)
     scene = scene.without_sources()
-    found = fuse_and_describe(scene, regions, params, stages)
+    found = fuse_and_describe(scene, regions, params, stages, packs=window is None)
     counts = Counts(
         regions=found.counts,
         cells=count_cells(scene.heights, scene.cover),
@@ -210,10 +213,10 @@ def relabelled(
     params = with_values(params, {"scale": {"scales_m2": kept.frames["scale"]["threshold_m2"].tolist()[::-1]}})
     if "multiscale" in kept.run.methods:
         regions = {**regions, **detect(scene, ["multiscale"], params, stages)}
-    found = fuse_and_describe(scene, regions, params, stages)
+    found = fuse_and_describe(scene, regions, params, stages, packs=True)
     counts = replace(kept.run.counts, regions=found.counts, cells=count_cells(scene.heights, scene.cover))
     run = replace(kept.run, counts=counts, timings={**kept.run.timings, **stages.timings})
-    return KeptRun(kept.survey, run, found.frames, found.rasters, kept.plan)
+    return KeptRun(kept.survey, run, found.frames, found.rasters, kept.plan, found.packed)
 
 
 def detect(
@@ -235,14 +238,25 @@ def detect(
     return dict(zip(methods, found, strict=True))
 
 
-def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:
-    """Fuse, decompose and describe: the steps that a build and a re-labelling share."""
-    built = fuse(scene, regions, params, stages)
-    division = divide_houses(scene, built, params, stages)
+def fuse_and_describe(
+    scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages, *, packs: bool = False
+) -> Description:
+    """Fuse, decompose and describe: the steps that a build and a re-labelling share.
+
+    Where the run will be written as a whole, it ``packs`` the rasters beside the first steps, which use one core.
+    """
+    rasters = describe_rasters(scene, regions)
+
+    def decide() -> tuple[NDArray[np.bool_] | None, Division | None]:
+        built = fuse(scene, regions, params, stages)
+        return built, divide_houses(scene, built, params, stages)
+
+    (built, division), packed = together(decide, partial(pack_rasters, rasters.by_name() if packs else {}))
     with stages.stage("parts"):
         forest = decompose(scene, regions, built, division, params)
     with stages.stage("outlines"):
-        return describe(scene, regions, forest, params, built=built, division=division)
+        found = describe(scene, regions, forest, params, built=built, division=division, rasters=rasters)
+    return replace(found, packed=packed)
 
 
 def fuse_and_decompose(

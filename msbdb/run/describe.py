@@ -1,7 +1,7 @@
 """Description: from parts and regions on the lattice to the tables, rasters and counts that the database keeps."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import geopandas as gpd
@@ -17,7 +17,7 @@ from msbdb.fuse.cells import is_fused
 from msbdb.fuse.probability import refuse
 from msbdb.fuse.touching import Division
 from msbdb.grid import Grid, GridSpec
-from msbdb.kept import Rasters
+from msbdb.kept import Packed, Rasters
 from msbdb.ledger import sum_up
 from msbdb.outline.fitting import outline_labels
 from msbdb.outline.polygons import Geometries
@@ -56,12 +56,15 @@ class Description:
         By detector and stage: regions in, kept and dropped.
     dropped : DataFrame
         ``tables.REJECTION`` of all detectors without geometry, also of regions that are too small for a row.
+    packed : mapping of str to (ndarray, dict)
+        Rasters that are compressed already, as `msbdb.kept.KeptRun` has them.
     """
 
     frames: dict[str, pd.DataFrame]
     rasters: Rasters
     counts: dict[str, dict[str, dict[str, int]]]
     dropped: pd.DataFrame
+    packed: Packed = field(default_factory=dict)
 
 
 def describe(
@@ -72,6 +75,7 @@ def describe(
     *,
     built: NDArray[np.bool_] | None = None,
     division: Division | None = None,
+    rasters: Rasters | None = None,
 ) -> Description:
     """Return the tables, rasters and counts of a run.
 
@@ -89,6 +93,8 @@ def describe(
         The cells that the detectors took together; None where they did not decide together.
     division : Division, optional
         The houses in which the parts grew, and why; None where the detectors did not decide together.
+    rasters : Rasters, optional
+        Those of `describe_rasters`, where they are known.
     """
     # The tree of parts may have grown inside the cells of all detectors: its counts are those of the kept parts.
     counts = {name: found.counts for name, found in regions.items()} | {"multiscale": forest.counts}
@@ -104,7 +110,8 @@ def describe(
         partial(explain_cells, scene, regions, built, forest, params),
     )
     ledgers = [found.ledger for name, found in sorted(regions.items()) if name != "multiscale"]
-    return Description(frames, _rasters(scene, regions, reason), some, _joined(forest.rejections, ledgers))
+    rasters = replace(rasters or describe_rasters(scene, regions), reason=reason)
+    return Description(frames, rasters, some, _joined(forest.rejections, ledgers))
 
 
 def outline_parts(forest: Forest, ndsm: Grid, params: VectorParams) -> gpd.GeoDataFrame:
@@ -157,32 +164,26 @@ def make_frames(
     division : Division, optional
         The houses in which the parts grew, and why. Without it no building is divided.
     """
-    parts, frames = together(
-        partial(outline_parts, forest, scene.heights, params.vector),
-        partial(_other_frames, scene, regions, forest, params, division),
+    (parts, buildings), frames = together(
+        partial(
+            together,
+            partial(outline_parts, forest, scene.heights, params.vector),
+            partial(_describe_buildings, scene, regions, forest, params, division),
+        ),
+        partial(_other_frames, scene, regions, forest, params),
     )
     frames["part"] = parts[[*PART.names, "geometry"]]
+    frames["building"] = buildings[[*BUILDING.names, "geometry"]]
     for table in TABLES:
         validate(frames[table.name], table)
     return frames
 
 
-def _other_frames(
+def _describe_buildings(
     scene: Scene, regions: Mapping[str, Regions], forest: Forest, params: Params, division: Division | None
-) -> dict[str, pd.DataFrame]:
-    """Return all tables but that of the parts."""
+) -> gpd.GeoDataFrame:
+    """Return the buildings in which the trees of parts stand, with all that the detectors support, and outlines."""
     spec, parts = scene.heights.spec, forest.parts
-    link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
-    flat = regions.get("flatregions") or no_regions("flatregions", FLAT_REGION, spec)
-    candidates = [regions[name] for name in sorted(POINT_DETECTORS) if name in regions]
-    part_ids, flat_ids = parts["part_id"].to_numpy(), flat.table["region_id"].to_numpy()
-    flat_links = link(forest.labels, part_ids, flat.labels, flat_ids, table=PART_FLAT_REGION)
-    links = {"flatregions": flat_links} if "flatregions" in regions else {}
-    between = []
-    for found in candidates:
-        ids = found.table["candidate_id"].to_numpy()
-        links[found.method] = link(forest.labels, part_ids, found.labels, ids, table=PART_CANDIDATE)
-        between.append(link([flat.labels], flat_ids, found.labels, ids, table=FLAT_REGION_CANDIDATE))
     labels = label_buildings(parts, forest.root_labels)
     buildings = buildings_from_parts(parts, labels, scene.heights, scene.elevations, params)
     fusion = params.fuse if is_fused(regions, params.fuse) else None
@@ -191,7 +192,25 @@ def _other_frames(
     buildings = with_support(buildings, shares, params=fusion)
     if division is not None:
         buildings = buildings.assign(divided_by=division.reasons_of(labels, len(buildings)))
-    buildings = _outlined(buildings, outlines, fitted, spec)
+    return _outlined(buildings, outlines, fitted, spec)
+
+
+def _other_frames(
+    scene: Scene, regions: Mapping[str, Regions], forest: Forest, params: Params
+) -> dict[str, pd.DataFrame]:
+    """Return all tables but those of the parts and the buildings."""
+    spec = scene.heights.spec
+    link = partial(link_labels, cell_area_m2=spec.cell_area_m2)
+    flat = regions.get("flatregions") or no_regions("flatregions", FLAT_REGION, spec)
+    candidates = [regions[name] for name in sorted(POINT_DETECTORS) if name in regions]
+    part_ids, flat_ids = forest.parts["part_id"].to_numpy(), flat.table["region_id"].to_numpy()
+    flat_links = link(forest.labels, part_ids, flat.labels, flat_ids, table=PART_FLAT_REGION)
+    links = {"flatregions": flat_links} if "flatregions" in regions else {}
+    between = []
+    for found in candidates:
+        ids = found.table["candidate_id"].to_numpy()
+        links[found.method] = link(forest.labels, part_ids, found.labels, ids, table=PART_CANDIDATE)
+        between.append(link([flat.labels], flat_ids, found.labels, ids, table=FLAT_REGION_CANDIDATE))
     rejections, counts = _ledger(forest, [flat, *candidates], params)
     points = shapely.points(rejections["xcen"].to_numpy(), rejections["ycen"].to_numpy())
     none = no_regions("area3d", CANDIDATE_REGION, spec)
@@ -201,7 +220,6 @@ def _other_frames(
         "spectral_class_band": scene.cover.bands,
         "rejection": gpd.GeoDataFrame(rejections, geometry=points, crs=spec.crs),
         "rejection_count": counts,
-        "building": buildings[[*BUILDING.names, "geometry"]],
         "flat_region": flat.table,
         "part_flat_region": flat_links,
         "candidate_region": _joined(none.table, [found.table for found in candidates]),
@@ -264,8 +282,8 @@ def describe_choices(scene: Scene, params: Params) -> dict[str, object]:
     }
 
 
-def _rasters(scene: Scene, regions: Mapping[str, Regions], reason: NDArray[np.uint8]) -> Rasters:
-    """Return the rasters that the database keeps."""
+def describe_rasters(scene: Scene, regions: Mapping[str, Regions]) -> Rasters:
+    """Return the rasters that the database keeps, except for the reasons: all that is known after detection."""
     cover, evidence = scene.cover, scene.evidence
     return replace(
         Rasters.of_heights(scene.heights, cover.structure.index),
@@ -275,8 +293,7 @@ def _rasters(scene: Scene, regions: Mapping[str, Regions], reason: NDArray[np.ui
         roof_probability=None if evidence is None else evidence.roof_probability,
         terrain_cm=scene.elevations.terrain_cm,
         echoes=scene.elevations.echoes,
-        reason=reason,
-        support=support_of(regions, reason.shape),
+        support=support_of(regions, scene.heights.spec.shape),
         answers={name: found.answers for name, found in regions.items() if found.answers is not None},
         parcels=scene.parcels,
         intensity=scene.intensity,

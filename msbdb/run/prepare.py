@@ -40,7 +40,8 @@ from msbdb.run.planning import (
 )
 from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import kept_intensity, spectral_bands
-from msbdb.spectral.coverclasses import Cover, classify_cover, keep_labels
+from msbdb.spectral.coverclasses import Cover, classify_cover, is_imagery, keep_labels
+from msbdb.spectral.kmeans import load_solver
 from msbdb.surface import Surface, cover_from_surface, surface_from_rasters
 from msbdb.surface.gridding import CELL_LADDER_M, cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
@@ -275,11 +276,14 @@ def make_draft(
         with stages.stage("bands"):
             try:
                 ortho = read_bands(list(inputs.ortho), spec, crs=inputs.any_ortho_crs) if inputs.ortho else None
-                return spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
+                bands = spectral_bands(ortho, cloud, spec, max_gap_m=params.surface.max_gap_m)
             except GridMismatchError:
                 if not sampled:
                     raise
                 return None
+            if is_imagery(bands) and not planned:
+                load_solver()  # while the surface is still being made
+            return bands
 
     if cloud is None:
         surface, structure = separate()

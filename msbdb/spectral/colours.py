@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Bands, Frame, GridSpec
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import cell_of
+from msbdb.surface.gridding import cell_of, nearest_cells
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
@@ -243,13 +242,15 @@ def fill_gaps(values: NDArray[np.float32], measured: Mask, cell_m: float, reach_
     valid = measured.copy()
     if not measured.any():
         return valid
-    nearest = ndimage.distance_transform_edt(~measured, return_distances=False, return_indices=True)
-    gap = np.nonzero(~measured)
-    row, col = (index[gap].astype(np.int64) for index in nearest)
-    reached = np.sqrt((row - gap[0]) ** 2 + (col - gap[1]) ** 2) * cell_m <= reach_m
-    filled = gap[0][reached], gap[1][reached]
-    values[:, *filled] = values[:, row[reached], col[reached]]
-    valid[filled] = True
+    gap = np.flatnonzero(~measured)
+    # A cell more, because the distance in metres decides.
+    nearest = nearest_cells(measured, gap, reach_m / cell_m + 1).astype(np.int64)
+    (row, col), (gap_row, gap_col) = (np.divmod(cells, measured.shape[1]) for cells in (nearest, gap))
+    reached = (nearest >= 0) & (np.sqrt((row - gap_row) ** 2 + (col - gap_col) ** 2) * cell_m <= reach_m)
+    filled, source = gap[reached], nearest[reached]
+    for band in values.reshape(len(values), -1):
+        band[filled] = band[source]
+    valid.ravel()[filled] = True
     return valid
 
 

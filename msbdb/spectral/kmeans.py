@@ -125,6 +125,11 @@ def _smallest(keys: NDArray[np.uint64], count: int) -> NDArray[np.intp]:
     return chosen[np.argsort(keys[chosen], kind="stable")]
 
 
+def load_solver() -> None:
+    """Load scikit-learn, which takes half a second: beside other work it costs nothing."""
+    import sklearn.cluster  # noqa: F401  (`fit_centres` finds it loaded)
+
+
 def fit_centres(sample: Sample, *, classes: int, seed: int, tail_percent: float) -> Centres:
     """Scale the bands by the sample's percentiles (V21) and fit k-means on it (V35).
 

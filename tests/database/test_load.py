@@ -40,6 +40,7 @@ from msbdb.database import (
     canonical_dump,
     list_runs,
     open_database,
+    pack_rasters,
     read_build,
     read_buildings,
     read_candidates,
@@ -206,6 +207,20 @@ def test_a_changed_raster_is_a_change(engine: Engine) -> None:
     write_build(engine, build)
     rasters = replace(build.rasters, heights_cm=build.rasters.heights_cm + np.int32(1))
     assert write_build(engine, replace(build, rasters=rasters)).status == "replaced"
+    assert read_rasters(engine).heights_cm[0, 0] == 1
+
+
+def test_rasters_that_are_packed_already_are_written_as_they_are(engine: Engine) -> None:
+    """And a raster that took the place of a packed one is packed anew."""
+    build = small_build()
+    packed = pack_rasters(build.rasters.by_name())
+    marked = {name: (values, row | {"data": row["data"] + b" "}) for name, (values, row) in packed.items()}
+    write_build(engine, replace(build, packed=marked))
+    with engine.connect() as connection:
+        kept = dict(connection.execute(text("SELECT name, data FROM run_state")).all())
+    assert kept["structure"] == packed["structure"][1]["data"] + b" "
+    higher = replace(build.rasters, heights_cm=build.rasters.heights_cm + np.int32(1))
+    write_build(engine, replace(build, rasters=higher, packed=packed))
     assert read_rasters(engine).heights_cm[0, 0] == 1
 
 

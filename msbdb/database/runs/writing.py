@@ -21,7 +21,7 @@ from msbdb.database.runs.tiles import forget_tiles
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
 from msbdb.identity import text_id
-from msbdb.kept import KeptRun
+from msbdb.kept import KeptRun, Packed
 from msbdb.tables import TABLES, Column, Table
 from msbdb.threads import in_threads, together
 
@@ -227,9 +227,22 @@ def keys_of(build: KeptRun) -> tuple[int, int]:
     return text_id("survey", build.survey.name), text_id("run", build.survey.name)
 
 
+def pack_rasters(rasters: Mapping[str, NDArray[Any]]) -> Packed:
+    """Return rasters with the columns of their rows except the run's key, compressed one after another.
+
+    `KeptRun.packed` takes them, so that a thread compresses rasters while a build still works on other things.
+    """
+    return {name: (values, raster_row((name, values))) for name, values in rasters.items()}
+
+
 def _packed(build: KeptRun) -> list[dict[str, Any]]:
-    """Return the columns of the rasters' rows except the run's key."""
-    return in_threads(raster_row, sorted(build.rasters.by_name().items()))
+    """Return the columns of the rasters' rows except the run's key; the very rasters that are packed stay so."""
+
+    def row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:
+        values, packed = build.packed.get(named[0], (None, {}))
+        return packed if values is named[1] else raster_row(named)
+
+    return in_threads(row, sorted(build.rasters.by_name().items()))
 
 
 def raster_row(named: tuple[str, NDArray[Any]]) -> dict[str, Any]:

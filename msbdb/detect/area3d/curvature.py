@@ -269,7 +269,8 @@ def grow_regions(
     grown = labels.copy()
     for some, distance, near in nearest_in_plan(tree, (points[:, 0], points[:, 1]), asking, NEAREST, farthest_m):
         split = np.zeros(len(some), dtype=np.bool_) if several is None else several[some]
-        within = reach.of(points[some, 2] - roofs[near].max(axis=1), heights[some], split)
+        highest = np.maximum.reduce([roofs[each] for each in near.T])  # the maximum over short rows takes far longer
+        within = reach.of(points[some, 2] - highest, heights[some], split)
         returns = (within > 0) & (distance[:, 0] <= within)
         grown[some[returns]] = labels[members[near[returns, 0]]]
     return grown

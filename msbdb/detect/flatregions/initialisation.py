@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from msbdb.errors import NodataError
@@ -17,7 +16,7 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.morphology import window_profile
 from msbdb.params import FlatRegionParams
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import lowest_heights
+from msbdb.surface.gridding import lowest_heights, nearest_cells
 from msbdb.threads import kernel
 
 logger = logging.getLogger(__name__)
@@ -97,7 +96,8 @@ def initialise(points: PointCloud, spec: GridSpec, *, max_gap_m: float = 0.0) ->
         raise NodataError(msg)
     wanted = ~known
     if max_gap_m > 0 and wanted.any():
-        wanted &= distance_transform_edt(wanted) <= max(max_gap_m / spec.cell_m, 2.0)
+        cells = np.flatnonzero(wanted)
+        wanted.ravel()[cells] = nearest_cells(known, cells, max(max_gap_m / spec.cell_m, 2.0)) >= 0
     values = fill_by_idw(lowest, known, wanted)
     return Grid(values.astype(np.float32), known | wanted, spec)
 
