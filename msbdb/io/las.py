@@ -266,11 +266,12 @@ def _meeting(
     NodataError
         When all of them lie elsewhere.
     """
-    west, south, east, north = shapely.bounds(area.shape_in(references[0].crs))
+    shape = area.shape_in(references[0].crs)
+    shapely.prepare(shape)
     found = []
     for info, each in zip(files, references, strict=True):
         xs, ys, _ = each.to_metres(np.array(info.bounds[::2]), np.array(info.bounds[1::2]), np.zeros(2))
-        apart = xs[0] > east or xs[1] < west or ys[0] > north or ys[1] < south
+        apart = np.isfinite([*xs, *ys]).all() and not shapely.intersects(shape, shapely.box(xs[0], ys[0], xs[1], ys[1]))
         # A rectangle that is reprojected is none, so only a scaled one can be compared.
         if not apart or each.transformer is not None or not is_believed(info):
             found.append((info, each))
@@ -282,13 +283,13 @@ def _meeting(
 
 def _expected(area: Area, files: Sequence[LasInfo], references: Sequence[Reference]) -> int:
     """Return about how many points lie in an area, as far as headers tell that; room for more is made if needed."""
-    box, found = shapely.box(*shapely.bounds(area.shape_in(references[0].crs))), 0.0
+    shape, found = area.shape_in(references[0].crs), 0.0
     for info, each in zip(files, references, strict=True):
         if each.transformer is None:
             xs, ys, _ = each.to_metres(np.array(info.bounds[::2]), np.array(info.bounds[1::2]), np.zeros(2))
             ground = shapely.box(xs[0], ys[0], xs[1], ys[1])
             if shapely.is_valid(ground) and ground.area > 0:
-                found += info.points * shapely.intersection(ground, box).area / ground.area
+                found += info.points * shapely.intersection(ground, shape).area / ground.area
     return max(round(MORE * found), CHUNK_POINTS)
 
 

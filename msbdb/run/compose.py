@@ -89,7 +89,7 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
         Receives the notices that arise; those that it has already are kept, too.
     """
     planned = job.plan
-    if planned is None and is_large(job.inputs):
+    if planned is None and is_large(job.inputs, job.params):
         with collect_notices(Notices()), memory_reused():
             planned = make_plan(job.inputs, job.params, stages)
     with collect_notices(notices), memory_reused():

@@ -1,7 +1,7 @@
 """The plan of a survey: what its drafts give together, from the whole of it or from a sample of blocks."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -17,7 +17,7 @@ from msbdb.detect.adaptive.offground import ndvi_threshold
 from msbdb.detect.area3d.heightscales import height_scales
 from msbdb.detect.pointregions import heights_of_points, point_ndvi
 from msbdb.errors import InputError, collected_notices
-from msbdb.grid import Bands, Grid
+from msbdb.grid import Bands, Bounds, Grid
 from msbdb.ground.choice import POINT_FILTERS
 from msbdb.io.crs import CrsLike, reference, same_crs
 from msbdb.io.extents import extent_of_points
@@ -33,7 +33,7 @@ from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
 from msbdb.spectral.kmeans import lattice_keys, pooled
 from msbdb.spectral.model import ClassModel, fit_model
 from msbdb.surface import Surface
-from msbdb.surface.gridding import density
+from msbdb.surface.gridding import cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND
 from msbdb.surface.structure import Structure
 from msbdb.surveyplan import Plan, PointFacts, basis_of
@@ -44,10 +44,35 @@ if TYPE_CHECKING:
 
 
 MOST_POINTS = 12_000_000
-"""Ours: as many points are looked at for a plan, about what 4 GB of memory hold in a build."""
+"""Ours: as many points are read for a plan at once."""
+
+MOST_BYTES = 1.7 * 2**30
+"""Ours: what a plan may take of 2 GiB beside the program."""
+
+POINT_BYTES, CELL_BYTES, GROUND_CELL_BYTES = 45, 100, 250
+"""Ours, measured (docs/scale.md): what a plan takes for each point, cell, and cell of the ground filter."""
 
 BLOCK_M = 500.0
 """Ours: side of a block of a sample, metres, several times as wide as the largest building."""
+
+LEAST_BLOCK_M = 62.5
+"""Ours: blocks of very fine cells are halved down to this."""
+
+BLOCK_SHARE = 4
+"""Ours: a block takes at most this part of the memory, so that several make a sample."""
+
+
+def bytes_to_plan(points: float, area_m2: float, cell_m: float, params: Params) -> float:
+    """Return what a plan of so many points on a lattice of this area takes, bytes beside the program."""
+    ground_m = max(params.ground.ground_cell_m, cell_m / 2)
+    return POINT_BYTES * points + area_m2 * (CELL_BYTES / cell_m**2 + GROUND_CELL_BYTES / ground_m**2)
+
+
+def is_small(points: float, bounds: Bounds, cell_m: float, params: Params) -> bool:
+    """Return whether a plan looks at all points of a survey: they and the lattice over them are not too many."""
+    west, south, east, north = bounds
+    need = bytes_to_plan(points, (east - west) * (north - south), cell_m, params)
+    return points <= MOST_POINTS and need <= MOST_BYTES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,63 +83,82 @@ class SampledBlocks:
     side_m: float
     crs: "CRS"
 
-    @property
-    def area(self) -> Area:
-        """The ground of all blocks."""
-        west, south = np.array(self.corners).T
-        boxes = shapely.box(west, south, west + self.side_m, south + self.side_m)
-        return Area(gpd.GeoSeries(boxes, crs=self.crs), 0.0, "the sample of blocks")
+    @classmethod
+    def over(
+        cls, ground: shapely.Geometry, points: float, cell_m: float, crs: "CRS", params: Params
+    ) -> "SampledBlocks":
+        """Draw blocks of a ground with points, about as many as a plan may look at.
 
-    def cut(self, cloud: PointCloud) -> dict[tuple[float, float], PointCloud]:
-        """Return the points of each block that has first echoes, in the order of the corners."""
+        The blocks lie at whole multiples of their side. Their order is a hash of their place and of the seed, so that
+        it does not depend on the files.
+        """
+        side_m = BLOCK_M
+        while side_m > LEAST_BLOCK_M and bytes_to_plan(0, side_m**2, cell_m, params) * BLOCK_SHARE > MOST_BYTES:
+            side_m /= 2
+        west, south, east, north = shapely.bounds(ground)
+        columns, rows = (
+            np.arange(math.floor(low / side_m), math.floor(high / side_m) + 1)
+            for low, high in ((west, east), (south, north))
+        )
+        column, row = (each.ravel() for each in np.meshgrid(columns, rows))
+        squares = shapely.box(column * side_m, row * side_m, (column + 1) * side_m, (row + 1) * side_m)
+        area = shapely.area(shapely.intersection(squares, ground))
+        order = np.argsort(lattice_keys(row, column, params.spectral.seed), kind="stable")
+        order = order[area[order] > 0]
+        held = area[order] / area.sum() * points
+        need = np.cumsum([bytes_to_plan(*each, cell_m, params) for each in zip(held, area[order], strict=True)])
+        enough = min(np.searchsorted(np.cumsum(held), MOST_POINTS), np.searchsorted(need, MOST_BYTES))
+        corners = ((float(column[one] * side_m), float(row[one] * side_m)) for one in order[: int(enough) + 1])
+        return cls(tuple(corners), side_m, crs)
+
+    @classmethod
+    def of_cloud(cls, cloud: PointCloud, cell_m: float, params: Params) -> "SampledBlocks":
+        """Draw blocks of a cloud, of those that hold points."""
+        places = (np.floor(axis / LEAST_BLOCK_M).astype(np.int64) for axis in (cloud.x, cloud.y))
+        column, row = np.unique(np.column_stack([*places]), axis=0).T * LEAST_BLOCK_M
+        squares = shapely.box(column, row, column + LEAST_BLOCK_M, row + LEAST_BLOCK_M)
+        return cls.over(shapely.union_all(squares), len(cloud), cell_m, cloud.crs, params)
+
+    def area_in(self, interest: Area | None) -> Area:
+        """Return the ground of all blocks, or what of it lies in an area of interest with its margin."""
+        west, south = np.array(self.corners).T
+        shape = shapely.union_all(shapely.box(west, south, west + self.side_m, south + self.side_m))
+        if interest is not None:
+            shape = shapely.intersection(shape, interest.shape_in(self.crs))
+        return Area(gpd.GeoSeries([shape], crs=self.crs), 0.0, "the sample of blocks")
+
+    def cut(self, cloud: PointCloud) -> Iterator[tuple[tuple[float, float], PointCloud]]:
+        """Yield the points of each block that has first echoes, in the order of the corners."""
         column, row = np.floor(cloud.x / self.side_m), np.floor(cloud.y / self.side_m)
-        found = {}
         for west, south in self.corners:
             own = cloud.take((column == west // self.side_m) & (row == south // self.side_m))
             if own.first_echo.any():
-                found[west, south] = own
-        return found
+                yield (west, south), own
 
 
-def is_sampled(paths: Sequence[Path]) -> bool:
-    """Return whether the headers of points promise more than a plan looks at."""
-    return sum(read_las_header(path).points for path in paths) > MOST_POINTS
+def blocks_to_sample(
+    paths: Sequence[Path], crs: CrsLike | None, params: Params, interest: Area | None = None
+) -> SampledBlocks | None:
+    """Draw the blocks of a sample by what the headers of points say; None where a plan can look at all points.
 
-
-def blocks_to_sample(paths: Sequence[Path], crs: CrsLike | None, *, seed: int) -> SampledBlocks | None:
-    """Draw the blocks of a sample by what the headers of points say; None where all points are few enough.
-
-    The blocks lie at whole multiples of their side. Their order is a hash of their place and of the seed, so that it
-    does not depend on the files.
+    How large the cells will be follows from the points a square metre of the files' boxes.
     """
-    if not is_sampled(paths):
-        return None
     infos = [read_las_header(path) for path in paths]
-    count = sum(info.points for info in infos)
-    extent = extent_of_points(paths, crs)
-    if extent is None:
-        return None
     with collected_notices():
-        how = reference(extent.crs, bounds=extent.bounds, where=paths[0].name)
-    if how.transformer is not None:
+        extent = extent_of_points(paths, crs) if infos else None
+        how = None if extent is None else reference(extent.crs, bounds=extent.bounds, where=paths[0].name)
+    if how is None or how.transformer is not None:
         return None
-    boxes = np.array([info.bounds for info in infos]) * how.xy_factor
-    ground = shapely.union_all(shapely.box(*boxes.T))
-    west, south, east, north = shapely.bounds(ground)
-    columns, rows = (
-        np.arange(math.floor(low / BLOCK_M), math.floor(high / BLOCK_M) + 1)
-        for low, high in ((west, east), (south, north))
-    )
-    column, row = (each.ravel() for each in np.meshgrid(columns, rows))
-    squares = shapely.box(column * BLOCK_M, row * BLOCK_M, (column + 1) * BLOCK_M, (row + 1) * BLOCK_M)
-    share = shapely.area(shapely.intersection(squares, ground)) / ground.area
-    order = np.argsort(lattice_keys(row, column, seed), kind="stable")
-    order = order[share[order] > 0]
-    enough = int(np.searchsorted(np.cumsum(share[order]) * count, MOST_POINTS)) + 1
-    chosen = order[:enough]
-    return SampledBlocks(
-        tuple((float(column[one] * BLOCK_M), float(row[one] * BLOCK_M)) for one in chosen), BLOCK_M, how.crs
-    )
+    every = shapely.union_all(shapely.box(*(np.array([info.bounds for info in infos]) * how.xy_factor).T))
+    ground = every if interest is None else shapely.intersection(every, interest.shape_in(how.crs))
+    if not ground.area:
+        return None
+    points_m2 = sum(info.points for info in infos) / every.area
+    cell_m = params.surface.cell_m or cell_size(points_m2, literal=params.surface.cell_rule == "literal")
+    points = points_m2 * ground.area
+    if is_small(points, shapely.bounds(ground), cell_m, params):
+        return None
+    return SampledBlocks.over(ground, points, cell_m, how.crs, params)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,8 @@
 """Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
-from msbdb.errors import GridMismatchError, InputError, NodataError, give_notice
+from msbdb.errors import GridMismatchError, InputError, NodataError, collected_notices, give_notice
 from msbdb.grid import Bands, Bounds, Grid, GridSpec, lattice
 from msbdb.ground.choice import POINT_FILTERS, terrain
 from msbdb.ground.interpolation import interpolate_ground
@@ -26,11 +27,14 @@ from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.run.inputs import Inputs
 from msbdb.run.planning import (
+    MOST_BYTES,
     Draft,
+    SampledBlocks,
     blocks_to_sample,
+    bytes_to_plan,
     decide,
     fitted_by,
-    is_sampled,
+    is_small,
     joined_facts,
     require_fitting,
     settled,
@@ -163,6 +167,9 @@ def prepare(
         That given, or that of the survey.
     """
     cloud = None if cloud is None else _sparse_enough(cloud, params)
+    if plan is None and cloud is not None and not _is_small(cloud, params):
+        with collected_notices():
+            plan = _plan_of_wide(inputs, cloud, params, stages)
     draft = make_draft(inputs, cloud, params, stages, sampled=own is not None, planned=plan is not None)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
@@ -221,34 +228,76 @@ def _sparse_enough(cloud: PointCloud, params: Params) -> PointCloud:
     return found
 
 
-def is_large(inputs: Inputs) -> bool:
-    """Return whether a plan looks at a sample of the points; in an area of interest it looks at all."""
-    return inputs.aoi is None and is_sampled(inputs.points)
+def is_large(inputs: Inputs, params: Params) -> bool:
+    """Return whether a plan looks at a sample of the points, by what their headers promise."""
+    return blocks_to_sample(inputs.points, inputs.any_crs, params, inputs.area()) is not None
 
 
 def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     """Return the plan of a survey: that which a build of it makes and keeps.
 
-    A plan looks at a limited number of points. Where the headers promise more, a seeded hash draws blocks that hold
-    about as many, and one pass over the files reads these.
+    A plan looks at a limited number of points and cells. Where the headers promise more, a seeded hash draws blocks
+    that hold about as many, and one pass over the files that they meet reads these.
     """
-    blocks = blocks_to_sample(inputs.points, inputs.any_crs, seed=params.spectral.seed) if is_large(inputs) else None
+    interest = inputs.area()
+    blocks = blocks_to_sample(inputs.points, inputs.any_crs, params, interest)
     with stages.stage("read"):
-        cloud = read_cloud(inputs, stages.progress, area=blocks.area if blocks else None)
+        cloud = read_cloud(inputs, stages.progress, area=None if blocks is None else blocks.area_in(interest))
     if cloud is None or blocks is None:
         cloud = None if cloud is None else _sparse_enough(cloud, params)
+        if cloud is not None and not _is_small(cloud, params):
+            return _plan_of_wide(inputs, cloud, params, stages)
         plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)
         return plan
     cloud, under_m = told_apart(cloud)
-    clouds = blocks.cut(cloud)
-    known = [sparse_enough(each, under_m, params.surface.most_density) for each in clouds.values()]
-    if sum(len(each) for each, _ in known) < sum(map(len, clouds.values())):
+    known: dict[tuple[float, float], tuple[PointCloud, PointFacts]] = {}
+    need, thinned = 0.0, False
+    for corner, each in blocks.cut(cloud):
+        known[corner] = sparse_enough(each, under_m, params.surface.most_density)
+        own, facts = known[corner]
+        thinned |= len(own) < len(each)
+        # Where points lie closer than the headers promise, fewer blocks are enough.
+        cell_m = lattice_of_points(replace(own, facts=facts), params).cell_m
+        need += bytes_to_plan(len(own), blocks.side_m**2, cell_m, params)
+        if need > MOST_BYTES:
+            break
+    del cloud
+    if thinned:
         give_notice(THINNED)
-    facts = joined_facts([own for _, own in known])
-    drafts = [make_draft(inputs, replace(each, facts=facts), params, stages, sampled=True) for each, _ in known]
+    joined = joined_facts([facts for _, facts in known.values()]) if known else None
+    clouds = {corner: replace(own, facts=joined) for corner, (own, _) in known.items()}
+    return _plan_of_blocks(inputs, clouds, blocks.side_m, params, stages)
+
+
+def _is_small(cloud: PointCloud, params: Params) -> bool:
+    """Return whether a plan looks at all of a cloud: its points may lie in few places of a wide lattice."""
+    return is_small(len(cloud), cloud.bounds, lattice_of_points(cloud, params).cell_m, params)
+
+
+def _plan_of_wide(inputs: Inputs, cloud: PointCloud, params: Params, stages: Stages) -> Plan:
+    """Return the plan of a cloud that knows its facts, from blocks of it: its lattice has too many cells."""
+    blocks = SampledBlocks.of_cloud(cloud, lattice_of_points(cloud, params).cell_m, params)
+    return _plan_of_blocks(inputs, dict(blocks.cut(cloud)), blocks.side_m, params, stages)
+
+
+def _plan_of_blocks(
+    inputs: Inputs,
+    clouds: Mapping[tuple[float, float], PointCloud],
+    side_m: float,
+    params: Params,
+    stages: Stages,
+) -> Plan:
+    """Return the plan that the blocks of a sample give, whose points have the facts of the survey."""
+    drafts = {}
+    for corner, cloud in clouds.items():
+        with suppress(NodataError):  # no cell of the block lies in the area of interest
+            drafts[corner] = make_draft(inputs, cloud, params, stages, sampled=True)
+    if not drafts:
+        msg = "No block of the sample for the plan has first echoes and ground. Check the area, and the return numbers."
+        raise NodataError(msg)
     with stages.stage("classes"):
-        plan, _ = decide(drafts, params)
-    return replace(plan, blocks=tuple(clouds), block_m=blocks.side_m)
+        plan, _ = decide([*drafts.values()], params)
+    return replace(plan, blocks=tuple(drafts), block_m=side_m)
 
 
 def make_draft(

@@ -3,8 +3,10 @@
 import json
 from dataclasses import replace
 
+import geopandas as gpd
 import numpy as np
 import pytest
+import shapely
 from click.testing import CliRunner
 from simulated import scenes
 from simulated.files import write_heights, write_points
@@ -114,6 +116,56 @@ def test_a_large_survey_is_planned_from_blocks(monkeypatch, tmp_path):
     assert msbdb.read_plan(db) == found
     bounds = msbdb.info(db)["runs"][0]["survey_record"]["bounds"]
     assert bounds[2] - bounds[0] > 99, "the build is of all blocks"
+
+
+def test_cells_bound_the_plan_as_points_do(monkeypatch, tmp_path):
+    """A survey of few points on many cells is planned from blocks that hold as many cells as the memory takes."""
+    monkeypatch.setattr(planning, "BLOCK_M", 40.0)
+    monkeypatch.setattr(planning, "LEAST_BLOCK_M", 20.0)
+    file = write_points(tmp_path / "sparse.laz", scenes.under_trees(density=2.0).points)
+    every = msbdb.plan(file)
+    fine = with_values(Params(), {"surface": {"cell_m": 0.25}})
+    assert every.blocks == msbdb.plan(file, params=fine).blocks == ()
+    monkeypatch.setattr(planning, "MOST_BYTES", planning.bytes_to_plan(every.points.points, 70.0**2, 0.25, fine))
+    found = msbdb.plan(file, params=fine)
+    assert found.block_m == 20, "a block takes a quarter of the memory at most"
+    cells = len(found.blocks) * found.block_m**2 / 0.25**2
+    assert len(found.blocks) > 2
+    assert cells * planning.CELL_BYTES < planning.MOST_BYTES + planning.bytes_to_plan(0, 40.0**2, 0.25, fine)
+    assert msbdb.plan(file).blocks == (), "cells of a metre are few enough"
+
+
+def test_a_lattice_that_is_wide_beside_its_points_is_planned_from_blocks(monkeypatch, tmp_path):
+    """Points in two far corners of one file span more cells than the header tells; the build has that plan, too."""
+    monkeypatch.setattr(planning, "BLOCK_M", 40.0)
+    monkeypatch.setattr(planning, "LEAST_BLOCK_M", 20.0)
+    cloud = scenes.under_trees(density=2.0).points
+    places = {name: np.append(getattr(cloud, name), getattr(cloud, name) + 600 * (name != "z")) for name in "xyz"}
+    twice = {name: np.append(value, value, axis=0) for name, value in cloud.arrays().items() if name not in places}
+    file = write_points(tmp_path / "two.laz", replace(cloud, **places, **twice))
+    monkeypatch.setattr(planning, "MOST_BYTES", planning.bytes_to_plan(2 * len(cloud), 400.0**2, 1.0, Params()))
+    found = msbdb.plan(file)
+    assert found.blocks
+    for tile in (None, 1000):
+        db = tmp_path / f"{tile}.sqlite"
+        msbdb.build(file, db=db, extract="multiscale", tile=tile)
+        assert msbdb.read_plan(db) == found
+
+
+def test_a_sample_lies_in_the_area_of_interest(monkeypatch, tmp_path):
+    """Of a large area the plan draws blocks, and looks at nothing outside; a small one it sees as a whole."""
+    monkeypatch.setattr(planning, "BLOCK_M", 20.0)
+    cloud = scenes.under_trees(density=2.0).points
+    file = write_points(tmp_path / "all.laz", cloud)
+    west, south, _, north = cloud.bounds
+    shape = shapely.box(west, south, west + 50, north)
+    area = tmp_path / "half.gpkg"
+    gpd.GeoDataFrame(geometry=[shape], crs=cloud.crs).to_file(area)
+    assert msbdb.plan(file, aoi=area).blocks == ()
+    monkeypatch.setattr(planning, "MOST_POINTS", 3_000)
+    found = msbdb.plan(file, aoi=area)
+    assert len(found.blocks) > 1
+    assert all(shape.intersects(shapely.box(x, y, x + 20, y + 20)) for x, y in found.blocks)
 
 
 def test_points_of_a_part_keep_what_the_whole_has(city):
