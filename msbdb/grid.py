@@ -1,7 +1,7 @@
 """Georeferenced grids: the lattice, with shape, place and CRS; on it values with their validity, and image bands."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -83,11 +83,15 @@ class GridSpec:
         Maps (column, row) of a cell corner to (easting, northing), in metres.
     crs : CRS
         A projected CRS in metres.
+    beside : tuple of float, optional
+        How far the lattice lies beside the absolute one, eastwards and northwards, metres; by default the place says
+        it. Parts of a lattice keep it, so that they count their cells alike.
     """
 
     shape: tuple[int, int]
     transform: Affine
     crs: CRS
+    beside: tuple[float, float] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         """Refuse empty, rotated or south-up grids and cells that are not square."""
@@ -124,15 +128,22 @@ class GridSpec:
     @property
     def origin(self) -> tuple[int, int]:
         """Absolute lattice (row, column) of the first cell; rows count southwards from northing 0."""
-        return (round(-self.transform.f / self.cell_m), round(self.transform.c / self.cell_m))
+        east_m, north_m = self.beside or (0.0, 0.0)
+        return (round((north_m - self.transform.f) / self.cell_m), round((self.transform.c - east_m) / self.cell_m))
 
     @property
     def frame(self) -> Frame:
         """What a kernel needs to place a point."""
         (row, col), cell_m = self.origin, self.cell_m
-        beside = (self.transform.c - col * cell_m, self.transform.f + row * cell_m)
-        east_m, north_m = (0.0 if abs(each) <= LATTICE_TOLERANCE * cell_m else each for each in beside)
+        east_m, north_m = (0.0 if abs(each) <= LATTICE_TOLERANCE * cell_m else each for each in self._beside())
         return Frame(row, col, cell_m, east_m, north_m)
+
+    def _beside(self) -> tuple[float, float]:
+        """Return how far the lattice lies beside the absolute one, metres."""
+        if self.beside is not None:
+            return self.beside
+        (row, col), cell_m = self.origin, self.cell_m
+        return (self.transform.c - col * cell_m, self.transform.f + row * cell_m)
 
     def corners(
         self, row: NDArray[np.integer | np.floating], col: NDArray[np.integer | np.floating]
@@ -214,7 +225,20 @@ class GridSpec:
     def crop(self, rows: slice, cols: slice) -> "GridSpec":
         """Return the part of this lattice within two slices of non-negative start and stop."""
         transform = self.transform @ Affine.translation(cols.start, rows.start)
-        return replace(self, shape=(rows.stop - rows.start, cols.stop - cols.start), transform=transform)
+        shape = (rows.stop - rows.start, cols.stop - cols.start)
+        return replace(self, shape=shape, transform=transform, beside=self._beside())
+
+    def within(self, bounds: "Bounds") -> tuple[slice, slice]:
+        """Return the rows and columns of the cells that have their centre in bounds; empty slices where none has.
+
+        One on the west or south edge counts.
+        """
+        west, south, east, north = bounds
+        x, y = self.centres()
+        cols, rows = np.flatnonzero((x >= west) & (x < east)), np.flatnonzero(((y >= south) & (y < north)).ravel())
+        if not len(rows) or not len(cols):
+            return slice(0, 0), slice(0, 0)
+        return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -71,3 +71,16 @@ def test_a_crop_has_its_cells_at_their_places(spec, data):
     crop = spec.crop(*window)
     assert crop.origin == (spec.origin[0] + start[0], spec.origin[1] + start[1])
     np.testing.assert_array_equal(spec.sample(values, *crop.centres(), outside=-1), values[window])
+    inner = tuple(slice(0, max(count // 2, 1)) for count in crop.shape)
+    assert (crop.frame[2:], crop.crop(*inner).frame[2:]) == (spec.frame[2:], spec.frame[2:])
+
+
+@given(specs(), st.tuples(*[st.floats(-30, 30)] * 4))
+def test_the_cells_within_bounds_are_those_that_it_holds(spec, edges):
+    """As slices and as a mask they are the same cells."""
+    west, south, _, _ = spec.bounds
+    left, right, low, high = (edge * spec.cell_m for edge in edges)
+    bounds = (west + left, south + low, west + right, south + high)
+    mask = np.zeros(spec.shape, bool)
+    mask[spec.within(bounds)] = True
+    np.testing.assert_array_equal(mask, spec.holding(bounds))

@@ -10,7 +10,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
@@ -301,10 +301,11 @@ def _flush(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def describe_source(path: str | os.PathLike[str], role: str) -> Source:
+def describe_source(path: str | os.PathLike[str], role: str, parts: Sequence[Path] = ()) -> Source:
     """Return name, role, SHA-256 and size of an input file, reading it in pieces.
 
-    The SHA-256 of a remote file is that of its first 65,536 bytes and its size, since only parts of it are read.
+    The SHA-256 of a remote file is that of its first 65,536 bytes and its size, since only parts of it are read. That
+    of a file with parts is the SHA-256 of all of their checksums, and its size that of all.
 
     Parameters
     ----------
@@ -312,12 +313,18 @@ def describe_source(path: str | os.PathLike[str], role: str) -> Source:
         A file.
     role : str
         What the build uses it for, such as points, dsm, dtm or image.
+    parts : sequence of Path
+        Other files that hold its content, such as the pieces of a virtual raster.
 
     Raises
     ------
     FileError
-        If the file cannot be read.
+        If a file cannot be read.
     """
+    if parts:
+        every = [describe_source(each, role) for each in (path, *parts)]
+        digest = hashlib.sha256("".join(each.sha256 for each in every).encode()).hexdigest()
+        return Source(every[0].name, role, digest, sum(each.bytes for each in every))
     if url_of(path) is not None:
         with open_input(path) as file:
             size = file.seek(0, os.SEEK_END)

@@ -22,8 +22,8 @@ from rasterio.warp import Resampling, reproject, transform_bounds
 from rasterio.windows import Window
 
 from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, NodataError, give_notice
-from msbdb.grid import Bounds, Grid, GridSpec
-from msbdb.io.crs import CrsLike, reference, same_crs, settle, split_crs
+from msbdb.grid import LATTICE_TOLERANCE, Bounds, Grid, GridSpec
+from msbdb.io.crs import CrsLike, Reference, reference, same_crs, settle, split_crs
 
 logger = logging.getLogger(__name__)
 
@@ -48,6 +48,7 @@ def read_grid(
     role: str = "DSM",
     z_unit: str = "auto",
     over: GridSpec | None = None,
+    within: Bounds | None = None,
 ) -> Grid:
     """Read a raster of heights, in metres.
 
@@ -63,7 +64,9 @@ def read_grid(
         Unit of the heights. 'auto' takes that of the vertical CRS, else of the band, else that of a CRS in feet,
         else metres.
     over : GridSpec, optional
-        Only the part of the raster around this lattice is read; all of it where they lie apart.
+        Only the part of the raster around this lattice is read, with what it takes to interpolate.
+    within : tuple of float, optional
+        West, south, east and north, metres: only cells with their centre in these bounds are read.
 
     Returns
     -------
@@ -79,8 +82,10 @@ def read_grid(
         If it has several bands, is rotated, or its cells are not square.
     CRSError
         If the CRS is missing, in conflict with ``crs``, geographic, or in feet without a metric twin.
+    GridMismatchError
+        If the raster lies beside the lattice.
     NodataError
-        If no cell is valid, unless a part is read.
+        If no cell is valid, unless the part around a lattice is read.
 
     Warns
     -----
@@ -89,18 +94,51 @@ def read_grid(
     """
     name = Path(path).name
     with open_raster(path) as dataset:
-        if dataset.count != 1:
-            msg = (
-                f"The {role} {name} has {dataset.count} bands; heights are one band. "
-                "Take it out, for instance with 'gdal_translate -b 1'."
-            )
-            raise InputError(msg)
-        own = raster_crs(dataset, crs)
-        transform, shape, bounds = dataset.transform, dataset.shape, raster_bounds(dataset)
-        _require_square(transform, f"The {role} {name}")
-        unit = BAND_UNITS.get((dataset.units[0] or "").strip().lower())
-        window = None if over is None else window_over(dataset, over, split_crs(own)[0])
+        whole, own, how = _described(dataset, crs=crs, role=role, z_unit=z_unit)
+        window = None if over is None else window_over(dataset, over, own)
+        if over is not None and window is None:
+            raise _apart(role, whole, over)
+        if within is not None:
+            rows, cols = whole.within(within)
+            if rows.start == rows.stop:
+                msg = f"The {role} {name} has no cell in {tuple(round(b, 1) for b in within)}."
+                raise NodataError(msg)
+            window = Window.from_slices(rows, cols)
         values, valid = _heights(dataset, window)
+    for notice in how.notices:
+        give_notice(f"{name}: {notice}")
+    if over is None and not valid.any():
+        where = f"has no valid cell in {tuple(round(b, 1) for b in within)}" if within else "has no valid cell"
+        msg = f"The {role} {name} {where}. Check its nodata value."
+        raise NodataError(msg)
+    heights = values if how.z_factor == 1.0 else (values * how.z_factor).astype(np.float32)
+    logger.info("Read %s of %s cells; %.1f %% have a value", name, valid.shape, 100 * valid.mean())
+    return Grid(heights, valid, whole if window is None else whole.crop(*window.toslices()))
+
+
+def lattice_of_raster(
+    path: str | os.PathLike[str], *, crs: CrsLike | None = None, role: str = "DSM", z_unit: str = "auto"
+) -> GridSpec:
+    """Return the lattice of a raster of heights, in metres, without reading its cells; errors as `read_grid`."""
+    with open_raster(path) as dataset:
+        return _described(dataset, crs=crs, role=role, z_unit=z_unit)[0]
+
+
+def _described(
+    dataset: rasterio.DatasetReader, *, crs: CrsLike | None, role: str, z_unit: str
+) -> tuple[GridSpec, CRS, Reference]:
+    """Return the lattice of a raster of heights in metres, its own horizontal CRS, and what leads to metres."""
+    name = Path(dataset.name).name
+    if dataset.count != 1:
+        msg = (
+            f"The {role} {name} has {dataset.count} bands; heights are one band. "
+            "Take it out, for instance with 'gdal_translate -b 1'."
+        )
+        raise InputError(msg)
+    own = raster_crs(dataset, crs)
+    transform, shape, bounds = dataset.transform, dataset.shape, raster_bounds(dataset)
+    _require_square(transform, f"The {role} {name}")
+    unit = BAND_UNITS.get((dataset.units[0] or "").strip().lower())
     how = reference(own, bounds=bounds, where=name, z_unit=z_unit, z_hint=unit, what=f"cells of the {role}")
     if how.transformer is not None:
         msg = (
@@ -108,18 +146,9 @@ def read_grid(
             f"projection. Warp it first: gdalwarp -t_srs EPSG:{how.crs.to_epsg()} -r bilinear {name} metric.tif"
         )
         raise CRSError(msg)
-    for notice in how.notices:
-        give_notice(f"{name}: {notice}")
     side = (transform.a - transform.e) / 2 * how.xy_factor
     metric = Affine(side, 0.0, transform.c * how.xy_factor, 0.0, -side, transform.f * how.xy_factor)
-    if over is None and not valid.any():
-        msg = f"The {role} {name} has no valid cell. Check its nodata value."
-        raise NodataError(msg)
-    heights = values if how.z_factor == 1.0 else (values * how.z_factor).astype(np.float32)
-    logger.info("Read %s of %s cells; %.1f %% have a value", name, shape, 100 * valid.mean())
-    if window is not None:
-        metric @= Affine.translation(window.col_off, window.row_off)
-    return Grid(heights, valid, GridSpec(valid.shape, metric, how.crs))
+    return GridSpec(shape, metric, how.crs), split_crs(own)[0], how
 
 
 def _require_square(transform: Affine, what: str) -> None:
@@ -157,7 +186,8 @@ def align_grid(grid: Grid, onto: GridSpec, *, role: str = "DTM", resampling: str
     grid : Grid
         Heights on any lattice and CRS.
     onto : GridSpec
-        The lattice wanted. A grid that is on it already is returned as it is.
+        The lattice wanted. A grid that is on it already is returned as it is; one whose cells hold all of its cells is
+        cut.
     role : str
         What the heights are, for messages.
     resampling : {'bilinear', 'nearest', 'average'}
@@ -175,20 +205,42 @@ def align_grid(grid: Grid, onto: GridSpec, *, role: str = "DTM", resampling: str
     """
     if grid.spec.same_lattice(onto):
         return grid
+    cells = _same_cells(grid, onto)
+    if cells is not None:
+        return cells
     source = np.where(grid.valid, grid.values, np.nan).astype(np.float32)
     values = warp(source, grid.spec.transform, grid.spec.crs, onto, resampling)
     valid = np.isfinite(values)
     if not valid.any():
-        msg = (
-            f"The {role} covers {tuple(round(b, 1) for b in grid.spec.bounds)} in '{grid.spec.crs.name}', and no valid "
-            f"cell of it lies in {tuple(round(b, 1) for b in onto.bounds)} in '{onto.crs.name}'. Give a {role} of "
-            "the same place."
-        )
-        raise GridMismatchError(msg)
+        raise _apart(role, grid.spec, onto)
     if not valid.all():
         missing = 100.0 * float(np.mean(~valid))
         give_notice(f"The {role} leaves {missing:.1f} % of the lattice without a value.")
     return Grid(np.where(valid, values, np.float32(0)), valid, onto)
+
+
+def _same_cells(grid: Grid, onto: GridSpec) -> Grid | None:
+    """Return the part of a grid that is a lattice, None where its cells are others or do not hold all of it."""
+    spec = grid.spec
+    if spec.crs != onto.crs or abs(spec.cell_m - onto.cell_m) > LATTICE_TOLERANCE * onto.cell_m / max(onto.shape):
+        return None
+    places = ((spec.transform.f - onto.transform.f) / onto.cell_m, (onto.transform.c - spec.transform.c) / onto.cell_m)
+    first = [round(place) for place in places]
+    last = [start + count for start, count in zip(first, onto.shape, strict=True)]
+    beside = max(abs(place - start) for place, start in zip(places, first, strict=True))
+    if beside > LATTICE_TOLERANCE or min(first) < 0 or last[0] > spec.shape[0] or last[1] > spec.shape[1]:
+        return None
+    part = grid.crop(slice(first[0], last[0]), slice(first[1], last[1]))
+    return Grid(part.values, part.valid, onto) if part.valid.any() else None
+
+
+def _apart(role: str, spec: GridSpec, onto: GridSpec) -> GridMismatchError:
+    """Return the error of heights without a valid cell on a lattice."""
+    return GridMismatchError(
+        f"The {role} covers {tuple(round(b, 1) for b in spec.bounds)} in '{spec.crs.name}', and no valid "
+        f"cell of it lies in {tuple(round(b, 1) for b in onto.bounds)} in '{onto.crs.name}'. Give a {role} of "
+        "the same place."
+    )
 
 
 @contextmanager
@@ -204,6 +256,15 @@ def open_raster(path: str | os.PathLike[str]) -> Iterator[rasterio.DatasetReader
         reason = "does not exist" if not Path(path).exists() else f"cannot be read as a raster ({error})"
         msg = f"{path} {reason}. Check the path, or fetch or export the file again."
         raise FileError(msg) from error
+
+
+def raster_pieces(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Return the files over which a virtual raster (VRT) lies, in its order; none for other rasters."""
+    with open_raster(path) as dataset:
+        if dataset.driver != "VRT":
+            return ()
+        own = Path(path).resolve()
+        return tuple(Path(name) for name in dataset.files if Path(name).resolve() != own)
 
 
 def raster_crs(dataset: rasterio.DatasetReader, stated: CrsLike | None) -> CRS:

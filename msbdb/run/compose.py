@@ -114,9 +114,9 @@ class Found:
     counts : Counts
         What the run keeps of them.
     points : int
-        Points in the own ground of the window.
+        Points in the own ground of the window; of rasters, cells with a value.
     reach : tuple of float or None
-        West, south, east and north of these points, metres; None without any.
+        West, south, east and north of these points, or of all of these cells, metres; None without any.
     """
 
     scene: Scene
@@ -144,9 +144,10 @@ def find_buildings(job: Job, stages: Stages, planned: Plan | None, window: Windo
     facts, area = (None if planned is None else planned.points), (None if window is None else window.area)
     with stages.stage("read"):
         cloud = read_cloud(job.inputs, stages.progress, facts, area)
-    own = None if window is None else window.own
-    scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, own=own)
-    points, reach = (0, None) if window is None or cloud is None else _held_by(cloud, window.own)
+    scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, window=window)
+    points, reach = 0, None
+    if window is not None:
+        points, reach = _cells_in(scene.heights, window.own) if cloud is None else _held_by(cloud, window.own)
     del cloud
     scene = scene.with_points_aside()
     note_missing_sources(scene)
@@ -178,6 +179,14 @@ def _held_by(cloud: PointCloud, own: Bounds) -> tuple[int, Bounds | None]:
         for each in (cloud.x, cloud.y)
     )
     return int(np.count_nonzero(held)), (west, south, east, north)
+
+
+def _cells_in(heights: Grid, own: Bounds) -> tuple[int, Bounds | None]:
+    """Return how many cells with a value have their centre in bounds, and how far all cells there reach."""
+    rows, cols = heights.spec.within(own)
+    if rows.start == rows.stop:
+        return 0, None
+    return int(np.count_nonzero(heights.valid[rows, cols])), heights.spec.crop(rows, cols).bounds
 
 
 def record_run(job: Job, counts: Counts, timings: dict[str, float], notices: Notices) -> Run:

@@ -9,7 +9,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, Self
 
-from msbdb.errors import CRSError, InputError, collected_notices
+from msbdb.errors import CRSError, InputError, NodataError, collected_notices
+from msbdb.grid import GridSpec
 from msbdb.io.crs import CrsLike, Fallback, name_of, reference, same_crs
 from msbdb.io.extents import (
     Extent,
@@ -21,7 +22,7 @@ from msbdb.io.extents import (
 )
 from msbdb.io.files import describe_source, file_name, require_input, url_of
 from msbdb.io.pointfiles import point_files, sound_files
-from msbdb.io.raster import open_raster, states_crs
+from msbdb.io.raster import lattice_of_raster, open_raster, raster_pieces, states_crs
 from msbdb.io.vector import Area, read_polygons
 from msbdb.tables import Source
 
@@ -159,6 +160,32 @@ class Inputs:
                 return extent_of_raster(path, self.any_crs, role)
         return extent_of_points(self.points, self.any_crs)
 
+    def cells(self) -> GridSpec | None:
+        """Return the lattice of a DSM or an nDSM; None for points.
+
+        With an area of interest it is the part that the box of the area and of its margin holds.
+
+        Raises
+        ------
+        NodataError
+            When the area of interest lies beside it.
+        MsbdbError
+            As `msbdb.io.raster.read_grid`.
+        """
+        file, role = (self.ndsm, "nDSM") if self.dsm is None else (self.dsm, "DSM")
+        if file is None:
+            return None
+        with collected_notices():
+            whole, area = lattice_of_raster(file, crs=self.any_crs, role=role, z_unit=self.z_unit), self.area()
+            if area is None:
+                return whole
+            west, south, east, north = area.shape_in(whole.crs).bounds
+        rows, cols = whole.within((west, south, east, north))
+        if rows.start == rows.stop:
+            msg = f"No cell of the {role} {file.name} lies in {area.what}. Check the area, and the CRS of both."
+            raise NodataError(msg)
+        return whole.crop(rows, cols)
+
     def area(self) -> Area | None:
         """Return the area of interest with its margin; None where the user gave none."""
         if self.aoi is None:
@@ -209,7 +236,8 @@ class Inputs:
         """Describe every file by name, role, size and checksum, in an order of content."""
         if self.known is not None:
             return self.known
-        described = [describe_source(path, role) for path, role in self.files()]
+        pieces = {path: raster_pieces(path) for path, _ in self.files() if path.suffix.lower() == ".vrt"}
+        described = [describe_source(path, role, pieces.get(path, ())) for path, role in self.files()]
         return tuple(sorted(described, key=lambda source: (source.role, source.sha256)))
 
 

@@ -16,10 +16,9 @@ from msbdb.detect.scene import Elevations, Evidence, Scene
 from msbdb.errors import GridMismatchError, InputError, NodataError, collected_notices, give_notice
 from msbdb.grid import Bands, Bounds, Grid, GridSpec, lattice
 from msbdb.ground.choice import POINT_FILTERS, terrain
-from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
-from msbdb.io.raster import align_grid, read_grid, states_crs
+from msbdb.io.raster import align_grid
 from msbdb.io.vector import Area, read_polygons
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
@@ -42,12 +41,14 @@ from msbdb.run.planning import (
     told_apart,
     with_facts,
 )
+from msbdb.run.rasters.cellblocks import block_side, drawn_blocks, is_large_raster, looked_at
+from msbdb.run.rasters.rastersurface import note_offset, note_sparse, read_terrain, surface_of_rasters, without_gaps
 from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import kept_intensity, spectral_bands
 from msbdb.spectral.coverclasses import Cover, classify_cover, is_imagery, keep_labels
 from msbdb.spectral.kmeans import load_solver
-from msbdb.surface import Surface, cover_from_surface, surface_from_rasters
-from msbdb.surface.gridding import CELL_LADDER_M, cell_size, density
+from msbdb.surface import Surface, cover_from_surface
+from msbdb.surface.gridding import cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
 from msbdb.surface.structure import Structure
 from msbdb.surveyplan import Plan, PointFacts
@@ -68,12 +69,6 @@ THINNED = (
 
 WINDOW_CELLS = 3
 """Least width of a window of the texture, cells."""
-
-LARGEST_OFFSET_M = 10.0
-"""Ours: a surface has open ground somewhere, and other height references are farther away, such as the ellipsoid."""
-
-LOW_PERCENT = 5.0
-"""Ours: this share of a surface is ground, also in an old town or a park."""
 
 CAN_BE_ROOF = 64
 """Ours: a quarter of the certainty of roof, in 255ths; with all crowns the kept intensity would be half larger."""
@@ -105,10 +100,13 @@ class Window:
         Points in it are read.
     own : tuple of float
         West, south, east and north of the ground whose cells count, metres; what lies beyond is seen, and not counted.
+    seen : tuple of float
+        Those of all that is seen: of rasters of heights, the cells with their centre there are read.
     """
 
     area: Area
     own: Bounds
+    seen: Bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +134,7 @@ def prepare(
     label: Label,
     *,
     plan: Plan | None = None,
-    own: Bounds | None = None,
+    window: Window | None = None,
 ) -> tuple[Scene, Params, Plan]:
     """Bring the files of a survey onto one lattice, for the detectors.
 
@@ -154,8 +152,8 @@ def prepare(
         Name, date and operator's labels.
     plan : Plan, optional
         The plan of a survey that this one is a part of; without it the survey itself decides.
-    own : tuple of float, optional
-        Bounds of a window's own ground: the classes count its cells alone, and images may lie beyond it.
+    window : Window, optional
+        A part of the survey: the classes count the cells of its own ground alone, and images may lie beyond it.
 
     Returns
     -------
@@ -170,7 +168,8 @@ def prepare(
     if plan is None and cloud is not None and not _is_small(cloud, params):
         with collected_notices():
             plan = _plan_of_wide(inputs, cloud, params, stages)
-    draft = make_draft(inputs, cloud, params, stages, sampled=own is not None, planned=plan is not None)
+    own, seen = (None, None) if window is None else (window.own, window.seen)
+    draft = make_draft(inputs, cloud, params, stages, sampled=own is not None, planned=plan is not None, seen=seen)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
     counted = None if own is None else spec.holding(own)
@@ -229,7 +228,10 @@ def _sparse_enough(cloud: PointCloud, params: Params) -> PointCloud:
 
 
 def is_large(inputs: Inputs, params: Params) -> bool:
-    """Return whether a plan looks at a sample of the points, by what their headers promise."""
+    """Return whether a plan looks at a sample of the points or cells, by what their headers promise."""
+    cells = inputs.cells()
+    if cells is not None:
+        return is_large_raster(cells)
     return blocks_to_sample(inputs.points, inputs.any_crs, params, inputs.area()) is not None
 
 
@@ -239,6 +241,9 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     A plan looks at a limited number of points and cells. Where the headers promise more, a seeded hash draws blocks
     that hold about as many, and one pass over the files that they meet reads these.
     """
+    cells = inputs.cells()
+    if cells is not None and is_large_raster(cells):
+        return _plan_of_cells(inputs, cells, params, stages)
     interest = inputs.area()
     blocks = blocks_to_sample(inputs.points, inputs.any_crs, params, interest)
     with stages.stage("read"):
@@ -300,6 +305,25 @@ def _plan_of_blocks(
     return replace(plan, blocks=tuple(drafts), block_m=side_m)
 
 
+def _plan_of_cells(inputs: Inputs, cells: GridSpec, params: Params, stages: Stages) -> Plan:
+    """Return the plan of large rasters of heights by blocks of their cells."""
+    drawn = drawn_blocks(cells, seed=params.spectral.seed)
+
+    def draft_of(block: Bounds) -> Draft:
+        return make_draft(inputs, None, params, stages, sampled=True, seen=block)
+
+    drafts = looked_at(drawn, draft_of)
+    if not drafts:
+        msg = "No block of the rasters of heights has a valid cell in the survey. Check their nodata values."
+        raise NodataError(msg)
+    if inputs.ndsm is None:
+        note_offset([each.surface.ndsm for each in drafts.values()])
+    with stages.stage("classes"):
+        plan, _ = decide(list(drafts.values()), params)
+    corners = tuple(block[:2] for block in drafts)
+    return replace(plan, blocks=corners, block_m=block_side(cells.cell_m))
+
+
 def make_draft(
     inputs: Inputs,
     cloud: PointCloud | None,
@@ -308,16 +332,17 @@ def make_draft(
     *,
     sampled: bool = False,
     planned: bool = False,
+    seen: Bounds | None = None,
 ) -> Draft:
     """Return the surface, its cover by structure and its bands: all that needs no other value of the plan.
 
     A block that is ``sampled`` has no bands where it lies beyond the images. What only a plan asks for is left out
-    where this is ``planned``.
+    where this is ``planned``. Of rasters of heights only what lies in the bounds ``seen`` is read.
     """
 
     def separate() -> tuple[Surface, Structure]:
         with stages.stage("surface"):
-            surface = make_surface(inputs, cloud, params)
+            surface = make_surface(inputs, cloud, params, seen)
         with stages.stage("cover"):
             return surface, cover_from_surface(surface, cloud, params)
 
@@ -380,38 +405,11 @@ def note_missing_sources(scene: Scene) -> None:
         give_notice(NO_ECHOES)
 
 
-def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params) -> Surface:
-    """Build the surface from the points, or take it from the rasters."""
-    if cloud is not None:
-        return build_surface(cloud, params, None if inputs.dtm is None else partial(read_terrain, inputs, inputs.dtm))
-    if inputs.ndsm is not None:
-        ndsm = read_grid(inputs.ndsm, crs=inputs.any_crs, role="nDSM", z_unit=inputs.z_unit)
-        note_sparse(1 / ndsm.spec.cell_area_m2, f"cells of the nDSM {inputs.ndsm.name}")
-        return surface_from_rasters(ndsm, flat_ground(ndsm), terrain_known=False)
-    if inputs.dsm is None or inputs.dtm is None:  # kept from happening by Inputs
-        msg = "A DSM needs a DTM."
-        raise InputError(msg)
-    dsm = read_grid(inputs.dsm, crs=inputs.any_crs, role="DSM", z_unit=inputs.z_unit)
-    dtm = read_grid(inputs.dtm, crs=inputs.any_crs, role="DTM", z_unit=inputs.z_unit)
-    note_sparse(1 / dsm.spec.cell_area_m2, f"cells of the DSM {inputs.dsm.name}")
-    return note_offset(surface_from_rasters(dsm, without_gaps(align_grid(dtm, dsm.spec, role="DTM"), dsm)))
-
-
-def read_terrain(inputs: Inputs, path: Path, spec: GridSpec) -> Grid:
-    """Read the terrain around a lattice of points; the stated CRS is of the points where the raster has its own."""
-    crs = None if states_crs(path) else inputs.any_crs
-    return read_grid(path, crs=crs, role="DTM", z_unit=inputs.z_unit, over=spec)
-
-
-def note_sparse(points_m2: float, what: str) -> None:
-    """Give notice of heights that are too far apart for any building: farther than the largest cell."""
-    spacing, largest = points_m2**-0.5, CELL_LADDER_M[-1]
-    if spacing > largest * (1 + 1e-6):
-        msg = (
-            f"The {what} are {spacing:.1f} m apart on average, too far for buildings, at most {largest:g} m. "
-            "Check the CRS and the unit of the coordinates, or give denser data."
-        )
-        give_notice(msg)
+def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params, seen: Bounds | None = None) -> Surface:
+    """Build the surface from the points, or take it from the rasters, of which only ``seen`` may be wanted."""
+    if cloud is None:
+        return surface_of_rasters(inputs, seen)
+    return build_surface(cloud, params, None if inputs.dtm is None else partial(read_terrain, inputs, inputs.dtm))
 
 
 def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec], Grid] | None = None) -> Surface:
@@ -447,7 +445,9 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
     surface_is = "The surface has %d x %d cells of %s m from %.1f points/m2. The ground is by the filter '%s'"
     logger.info(surface_is, *spec.shape, spec.cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2)
-    return surface if given is None else note_offset(surface)
+    if given is not None:
+        note_offset([surface.ndsm])
+    return surface
 
 
 def lattice_of_points(points: PointCloud, params: Params) -> GridSpec:
@@ -466,36 +466,6 @@ def cell_of_points(points: PointCloud, points_m2: float, params: Params) -> floa
     if two_lines_m <= params.cover.window_m or params.surface.cell_rule == "literal":
         return cell_m
     return max(cell_m, cell_size((WINDOW_CELLS / two_lines_m) ** 2))
-
-
-def note_offset(surface: Surface) -> Surface:
-    """Give notice of a given terrain that is nowhere near the lowest heights; return the surface as it is."""
-    heights = np.asarray(surface.ndsm.values)[surface.ndsm.valid]
-    low = float(np.percentile(heights, LOW_PERCENT)) if heights.size else 0.0
-    if abs(low) > LARGEST_OFFSET_M:
-        share, where = (100 - LOW_PERCENT, "above") if low > 0 else (LOW_PERCENT, "below")
-        msg = (
-            f"Of the surface, {share:.0f} % are {abs(low):.0f} m or more {where} the given DTM. "
-            "Check its place, its unit and its height reference."
-        )
-        give_notice(msg)
-    return surface
-
-
-def without_gaps(dtm: Grid, dsm: Grid) -> Grid:
-    """Interpolate the terrain where it has no value but the surface has one: often under the middle of buildings."""
-    gaps = int(np.count_nonzero(dsm.valid & ~dtm.valid))
-    if not gaps:
-        return dtm
-    share = 100 * gaps / np.count_nonzero(dsm.valid)
-    msg = f"The DTM has no value in {gaps} cells of the DSM ({share:.1f} %); they were interpolated."
-    give_notice(msg)
-    return interpolate_ground(dtm.values, dtm.valid, dtm.spec)
-
-
-def flat_ground(ndsm: Grid) -> Grid:
-    """Return the terrain of heights that are above ground already: zero everywhere."""
-    return Grid(np.zeros(ndsm.spec.shape, dtype=np.float32), np.ones(ndsm.spec.shape, dtype=np.bool_), ndsm.spec)
 
 
 def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:

@@ -33,7 +33,7 @@ from msbdb.database import (
 )
 from msbdb.database.dialects.dialect import database_url
 from msbdb.errors import DatabaseError, InputError, TilesError, counted
-from msbdb.grid import Bounds
+from msbdb.grid import Bounds, GridSpec
 from msbdb.identity import plain, to_json
 from msbdb.io.crs import reference
 from msbdb.io.extents import extent_of_points
@@ -46,7 +46,7 @@ from msbdb.run.store import overview_of, refused_areas
 from msbdb.scale.tileresults import Result
 from msbdb.scale.tilesums import sum_up_tiles
 from msbdb.scale.tilework import Outcome, TileTask, one_by_one, result_file
-from msbdb.scale.tiling import HALO_M, Tile, side_for, tiles_over
+from msbdb.scale.tiling import HALO_M, Tile, over_cells, side_for, tiles_over
 from msbdb.surveyplan import Plan
 from msbdb.tables import BUILDING, Reason
 from msbdb.threads import cores
@@ -80,9 +80,11 @@ class TiledBuild:
     tiles : tuple of Tile
         All tiles, in order.
     boxes : tuple of tuple of float
-        West, south, east and north of each point file, metres.
+        West, south, east and north of each point file, or of the rasters of heights, metres.
     build : str
         Digest of all that decides the result.
+    cells : GridSpec, optional
+        The lattice of rasters of heights.
     """
 
     job: Job
@@ -91,6 +93,7 @@ class TiledBuild:
     tiles: tuple[Tile, ...]
     boxes: tuple[Bounds, ...]
     build: str
+    cells: GridSpec | None = None
 
     @classmethod
     def of(cls, job: Job, target: str, side_m: float | None, stages: Stages) -> "TiledBuild":
@@ -103,11 +106,12 @@ class TiledBuild:
         """
         inputs = replace(job.inputs, known=job.inputs.sources())
         job = replace(job, inputs=inputs)
-        boxes = _boxes(job)
+        cells, boxes = inputs.cells(), _boxes(job)
         plan = make_plan(inputs, job.params, stages) if job.plan is None else job.plan
         interest = inputs.area()
-        side_m = side_m or side_for(1.0 if plan.points is None else plan.points.all_density, plan.cell_m)
-        tiles = tiles_over(boxes, side_m, None if interest is None else interest.shape_in(plan_crs(plan)))
+        side_m = side_m or side_for(0.0 if plan.points is None else plan.points.all_density, plan.cell_m)
+        within = None if interest is None else interest.shape_in(plan_crs(plan))
+        tiles = tiles_over(boxes, side_m, within) if cells is None else over_cells(cells, side_m, within)
         words = {
             "sources": sorted((source.role, source.sha256) for source in inputs.sources()),
             "stated": inputs.stated(),
@@ -117,7 +121,7 @@ class TiledBuild:
             "tiles": [side_m, HALO_M, MOST_HALO_M],
         }
         build = hashlib.sha256(to_json(plain(words)).encode()).hexdigest()
-        return cls(job, plan, target, tiles, boxes, build)
+        return cls(job, plan, target, tiles, boxes, build, cells)
 
     @property
     def name(self) -> str:
@@ -151,7 +155,7 @@ class TiledBuild:
         inputs = self.job.inputs
         near = tuple(
             path
-            for path, box in zip(inputs.points, self.boxes, strict=True)
+            for path, box in zip(inputs.points, self.boxes, strict=self.cells is None)
             if box[0] <= east and box[2] >= west and box[1] <= north and box[3] >= south
         )
         job = replace(self.job, inputs=replace(inputs, points=near), plan=self.plan)
@@ -159,7 +163,7 @@ class TiledBuild:
         return TileTask(tile, job, self.plan, self.survey, *wide, status, self.place, self.build)
 
     def results(self, engine: Engine) -> Iterator[Result]:
-        """Yield the results of all tiles in order, one in memory at a time, without those that have no points."""
+        """Yield the results of all tiles in order, one in memory at a time, without those that have no heights."""
         for tile in self.tiles:
             content = self.content(tile, engine)
             if content is None:
@@ -200,15 +204,14 @@ def plan_crs(plan: Plan) -> Any:  # noqa: ANN401  (pyproj loads late)
 
 
 def _boxes(job: Job) -> tuple[Bounds, ...]:
-    """Return the box of each point file, metres; refuse what cannot be cut."""
+    """Return the box of each point file, or of the rasters of heights, metres; refuse what cannot be cut."""
     inputs = job.inputs
-    for given, words in (
-        (not inputs.points, "rasters of heights: give points"),
-        (job.denoising_figure is not None, "a picture of the denoising"),
-    ):
-        if given:
-            msg = f"A build in tiles does not take {words}. Leave --tile out, or what it does not take."
-            raise InputError(msg)
+    if job.denoising_figure is not None:
+        msg = "A build in tiles does not take a picture of the denoising. Leave --tile out, or the picture."
+        raise InputError(msg)
+    cells = inputs.cells()
+    if cells is not None:
+        return (cells.bounds,)
     extent = extent_of_points(inputs.points, inputs.any_crs)
     with collect_notices(Notices()):
         how = None if extent is None else reference(extent.crs, bounds=extent.bounds, where=inputs.points[0].name)
@@ -353,7 +356,13 @@ def _run(build: TiledBuild, waiting: Sequence[Tile], runner: Runner, stages: Sta
 def _merge(build: TiledBuild, engine: Engine, stages: Stages, notices: Notices, basis: BuildBasis) -> MergeReport:
     """Write the run from the results of all tiles."""
     head = sum_up_tiles(
-        build.results(engine), build.job, build.plan, timings=stages.timings, notices=notices, most_m=MOST_HALO_M
+        build.results(engine),
+        build.job,
+        build.plan,
+        timings=stages.timings,
+        notices=notices,
+        most_m=MOST_HALO_M,
+        cells=build.cells,
     )
     coming: dict[str, int] = {}
     for found in build.results(engine):

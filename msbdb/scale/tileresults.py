@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from msbdb.database import METHODS, Piece
-from msbdb.grid import Bounds, GridSpec
+from msbdb.grid import GridSpec
 from msbdb.identity import to_json
 from msbdb.ledger import sum_up
 from msbdb.params import POINT_DETECTORS
@@ -55,9 +55,9 @@ def packed(tile: Tile, found: Found | None, *, halo_m: float, cut: int, least_m2
             for name, frame in frames.items():
                 with file.open(f"{name}.parquet", "w", force_zip64=True) as own:
                     frame.to_parquet(own, compression=None)
-            rows, columns = _own_cells(tile.bounds, spec)
+            rows, columns = spec.within(tile.bounds)
             arrays = _rasters(found, rows, columns)
-            near = _own_cells(tile.window(RING_M), spec)
+            near = spec.within(tile.window(RING_M))
             reason = found.description.rasters.reason
             if reason is not None:
                 arrays["near"] = np.packbits(reason[near] == Reason.BUILDING)
@@ -83,16 +83,6 @@ def packed(tile: Tile, found: Found | None, *, halo_m: float, cut: int, least_m2
             }
         file.writestr("about.json", to_json(about))
     return content.getvalue()
-
-
-def _own_cells(bounds: Bounds, spec: GridSpec) -> tuple[slice, slice]:
-    """Return the rows and columns of the cells that have their centre in bounds."""
-    west, south, east, north = bounds
-    x, y = spec.centres()
-    columns, rows = np.flatnonzero((x >= west) & (x < east)), np.flatnonzero((y.ravel() >= south) & (y.ravel() < north))
-    if not len(rows) or not len(columns):
-        return slice(0, 0), slice(0, 0)
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _rasters(found: Found, rows: slice, columns: slice) -> dict[str, NDArray[Any]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from msbdb.errors import NodataError, counted
-from msbdb.grid import lattice
+from msbdb.grid import GridSpec, lattice
 from msbdb.kept import KeptRun, Rasters
 from msbdb.run.compose import Job, record_run
 from msbdb.run.reports import Notices
@@ -23,14 +23,21 @@ Place = tuple[int, ...]
 
 
 def sum_up_tiles(
-    results: Iterable[Result], job: Job, plan: Plan, *, timings: dict[str, float], notices: Notices, most_m: float
+    results: Iterable[Result],
+    job: Job,
+    plan: Plan,
+    *,
+    timings: dict[str, float],
+    notices: Notices,
+    most_m: float,
+    cells: GridSpec | None = None,
 ) -> KeptRun:
     """Return the survey, the run and its tables as a whole, summed over the results of all tiles.
 
     Parameters
     ----------
     results : iterable of Result
-        Those with points, in order of the tiles; each is taken once.
+        Those with points or heights, in order of the tiles; each is taken once.
     job, plan : Job, Plan
         What was done.
     timings : dict
@@ -39,6 +46,8 @@ def sum_up_tiles(
         Receives what a person should know of the cut.
     most_m : float
         How far a tile sees beyond its own ground at most, metres.
+    cells : GridSpec, optional
+        The lattice of the survey; by default what the points reach.
 
     Returns
     -------
@@ -48,17 +57,17 @@ def sum_up_tiles(
     Raises
     ------
     NodataError
-        When no tile has points.
+        When no tile has points or heights.
     """
     sums = _Sums()
     for found in results:
         sums.add(found)
     if sums.survey is None:
-        msg = f"No tile of '{job.label.name}' has points on its ground. Check the area and the CRS."
+        what = "points" if cells is None else "heights"
+        msg = f"No tile of '{job.label.name}' has {what} on its ground. Check the area and the CRS."
         raise NodataError(msg)
-    cell_m = plan.cell_m
     low, high = np.min(sums.reach, axis=0), np.max(sums.reach, axis=0)
-    spec = lattice((low[0], low[1], high[2], high[3]), cell_m, CRS.from_user_input(plan.crs))
+    spec = cells or lattice((low[0], low[1], high[2], high[3]), plan.cell_m, CRS.from_user_input(plan.crs))
     survey = Survey(**{**sums.survey, "bounds": spec.bounds, "sources": job.inputs.sources()})
     if sums.cut:
         words = f"{counted(sums.cut, 'island')} of roofs reach more than {most_m - GUARD_M:g} m beyond their tile"

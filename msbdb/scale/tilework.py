@@ -149,7 +149,7 @@ def _in_window(task: TileTask, halo_m: float) -> Found:
             msg = f"The tile {task.tile} has no ground in {interest.what}."
             raise NodataError(msg)
         area = Area(gpd.GeoSeries([shape], crs=crs), 0.0, f"{interest.what}, in the tile {task.tile}")
-    return find_buildings(task.job, Stages(None), task.plan, Window(area, task.tile.bounds))
+    return find_buildings(task.job, Stages(None), task.plan, Window(area, task.tile.bounds, bounds))
 
 
 def _cut(task: TileTask, found: Found, halo_m: float) -> int:

@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 
 from msbdb.errors import ParameterError
-from msbdb.grid import Bounds, GridSpec
+from msbdb.grid import LATTICE_TOLERANCE, Bounds, GridSpec
 from msbdb.labels import Labels, label_zones
 
 HALO_M = 100.0
@@ -49,6 +49,9 @@ class Tile:
         The place.
     side_m : float
         Side, metres.
+    beside : tuple of float
+        How far all tiles lie beside the origin, eastwards and northwards, metres: their edges are those of cells of a
+        raster that lies so.
 
     Examples
     --------
@@ -60,11 +63,12 @@ class Tile:
     row: int
     column: int
     side_m: float
+    beside: tuple[float, float] = (0.0, 0.0)
 
     @property
     def bounds(self) -> Bounds:
         """West, south, east and north of its own ground, metres; west and south edges belong to it."""
-        west, south = self.column * self.side_m, self.row * self.side_m
+        west, south = self.beside[0] + self.column * self.side_m, self.beside[1] + self.row * self.side_m
         return (west, south, west + self.side_m, south + self.side_m)
 
     def window(self, halo_m: float) -> Bounds:
@@ -89,7 +93,7 @@ def side_for(density: float, cell_m: float) -> float:
     Parameters
     ----------
     density : float
-        First echoes a square metre.
+        First echoes a square metre; 0 for rasters of heights.
     cell_m : float
         Side of a cell, metres.
 
@@ -97,6 +101,8 @@ def side_for(density: float, cell_m: float) -> float:
     --------
     >>> [side_for(*each) for each in ((1.0, 1.0), (8.0, 0.4), (20.0, 0.25), (20.0, 0.5), (66.0, 0.25))]
     [2000.0, 750.0, 400.0, 700.0, 250.0]
+    >>> [side_for(0.0, cell_m) for cell_m in (1.0, 0.5)]
+    [2000.0, 1000.0]
     """
     cells = cell_m**-2
     of_points = POINT_BYTES * ECHOES * density + CELL_BYTES * cells
@@ -105,7 +111,12 @@ def side_for(density: float, cell_m: float) -> float:
     return min(max((window_m - 2 * HALO_M) // STEP_M * STEP_M, least), most)
 
 
-def tiles_over(boxes: Sequence[Bounds], side_m: float, within: shapely.Geometry | None = None) -> tuple[Tile, ...]:
+def tiles_over(
+    boxes: Sequence[Bounds],
+    side_m: float,
+    within: shapely.Geometry | None = None,
+    beside: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Tile, ...]:
     """Return the tiles that meet boxes, in order of row and column.
 
     Parameters
@@ -116,6 +127,8 @@ def tiles_over(boxes: Sequence[Bounds], side_m: float, within: shapely.Geometry 
         Side of a tile, metres.
     within : Geometry, optional
         Only tiles that meet it, too.
+    beside : tuple of float
+        How far the tiles lie beside the origin, eastwards and northwards, metres.
 
     Raises
     ------
@@ -131,13 +144,34 @@ def tiles_over(boxes: Sequence[Bounds], side_m: float, within: shapely.Geometry 
         msg = f"A tile is at least {LEAST_TILE_M:g} m wide; got {side_m:g} m. Give 500 or 1000 for instance."
         raise ParameterError(msg)
     found = set()
-    for west, south, east, north in boxes:
+    for west, south, east, north in np.array(boxes) - [*beside, *beside]:
         for row in range(math.floor(south / side_m), math.floor(north / side_m) + 1):
             for column in range(math.floor(west / side_m), math.floor(east / side_m) + 1):
-                found.add(Tile(row, column, side_m))
+                found.add(Tile(row, column, side_m, beside))
     if within is not None:
         found = {tile for tile in found if shapely.intersects(within, shapely.box(*tile.bounds))}
     return tuple(sorted(found))
+
+
+def over_cells(cells: GridSpec, side_m: float, within: shapely.Geometry | None = None) -> tuple[Tile, ...]:
+    """Return the tiles over a raster, in order of row and column: their edges lie on those of its cells.
+
+    The side is the next multiple of a cell; ``within`` is that of `tiles_over`, as are the errors.
+
+    Examples
+    --------
+    >>> from affine import Affine
+    >>> from pyproj import CRS
+    >>> cells = GridSpec((90, 120), Affine(2.0, 0, 101.0, 0, -2.0, 300.5), CRS.from_epsg(2154))
+    >>> [tile.bounds for tile in over_cells(cells, 199.0)]
+    [(1.0, 0.5, 201.0, 200.5), (201.0, 0.5, 401.0, 200.5), (1.0, 200.5, 201.0, 400.5), (201.0, 200.5, 401.0, 400.5)]
+    """
+    cell_m, frame = cells.cell_m, cells.frame
+    whole_m = math.ceil(side_m / cell_m - LATTICE_TOLERANCE) * cell_m if math.isfinite(side_m) else side_m
+    west, south, east, north = cells.bounds
+    # The edges of the outer cells may lie on those of tiles, their centres do not.
+    box = (west + cell_m / 2, south + cell_m / 2, east - cell_m / 2, north - cell_m / 2)
+    return tiles_over([box], whole_m, within, (frame.east_m, frame.north_m))
 
 
 def first_cells(labels: Labels, count: int, spec: GridSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from affine import Affine
 from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import CRS
 
 from msbdb.errors import ParameterError
-from msbdb.grid import lattice
-from msbdb.scale.tiling import GUARD_M, Tile, cut_islands, first_cells, tiles_over
+from msbdb.grid import GridSpec, lattice
+from msbdb.scale.tiling import GUARD_M, Tile, cut_islands, first_cells, over_cells, tiles_over
 
 UTM = CRS.from_epsg(32633)
 
@@ -55,3 +56,27 @@ def test_an_island_near_the_edge_of_the_window_is_cut():
     whole = spec.holding((60.0, 40.0, 150.0 - GUARD_M, 50.0))
     beyond = spec.holding((105.0, 60.0, 150.0, 70.0))
     assert cut_islands(tile, whole | beyond, spec, window, survey) == 0
+
+
+@given(
+    corner=st.tuples(st.floats(-900, 900), st.floats(-900, 900)),
+    shape=st.tuples(st.integers(1, 300), st.integers(1, 300)),
+    cell_m=st.sampled_from([0.3, 0.5, 0.7, 1.0, 1200 / 3937]),
+    side_m=st.floats(50, 400),
+)
+def test_each_cell_of_a_raster_is_of_one_tile(corner, shape, cell_m, side_m):
+    """Wherever the raster lies, edges of tiles lie on edges of its cells, also for windows of it."""
+    cells = GridSpec(shape, Affine(cell_m, 0, corner[0], 0, -cell_m, corner[1]), UTM)
+    tiles = over_cells(cells, side_m)
+    held = np.zeros(shape, int)
+    for tile in tiles:
+        rows, columns = cells.within(tile.bounds)
+        assert rows.stop > rows.start
+        held[rows, columns] += 1
+        part = cells.crop(rows, columns)
+        assert part.holding(tile.bounds).all()
+        for edge, first in zip(tile.bounds[:2], (part.frame.east_m, part.frame.north_m), strict=True):
+            along = (edge - first) / cell_m
+            assert abs(along - round(along)) < 1e-6
+    assert (held == 1).all()
+    assert tiles[0].side_m >= side_m - 1e-6
