@@ -53,6 +53,7 @@ if TYPE_CHECKING:
         "msbdb build --points town_corrected.laz --db town.sqlite --survey town --replace",
         "msbdb build --points east.laz --db town.sqlite --plan town.json",
         "msbdb build --points tiles --db town.sqlite --tile 1000 --workers 4",
+        "msbdb build --dsm dsm.tif --dtm dtm.tif --db town.sqlite --tile 1000 --workers 4",
     ),
 )
 @inputs

@@ -37,7 +37,9 @@ _SOURCES = (
     click.option(
         "--ortho", type=INPUT_FILE, multiple=True, metavar="FILE...", help="Orthophotos of any bands, grid and CRS."
     ),
-    click.option("--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster; needs --dtm."),
+    click.option(
+        "--dsm", type=INPUT_FILE, metavar="FILE", help="Surface heights as a raster, or a VRT of many; needs --dtm."
+    ),
     click.option(
         "--dtm", type=INPUT_FILE, metavar="FILE", help="Ground heights as a raster, for --dsm or for --points."
     ),

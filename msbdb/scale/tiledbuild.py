@@ -337,8 +337,8 @@ def _run(build: TiledBuild, waiting: Sequence[Tile], runner: Runner, stages: Sta
         else:
             if build.is_file:
                 note_tile(build.target, summary.status)
-            # What counts points of one tile would be told for each.
-            new = [each for each in summary.notices if not any(letter.isdigit() for letter in each)]
+            # What counts points of one tile would be told for each; a tile that is built again says the same twice.
+            new = dict.fromkeys(each for each in summary.notices if not any(letter.isdigit() for letter in each))
             notices.kept += [each for each in new if each not in notices.kept]
         if stages.progress is not None:
             stages.progress("tiles", ended, len(build.tiles))

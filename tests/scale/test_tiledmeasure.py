@@ -4,7 +4,7 @@ from pathlib import Path
 
 import geopandas as gpd
 import shapely
-from support.tiledtown import TILE_M, town, write_town
+from support.tiledtown import TILE_M, town, write_rasters, write_town
 
 import msbdb
 from msbdb.database import canonical_dump, check_database, opened
@@ -48,4 +48,15 @@ def test_footprints_are_measured_on_tiles_as_on_one_piece(tmp_path):
     assert tiled.footprints == len(HOUSES)
     assert tiled.others == 2  # the houses in the south and in the east have no footprint
     assert len(msbdb.tiles(tmp_path / "tiles.sqlite")) == 4
+    assert lines(tmp_path / "tiles.sqlite") == lines(tmp_path / "one.sqlite")
+
+
+def test_footprints_are_measured_on_rasters_in_tiles(tmp_path):
+    """As on one piece of the same rasters, which lie beside the absolute lattice."""
+    given = write_rasters(tmp_path / "rasters") | {"survey": "town", "date": "2020-05-01", "id_column": "name"}
+    shapes = footprints(tmp_path)
+    whole = msbdb.measure(shapes, db=tmp_path / "one.sqlite", **given)
+    tiled = msbdb.measure(shapes, db=tmp_path / "tiles.sqlite", **given, tile=TILE_M)
+    assert (tiled.states, tiled.footprints, tiled.others) == (whole.states, whole.footprints, whole.others)
+    assert tiled.footprints == len(HOUSES)
     assert lines(tmp_path / "tiles.sqlite") == lines(tmp_path / "one.sqlite")

@@ -143,6 +143,7 @@ def test_each_tile_reads_its_window_alone(files, whole, tmp_path, monkeypatch):
     monkeypatch.setattr(rastersurface, "read_grid", counted)
     db = tmp_path / "town.sqlite"
     msbdb.build(**files, db=db, **GIVEN)
+    assert len(notices(db)) == len(set(notices(db))), "a tile that is built again says all twice"
     windows = [shape for role, shape, within in read if role == "dsm" and within is not None]
     assert len(windows) >= 4
     most = max(rows * columns for rows, columns in windows)
@@ -266,3 +267,17 @@ def test_a_virtual_raster_over_pieces_serves_as_one_file(files, quick, tmp_path)
         piece.unlink()
     with pytest.raises(FileError, match=r"0-0\.tif cannot be read"):
         msbdb.build(**given, db=db, **GIVEN)
+
+
+def test_an_inventory_is_updated_by_rasters_in_tiles(tmp_path):
+    """A house was pulled down: the inventory is that of rasters in one piece, and a repetition changes nothing."""
+    epochs = [
+        write_rasters(tmp_path / name, without=without) | {"survey": name, "date": date}
+        for name, date, without in (("older", "2015", ""), ("newer", "2020", "west"))
+    ]
+    for given in epochs:
+        msbdb.update(**given, db=tmp_path / "one.sqlite")
+        report = msbdb.update(**given, db=tmp_path / "tiles.sqlite", tile=TILE_M)
+    assert report.inventory.counts["demolished"] == 1
+    assert content(tmp_path / "tiles.sqlite") == content(tmp_path / "one.sqlite")
+    assert msbdb.update(**given, db=tmp_path / "tiles.sqlite", tile=TILE_M).build is None
