@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msbdb.errors import ParameterError
-from msbdb.labels import Pairs, minimum_cut
+from msbdb.labels import Pairs, mincut, minimum_cut
 
 QUARTERS = st.integers(-12, 12).map(lambda k: k / 4)
 COSTS = st.integers(0, 8).map(lambda k: k / 4)
@@ -65,3 +65,22 @@ def test_costs_without_a_minimum_cut_are_refused():
     one = np.ones(1)
     with pytest.raises(ParameterError, match="1 of 1 pairs"):
         minimum_cut(np.zeros(2), Pairs(np.array([0], np.int32), np.array([1], np.int32), one, one * 0, one * 0, one))
+
+
+@given(seed=st.integers(0, 10_000), size=st.sampled_from([1, 3, 10]))
+def test_parts_that_are_not_connected_are_divided_as_together(seed, size):
+    """Whether groups are small or all nodes are one, the division is the same."""
+    rng = np.random.default_rng(seed)
+    count, links = 30, 25
+    first, second = (rng.integers(0, count, links).astype(np.int32) for _ in range(2))
+    apart = first != second
+    unlike, none = rng.integers(0, 5, apart.sum()) / 4, np.zeros(apart.sum())
+    pairs = Pairs(first[apart], second[apart], none, unlike, unlike, none)
+    costs = rng.integers(-8, 9, count) / 4
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mincut, "GROUP", 1_000)
+        together = minimum_cut(costs, pairs)
+        patch.setattr(mincut, "GROUP", size)
+        assert (minimum_cut(costs, pairs) == together).all()
+        _, ends = mincut._groups(count, pairs.first, pairs.second)
+        assert len(ends) > 1
