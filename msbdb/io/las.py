@@ -95,7 +95,8 @@ def read_points(
     Returns
     -------
     PointCloud
-        All points that were kept, in the files' order. 8-bit colours in the 16-bit fields (no value of a file above
+        All points that were kept, in the files' order. Points that are there more than once count once; the last
+        points then go to the places of those left out. 8-bit colours in the 16-bit fields (no value of a file above
         255) are multiplied by 257. Echoes are None where all are zero; intensity and colours where one value is
         everywhere. Colours are kept if every file has them.
 
@@ -137,7 +138,7 @@ def read_points_indexed(
     Returns
     -------
     cloud : PointCloud
-        The N points that were kept.
+        The N points that were kept; those that are there more than once all are.
     index : (N,) ndarray of int64
         For each of them its number in the file, from 0, rising; over many files it runs on.
 

@@ -20,6 +20,7 @@ from msbdb.io.crs import Reference
 from msbdb.io.files import open_input, shown, url_of
 from msbdb.io.lasheader import COPC, LAZ_RECORD, LasInfo, count_layers, decoding, is_whole
 from msbdb.points.cloud import PointCloud, lone_points
+from msbdb.points.repeated import repeated
 from msbdb.surveyplan import PointFacts
 
 logger = logging.getLogger(__name__)
@@ -39,6 +40,8 @@ MOST_POINTS = 10_000_000
 
 GROWTH = 1.3
 """Factor by which columns grow: the larger, the more memory is left over, and the less is copied."""
+
+REPEATED = "{} {} another one in place and echo number. Each place counts once."
 
 DTYPES = {
     "x": np.float64,
@@ -245,6 +248,22 @@ class Columns:
         self.filled = end
         self.seen += len(keep)
 
+    def leave_out_repeated(self) -> None:
+        """Leave out the points that repeat another one, and note how many there are."""
+        used = {name: column[: self.filled] for name, column in self.arrays.items()}
+        others = [used[name] for name in ("number_of_returns", "intensity", "colours")]
+        again = repeated((used["x"], used["y"], used["z"]), used["return_number"], used["classification"], others)
+        if not len(again):
+            return
+        self.note(REPEATED.format(counted(len(again), "point"), "repeats" if len(again) == 1 else "repeat"))
+        self.filled -= len(again)
+        # The last points go to the places that become free: nothing else is moved, and no column is copied.
+        last = np.ones(len(again), dtype=np.bool_)
+        last[again[again >= self.filled] - self.filled] = False
+        free = again[again < self.filled]
+        for column in used.values():
+            column[free] = column[self.filled :][last]
+
 
 def _longer(column: NDArray[Any], filled: int, size: int) -> NDArray[Any]:
     """Return a column with more rows."""
@@ -275,8 +294,11 @@ def as_cloud(
 ) -> tuple[PointCloud, NDArray[np.int64]]:
     """Drop lone points, leave out constant attributes, and count in the notices; return the points' places, too.
 
-    Where facts are known, the whole survey decides what is lone or constant.
+    Points that are there more than once count once, unless their places in the files are asked for: then all of them
+    are. Where facts are known, the whole survey decides what is lone or constant.
     """
+    if not columns.indexed:
+        columns.leave_out_repeated()
     used = {name: column[: columns.filled] for name, column in columns.arrays.items()}
     index = columns.index[: columns.filled]
     lone = np.zeros(columns.filled, dtype=np.bool_)

@@ -128,6 +128,35 @@ def nearest_in_plan(
         yield some, distance, number
 
 
+def nearest_of(known: tuple[Floats, Floats, Floats], asking: tuple[Floats, Floats, Floats]) -> NDArray[np.int64]:
+    """Return which of some points is the nearest one of each asking point.
+
+    Parameters
+    ----------
+    known : three (N,) ndarrays of float64, metres
+        x, y and z of at least one point.
+    asking : three (M,) ndarrays of float64, metres
+        Places.
+
+    Returns
+    -------
+    (M,) ndarray of int64
+        Of equally near points any one.
+
+    Examples
+    --------
+    >>> none = np.zeros(2)
+    >>> nearest_of((np.array([0.0, 5.0]), none, none), (np.array([4.0, 1.0]), none, none))
+    array([1, 0])
+    """
+    tree = cKDTree(np.column_stack(known))
+    found = np.empty(len(asking[0]), dtype=np.int64)
+    for start in range(0, len(found), ASKING):
+        some = slice(start, start + ASKING)
+        found[some] = tree.query(np.column_stack([axis[some] for axis in asking]), workers=cores())[1]
+    return found
+
+
 def _cell_size(x: Floats, y: Floats) -> float:
     """Return the side of cells that hold about `A_CELL` points."""
     if not len(x):

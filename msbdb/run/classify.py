@@ -1,6 +1,7 @@
 """Classification of points: a copy of a LAS or LAZ file, whose class 6 is what the detectors found."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from msbdb.io.laswrite import check_output, write_classes
 from msbdb.labels import Labels, chosen_cells, sizes, sums
 from msbdb.params import Params
 from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS, PointCloud
+from msbdb.points.nearest import nearest_of
+from msbdb.points.repeated import without_repeated
 from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
 from msbdb.run.inputs import Inputs
 from msbdb.run.prepare import Label, prepare
@@ -58,9 +61,10 @@ def classify_points(
         inputs.require_one_place()
         with stages.stage("read"):
             cloud, index = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
-        scene, params, _ = prepare(inputs, cloud, params, stages, Label(inputs.default_survey()))
+        scene, params, _ = prepare(inputs, without_repeated(cloud), params, stages, Label(inputs.default_survey()))
         heights = heights_above(cloud, scene.require_surface().dtm)
-        regions = detect(scene, methods, params, stages)
+        found = detect(scene, methods, params, stages)
+        regions = {name: replace(one, of_points=_of_all(one.of_points, scene, cloud)) for name, one in found.items()}
         taken = np.zeros(len(cloud), dtype=np.bool_)
         if is_fused(regions, params.fuse):
             # The buildings of a build: what the detectors decide together, and not what any of them takes.
@@ -72,12 +76,12 @@ def classify_points(
                 taken |= mostly_inside(edges.of_points, inside)
         else:
             for one in regions.values():
-                taken |= _points_of(one, scene, heights, params)
+                taken |= _points_of(one, scene, cloud, heights, params)
         on_ground = on_terrain(heights, taken, params.ground.height_m) if ground else np.zeros_like(taken)
         stale = np.zeros_like(taken) if keep else _stale(cloud, taken, on_ground, ground=ground)
         with stages.stage("write"):
-            found = {BUILDING_CLASS: taken, GROUND_CLASS: on_ground, UNCLASSIFIED_CLASS: stale}
-            classes, where = _as_in_file(read_las_header(source).points, index, found)
+            new = {BUILDING_CLASS: taken, GROUND_CLASS: on_ground, UNCLASSIFIED_CLASS: stale}
+            classes, where = _as_in_file(read_las_header(source).points, index, new)
             written = write_classes(source, out, classes, where=where, overwrite=overwrite, progress=progress)
     return ClassifyReport(
         points=written.points,
@@ -92,11 +96,22 @@ def classify_points(
     )
 
 
-def _points_of(regions: Regions, scene: Scene, heights: NDArray[np.float64], params: Params) -> Mask:
+def _of_all(of_points: Labels | None, scene: Scene, cloud: PointCloud) -> Labels | None:
+    """Return the labels of all points: one that was left out has that of the nearest one that was not.
+
+    Points are left out that are there more than once, or by lot where there are very many.
+    """
+    seen = scene.require_cloud()
+    if of_points is None or len(seen) == len(cloud):
+        return of_points
+    return of_points[nearest_of((seen.x, seen.y, seen.z), (cloud.x, cloud.y, cloud.z))]
+
+
+def _points_of(regions: Regions, scene: Scene, cloud: PointCloud, heights: NDArray[np.float64], params: Params) -> Mask:
     """Return the points of a detector's regions: its own, or those in its cells that are high enough above ground."""
     if regions.of_points is not None:
         return regions.of_points > 0
-    return points_in(regions.labels > 0, scene.heights.spec, scene.require_cloud(), heights, params.surface.mask_m)
+    return points_in(regions.labels > 0, scene.heights.spec, cloud, heights, params.surface.mask_m)
 
 
 def points_in(cells: Mask, spec: GridSpec, cloud: PointCloud, heights: NDArray[np.float64], least_m: float) -> Mask:

@@ -10,7 +10,7 @@ from pyproj import CRS
 from support.notices import with_notices
 
 from msbdb.errors import CRSError, InputError, NodataError
-from msbdb.io.las import read_points
+from msbdb.io.las import read_points, read_points_indexed
 
 LAMBERT = CRS.from_epsg(2154)
 COUNT = 400
@@ -177,6 +177,26 @@ def test_tiles_are_joined_in_order(tmp_path):
     assert "b.las: no echo information, so that every point counts as a first echo." in notices
 
 
+def test_points_of_two_files_count_once(tmp_path):
+    """Points that a second file has too are left out, with a notice of their number; other echoes of a place stay."""
+    one = write(tmp_path / "one.laz", return_number=ramp(1, 1), number_of_returns=ramp(1, 1))
+    alone, notices = with_notices(read_points, one)
+    assert not any("another one" in notice for notice in notices)
+    las = laspy.read(one)
+    part = laspy.LasData(las.header, las.points[100:250].copy())
+    part.return_number[:30], part.number_of_returns[:] = 2, 2
+    part.change_scaling(offsets=[690_000.0, 6_500_000.0, 10.0])
+    part.write(tmp_path / "two.las")
+    for order in (1, -1):
+        both, notices = with_notices(read_points, [one, tmp_path / "two.las"][::order])
+        assert "120 points repeat another one in place and echo number. Each place counts once." in notices
+        assert len(both) == COUNT + 30
+        assert np.count_nonzero(both.return_number == 2) == 30
+        np.testing.assert_allclose(np.sort(both.x[both.first_echo]), np.sort(alone.x), rtol=0, atol=1e-6)
+        # Of equal points that of the pulse with fewer echoes stays.
+        assert set(both.number_of_returns[both.first_echo]) == {1}
+
+
 def test_the_same_notice_of_many_files_is_told_once(tmp_path):
     """With the first file and the number of others."""
     paths = [write(tmp_path / f"{name}.las", origin=(7e5 + i * 100, 6.6e6)) for i, name in enumerate("abc")]
@@ -238,7 +258,9 @@ def test_nothing_left_is_an_error(tmp_path):
     [("montpellier", None, 405_937, 2154), ("nimes", 2154, 404_500, 2154), ("woodford", None, 4_695_461, 3088)],
 )
 def test_real_tiles_read_whole(tile, crs, points, epsg):
-    """Every point of the real tiles is sound."""
-    cloud, _ = with_notices(read_points, Path(os.environ["MSBDB_DATA"], tile, "points.laz"), crs=crs)
+    """Every point of the real tiles is sound, and hardly any is there twice."""
+    (cloud, _), _ = with_notices(read_points_indexed, Path(os.environ["MSBDB_DATA"], tile, "points.laz"), crs=crs)
     assert len(cloud) == points
+    once, _ = with_notices(read_points, Path(os.environ["MSBDB_DATA"], tile, "points.laz"), crs=crs)
+    assert 0.999 * points < len(once) <= points
     assert cloud.crs.to_epsg() == epsg

@@ -17,6 +17,7 @@ from msbdb.detect.pointregions import Candidates, point_ndvi
 from msbdb.grid import Bands, GridSpec
 from msbdb.io.las import read_points
 from msbdb.ledger import Ledger
+from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.classify import points_in
 from msbdb.tables import REJECTION
@@ -75,3 +76,22 @@ def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch,
     np.testing.assert_array_equal(seen["cloud"].x, cloud.x)
     assert seen["spec"].crs == cloud.crs
     assert (report.regions, report.building_points) == ({method: 2}, np.count_nonzero(np.arange(len(cloud)) % 3))
+
+
+def test_points_that_detectors_are_not_shown_are_classified(tmp_path):
+    """Of a survey that is thinned, and of points that are there twice, all get a class: that of what lies around."""
+    points = SCENES["podium_tower"](density=2.0).points
+    dense = with_values(Params(), {"surface": {"most_density": 1.0}})
+    classes = []
+    for name, order, params in (
+        ("once", np.arange(len(points)), Params()),
+        ("twice", np.repeat(np.arange(len(points)), 2), Params()),
+        ("dense", np.arange(len(points)), dense),
+    ):
+        source = write_points(tmp_path / f"{name}.laz", points.take(order))
+        msbdb.api.classify(source, tmp_path / f"out_{name}.laz", params=params)
+        classes.append(np.asarray(laspy.read(tmp_path / f"out_{name}.laz").classification) == 6)
+    once, twice, thinned = classes
+    assert once.any()
+    np.testing.assert_array_equal(twice, np.repeat(once, 2))
+    assert np.count_nonzero(once & thinned) > 0.9 * np.count_nonzero(once | thinned)

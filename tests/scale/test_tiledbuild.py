@@ -13,7 +13,7 @@ import pytest
 import shapely
 from affine import Affine
 from click.testing import CliRunner
-from simulated.files import write_heights
+from simulated.files import write_heights, write_points
 from simulated.scenes import DATUM_M
 from support.processes import environment
 from support.tiledtown import KILLED, TILE_M, town, write_town
@@ -105,6 +105,21 @@ def test_tiles_that_see_enough_give_the_content_of_the_whole(files, whole, tmp_p
             assert numbers["dropped"] == one.regions[method][stage]["dropped"], (method, stage)
     assert not (tmp_path / f"town.sqlite{FOLDER}").exists()
     assert msbdb.why(db, 389_088.0, 5_821_080.0).building is not None
+
+
+@pytest.mark.parametrize("tile", [None, TILE_M])
+def test_tiles_with_margins_and_copies_change_nothing(files, whole, quick, tmp_path, tile):
+    """A survey whose files overlap, and all of whose points come once more from another file, gives the same dump."""
+    points = town().points
+    given = [write_points(tmp_path / "all.las", points.take(np.arange(len(points))[::-1]))]
+    for name, own in (("w", points.x < 389_110.0), ("e", points.x > 389_070.0)):
+        given.append(write_points(tmp_path / f"{name}.laz", points.take(own)))
+    db = tmp_path / "town.sqlite"
+    methods = {"extract": "multiscale"} if tile else {}
+    report = msbdb.build(given, db=db, survey="town", tile=tile, **methods)
+    assert lines(db) == lines(quick if tile else whole)
+    repeats = [notice for notice in report.notices if "repeat another one" in notice]
+    assert len(repeats) == 1
 
 
 @pytest.mark.parametrize("tile", [None, TILE_M])
