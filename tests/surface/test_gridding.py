@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS
+from scipy import ndimage
 
 from msbdb.errors import NodataError
 from msbdb.grid import GridSpec, lattice
@@ -22,6 +23,7 @@ from msbdb.surface.gridding import (
     density,
     fill_gaps,
     lowest,
+    nearest_cells,
     sample_nearest,
 )
 
@@ -317,3 +319,18 @@ def test_no_window_changes_the_samples_of_a_cell(rows, data):
     full = window.observed & (count_first(part, window.spec) == count_first(points, whole.spec)[cells])
     for own, all_of_them in ((window.z, whole.z), (window.east, whole.east), (window.north, whole.north)):
         np.testing.assert_array_equal(own[full], all_of_them[cells][full])
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.sampled_from([0.0, 1.0, 1.5, 3.0, np.inf]), st.integers(0, 2**32 - 1))
+def test_nearest_cells_are_those_of_a_distance_transform(height: int, width: int, reach: float, seed: int) -> None:
+    """Ties too; what lies beyond the reach is not found, nor anything where no cell is known."""
+    random = np.random.default_rng(seed)
+    known = random.random((height, width)) < random.random()
+    wanted = np.flatnonzero(random.random((height, width)) < 0.7)
+    found = nearest_cells(known, wanted, reach)
+    if not known.any():
+        assert (found == -1).all()
+        return
+    distance, (row, col) = ndimage.distance_transform_edt(~known, return_indices=True)
+    expected = np.where(distance <= reach, row * width + col, -1)
+    np.testing.assert_array_equal(found, expected.ravel()[wanted])
