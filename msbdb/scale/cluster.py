@@ -4,8 +4,10 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +28,9 @@ AHEAD = 2
 TIMEOUT_S = 20.0
 """Seconds to wait for a scheduler."""
 
+PROGRAM = "msbdb.run.compose"
+"""What a worker loads when it starts: all that tiles need, which takes seconds."""
+
 LOST = (
     "The scheduler of the cluster is lost. The tiles that are done wait. Start a cluster again, and repeat the command "
     "with --resume."
@@ -34,9 +39,10 @@ LOST = (
 MISSING = 'A build by workers needs dask.distributed, which is not installed. Install it: pip install "msbdb[cluster]".'
 
 
-@contextmanager
-def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = True) -> Iterator["Client"]:
-    """Start workers on this machine, or connect to a scheduler that is there, while the block runs.
+def cluster_of(
+    workers: int | None, scheduler: str | None, *, processes: bool = True
+) -> AbstractContextManager["Client"]:
+    """Return what starts workers on this machine, or connects to a scheduler that is there, while its block runs.
 
     Parameters
     ----------
@@ -54,12 +60,21 @@ def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = 
     ParameterError
         For no worker.
     FileError
-        When the scheduler cannot be reached.
+        When the block begins, and the scheduler cannot be reached.
     """
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise MissingDependencyError(MISSING) from error
+    if find_spec("distributed") is None:
+        raise MissingDependencyError(MISSING)
+    if scheduler is None and (workers is None or workers < 1):
+        msg = f"A build needs one worker or more; got {workers}. Give --workers 2 for instance."
+        raise ParameterError(msg)
+    return _cluster(workers, scheduler, processes)
+
+
+@contextmanager
+def _cluster(workers: int | None, scheduler: str | None, processes: bool) -> Iterator["Client"]:
+    """Start or connect, see `cluster_of`."""
+    from distributed import Client, LocalCluster
+
     if scheduler is not None:
         try:
             # A client would wait for ever for a file that does not come.
@@ -72,9 +87,6 @@ def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = 
             logger.info("Dashboard of the cluster: %s", client.dashboard_link)
             yield client
         return
-    if workers is None or workers < 1:
-        msg = f"A build needs one worker or more; got {workers}. Give --workers 2 for instance."
-        raise ParameterError(msg)
     with (
         LocalCluster(
             n_workers=workers,
@@ -84,12 +96,31 @@ def cluster_of(workers: int | None, scheduler: str | None, *, processes: bool = 
             # Any free port: without an address dask takes 8787, which another cluster may have.
             dashboard_address="127.0.0.1:0",
             memory_limit=0,
+            preload=[PROGRAM],
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
         logger.info("Dashboard of the cluster: %s", client.dashboard_link)
         yield client
+
+
+@contextmanager
+def beginning(cluster: AbstractContextManager["Client"], *, aside: bool) -> Iterator[Callable[[], "Client"]]:
+    """Begin a cluster, in a thread of its own if ``aside``, and yield what waits for it; it ends with the block.
+
+    Workers of this machine start on its other cores while the block makes a plan.
+
+    Raises
+    ------
+    MsbdbError
+        As `cluster_of`: at once, or where the block asks for the cluster.
+    """
+    with ExitStack() as ending, ThreadPoolExecutor(1) as pool:
+        begun = pool.submit(ending.enter_context, cluster)
+        if not aside:
+            begun.result()
+        yield begun.result
 
 
 @contextmanager

@@ -5,15 +5,12 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from msbdb.database import (
-    LINKS,
-    ROWS,
     BuildBasis,
     Engine,
     MergeReport,
@@ -243,11 +240,15 @@ def build_with(
     """Build a survey in tiles, one by one in this process, or by a cluster; see `build_tiles` and `cluster_of`."""
     if workers is None and scheduler is None:
         return build_tiles(job, target, side_m, stages, notices, runner=one_by_one, resume=resume, basis=basis)
-    from msbdb.scale.cluster import cluster_of, work_on
+    from msbdb.scale.cluster import beginning, cluster_of, work_on
 
-    with cluster_of(workers, scheduler) as client:
-        # Workers of this machine share its cores.
-        runner = partial(work_on, client, share=None if scheduler or not workers else cores() // workers)
+    # Workers of this machine share its cores. They start while the plan is made.
+    share = None if scheduler or not workers else cores() // workers
+    with beginning(cluster_of(workers, scheduler), aside=scheduler is None) as client:
+
+        def runner(tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:
+            return work_on(client(), tasks, begin, share)
+
         return build_tiles(job, target, side_m, stages, notices, runner=runner, resume=resume, basis=basis)
 
 
@@ -369,8 +370,8 @@ def _merge(build: TiledBuild, engine: Engine, stages: Stages, notices: Notices, 
         for name, count in found.about["rows"].items():
             coming[name] = coming.get(name, 0) + count
 
-    def pieces() -> Iterator[Piece]:
-        return (found.piece((*ROWS, *LINKS)) for found in build.results(engine))
+    def pieces(names: tuple[str, ...], *, rasters: bool) -> Iterator[Piece]:
+        return (found.piece(names, rasters=rasters) for found in build.results(engine))
 
     try:
         return merge_tiles(build.target, head, pieces, coming=coming, basis=basis)

@@ -221,15 +221,17 @@ class Result:
             found: NDArray[Any] = np.load(io.BytesIO(file.read(f"{name}.npy")), allow_pickle=False)
             return found
 
-    def piece(self, rows: tuple[str, ...]) -> Piece:
-        """Return what the database takes, with these tables."""
-        with zipfile.ZipFile(io.BytesIO(self.content)) as file:
-            names = [name.removesuffix(".npy") for name in file.namelist() if name.endswith(".npy")]
-        arrays = {name: self.array(name) for name in names}
+    def piece(self, names: tuple[str, ...], *, rasters: bool) -> Piece:
+        """Return what the database takes, with these tables, and with rasters if asked for."""
+        arrays: dict[str, NDArray[Any]] = {}
+        if rasters:
+            with zipfile.ZipFile(io.BytesIO(self.content)) as file:
+                held = [name.removesuffix(".npy") for name in file.namelist() if name.endswith(".npy")]
+            arrays = {name: self.array(name) for name in held}
         row, column = self.about["origin"]
         return Piece(
             self.key,
-            self.frames(*rows),
+            self.frames(*names),
             (int(row), int(column)),
             {name.removeprefix("raster_"): cells for name, cells in arrays.items() if name.startswith("raster_")},
             {name.removeprefix("ids_"): ids for name, ids in arrays.items() if name.startswith("ids_")},

@@ -4,8 +4,10 @@ import json
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from threading import Event
 from types import SimpleNamespace
 
 import pytest
@@ -66,6 +68,25 @@ def slow(task):
     """Do the work of a tile that takes its time."""
     time.sleep(0.2)
     return task
+
+
+@pytest.mark.parametrize("aside", [True, False])
+def test_workers_start_beside_the_plan(aside):
+    """A cluster of this machine begins while the block works; one that is there is looked for first, and both end."""
+    done, told = Event(), []
+
+    @contextmanager
+    def starting():
+        told.append("begins")
+        assert not aside or done.wait(20)
+        yield "workers"
+        told.append("ends")
+
+    with cluster.beginning(starting(), aside=aside) as client:
+        assert aside or told == ["begins"]
+        done.set()
+        assert client() == "workers"
+    assert told == ["begins", "ends"]
 
 
 def test_a_lost_scheduler_is_named(monkeypatch):

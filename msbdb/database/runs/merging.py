@@ -1,11 +1,11 @@
 """Merging the tiles of a survey into one run, in one transaction, with a tile in memory at a time."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,7 @@ class Piece:
     key : tuple of int
         Row and column of the tile.
     frames : dict of str to DataFrame
-        The rows that it owns of `ROWS` and `LINKS`.
+        The rows that it owns of `ROWS` or `LINKS`.
     origin : tuple of int
         Absolute row and column of the first cell of its rasters.
     rasters : mapping of str to (H, W) ndarray
@@ -92,6 +92,13 @@ class Piece:
     rasters: Mapping[str, NDArray[Any]]
     ids: Mapping[str, NDArray[np.int64]]
     kinds: Mapping[str, list[tuple[str, str]]]
+
+
+class TilePieces(Protocol):
+    """Gives the pieces of all tiles, in order of the tiles."""
+
+    def __call__(self, names: tuple[str, ...], /, *, rasters: bool) -> Iterable[Piece]:
+        """Return them with these tables alone, and with rasters, ids and kinds if asked for."""
 
 
 @dataclass(slots=True)
@@ -221,7 +228,7 @@ class _Merge:
 def merge_tiles(
     target: str | PathLike[str] | URL,
     head: KeptRun,
-    pieces: Callable[[], Iterable[Piece]],
+    pieces: TilePieces,
     *,
     coming: Mapping[str, int],
     basis: BuildBasis,
@@ -266,7 +273,7 @@ def merge_tiles(
     return report
 
 
-def _merge(merge: _Merge, pieces: Callable[[], Iterable[Piece]], coming: Mapping[str, int]) -> None:
+def _merge(merge: _Merge, pieces: TilePieces, coming: Mapping[str, int]) -> None:
     """Write all in the caller's transaction; raise where the database has the same already."""
     connection, dialect, head, report, run_id = merge.connection, merge.dialect, merge.head, merge.report, merge.run_id
     before = connection.scalar(select(RUN.c.content_sha256).where(RUN.c.run_id == run_id))
@@ -274,9 +281,9 @@ def _merge(merge: _Merge, pieces: Callable[[], Iterable[Piece]], coming: Mapping
         report.status = "replaced" if write_head(connection, dialect, head, "") else "created"
         with dialect.keys_in_sets(connection, LOADED, run_id):
             merge.write_whole()
-            for piece in pieces():
+            for piece in pieces(ROWS, rasters=False):
                 merge.write_rows(piece)
-            for piece in pieces():
+            for piece in pieces((*LINKS,), rasters=True):
                 merge.write_rest(piece)
     tables, rasters = LazyTables(connection, run_id), mosaics_of(connection, run_id)
     digest = RunContent(head.survey, head.run, tables, rasters, head.plan).digest()
