@@ -47,9 +47,11 @@ class FlatRegionParams:
     lambda_unit: str = param("m2", "-",
         "Unit in which the three λ count gradients: their sum times the cell's area, or over cells.",
         paper="M14 states none", ours="A13: Table 1 gives λ_min as an area of 30 or 20 m2", choices=("m2", "px"))
-    ratio: float = param(2.0, "1/m",
+    ratio: float = param(1.75, "1/m",
         "R: a flat region has at least R times its zone's upper λ of area; less in cells above 0.35 m.",
-        paper="M17, M23 give 1.5", ours="with capped gradients 1.9 to 2.2 do best", low=0, high=100)
+        paper="M17, M23 give 1.5", ours="1.5 takes more crowns, 2 loses large roofs with holes", low=0, high=100)
+    blind_ratio: float = param(2.0, "1/m", "The same, without echoes.", paper="M17, M23 give 1.5",
+        ours="roughness alone mistakes more crowns", low=0, high=100)
     largest_m2: float = param(50_000.0, "m2", "Larger flat regions are terrain; 0 sets no limit.",
         ours="λ_max alone takes all the ground of a tile of a few hectares for one building", low=0, high=1e9)
     opening_m: float = param(1.5, "m", "Window of the opening and closing of flat regions.", paper="M19 gives 3",

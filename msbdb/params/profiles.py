@@ -109,6 +109,7 @@ MONGUS: dict[str, Any] = {
     "lambda_max_m2": 40_000.0,
     "lambda_step_m2": 250.0,
     "ratio": 1.5,
+    "blind_ratio": 1.5,
     "largest_m2": 0.0,
     "opening_m": 3.0,
     "max_compactness": 9.0,

@@ -136,11 +136,11 @@ def ratio_at(cell_m: float, params: FlatRegionParams) -> float:
 
     Examples
     --------
-    At cells of 2 m the window is 6 m wide, and R = 2 falls to 2 √(1.05 / 6):
+    At cells of 2 m the window is 6 m wide, and R = 1.75 falls to 1.75 √(1.05 / 6):
 
     >>> from msbdb.params import FlatRegionParams
     >>> ratio_at(0.3, FlatRegionParams()), round(ratio_at(2.0, FlatRegionParams()), 2)
-    (2.0, 0.84)
+    (1.75, 0.73)
     """
     if not params.gradient_window_m:
         return params.ratio

@@ -18,7 +18,7 @@ from msbdb.labels import Labels, chosen_cells, label_zones, reorder, sizes
 from msbdb.ledger import Answers
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
-from msbdb.params import FlatRegionParams, Params
+from msbdb.params import FlatRegionParams, Params, with_values
 from msbdb.tables import FLAT_REGION
 
 logger = logging.getLogger(__name__)
@@ -90,6 +90,8 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
         Where, on the raw surface, one region covers so much of the survey that it must be ground.
     """
     spec = scene.heights.spec
+    if scene.cloud is None or not scene.cloud.has_echoes:
+        params = with_values(params, {"flatregions": {"ratio": params.flatregions.blind_ratio}})
     found = extract_flat_regions(
         lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
     )

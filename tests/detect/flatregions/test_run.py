@@ -4,6 +4,7 @@ import os
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import geopandas as gpd
 import numpy as np
@@ -13,6 +14,7 @@ from pyproj import CRS
 from simulated.scenes import attached_to_slope, courtyard, plateau, podium_tower, under_trees, wall
 from support.notices import with_notices
 
+from msbdb.detect.flatregions import mongus2013
 from msbdb.detect.flatregions.initialisation import initialise
 from msbdb.detect.flatregions.mongus2013 import extract_flat_regions
 from msbdb.errors import GridMismatchError, NodataError, ParameterError
@@ -198,6 +200,24 @@ def test_buildings_are_found_whole(scene, density):
     assert completeness > 0.98
     assert correctness > 0.98
     assert len(found.regions) == 1
+
+
+@pytest.mark.parametrize(("echoes", "ratio"), [(True, 1.75), (False, 2.0), (None, 2.0)])
+def test_without_echoes_the_ratio_is_stricter(monkeypatch, echoes, ratio):
+    """Points with later echoes, without, and a raster: where echoes tell crowns, roofs may be rougher."""
+    seen = []
+
+    def stop(*_given, params, **_named):
+        seen.append(params.flatregions.ratio)
+        raise NodataError
+
+    monkeypatch.setattr(mongus2013, "lowest_surface", lambda scene, _params: scene.heights)
+    monkeypatch.setattr(mongus2013, "extract_flat_regions", stop)
+    cloud = None if echoes is None else SimpleNamespace(has_echoes=echoes)
+    scene = SimpleNamespace(heights=grid(houses()), cloud=cloud, survey=SimpleNamespace(name="test"))
+    with pytest.raises(NodataError):
+        mongus2013.detect_flat_regions(scene, Params())
+    assert seen == [ratio]
 
 
 def test_trees_are_rejected():
