@@ -56,7 +56,7 @@ def drawn_blocks(cells: GridSpec, *, seed: int) -> list[Bounds]:
 def looked_at(drawn: Sequence[Bounds], draft_of: Callable[[Bounds], Draft]) -> dict[Bounds, Draft]:
     """Return the drafts of the first blocks that have values and hold as many cells as a plan looks at.
 
-    Of what is told about the blocks, what all of them say holds for the survey, and what has no numbers.
+    A notice holds for the survey where all blocks give it, or where it has no numbers.
     """
     found: dict[Bounds, Draft] = {}
     told: list[list[str]] = []
