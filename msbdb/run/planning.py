@@ -33,7 +33,7 @@ from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
 from msbdb.spectral.kmeans import lattice_keys, pooled
 from msbdb.spectral.model import ClassModel, fit_model
 from msbdb.surface import Surface
-from msbdb.surface.gridding import cell_size, density
+from msbdb.surface.gridding import CELL_LADDER_M, cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND
 from msbdb.surface.structure import Structure
 from msbdb.surveyplan import Plan, PointFacts, basis_of
@@ -149,14 +149,18 @@ def blocks_to_sample(
         how = None if extent is None else reference(extent.crs, bounds=extent.bounds, where=paths[0].name)
     if how is None or how.transformer is not None:
         return None
-    every = shapely.union_all(shapely.box(*(np.array([info.bounds for info in infos]) * how.xy_factor).T))
+    boxes = shapely.box(*(np.array([info.bounds for info in infos]) * how.xy_factor).T)
+    counts = np.array([info.points for info in infos])
+    # A stray point widens the box of its file: by such a box the points are too far apart for any building.
+    sound = counts >= shapely.area(boxes) / CELL_LADDER_M[-1] ** 2
+    every = shapely.union_all(boxes[sound])
     ground = every if interest is None else shapely.intersection(every, interest.shape_in(how.crs))
     if not ground.area:
         return None
-    points_m2 = sum(info.points for info in infos) / every.area
+    points_m2 = counts[sound].sum() / every.area
     cell_m = params.surface.cell_m or cell_size(points_m2, literal=params.surface.cell_rule == "literal")
     points = points_m2 * ground.area
-    # Headers may be wrong, or a stray point may widen them: how wide fewer points lie is known once they are read.
+    # How wide fewer points lie is known once they are read.
     if points <= MOST_POINTS:
         return None
     return SampledBlocks.over(ground, points, cell_m, how.crs, params)

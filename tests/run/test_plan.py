@@ -118,6 +118,22 @@ def test_a_large_survey_is_planned_from_blocks(monkeypatch, tmp_path):
     assert bounds[2] - bounds[0] > 99, "the build is of all blocks"
 
 
+def test_a_stray_point_hides_no_town_from_the_plan(monkeypatch, tmp_path):
+    """The box of a header that it widens to tens of kilometres draws no blocks; the points that are read do."""
+    monkeypatch.setattr(planning, "MOST_POINTS", 12_000)
+    monkeypatch.setattr(planning, "BLOCK_M", 40.0)
+    monkeypatch.setattr(planning, "LEAST_BLOCK_M", 20.0)
+    p = scenes.under_trees(density=2.0).points
+    far = np.arange(len(p)) == 500
+    x, y = np.where(far, p.x - 9e4, p.x), np.where(far, p.y - 9e4, p.y)
+    file = write_points(tmp_path / "stray.laz", replace(p, x=x, y=y))
+    found = msbdb.plan(file)
+    west, south, east, north = p.bounds
+    assert len(found.blocks) > 1
+    assert all(west - 40 < x < east and south - 40 < y < north for x, y in found.blocks)
+    assert found.cell_m == msbdb.plan(write_points(tmp_path / "sound.laz", p.take(~far))).cell_m
+
+
 def test_cells_bound_the_plan_as_points_do(monkeypatch, tmp_path):
     """A survey of few points on many cells is planned from blocks that hold as many cells as the memory takes."""
     monkeypatch.setattr(planning, "BLOCK_M", 40.0)
