@@ -18,7 +18,6 @@ Place = tuple[slice, slice]
 UNITS = 256
 """Costs are rounded to this part of 1, so that the cut is exact and the same on all machines."""
 
-
 GROUP = 20_000
 """Ours: parts of a network that are not connected are solved by themselves, small ones together up to so many nodes."""
 

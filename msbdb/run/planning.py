@@ -139,9 +139,10 @@ class SampledBlocks:
 def blocks_to_sample(
     paths: Sequence[Path], crs: CrsLike | None, params: Params, interest: Area | None = None
 ) -> SampledBlocks | None:
-    """Draw the blocks of a sample by what the headers of points say; None where a plan can look at all points.
+    """Draw the blocks of a sample by what the headers of points say; None where a plan can read all points.
 
-    How large the cells will be follows from the points a square metre of the files' boxes.
+    How large the cells of a block will be follows from the points a square metre of the files' boxes. Files whose
+    boxes cannot be right draw no blocks.
     """
     infos = [read_las_header(path) for path in paths]
     with collected_notices():

@@ -238,8 +238,9 @@ def is_large(inputs: Inputs, params: Params) -> bool:
 def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     """Return the plan of a survey: that which a build of it makes and keeps.
 
-    A plan looks at a limited number of points and cells. Where the headers promise more, a seeded hash draws blocks
-    that hold about as many, and one pass over the files that they meet reads these.
+    A plan looks at a limited number of points and cells. Where the headers promise more points, or more cells of
+    rasters, a seeded hash draws blocks that hold about as many, and one pass over the files that they meet reads these.
+    Where all points are read and their lattice has too many cells, blocks are drawn from the points.
     """
     cells = inputs.cells()
     if cells is not None and is_large_raster(cells):
