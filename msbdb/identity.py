@@ -90,14 +90,17 @@ def _colliding(keys: NDArray[np.int64], ids: NDArray[np.int64]) -> NDArray[np.in
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401  (parameters and counts are nested plain values)
-    """Return nested mappings, dataclasses, lists and scalars in the types of JSON; NaN and infinities become null."""
+    """Return nested mappings, dataclasses, lists and scalars in the types of JSON.
+
+    NaN and infinities become null, and -0.0 becomes 0.0, as databases keep it.
+    """
     # The most frequent ones first, as asking for a mapping takes longer than all the others.
     if value is None or type(value) in (str, int, bool):
         return value
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return value + 0.0 if math.isfinite(value) else None
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if is_dataclass(value):

@@ -1,5 +1,6 @@
 """Compiled kernels, work on several cores with the same results as on one, and the memory of a run."""
 
+import atexit
 import ctypes
 import gc
 import os
@@ -37,6 +38,9 @@ BOUNDED = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**24), (TRIM_THRESHOLD, 2**26),
 
 RETURNING = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**25), (TRIM_THRESHOLD, 2**26))
 """The allocator's own values, once a large array has been freed."""
+
+RARELY = (100_000, 50, 50)
+"""Python looks for garbage after so many new objects: of outlines there are millions, and no cycles among them."""
 
 _OF_THREAD = local()
 
@@ -132,7 +136,7 @@ def memory_reused(*, bounded: bool = False) -> Iterator[None]:
 
     By default glibc takes each large array from the system, page by page, and gives it back when it is freed. In a
     build of ten million points a quarter of the processor's time went there. Other allocators are left as they are.
-    It saves more after `share_one_heap`. Python's own search for garbage leaves out what was there before the block.
+    It saves more after `own_process`. Python's own search for garbage leaves out what was there before the block.
     """
     try:
         _set_allocator(BOUNDED if bounded else REUSING)
@@ -153,9 +157,14 @@ def memory_is_bounded() -> bool:
     return any(_IS_BOUNDED)
 
 
-def share_one_heap() -> None:
-    """Let all threads take their memory from one heap; for a program, before it starts any thread."""
+def own_process() -> None:
+    """Let a program take its memory from one heap, and search for garbage seldom; before it starts any thread.
+
+    At its end it does not search again through all that it loaded, which took a third of a second.
+    """
     _set_allocator(((ARENA_MAX, 1),))
+    gc.set_threshold(*RARELY)
+    atexit.register(gc.freeze)
 
 
 def _set_allocator(settings: Iterable[tuple[int, int]]) -> None:

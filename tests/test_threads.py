@@ -207,3 +207,17 @@ def test_notices_of_threads_come_in_the_order_of_the_items(monkeypatch):
     with collected_notices() as found:
         assert in_threads(work, range(2)) == [0, 1]
     assert [(type(notice), str(notice)) for notice in found] == [(MsbdbWarning, "first"), (PassingNotice, "second")]
+
+
+def test_a_program_ends_without_a_search_for_garbage():
+    """What is there at the end is left out of the last search; while it runs, the program searches seldom."""
+    code = (
+        "import atexit, gc\n"
+        "from msbdb.threads import RARELY, own_process\n"
+        "before = gc.get_freeze_count()\n"
+        "atexit.register(lambda: print(gc.get_freeze_count() > before + 1000))\n"
+        "own_process()\n"
+        "print(gc.get_threshold() == RARELY, gc.get_freeze_count() == before)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["True"] * 3

@@ -10,7 +10,7 @@ from msbdb.cli.inventory import changes, import_, measure, state, update
 from msbdb.cli.outputs import classes, evaluate, info, query, view, why
 from msbdb.cli.params import params, plan
 from msbdb.cli.tiles import tiles
-from msbdb.threads import end_now, share_one_heap
+from msbdb.threads import end_now, own_process
 from msbdb.version import __version__
 
 
@@ -51,7 +51,7 @@ for _command in (
 
 def main() -> None:
     """Run the program."""
-    share_one_heap()
+    own_process()
     try:
         cli(prog_name="msbdb")
     except SystemExit as ended:

@@ -101,8 +101,7 @@ class Scene:
     bands : Bands, optional
         Colours of the orthophoto or the points.
     above : (N,) ndarray of float64, optional
-        Heights of the points above ground, metres, of a ground filter among the points; those of others are found
-        again as quickly as they are kept.
+        Heights of the points above ground, metres, where the plan asked for them or the ground filter gives them.
     intensity : (H, W) ndarray of uint8, optional
         That of the first echoes in steps of its logarithm (`msbdb.spectral.colours.kept_intensity`); None where the
         points have none.

@@ -173,14 +173,17 @@ def _cut(votes: NDArray[np.int8], needed: float, heights: Grid, params: FusePara
     values = np.asarray(heights.values, dtype=np.float64)
     pairs = []
     for one, other in neighbours(votes.shape):
-        edge = params.edge_cost * np.exp(-np.abs(values[one] - values[other]) / params.edge_height_m)
-        edge[~(heights.valid[one] & heights.valid[other])] = 0
-        both = seen[one] & seen[other]
-        pairs.append((node[one][both], node[other][both], edge[both]))
+        voted = np.nonzero(seen[one] | seen[other])
+        step = values[one][voted] - values[other][voted]
+        first, second = node[one][voted], node[other][voted]
+        edge = params.edge_cost * np.exp(-np.abs(step) / params.edge_height_m)
+        edge[~(heights.valid[one][voted] & heights.valid[other][voted])] = 0
+        both = (first >= 0) & (second >= 0)
+        pairs.append((first[both], second[both], edge[both]))
         # A neighbour without a vote is no building, so that the pair is a cost of the other cell alone.
-        for here, there in ((one, other), (other, one)):
-            rim = seen[here] & ~seen[there]
-            costs += np.bincount(node[here][rim], weights=edge[rim], minlength=count)
+        for here, there in ((first, second), (second, first)):
+            rim = there < 0
+            costs += np.bincount(here[rim], weights=edge[rim], minlength=count)
     first, second, edges = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     none = np.zeros_like(edges)
     decided[seen] = minimum_cut(costs, Pairs(first, second, none, edges, edges, none))

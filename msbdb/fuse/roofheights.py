@@ -5,6 +5,7 @@ are taken above sea where the terrain is known, because a roof is level where th
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ from msbdb.kept import PER_METRE
 from msbdb.labels import Labels, boxes, label_zones, neighbours, quantiles, sizes, sums, widened
 from msbdb.params import HeightParams, SurfaceParams
 from msbdb.parts.clusters import storeys
+from msbdb.threads import together
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -113,12 +115,13 @@ def measure_heights(
     """
     terrain = np.zeros(labels.shape) if elevations.terrain_cm is None else elevations.terrain_cm / PER_METRE
     level = Grid(terrain + np.asarray(ndsm.values, dtype=np.float64), ndsm.valid, ndsm.spec)
-    found = roofs_of(labels, level, params)
+    found, (ground, nodata) = together(
+        partial(roofs_of, labels, level, params), partial(_around, labels, count, ndsm, terrain, params)
+    )
     area_m2 = sizes(labels, count).astype(np.float64) * ndsm.spec.cell_area_m2
     heavy = _of_weight(found, area_m2, params)
     shares = _with_pieces(found, heavy)
     eaves, main, top, ridge = _levels(found, heavy, shares, count)
-    ground, nodata = _around(labels, count, ndsm, terrain, params)
     z_ground, low, high = (np.round(one, 2) for one in ground)
     own = storeys(main - z_ground, surface)
     of_roofs = storeys(found.eaves - z_ground[found.building], surface)

@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, median_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
@@ -17,12 +17,17 @@ from msbdb.ground.wavelet import wavelet_ground
 from msbdb.params import GroundParams
 from msbdb.points.cloud import GROUND_CLASS, PointCloud
 from msbdb.surface.gridding import lowest
+from msbdb.threads import kernel
 
 MIN_GROUND_SHARE = 0.02
 """Below this share of class 2 the given classes are not taken for a classification of the ground."""
 
 VOID_M = 10.0
 """Cells farther than this from all points are a void: water, or beyond the survey. Sparse scan lines lie nearer."""
+
+
+SIDE = 5
+"""Side of the square of cells whose median shows a pit."""
 
 
 class GroundFilter(Protocol):
@@ -110,9 +115,64 @@ def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> 
     found = lowest(points, spec)
     supported = _supported(found.valid)
     filled = interpolate_ground(found.values, supported, spec, nearest=True).values
-    floor = median_filter(filled, size=5, mode="nearest") - np.float32(params.low_outlier_m)
+    raised = without_pits(np.asarray(filled, dtype=np.float32), params.low_outlier_m)
     near = distance_transform_edt(~supported) * spec.cell_m <= max(VOID_M, 2 * spec.cell_m)
-    return Grid(np.maximum(filled, floor), near, spec)
+    return Grid(raised, near, spec)
+
+
+def without_pits(heights: NDArray[np.float32], depth_m: float) -> NDArray[np.float32]:
+    """Raise each cell to at most ``depth_m`` below the median of the 5 by 5 cells around it.
+
+    Parameters
+    ----------
+    heights : (H, W) ndarray of float32, metres
+        Without gaps.
+    depth_m : float
+        How far a cell may lie below the median, metres.
+
+    Returns
+    -------
+    (H, W) ndarray of float32, metres
+
+    Notes
+    -----
+    The median is sought only where it decides: where most of the 25 cells lie higher by more than the depth.
+    Border: the outermost cell is repeated. Linear in the cells.
+
+    Examples
+    --------
+    >>> without_pits(np.float32([[5, 5, 5], [5, 1, 4], [5, 5, 5]]), 0.5)
+    array([[5. , 5. , 5. ],
+           [5. , 4.5, 4.5],
+           [5. , 5. , 5. ]], dtype=float32)
+    """
+    framed = np.pad(heights, SIDE // 2, mode="edge")
+    return _raised(framed, np.float32(depth_m))
+
+
+@kernel
+def _raised(framed: NDArray[np.float32], depth: np.float32) -> NDArray[np.float32]:
+    """Return the cells of `without_pits`, of heights with a frame as wide as half of the square."""
+    half = SIDE // 2
+    rows, cols = framed.shape[0] - 2 * half, framed.shape[1] - 2 * half
+    raised = framed[half : half + rows, half : half + cols].copy()
+    # Rounding keeps the order, so that the median of the floors is the floor of the median.
+    higher, floors = np.empty(cols, dtype=np.int8), np.empty(SIDE * SIDE, dtype=np.float32)
+    for row in range(rows):
+        own = raised[row]
+        higher[:] = 0
+        for i in range(SIDE):
+            for j in range(SIDE):
+                line = framed[row + i, j : j + cols]
+                for col in range(cols):
+                    higher[col] += line[col] - depth > own[col]
+        for col in range(cols):
+            if 2 * higher[col] > floors.size:
+                for i in range(SIDE):
+                    for j in range(SIDE):
+                        floors[SIDE * i + j] = framed[row + i, col + j] - depth
+                own[col] = np.sort(floors)[floors.size // 2]
+    return raised
 
 
 def _supported(observed: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ but `label_zones` and `boxes` also take labelled points, as arrays of one dimens
 """
 
 from msbdb.labels.colouring import colour_touching, touching_pairs
+from msbdb.labels.islands import Islands, islands_of
 from msbdb.labels.mincut import Pairs, minimum_cut, neighbours
 from msbdb.labels.numbering import (
     EIGHT,
@@ -39,6 +40,7 @@ __all__ = [
     "EIGHT",
     "Box",
     "HeightOrder",
+    "Islands",
     "Labels",
     "Pairs",
     "around",
@@ -48,6 +50,7 @@ __all__ = [
     "chosen_cells",
     "colour_touching",
     "height_statistics",
+    "islands_of",
     "label_zones",
     "look_up",
     "measure",

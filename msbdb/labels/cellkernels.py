@@ -142,3 +142,20 @@ def find_root(node: NDArray[np.int32], item: int) -> int:
             node[item] = node[parent]
         item = parent
     return item
+
+
+@kernel
+def gathered(
+    image: NDArray[Any],
+    zones: Labels,
+    islands: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    found: NDArray[Any],
+) -> None:
+    """Fill in what `msbdb.labels.islands.Islands.gather` returns; of each island first cell, extent and place."""
+    first, extent, place = islands
+    for number in range(len(first)):
+        for row in range(extent[number, 0]):
+            for col in range(extent[number, 1]):
+                own_row, own_col = first[number, 0] + row, first[number, 1] + col
+                if zones[own_row, own_col] == number + 1:
+                    found[place[number, 0] + row, place[number, 1] + col] = image[own_row, own_col]

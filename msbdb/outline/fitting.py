@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError
 from msbdb.grid import GridSpec
-from msbdb.labels import Labels
+from msbdb.labels import Labels, islands_of
 from msbdb.outline.arcs import Arcs, Chains, Drawn, Soundness, assembled, at_fault, cut, from_corners, traced_chains
 from msbdb.outline.corners import drawn_arcs, joined_walls, placed_nodes
 from msbdb.outline.directions import arc_frames, no_frames
-from msbdb.outline.polygons import Geometries, polygonise, tidied
+from msbdb.outline.polygons import Geometries, polygonise, tidied, with_joined_corners
 from msbdb.outline.runs import WallCosts, divide, redivided
 from msbdb.outline.simplification import LEVELS, redrawn, simplify_coverage
 from msbdb.params import VectorParams
@@ -67,7 +67,11 @@ def outline_labels(labels: Labels, count: int, spec: GridSpec, params: VectorPar
     """
     if not count:
         return np.empty(0, dtype=object), np.zeros(0, dtype=np.bool_)
-    traced = polygonise(tidied(labels, params.court_m2 / spec.cell_area_m2), spec, count)
+    # Joined corners may let two islands touch.
+    joined = with_joined_corners(labels)
+    islands = islands_of(joined > 0)
+    sheet = tidied(islands.gather(joined), params.court_m2 / spec.cell_area_m2)
+    traced = polygonise(sheet, spec, count, islands=islands)
     if params.walls == "traced":
         return simplify_coverage(traced, params.simplify_px * spec.cell_m), np.zeros(count, dtype=np.bool_)
     return fit_coverage(traced, spec, tolerance_px=params.simplify_px, least_m2=params.court_m2)

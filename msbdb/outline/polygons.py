@@ -7,11 +7,12 @@ from itertools import chain
 import numpy as np
 import rasterio.features
 import shapely
+from affine import Affine
 from numpy.typing import NDArray
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec
-from msbdb.labels import Labels, label_zones, look_up, sizes
+from msbdb.labels import Box, Islands, Labels, label_zones, look_up, sizes
 from msbdb.threads import kernel
 
 Geometries = NDArray[np.object_]
@@ -51,8 +52,7 @@ def tidied(labels: Labels, least_px: float) -> Labels:
            [1, 1, 1, 1],
            [0, 0, 0, 1]], dtype=int32)
     """
-    found = np.ascontiguousarray(labels, dtype=np.int32).copy()
-    _join_corners(found)
+    found = with_joined_corners(labels)
     zones, count = label_zones(found, connectivity=4)
     cells = sizes(zones, count)
     owner = np.zeros(count + 1, dtype=np.int64)
@@ -64,6 +64,13 @@ def tidied(labels: Labels, least_px: float) -> Labels:
     crumb = np.concatenate(([False], (cells < least_px) & ~largest))
     found.ravel()[inside[crumb[zones.ravel()[inside]]]] = 0
     return _without_small_holes(found, least_px)
+
+
+def with_joined_corners(labels: Labels) -> Labels:
+    """Return labels with the empty cells filled beside which two cells of a label touch at a corner alone."""
+    found = np.ascontiguousarray(labels, dtype=np.int32).copy()
+    _join_corners(found)
+    return found
 
 
 @kernel
@@ -114,7 +121,7 @@ def _without_small_holes(labels: Labels, least_px: float) -> Labels:
     return filled
 
 
-def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometries:
+def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int, *, islands: Islands | None = None) -> Geometries:
     """Return the outline of every label, exactly along the cells' edges (V47, V49).
 
     Parameters
@@ -125,6 +132,9 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
         The lattice of the labels.
     count : int
         Number of labels, those that do not occur included.
+    islands : Islands, optional
+        Those on whose sheet the labels are; without it the labels are on the lattice itself. Outlines of a sheet take
+        as long as it is large, and other threads wait for them.
 
     Returns
     -------
@@ -134,7 +144,7 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
     Raises
     ------
     GridMismatchError
-        When the labels do not have the lattice's shape.
+        When the labels do not have the shape of the lattice or the sheet.
     InputError
         When a label lies outside of 0 to ``count``.
 
@@ -156,14 +166,16 @@ def polygonise(labels: NDArray[np.int32], spec: GridSpec, count: int) -> Geometr
     MULTIPOLYGON (((0 1, 0 0, 1 0, 1 1, 0 1)))
     MULTIPOLYGON (((1 1, 1 0, 2 0, 2 1, 1 1)))
     """
-    if labels.shape != spec.shape:
-        msg = f"The labels have the shape {labels.shape}; the lattice has {spec.shape}."
+    shape = spec.shape if islands is None else islands.sheet
+    if labels.shape != shape:
+        msg = f"The labels have the shape {labels.shape}; the lattice has {shape}."
         raise GridMismatchError(msg)
     if labels.min() < 0 or labels.max() > count:
         msg = f"Labels must lie between 0 and {count}; got {labels.min()} to {labels.max()}."
         raise InputError(msg)
     owner, rings, ring_sizes, corners = _traced(np.ascontiguousarray(labels, dtype=np.int32))
     vertices, ring_sizes = _with_nodes(corners, ring_sizes, labels)
+    vertices = vertices if islands is None else islands.corners_on_lattice(vertices)
     world = np.column_stack(spec.corners(vertices[:, 1], vertices[:, 0]))
     offsets = (_offsets(ring_sizes), _offsets(rings), _offsets(sizes(owner, count)))
     outlines = shapely.from_ragged_array(shapely.GeometryType.MULTIPOLYGON, world, offsets)
@@ -194,6 +206,35 @@ def rasterise(geometries: Iterable[shapely.Geometry], spec: GridSpec) -> NDArray
         with _ONE_AT_A_TIME:
             rasterio.features.rasterize(shapes, out=labels, transform=spec.transform)
     return labels
+
+
+def rasterise_window(geometries: Geometries, spec: GridSpec, window: Box) -> Labels:
+    """Return the cells of a window as `rasterise` gives them for the whole lattice.
+
+    An edge may run through centres of cells, as diagonals of traced outlines do. There the last digit decides, which
+    depends on the columns, counted from the first one of the raster. So all columns up to the window's last are drawn.
+
+    Parameters
+    ----------
+    geometries : (N,) ndarray of polygonal geometries
+        In the CRS of the lattice.
+    spec : GridSpec
+        The whole lattice.
+    window : tuple of slice
+        Rows and columns.
+
+    Returns
+    -------
+    (H, W) ndarray of int32
+        Of the window's shape.
+    """
+    rows, cols = window
+    of = spec.transform
+    # Columns, and rows upwards: turned over, a ring would turn the other way, which decides on its horizontal edges.
+    scale, shift = (1 / of.a, -1 / of.e), (-of.c / of.a, of.f / of.e)
+    counted = shapely.transform(geometries, lambda places: places * scale + shift)
+    strip = GridSpec((rows.stop - rows.start, cols.stop), Affine(1, 0, 0, 0, -1, -rows.start), spec.crs)
+    return np.ascontiguousarray(rasterise(counted, strip)[:, cols])
 
 
 def _traced(

@@ -113,8 +113,9 @@ class PointCloud:
 
     def take(self, index: NDArray[np.generic]) -> "PointCloud":
         """Return the points that a boolean or integer index selects, with all their attributes."""
-        changes = {name: value[index] for name, value in self.arrays().items()}
-        return replace(self, **changes)
+        # Of rows of colours a boolean index takes ten times as long as their numbers do.
+        places = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return replace(self, **{name: each.take(places, axis=0) for name, each in self.arrays().items()})  # type: ignore[arg-type]  # as they were
 
     def places(self) -> "PointCloud":
         """Return the points with their places and echoes alone, all that detectors take."""

@@ -20,8 +20,13 @@ MIXING = np.uint64(0x9E3779B97F4A7C15)
 
 def lots(cloud: PointCloud) -> NDArray[np.uint64]:
     """Return (N,) numbers that are spread evenly over 64 bits: a hash of each point's place in millimetres."""
-    mixed = np.zeros(len(cloud), dtype=np.int64)
-    for values, factor in zip((cloud.x, cloud.y, cloud.z), FACTORS, strict=True):
+    return _hashed(cloud.x, cloud.y, cloud.z)
+
+
+def _hashed(*place: NDArray[np.float64]) -> NDArray[np.uint64]:
+    """Return the hashes of coordinates."""
+    mixed = np.zeros(place[0].shape, dtype=np.int64)
+    for values, factor in zip(place, FACTORS, strict=True):
         mixed ^= np.round(values * 1000).astype(np.int64) * factor
     return np.asarray(mixed.view(np.uint64) * MIXING)
 
@@ -70,21 +75,31 @@ def thinned(cloud: PointCloud, most_density: float) -> PointCloud:
     most = most_density * CELL_M**2
     if np.diff(index.starts).max() <= most:
         return cloud
-    kept = _kept(index, cloud.first_echo, lots(cloud), most)
+    dense, limits = _in_dense_cells(index, cloud.first_echo, most)
+    kept = np.ones(len(cloud), dtype=np.bool_)
+    kept[dense] = _hashed(cloud.x[dense], cloud.y[dense], cloud.z[dense]) < limits
     return cloud if kept.all() else cloud.take(kept)
 
 
 @kernel
-def _kept(index: CellIndex, first: Mask, lot: NDArray[np.uint64], most: float) -> Mask:
-    """Return which points stay."""
-    kept = np.ones(first.size, dtype=np.bool_)
+def _in_dense_cells(index: CellIndex, first: Mask, most: float) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return the points of cells with more first echoes than ``most``, and below which lot each of them stays."""
+    limits = np.zeros(index.keys.size)
+    count = 0
     for cell in range(index.keys.size):
         points = index.order[index.starts[cell] : index.starts[cell + 1]]
-        count = 0
+        echoes = 0
         for point in points:
-            count += first[point]
-        if count > most:
-            limit = most / count * 2.0**64
-            for point in points:
-                kept[point] = lot[point] < limit
-    return kept
+            echoes += first[point]
+        if echoes > most:
+            limits[cell] = most / echoes * 2.0**64
+            count += points.size
+    dense, limit = np.empty(count, dtype=np.int32), np.empty(count)
+    end = 0
+    for cell in range(index.keys.size):
+        if limits[cell] > 0:
+            points = index.order[index.starts[cell] : index.starts[cell + 1]]
+            dense[end : end + points.size] = points
+            limit[end : end + points.size] = limits[cell]
+            end += points.size
+    return dense, limit

@@ -15,7 +15,7 @@ from msbdb.database import require_past
 from msbdb.detect.scene import Elevations, Evidence, Scene
 from msbdb.errors import GridMismatchError, InputError, NodataError, collected_notices, give_notice
 from msbdb.grid import Bands, Bounds, Grid, GridSpec, lattice
-from msbdb.ground.choice import POINT_FILTERS, terrain
+from msbdb.ground.choice import terrain
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.io.raster import align_grid
@@ -213,7 +213,7 @@ def prepare(
         surface=surface,
         cloud=None if draft.cloud is None else draft.cloud.places(),
         bands=bands,
-        above=draft.above if surface.ground_filter in POINT_FILTERS else None,
+        above=draft.above,
         intensity=intensity,
     )
     return scene, known, planned

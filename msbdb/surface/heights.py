@@ -13,10 +13,13 @@ from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples, fill_gaps, sample_nearest
 from msbdb.surface.texture import grid_samples
-from msbdb.threads import kernel
+from msbdb.threads import in_threads, kernel
 
 LEAST_GAP_CELLS = 2.0
 """Gaps this wide are filled at any cell size: a jittered scan leaves them within its own spacing."""
+
+PART = 1_000_000
+"""So many points at a time are worked on by a thread."""
 
 GIVEN_GROUND = "given"
 """Name instead of a ground filter's, where the terrain was given as a raster."""
@@ -105,19 +108,25 @@ def heights_above(points: PointCloud, dtm: Grid) -> NDArray[np.float64]:
     (N,) ndarray of float64
         Heights above ground, metres; negative below it.
     """
-    return _heights_above((points.x, points.y, points.z), np.asarray(dtm.values), dtm.spec.frame)
+    terrain, heights = np.asarray(dtm.values), np.empty(len(points))
+
+    def subtract(part: slice) -> None:
+        _subtract((points.x[part], points.y[part], points.z[part]), terrain, dtm.spec.frame, heights[part])
+
+    in_threads(subtract, [slice(start, start + PART) for start in range(0, len(points), PART)])
+    return heights
 
 
 @kernel
-def _heights_above(
+def _subtract(
     xyz: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     terrain: NDArray[np.floating],
     frame: Frame,
-) -> NDArray[np.float64]:
+    heights: NDArray[np.float64],
+) -> None:
     """Subtract the terrain at each point, bilinearly; the same as `scipy.ndimage.map_coordinates` to the last bit."""
     x, y, z = xyz
     last_row, last_col = terrain.shape[0] - 1, terrain.shape[1] - 1
-    heights = np.empty(x.size)
     for i in range(x.size):
         # A whole number is taken off without rounding, so that no window changes the shares.
         down = (frame.north_m - y[i]) / frame.cell_m - frame.row - 0.5
@@ -130,7 +139,6 @@ def _heights_above(
         level = terrain[above, left] * north_share * west_share + terrain[above, beside] * north_share * east_share
         level = level + terrain[below, left] * south_share * west_share
         heights[i] = z[i] - (level + terrain[below, beside] * south_share * east_share)
-    return heights
 
 
 def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Grid, Samples]:

@@ -13,11 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS
+from scipy.ndimage import median_filter
 from support.notices import with_notices
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
-from msbdb.ground.choice import FILTERS, POINT_FILTERS, lowest_surface, terrain
+from msbdb.ground.choice import FILTERS, POINT_FILTERS, lowest_surface, terrain, without_pits
 from msbdb.ground.interpolation import interpolate_ground, refine
 from msbdb.ground.progressive import window_radii
 from msbdb.ground.trend import known_trend, lower_trend
@@ -120,6 +121,18 @@ def test_roofs_leave_and_the_terrain_stays(name, case):
         assert np.abs(error[inside]).max() < min(1.5, above / 2), (r, c)
     assert np.abs(error[~built]).max() < 0.5
     assert dtm.valid.all()
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (2, 2), (9, 1), (40, 60)])
+@pytest.mark.parametrize("step_m", [0.0, 4.0])
+def test_pits_are_raised_as_by_the_median_of_all_cells(shape, step_m):
+    """The median that is sought only where it decides gives the same bytes, also on plateaus and beside the border."""
+    rng = np.random.default_rng(5)
+    heights = 50 + 20 * rng.random(shape) - 30 * (rng.random(shape) < 0.2)
+    heights = np.float32(np.round(heights / step_m) * step_m if step_m else heights)
+    for depth in (0.25, 1.0, 4.0):
+        floor = median_filter(heights, size=5, mode="nearest") - np.float32(depth)
+        assert without_pits(heights, depth).tobytes() == np.maximum(heights, floor).tobytes()
 
 
 @pytest.mark.parametrize("name", list(FILTERS))

@@ -1,5 +1,6 @@
 """Labels to polygons and back."""
 
+import itertools
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -15,11 +16,15 @@ from support.sizes import examples
 
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import GridSpec, lattice
-from msbdb.outline.polygons import polygonise, rasterise
+from msbdb.labels import islands_of, label_zones
+from msbdb.outline.polygons import polygonise, rasterise, rasterise_window, tidied, with_joined_corners
 
 RD = CRS.from_epsg(28992)
 
 label_arrays = hnp.arrays(np.int32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 3))
+sparse_arrays = hnp.arrays(
+    np.int32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=14), elements=st.sampled_from([0, 0, 0, 1, 2, 3])
+)
 
 
 def spec_of(labels, cell_m=0.5):
@@ -40,6 +45,18 @@ def test_polygons_are_exactly_the_cells(labels):
     assert np.array_equal(shapely.area(polygons), cells * spec.cell_area_m2)
     assert shapely.is_valid(polygons).all()
     assert shapely.coverage_is_valid(polygons)
+
+
+@examples(200)
+@given(sparse_arrays)
+def test_outlines_of_a_sheet_are_those_of_the_lattice(values):
+    """Islands that are gathered on a sheet are tidied and outlined as on the lattice."""
+    labels, count = label_zones(values)
+    spec, joined = spec_of(labels), with_joined_corners(labels)
+    islands = islands_of(joined > 0)
+    sheet = polygonise(tidied(islands.gather(joined), 2), spec, count, islands=islands)
+    lattice = polygonise(tidied(labels, 2), spec, count)
+    assert shapely.equals_exact(shapely.normalize(sheet), shapely.normalize(lattice)).all()
 
 
 @examples(50)
@@ -126,3 +143,20 @@ def test_threads_rasterise_one_at_a_time(monkeypatch):
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda _: rasterise([shapely.box(1, 1, 3, 3)], spec), range(8)))
     assert most == [1] * 8
+
+
+@pytest.mark.parametrize(("cell_m", "beside"), [(0.5, 0.0), (2.0, 1.0), (0.3, 0.07)])
+def test_a_window_has_the_cells_of_the_whole_also_on_edges_through_centres(cell_m, beside):
+    """Corners lie on a fine raster of cells and half cells, so that many edges meet centres."""
+    rng = np.random.default_rng(11)
+    spec = GridSpec((90, 400), Affine(cell_m, 0, 389_040 + beside, 0, -cell_m, 5_821_020 - beside), CRS.from_epsg(2154))
+    middles = rng.integers(0, (800, 180), (120, 1, 2)) / 2
+    corners = (middles + rng.integers(-16, 17, (120, 5, 2)) / 2) * (cell_m, -cell_m)
+    corners += (spec.transform.c, spec.transform.f)
+    shapes = np.array([shapely.convex_hull(shapely.multipoints(one)) for one in corners])
+    shapes = shapes[shapely.area(shapes) > 0]
+    shapes[::2] = shapely.reverse(shapes[::2])
+    whole = rasterise(shapes, spec)
+    for top, left in itertools.product(range(0, 90, 23), range(0, 400, 57)):
+        window = slice(top, min(top + 23, 90)), slice(left, min(left + 57, 400))
+        assert np.array_equal(rasterise_window(shapes, spec, window), whole[window])

@@ -5,43 +5,27 @@ The surface is measured by the residual of the plane through the neighbours, and
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from skimage.filters import threshold_otsu
 
+from msbdb.detect.adaptive.surroundings import means_around, plane_residuals
 from msbdb.detect.pointregions import PlacedPoints, places
 from msbdb.errors import InputError
 from msbdb.grid import GridSpec
-from msbdb.labels import look_up
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams
 from msbdb.points.aside import let_go, set_aside
-from msbdb.points.cellindex import CellIndex, cell_place, index_cells, strip
 from msbdb.points.cloud import PointCloud, measure_density
-from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]
 
 KIND = "\0adaptive"
 """Follows the survey's name in the ids' keys, so that no region has the id of a part at the same place."""
 
-LEAST_POINTS = 5
-"""A plane always fits fewer points, or nearly."""
-
 PLANE_POINTS = 7
 """On the typical ground a sphere holds so many other points of a level surface on average: nine of ten hold a plane."""
-
-SPLITS = 2
-"""Cells to the radius of a sphere: finer ones than the radius let the window fit the disc better."""
-
-SHARING = 4
-"""Cells to the radius of means: the points of one cell share theirs."""
-
-PARTS = 16
-"""The work is cut into so many parts; their borders have no effect on the result."""
 
 GREEN = 1
 SCATTERED = 2
@@ -239,145 +223,3 @@ def _degree(residual_m: NDArray[np.float32], level_m: float) -> NDArray[np.float
     with np.errstate(divide="ignore"):
         octaves = np.log2(residual_m / np.float32(level_m))
     return np.asarray(np.clip((1 - octaves) / 2, 0, 1), dtype=np.float32)
-
-
-def plane_residuals(x: Floats, y: Floats, z: Floats, radius_m: float) -> NDArray[np.float32]:
-    """Return how far the neighbours of each point within a sphere lie from their best plane.
-
-    Parameters
-    ----------
-    x, y, z : (N,) ndarray of float64, metres
-        Finite coordinates.
-    radius_m : float
-        Radius of the sphere, metres.
-
-    Returns
-    -------
-    (N,) ndarray of float32, metres
-        Distance from the plane of least squares, upright ones included: the root of n/(n - 3) times the smallest
-        eigenvalue of the covariance of n neighbours. The plane takes three degrees of freedom, so that crowns are as
-        rough under few points as under many. Infinite for fewer than `LEAST_POINTS` points. The point is one of its
-        neighbours.
-    """
-    index = index_cells(x, y, radius_m / SPLITS)
-    found = np.empty(len(x), dtype=np.float32)
-    sorted_points = Sorted(index, look_up(x, index.order), look_up(y, index.order), radius_m)
-    sorted_z = look_up(z, index.order)
-    in_threads(lambda part: _residuals(sorted_points, sorted_z, part, found), _parts(index))
-    return found
-
-
-def means_around(x: Floats, y: Floats, values: NDArray[np.float32], radius_m: float) -> NDArray[np.float32]:
-    """Return the means over all points within a radius in plan.
-
-    Parameters
-    ----------
-    x, y : (N,) ndarray of float64, metres
-        Finite coordinates.
-    values : (N, 3) ndarray of float32
-        Finite. Overwritten by the means.
-    radius_m : float
-        Radius, metres.
-
-    Returns
-    -------
-    (N, 3) ndarray of float32
-
-    Notes
-    -----
-    The means vary little over a quarter of the radius. So the points of a cell of that side share one mean, over the
-    disc around their own mean place. Where points are dense this takes a fraction of the time.
-    """
-    index = index_cells(x, y, radius_m / SHARING)
-    sorted_points = Sorted(index, look_up(x, index.order), look_up(y, index.order), radius_m)
-    sorted_values = np.ascontiguousarray(values[index.order])
-    in_threads(lambda part: _means(sorted_points, sorted_values, part, values), _parts(index))
-    return values
-
-
-def _parts(index: CellIndex) -> list[tuple[int, int]]:
-    """Cut the cells into parts of about equal numbers of points."""
-    wanted = np.linspace(0, index.order.size, PARTS + 1)
-    edges = np.unique(np.searchsorted(index.starts, wanted))
-    return [(int(a), int(b)) for a, b in pairwise(edges)]
-
-
-class Sorted(NamedTuple):
-    """Points in the order of their cells, and the radius within which others are neighbours; for kernels."""
-
-    cells: CellIndex
-    x: Floats
-    y: Floats
-    radius_m: float
-
-
-@kernel
-def _residuals(points: Sorted, z: Floats, part: tuple[int, int], found: NDArray[np.float32]) -> None:
-    """Fill in the residuals of the points of a part of the cells; z comes in the order of the cells."""
-    # Each part writes only the points of its own cells, so threads share nothing and the parts have no effect.
-    index, x, y, radius_m = points
-    limit = radius_m * radius_m
-    for cell in range(part[0], part[1]):
-        row, col = cell_place(index, cell)
-        # Cells are 1 / SPLITS of the radius wide: these rows hold all neighbours of all points of the cell.
-        strips = [strip(index, other, col - SPLITS, col + SPLITS) for other in range(row - SPLITS, row + SPLITS + 1)]
-        for point in range(index.starts[cell], index.starts[cell + 1]):
-            # Sums of offsets from the point itself, which are small, so that their squares keep their digits.
-            n, sx, sy, sz = 0, 0.0, 0.0, 0.0
-            xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for first, stop in strips:
-                for other in range(first, stop):
-                    dx, dy, dz = x[other] - x[point], y[other] - y[point], z[other] - z[point]
-                    if dx * dx + dy * dy + dz * dz <= limit:
-                        n += 1
-                        sx, sy, sz = sx + dx, sy + dy, sz + dz
-                        xx, yy, zz = xx + dx * dx, yy + dy * dy, zz + dz * dz
-                        xy, xz, yz = xy + dx * dy, xz + dx * dz, yz + dy * dz
-            if n < LEAST_POINTS:
-                found[index.order[point]] = np.inf
-            else:
-                mx, my, mz = sx / n, sy / n, sz / n
-                squares = (xx / n - mx * mx, yy / n - my * my, zz / n - mz * mz)
-                products = (xy / n - mx * my, xz / n - mx * mz, yz / n - my * mz)
-                least = _least_eigenvalue(squares, products)
-                found[index.order[point]] = math.sqrt(max(least, 0.0) * n / (n - 3))
-
-
-@kernel
-def _least_eigenvalue(squares: tuple[float, float, float], products: tuple[float, float, float]) -> float:
-    """Return the smallest eigenvalue of a symmetric matrix of xx, yy, zz and xy, xz, yz (Smith 1961)."""
-    xx, yy, zz = squares
-    xy, xz, yz = products
-    # Without the mean of its diagonal the matrix has trace 0, and its eigenvalues are 2 spread cos(angle + 2πk/3).
-    mean = (xx + yy + zz) / 3
-    ax, ay, az = xx - mean, yy - mean, zz - mean
-    spread = math.sqrt((ax * ax + ay * ay + az * az + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
-    if spread <= 0:
-        return mean
-    determinant = ax * (ay * az - yz * yz) - xy * (xy * az - yz * xz) + xz * (xy * yz - ay * xz)
-    # Rounding may bring the cosine just beyond -1 or 1. The angle plus 2π/3 gives the smallest eigenvalue.
-    cosine = min(1.0, max(-1.0, determinant / (2 * spread * spread * spread)))
-    return mean + 2 * spread * math.cos(math.acos(cosine) / 3 + 2 * math.pi / 3)
-
-
-@kernel
-def _means(points: Sorted, values: NDArray[np.float32], part: tuple[int, int], found: NDArray[np.float32]) -> None:
-    """Fill in the means about the points of a part of the cells; the values come in the order of the cells."""
-    index, x, y, radius_m = points
-    limit = radius_m * radius_m
-    # Sums in float64 go through the points in the order of the cells, so the means do not depend on the parts.
-    for cell in range(part[0], part[1]):
-        row, col = cell_place(index, cell)
-        begin, end = index.starts[cell], index.starts[cell + 1]
-        east, north = x[begin:end].mean(), y[begin:end].mean()
-        n, one, two, three = 0, 0.0, 0.0, 0.0
-        for other_row in range(row - SHARING, row + SHARING + 1):
-            first, stop = strip(index, other_row, col - SHARING, col + SHARING)
-            for other in range(first, stop):
-                dx, dy = x[other] - east, y[other] - north
-                if dx * dx + dy * dy <= limit:
-                    n += 1
-                    one, two, three = one + values[other, 0], two + values[other, 1], three + values[other, 2]
-        for point in range(begin, end):
-            own = found[index.order[point]]
-            own[0], own[1], own[2] = one / n, two / n, three / n

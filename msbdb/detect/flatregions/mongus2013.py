@@ -14,7 +14,7 @@ from msbdb.detect.flatregions.recognition import FlatRegionLedger, clean, descri
 from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import GridMismatchError, NodataError, give_notice
 from msbdb.grid import Grid
-from msbdb.labels import Labels, chosen_cells, label_zones, reorder, sizes
+from msbdb.labels import Labels, chosen_cells, islands_of, label_zones, reorder, sizes
 from msbdb.ledger import Answers
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
@@ -101,7 +101,8 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
             give_notice(GROUND_IS_FLAT.format(share=share))
     order = np.argsort(found.regions["region_id"].to_numpy(), kind="stable")
     labels = reorder(found.labels, order, len(order))
-    traced = polygonise(labels, spec, len(order))
+    islands = islands_of(labels > 0)
+    traced = polygonise(islands.gather(labels), spec, len(order), islands=islands)
     outlines = simplify_coverage(traced, params.vector.simplify_px * spec.cell_m)
     regions = found.regions.iloc[order].reset_index(drop=True)
     table = gpd.GeoDataFrame(regions, geometry=list(outlines), crs=spec.crs)[[*FLAT_REGION.names, "geometry"]]

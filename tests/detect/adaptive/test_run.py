@@ -16,7 +16,8 @@ from simulated.scenes import BUILDING, courtyard, under_trees
 from support.notices import with_notices
 
 from msbdb.detect.adaptive.bathurst import extract_adaptive, ladder
-from msbdb.detect.adaptive.offground import OffGround, classify_vegetation, plane_residuals, structure
+from msbdb.detect.adaptive.offground import OffGround, classify_vegetation, structure
+from msbdb.detect.adaptive.surroundings import plane_residuals
 from msbdb.errors import InputError
 from msbdb.evaluate import PointReference, evaluate
 from msbdb.grid import lattice
