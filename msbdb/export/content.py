@@ -69,9 +69,7 @@ class Content:
 
     def textual(self, name: str) -> Layer:
         """Return a layer as files have it: ids as text."""
-        layer = self.layers[name]
-        columns = {own: texts(values) if own in IDS else values for own, values in layer.columns.items()}
-        return replace(layer, columns=columns)
+        return with_text_ids(self.layers[name])
 
     def only(self, *names: str) -> Self:
         """Return the content with these layers alone, in this order.
@@ -86,3 +84,9 @@ class Content:
                 msg = f"There is no layer '{name}' in --what {self.what}; it has {', '.join(self.layers)}."
                 raise InputError(msg)
         return replace(self, layers={name: self.layers[name] for name in names})
+
+
+def with_text_ids(layer: Layer) -> Layer:
+    """Return rows as files have them: ids as text."""
+    columns = {own: texts(values) if own in IDS else values for own, values in layer.columns.items()}
+    return replace(layer, columns=columns)

@@ -61,6 +61,8 @@ class Format:
         ``single``, the layer that it takes by default.
     options : mapping of str to str
         Its own options by name, with their meaning.
+    encoded : bool
+        It takes geometries as WKB, too, which need less memory.
     """
 
     name: str
@@ -70,12 +72,13 @@ class Format:
     single: bool = False
     needs: tuple[str, ...] = ()
     options: Mapping[str, str] = field(default_factory=lambda: NO_OPTIONS)
+    encoded: bool = False
 
 
 FORMATS: dict[str, Format] = {
     own.name: own
     for own in (
-        Format("geopackage", "GeoPackage", (".gpkg",), write_geopackage),
+        Format("geopackage", "GeoPackage", (".gpkg",), write_geopackage, encoded=True),
         Format("geojson", "GeoJSON", (".geojson", ".json"), write_geojson, single=True),
         Format("flatgeobuf", "FlatGeobuf", (".fgb",), write_flatgeobuf, single=True),
         Format("geoparquet", "GeoParquet", (".parquet", ".geoparquet"), write_parquet, single=True),

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from msbdb.export.content import ROOF_EDGES, Content
+from msbdb.export.content import ROOF_EDGES, Content, with_text_ids
 from msbdb.export.fields import FIELDS
 from msbdb.export.qgis.project import layers_of, project, style_document
 from msbdb.export.qgis.symbology import STYLES
@@ -50,10 +50,8 @@ def write_geopackage(content: Content, path: Path, options: Mapping[str, str]) -
     def complete(written: Path) -> None:
         complete_geopackage(content, path.stem, written)
 
-    layers = {name: content.textual(name) for name in content.layers}
-    write_layers(
-        path, layers, "GPKG", complete, DESCRIPTION=ROOF_EDGES, VERSION="1.2"
-    )  # older GDAL warns of newer ones
+    how = {"DESCRIPTION": ROOF_EDGES, "VERSION": "1.2"}  # older GDAL warns of newer versions
+    write_layers(path, content.layers, "GPKG", complete, with_text_ids, **how)
 
 
 def complete_geopackage(content: Content, title: str, path: Path) -> None:

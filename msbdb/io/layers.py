@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -31,6 +31,12 @@ ROOM_BYTES = 2**16
 """More than the drivers keep in their buffers until they close a file."""
 
 
+ROWS_AT_A_TIME = 20_000
+"""Rows that are written at once, where a format takes more later."""
+
+APPENDED = frozenset({"GPKG"})
+"""OGR's names of the formats to whose layers rows are appended as quickly as they are written."""
+
 DEFERRED = ("geopandas", "pandas", "pyproj")
 """Libraries that writing arrays does not need; loading them takes as long as all the rest of an export."""
 
@@ -44,7 +50,7 @@ class Layer:
     columns : mapping of str to (N,) ndarray
         By name: numbers, where NaN is null; objects, which are texts or None; or a masked array, null where masked.
     geometry : (N,) ndarray of object
-        Geometries of one type.
+        Geometries of one type; of what is only written also their WKB, bytes.
     crs : str
         Their CRS as GDAL takes it, from `crs_text`; a layer without one cannot be written.
     kind : str
@@ -76,6 +82,13 @@ class Layer:
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.geometry)
+
+    def pieces(self, size: int) -> Iterator[Self]:
+        """Yield the rows, so many at a time; a layer without rows is a piece, too."""
+        for first in range(0, max(len(self), 1), size):
+            some = slice(first, first + size)
+            columns = {name: values[some] for name, values in self.columns.items()}
+            yield replace(self, columns=columns, geometry=self.geometry[some])
 
 
 def _column(values: Any) -> NDArray[Any]:  # noqa: ANN401  (a series of pandas, which is not loaded here)
@@ -116,6 +129,7 @@ def write_layers(
     layers: Mapping[str, Layer],
     driver: str,
     finish: Callable[[Path], None] | None = None,
+    prepared: Callable[[Layer], Layer] | None = None,
     /,
     *,
     encoding: str | None = None,
@@ -133,6 +147,8 @@ def write_layers(
         OGR's name of the format, such as GPKG.
     finish : callable, optional
         Completes the written file, before it takes its place.
+    prepared : callable, optional
+        Makes of rows what is written. It is called for each piece of a layer.
     encoding : str, optional
         Of texts, for drivers with a choice.
     **options
@@ -151,6 +167,8 @@ def write_layers(
     or the new one. A Shapefile consists of several files, which are moved one by one, the .shp last. A crash between
     the moves can leave a mixture of old and new files.
 
+    GeoPackages are written `ROWS_AT_A_TIME`, so that only these rows are in memory once more as GDAL takes them.
+
     GDAL reports no error when the disk is full as it closes a file, and the last few kB are lost. So some free space is
     required after it.
     """
@@ -164,11 +182,11 @@ def write_layers(
         with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
             written = Path(folder, path.name)
             with _unsynchronised(pyogrio):
-                for name, layer in layers.items():
+                for name, layer in _pieces(layers, driver, prepared):
                     columns = layer.columns.values()
                     pyogrio.raw.write(
                         written,
-                        shapely.to_wkb(layer.geometry),
+                        _encoded(layer.geometry),
                         [np.asarray(values) for values in columns],
                         list(layer.columns),
                         [values.mask if isinstance(values, np.ma.MaskedArray) else None for values in columns],
@@ -188,6 +206,22 @@ def write_layers(
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         msg = f"{path} cannot be written: {reason}. Check the folder, its permissions and the space on the disk."
         raise FileError(msg) from error
+
+
+def _encoded(geometry: NDArray[np.object_]) -> NDArray[np.object_]:
+    """Return geometries as WKB."""
+    if len(geometry) and isinstance(geometry[0], bytes):
+        return geometry
+    return np.asarray(shapely.to_wkb(geometry), dtype=np.object_)
+
+
+def _pieces(
+    layers: Mapping[str, Layer], driver: str, prepared: Callable[[Layer], Layer] | None
+) -> Iterator[tuple[str, Layer]]:
+    """Yield what is written at once, with the name of its layer."""
+    for name, layer in layers.items():
+        for piece in layer.pieces(ROWS_AT_A_TIME) if driver in APPENDED else (layer,):
+            yield name, piece if prepared is None else prepared(piece)
 
 
 class _Deferred(ModuleType):

@@ -21,16 +21,15 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import ParameterError, give_notice
 from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.fuse.touching import Division, divide
-from msbdb.grid import Bounds, Grid
+from msbdb.grid import Grid
 from msbdb.kept import KeptRun
 from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.points.aside import let_go
-from msbdb.points.cloud import PointCloud
 from msbdb.run.describe import Description, count_cells, describe, describe_choices, describe_rasters
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, Window, is_large, make_plan, note_missing_sources, prepare, read_cloud
+from msbdb.run.prepare import Label, is_large, make_plan, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
@@ -93,100 +92,30 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
         with collect_notices(Notices()), memory_reused():
             planned = make_plan(job.inputs, job.params, stages)
     with collect_notices(notices), memory_reused():
-        found = find_buildings(job, stages, planned)
-    run = record_run(job, found.counts, stages.timings, notices)
-    made = found.description
-    return KeptRun(found.scene.survey, run, made.frames, made.rasters, found.plan, made.packed)
+        with stages.stage("read"):
+            cloud = read_cloud(job.inputs, stages.progress, None if planned is None else planned.points)
+        scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned)
+        del cloud
+        note_missing_sources(scene)
+        choices = describe_choices(scene, params)
+        regions = detect(scene, job.methods, params, stages)
+        if job.denoising_figure is not None and "flatregions" in job.methods:
+            _draw_denoising(scene, params, job.denoising_figure)
+        scene = scene.without_sources()
+        made = fuse_and_describe(scene, regions, params, stages)
+    run = record_run(job, counts_of(scene, made, job, choices), stages.timings, notices)
+    return KeptRun(scene.survey, run, made.frames, made.rasters, plan, made.packed)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What the steps found in a survey, or in a window of it.
-
-    Parameters
-    ----------
-    scene : Scene
-        Without its sources.
-    plan : Plan
-        That given, or that of the survey.
-    description : Description
-        Tables, rasters and counts.
-    counts : Counts
-        What the run keeps of them.
-    points : int
-        Points in the own ground of the window; of rasters, cells with a value.
-    reach : tuple of float or None
-        West, south, east and north of these points, or of all of these cells, metres; None without any.
-    """
-
-    scene: Scene
-    plan: Plan
-    description: Description
-    counts: Counts
-    points: int = 0
-    reach: Bounds | None = None
-
-
-def find_buildings(job: Job, stages: Stages, planned: Plan | None, window: Window | None = None) -> Found:
-    """Take a survey, or a window of it, through all steps from reading to description.
-
-    Parameters
-    ----------
-    job : Job
-        What to do.
-    stages : Stages
-        For timings and progress.
-    planned : Plan or None
-        The plan; None where the survey makes its own.
-    window : Window, optional
-        The part that is built; then the classes count the cells of its own ground alone.
-    """
-    facts, area = (None if planned is None else planned.points), (None if window is None else window.area)
-    with stages.stage("read"):
-        cloud = read_cloud(job.inputs, stages.progress, facts, area)
-    scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, window=window)
-    points, reach = 0, None
-    if window is not None:
-        points, reach = _cells_in(scene.heights, window.own) if cloud is None else _held_by(cloud, window.own)
-    del cloud
-    scene = scene.with_points_aside()
-    note_missing_sources(scene)
-    choices = describe_choices(scene, params)
-    regions = detect(scene, job.methods, params, stages, frugal=window is not None)
-    if job.denoising_figure is not None and "flatregions" in job.methods:
-        _draw_denoising(scene, params, job.denoising_figure)
-    scene = scene.without_sources()
-    found = fuse_and_describe(scene, regions, params, stages, packs=window is None)
-    counts = Counts(
-        regions=found.counts,
+def counts_of(scene: Scene, made: Description, job: Job, choices: dict[str, object]) -> Counts:
+    """Return what a run counts, states and chooses: its regions by stage, its cells, and how they were classified."""
+    return Counts(
+        regions=made.counts,
         cells=count_cells(scene.heights, scene.cover),
         cover={"colours_decide": int(scene.cover.colours_decide), "green_decides": int(scene.cover.green_decides)},
         stated=job.inputs.stated(),
         chosen=choices,
     )
-    return Found(scene, plan, found, counts, points, reach)
-
-
-def _held_by(cloud: PointCloud, own: Bounds) -> tuple[int, Bounds | None]:
-    """Return how many points lie in bounds, and how far they reach; those on the west or south edge count."""
-    west, south, east, north = own
-    held = (cloud.x >= west) & (cloud.x < east) & (cloud.y >= south) & (cloud.y < north)
-    if not held.any():
-        return 0, None
-    # Without copies of the coordinates, which would be the highest peak of all.
-    (west, east), (south, north) = (
-        (float(each.min(where=held, initial=np.inf)), float(each.max(where=held, initial=-np.inf)))
-        for each in (cloud.x, cloud.y)
-    )
-    return int(np.count_nonzero(held)), (west, south, east, north)
-
-
-def _cells_in(heights: Grid, own: Bounds) -> tuple[int, Bounds | None]:
-    """Return how many cells with a value have their centre in bounds, and how far all cells there reach."""
-    rows, cols = heights.spec.within(own)
-    if rows.start == rows.stop:
-        return 0, None
-    return int(np.count_nonzero(heights.valid[rows, cols])), heights.spec.crop(rows, cols).bounds
 
 
 def record_run(job: Job, counts: Counts, timings: dict[str, float], notices: Notices) -> Run:
@@ -222,7 +151,7 @@ def relabelled(
     params = with_values(params, {"scale": {"scales_m2": kept.frames["scale"]["threshold_m2"].tolist()[::-1]}})
     if "multiscale" in kept.run.methods:
         regions = {**regions, **detect(scene, ["multiscale"], params, stages)}
-    found = fuse_and_describe(scene, regions, params, stages, packs=True)
+    found = fuse_and_describe(scene, regions, params, stages)
     counts = replace(kept.run.counts, regions=found.counts, cells=count_cells(scene.heights, scene.cover))
     run = replace(kept.run, counts=counts, timings={**kept.run.timings, **stages.timings})
     return KeptRun(kept.survey, run, found.frames, found.rasters, kept.plan, found.packed)
@@ -247,12 +176,10 @@ def detect(
     return dict(zip(methods, found, strict=True))
 
 
-def fuse_and_describe(
-    scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages, *, packs: bool = False
-) -> Description:
+def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:
     """Fuse, decompose and describe: the steps that a build and a re-labelling share.
 
-    Where the run will be written as a whole, it ``packs`` the rasters beside the first steps, which use one core.
+    The rasters are packed beside the first steps, which use one core.
     """
     rasters = describe_rasters(scene, regions)
 
@@ -260,7 +187,7 @@ def fuse_and_describe(
         built = fuse(scene, regions, params, stages)
         return built, divide_houses(scene, built, params, stages)
 
-    (built, division), packed = together(decide, partial(pack_rasters, rasters.by_name() if packs else {}))
+    (built, division), packed = together(decide, partial(pack_rasters, rasters.by_name()))
     with stages.stage("parts"):
         forest = decompose(scene, regions, built, division, params)
     with stages.stage("outlines"):

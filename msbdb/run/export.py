@@ -87,8 +87,13 @@ def export_database(
     target = None if crs is None else _target(crs)
     if aoi is not None:
         require_input(aoi)
+    # Nothing looks at geometries on the way to the file.
+    encoded = chosen.encoded and aoi is None and target is None
     with opened(db) as engine:
-        content = _changes(db, at) if what == "changes" else read_content(engine, what, names, survey=survey, at=at)
+        if what == "changes":
+            content = _changes(db, at)
+        else:
+            content = read_content(engine, what, names, survey=survey, at=at, encoded=encoded)
         if aoi is not None:
             content = _within(content, aoi)
     if target is not None:
@@ -100,14 +105,21 @@ def export_database(
 
 
 def read_content(
-    engine: Engine, what: str, names: Sequence[str], *, survey: str | None = None, at: str | None = None
+    engine: Engine,
+    what: str,
+    names: Sequence[str],
+    *,
+    survey: str | None = None,
+    at: str | None = None,
+    encoded: bool = False,
 ) -> Content:
     """Read layers as one committed state, and give a notice of what was taken where that is not one survey.
 
-    ``footprint`` is read, too, where ``part`` is.
+    ``footprint`` is read, too, where ``part`` is. ``encoded`` leaves geometries as WKB, for a file alone.
     """
     wanted = dict.fromkeys(("footprint", *names) if "part" in names else names)
-    found = read_shown(engine, tuple(wanted), survey=survey, inventory=what in ("current", "parts"), date=at)
+    present = what in ("current", "parts")
+    found = read_shown(engine, tuple(wanted), survey=survey, inventory=present, date=at, encoded=encoded)
     tell_choice(
         engine, Choice(tuple(own.name for own in found.surveys), present=found.present), named=survey is not None
     )

@@ -4,15 +4,16 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msbdb.errors import FileError, MissingDependencyError, ParameterError, TilesError
 from msbdb.scale.tilework import Outcome, TileTask, work
+from msbdb.threads import own_process
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -27,9 +28,6 @@ AHEAD = 2
 
 TIMEOUT_S = 20.0
 """Seconds to wait for a scheduler."""
-
-PROGRAM = "msbdb.run.compose"
-"""What a worker loads when it starts: all that tiles need, which takes seconds."""
 
 LOST = (
     "The scheduler of the cluster is lost. The tiles that are done wait. Start a cluster again, and repeat the command "
@@ -70,6 +68,11 @@ def cluster_of(
     return _cluster(workers, scheduler, processes)
 
 
+def dask_setup(_worker: object) -> None:
+    """Prepare the process of a worker: dask calls this in each one that it starts, when it has loaded this module."""
+    own_process()
+
+
 @contextmanager
 def _cluster(workers: int | None, scheduler: str | None, processes: bool) -> Iterator["Client"]:
     """Start or connect, see `cluster_of`."""
@@ -96,7 +99,8 @@ def _cluster(workers: int | None, scheduler: str | None, processes: bool) -> Ite
             # Any free port: without an address dask takes 8787, which another cluster may have.
             dashboard_address="127.0.0.1:0",
             memory_limit=0,
-            preload=[PROGRAM],
+            # All that tiles need, which takes seconds.
+            preload=[__name__],
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
@@ -105,11 +109,27 @@ def _cluster(workers: int | None, scheduler: str | None, processes: bool) -> Ite
         yield client
 
 
-@contextmanager
-def beginning(cluster: AbstractContextManager["Client"], *, aside: bool) -> Iterator[Callable[[], "Client"]]:
-    """Begin a cluster, in a thread of its own if ``aside``, and yield what waits for it; it ends with the block.
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """A cluster that begins and ends beside other work of this process.
 
-    Workers of this machine start on its other cores while the block makes a plan.
+    Parameters
+    ----------
+    client : callable
+        Waits until the cluster has begun, and returns its client; its errors are those of `cluster_of`.
+    dismiss : callable
+        Begins to end the cluster, and does not wait for it.
+    """
+
+    client: Callable[[], "Client"]
+    dismiss: Callable[[], None]
+
+
+@contextmanager
+def beginning(cluster: AbstractContextManager["Client"], *, aside: bool) -> Iterator[Workers]:
+    """Begin a cluster, in a thread of its own if ``aside``, and yield it; it ends with the block, or when dismissed.
+
+    Workers of this machine start on its other cores while the block makes a plan, and end while it merges tiles.
 
     Raises
     ------
@@ -120,7 +140,10 @@ def beginning(cluster: AbstractContextManager["Client"], *, aside: bool) -> Iter
         begun = pool.submit(ending.enter_context, cluster)
         if not aside:
             begun.result()
-        yield begun.result
+        ended: list[Future[None]] = []
+        yield Workers(begun.result, lambda: ended.append(pool.submit(ending.close)))
+        for end in ended:
+            end.result()
 
 
 @contextmanager
@@ -191,8 +214,8 @@ def work_on(
         task = running.pop(future.key)
         with _losing(client):
             error = future.exception()
-            summary = None if error is not None else future.result()
-        yield task, summary, "" if error is None else f"{type(error).__name__}: {error}"
+            status = None if error is not None else future.result()
+        yield task, status, "" if error is None else f"{type(error).__name__}: {error}"
         future.release()
         if waiting:
             give()

@@ -160,15 +160,17 @@ class TiledBuild:
         return TileTask(tile, job, self.plan, self.survey, *wide, status, self.place, self.build)
 
     def results(self, engine: Engine) -> Iterator[Result]:
-        """Yield the results of all tiles in order, one in memory at a time, without those that have no heights."""
+        """Yield the results of all tiles in order, one in memory at a time."""
         for tile in self.tiles:
             content = self.content(tile, engine)
             if content is None:
                 msg = f"The result of the tile {tile} of '{self.name}' is gone. Repeat the command with --resume."
                 raise DatabaseError(msg)
-            found = Result.of((tile.row, tile.column), content)
-            if not found.is_empty:
-                yield found
+            yield Result.of((tile.row, tile.column), content)
+
+    def held(self, engine: Engine) -> Iterator[Result]:
+        """Yield the results that have points or heights."""
+        return (found for found in self.results(engine) if not found.is_empty)
 
     def content(self, tile: Tile, engine: Engine) -> bytes | None:
         """Return the result of a tile; None if it has no result yet."""
@@ -242,12 +244,14 @@ def build_with(
         return build_tiles(job, target, side_m, stages, notices, runner=one_by_one, resume=resume, basis=basis)
     from msbdb.scale.cluster import beginning, cluster_of, work_on
 
-    # Workers of this machine share its cores. They start while the plan is made.
+    # Workers of this machine share its cores. They start while the plan is made, and end while the tiles are merged.
     share = None if scheduler or not workers else cores() // workers
-    with beginning(cluster_of(workers, scheduler), aside=scheduler is None) as client:
+    with beginning(cluster_of(workers, scheduler), aside=scheduler is None) as crew:
 
         def runner(tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:
-            return work_on(client(), tasks, begin, share)
+            if tasks:
+                yield from work_on(crew.client(), tasks, begin, share)
+            crew.dismiss()
 
         return build_tiles(job, target, side_m, stages, notices, runner=runner, resume=resume, basis=basis)
 
@@ -313,7 +317,7 @@ def build_tiles(
         if len(done) < len(build.tiles) or there:
             with stages.stage("tiles"):
                 waiting = [tile for tile in build.tiles if tile not in done or tile not in there]
-                _run(build, waiting, runner, stages, notices)
+                _run(build, waiting, runner, stages)
             with stages.stage("write"):
                 merged = _merge(build, engine, stages, notices, basis)
         build.clear()
@@ -322,7 +326,7 @@ def build_tiles(
         engine.dispose()
 
 
-def _run(build: TiledBuild, waiting: Sequence[Tile], runner: Runner, stages: Stages, notices: Notices) -> None:
+def _run(build: TiledBuild, waiting: Sequence[Tile], runner: Runner, stages: Stages) -> None:
     """Build the tiles that are not done, and keep how far each is."""
     tasks = [build.task(tile) for tile in waiting]
     failed: list[tuple[Tile, str]] = []
@@ -331,19 +335,14 @@ def _run(build: TiledBuild, waiting: Sequence[Tile], runner: Runner, stages: Sta
         note_tile(build.target, replace(task.status, state="running"))
 
     done = len(build.tiles) - len(waiting)
-    for ended, (task, summary, reason) in enumerate(runner(tasks, begin), start=done + 1):
-        if summary is None:
+    for ended, (task, status, reason) in enumerate(runner(tasks, begin), start=done + 1):
+        if status is None:
             failed.append((task.tile, reason))
             note_tile(build.target, replace(task.status, state="failed", reason=reason))
-        else:
-            if build.is_file:
-                note_tile(build.target, summary.status)
-            # What counts points of one tile would be told for each; a tile that is built again says the same twice.
-            new = dict.fromkeys(each for each in summary.notices if not any(letter.isdigit() for letter in each))
-            notices.kept += [each for each in new if each not in notices.kept]
+        elif build.is_file:
+            note_tile(build.target, status)
         if stages.progress is not None:
             stages.progress("tiles", ended, len(build.tiles))
-    notices.kept.sort()
     if failed:
         tile, reason = min(failed)
         msg = (
@@ -366,12 +365,12 @@ def _merge(build: TiledBuild, engine: Engine, stages: Stages, notices: Notices, 
         cells=build.cells,
     )
     coming: dict[str, int] = {}
-    for found in build.results(engine):
+    for found in build.held(engine):
         for name, count in found.about["rows"].items():
             coming[name] = coming.get(name, 0) + count
 
     def pieces(names: tuple[str, ...], *, rasters: bool) -> Iterator[Piece]:
-        return (found.piece(names, rasters=rasters) for found in build.results(engine))
+        return (found.piece(names, rasters=rasters) for found in build.held(engine))
 
     try:
         return merge_tiles(build.target, head, pieces, coming=coming, basis=basis)

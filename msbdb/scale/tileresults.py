@@ -3,7 +3,7 @@
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from msbdb.database import METHODS, Piece
+from msbdb.errors import MsbdbWarning
 from msbdb.grid import GridSpec
 from msbdb.identity import to_json
 from msbdb.ledger import sum_up
 from msbdb.params import POINT_DETECTORS
-from msbdb.run.compose import Found
 from msbdb.scale.tiling import Tile, first_cells, owned_buildings
+from msbdb.scale.windowbuild import Found
 from msbdb.tables import TABLES, Reason
 
 RING_M = 20.0
@@ -30,7 +31,15 @@ STRAIGHT = ("scale", "spectral_class", "spectral_class_band")
 """Tables that each tile has for the run as a whole."""
 
 
-def packed(tile: Tile, found: Found | None, *, halo_m: float, cut: int, least_m2: float) -> bytes:
+def packed(
+    tile: Tile,
+    found: Found | None,
+    *,
+    halo_m: float,
+    cut: int,
+    least_m2: float,
+    notices: Iterable[MsbdbWarning] = (),
+) -> bytes:
     """Return what a tile owns as the bytes of a zip file: tables as Parquet, rasters as npy, and the rest as JSON.
 
     Parameters
@@ -45,8 +54,10 @@ def packed(tile: Tile, found: Found | None, *, halo_m: float, cut: int, least_m2
         Islands of roofs that its window cuts.
     least_m2 : float
         Least area of a building: dropped regions from this on have a row in the ledger.
+    notices : iterable of MsbdbWarning
+        What a person should know of the tile. They wait with the result: a command that merges it may be another one.
     """
-    about: dict[str, Any] = {"points": 0, "halo_m": halo_m, "cut": cut}
+    about: dict[str, Any] = {"points": 0, "halo_m": halo_m, "cut": cut, "notices": [str(each) for each in notices]}
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         if found is not None and found.reach is not None:

@@ -37,13 +37,13 @@ def sum_up_tiles(
     Parameters
     ----------
     results : iterable of Result
-        Those with points or heights, in order of the tiles; each is taken once.
+        Those of all tiles in order; each is taken once.
     job, plan : Job, Plan
         What was done.
     timings : dict
         Seconds by stage.
     notices : Notices
-        Receives what a person should know of the cut.
+        Receives what a person should know of the tiles and of the cut.
     most_m : float
         How far a tile sees beyond its own ground at most, metres.
     cells : GridSpec, optional
@@ -60,8 +60,13 @@ def sum_up_tiles(
         When no tile has points or heights.
     """
     sums = _Sums()
+    told = set(notices.kept)
     for found in results:
-        sums.add(found)
+        # What counts points of one tile would be told for each; a tile that is built again says the same twice.
+        told.update(each for each in found.about["notices"] if not any(letter.isdigit() for letter in each))
+        if not found.is_empty:
+            sums.add(found)
+    notices.kept[:] = sorted(told)
     if sums.survey is None:
         what = "points" if cells is None else "heights"
         msg = f"No tile of '{job.label.name}' has {what} on its ground. Check the area and the CRS."

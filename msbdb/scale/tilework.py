@@ -14,13 +14,13 @@ from msbdb.database import TileStatus, note_result
 from msbdb.errors import NodataError, collected_notices
 from msbdb.grid import Bounds
 from msbdb.io.vector import Area
-from msbdb.run.compose import Found, Job, find_buildings
+from msbdb.run.compose import Job
 from msbdb.run.prepare import Window
 from msbdb.run.reports import Stages
 from msbdb.scale.tileresults import packed
 from msbdb.scale.tiling import Tile, cut_islands
+from msbdb.scale.windowbuild import Decomposed, decompose_window
 from msbdb.surveyplan import Plan
-from msbdb.tables import Reason
 from msbdb.threads import alone_on, memory_reused
 
 logger = logging.getLogger(__name__)
@@ -69,19 +69,11 @@ class TileTask:
         return "://" not in self.place
 
 
-@dataclass(frozen=True, slots=True)
-class TileSummary:
-    """What a worker tells of a tile: how far it is, and what a person should know."""
-
-    status: TileStatus
-    notices: tuple[str, ...] = ()
+Outcome = tuple[TileTask, TileStatus | None, str]
+"""A task, the status of its tile, and why there is none."""
 
 
-Outcome = tuple[TileTask, TileSummary | None, str]
-"""A task, its summary, and why there is none."""
-
-
-def work(task: TileTask) -> TileSummary:
+def work(task: TileTask) -> TileStatus:
     """Build a tile, and put its result in its place; a repetition puts the same there.
 
     A worker with several threads builds one tile at a time, which all of them share: memory is bounded by the tile.
@@ -96,17 +88,21 @@ def work(task: TileTask) -> TileSummary:
     with alone_on(task.cores), collected_notices() as notices, memory_reused(bounded=True):
         while True:
             try:
-                found = _in_window(task, halo_m)
+                parts = _in_window(task, halo_m)
             except NodataError as error:
                 reason = str(error)
                 break
-            cut = _cut(task, found, halo_m)
+            window = task.tile.window(halo_m)
+            cut = cut_islands(task.tile, parts.roofs, parts.scene.heights.spec, window, task.survey)
             if not cut or halo_m >= task.most_m:
+                found = parts.described(task.job, Stages(None))
                 break
+            del parts
             # At once as far as it may: how far a cut island goes on is not known, and each step is a whole build.
             halo_m = task.most_m
             logger.info("Tile %s: %d islands reach beyond its window; it sees %g m now", task.tile, cut, halo_m)
-    content = packed(task.tile, found, halo_m=halo_m, cut=cut, least_m2=task.job.params.fuse.piece_m2)
+    least_m2 = task.job.params.fuse.piece_m2
+    content = packed(task.tile, found, halo_m=halo_m, cut=cut, least_m2=least_m2, notices=notices)
     status = replace(
         task.status,
         state="done",
@@ -119,7 +115,7 @@ def work(task: TileTask) -> TileSummary:
         put_file(result_file(task.place, task.tile), content)
     else:
         note_result(task.place, status, content, task.build)
-    return TileSummary(status, tuple(str(notice) for notice in notices))
+    return status
 
 
 def result_file(folder: str, tile: Tile) -> Path:
@@ -137,8 +133,8 @@ def put_file(path: Path, content: bytes) -> None:
         growing.unlink(missing_ok=True)
 
 
-def _in_window(task: TileTask, halo_m: float) -> Found:
-    """Return what the steps find in the tile and its halo."""
+def _in_window(task: TileTask, halo_m: float) -> Decomposed:
+    """Return the parts in the tile and its halo."""
     bounds = task.tile.window(halo_m)
     crs = CRS.from_user_input(task.plan.crs)
     area = Area.of_box(bounds, crs)
@@ -149,17 +145,7 @@ def _in_window(task: TileTask, halo_m: float) -> Found:
             msg = f"The tile {task.tile} has no ground in {interest.what}."
             raise NodataError(msg)
         area = Area(gpd.GeoSeries([shape], crs=crs), 0.0, f"{interest.what}, in the tile {task.tile}")
-    return find_buildings(task.job, Stages(None), task.plan, Window(area, task.tile.bounds, bounds))
-
-
-def _cut(task: TileTask, found: Found, halo_m: float) -> int:
-    """Count the islands that the edge of the window may cut."""
-    reason = found.description.rasters.reason
-    if reason is None:
-        return 0
-    return cut_islands(
-        task.tile, reason == Reason.BUILDING, found.scene.heights.spec, task.tile.window(halo_m), task.survey
-    )
+    return decompose_window(task.job, task.plan, Window(area, task.tile.bounds, bounds), Stages(None))
 
 
 def one_by_one(tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:

@@ -38,6 +38,7 @@ from sqlalchemy.exc import IntegrityError
 
 from msbdb.database import (
     canonical_dump,
+    check_database,
     list_runs,
     open_database,
     pack_rasters,
@@ -658,3 +659,20 @@ def test_frames_of_plain_pandas_are_taken(engine: Engine) -> None:
     assert not any(isinstance(frame, gpd.GeoDataFrame) for frame in plain.values())
     write_build(engine, replace(build, frames=plain))
     assert_same_build(read_build(engine), build)
+
+
+def test_the_sign_of_zero_is_no_content(engine: Engine) -> None:
+    """SQLite keeps -0.0 as 0.0: a build with either has the digest of its rows, and is the same to the next build."""
+    build = small_build()
+    frames = {name: frame.copy() for name, frame in build.frames.items()}
+    level = np.zeros(len(frames["building"]))
+    signed = {name: frame.copy() for name, frame in frames.items()}
+    frames["building"]["z_ground"], signed["building"]["z_ground"] = level, -level
+    frames["part"]["h_std"], signed["part"]["h_std"] = 0.0, -0.0
+    west = (0.0, *build.survey.bounds[1:])
+    survey = replace(build.survey, bounds=west), replace(build.survey, bounds=(-0.0, *west[1:]))
+    run = replace(build.run, parameters={"a": 0.0}), replace(build.run, parameters={"a": -0.0})
+    plain = replace(build, frames=frames, survey=survey[0], run=run[0])
+    assert write_build(engine, replace(build, frames=signed, survey=survey[1], run=run[1])).status == "created"
+    assert [found for found in check_database(engine) if found.check == "content"] == []
+    assert write_build(engine, plain).status == "unchanged"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 from click.testing import CliRunner
@@ -16,13 +17,25 @@ from shapely import box
 from simulated import scenes
 from simulated.files import write_points
 from sqlalchemy import Engine
+from support.tiledtown import TILE_M, write_town
 from support.towns import EPSG, ROW, SOUTH, WEST, House, footprints, town_build
 
+import msbdb
 from msbdb import api
 from msbdb.api import advance
 from msbdb.cli.main import cli
-from msbdb.database import check_database, footprint_at, read_buildings, write_build
-from msbdb.errors import InputError, MsbdbWarning
+from msbdb.database import (
+    BuildBasis,
+    check_database,
+    footprint_at,
+    opened,
+    read_buildings,
+    read_survey,
+    write_build,
+)
+from msbdb.errors import DatabaseError, InputError, MsbdbWarning
+from msbdb.labels import Box
+from msbdb.run.inventory import footprintcells
 from msbdb.run.inventory.footprintfile import FORMATS, write_footprints
 from msbdb.run.inventory.measure import check_footprints, measure_footprints, take_measures
 
@@ -195,3 +208,53 @@ def test_an_unknown_option_names_the_function_that_was_called(call: Callable[...
     with pytest.raises(TypeError, match=rf"^{call.__name__}\(\) got an unexpected keyword argument 'nonsense'$"):
         call("here.gpkg", "here.laz", **given) if call is api.measure else call("here.laz", **given)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("how", [{}, {"tile": TILE_M}], ids=["one", "tiles"])
+def test_windows_of_the_rasters_change_no_measure(tmp_path: Path, how: dict[str, float]) -> None:
+    """A footprint a window, all in one, and some in each give one result to the last bit, of whole rasters and pieces.
+
+    The footprints overlap, and reach beyond the survey.
+    """
+    msbdb.build(write_town(tmp_path / "points"), db=tmp_path / "town.sqlite", survey="town", **how)
+    rng = np.random.default_rng(3)
+    with opened(tmp_path / "town.sqlite") as engine:
+        detected = read_buildings(engine, "town")
+        west, south, east, north = read_survey(engine, "town").bounds
+        corners = rng.uniform((west - 15, south - 15), (east + 5, north + 5), (40, 2))
+        lots = [box(x, y, x + w, y + h) for (x, y), (w, h) in zip(corners, rng.uniform(1, 18, (40, 2)), strict=True)]
+        moved = detected.geometry.translate(2.2, -1.7)
+        shapes = [*lots, *moved, *detected.geometry.buffer(1.5), box(east + 50, south, east + 60, north)]
+        frame = gpd.GeoDataFrame(geometry=shapes, crs=detected.crs)
+        whole, *others = (measure_footprints(engine, "town", frame, side=side) for side in (1_000_000, 1, 37))
+    assert whole.footprints["state"].nunique() == 3
+    assert whole.footprints["z_ground"].notna().sum() > 20
+    assert len(whole.others) == 0
+    for found in others:
+        pd.testing.assert_frame_equal(found.footprints, whole.footprints, check_exact=True)
+
+
+def test_a_window_without_a_footprint_beside_gives_the_buildings_that_have_none(tmp_path: Path) -> None:
+    """Detected buildings are looked at window by window, too."""
+    msbdb.build(write_town(tmp_path / "points"), db=tmp_path / "town.sqlite", survey="town")
+    with opened(tmp_path / "town.sqlite") as engine:
+        detected = read_buildings(engine, "town")
+        frame = gpd.GeoDataFrame(geometry=[detected.geometry.iloc[0].buffer(-2)], crs=detected.crs)
+        whole, small = (measure_footprints(engine, "town", frame, side=side) for side in (1_000_000, 1))
+    assert len(whole.others) >= len(detected) - 1
+    pd.testing.assert_frame_equal(small.others, whole.others, check_exact=True)
+
+
+def test_a_survey_that_others_replace_meanwhile_is_no_basis(engine: Engine, cadastre: Path, monkeypatch) -> None:
+    """The command says so, and writes nothing."""
+    write_build(engine, town_build("s1", "2020-01-01", [*ROW, SHED]))
+    inner = footprintcells.SurveyCells.read
+
+    def replaced(self: footprintcells.SurveyCells, window: Box) -> footprintcells.WindowCells:
+        write_build(engine, town_build("s1", "2020-01-01", ROW), basis=BuildBasis(replace=True))
+        return inner(self, window)
+
+    monkeypatch.setattr(footprintcells.SurveyCells, "read", replaced)
+    with pytest.raises(DatabaseError, match="Others replaced"):
+        take(engine, cadastre)
+    assert len(footprint_at(engine, "2020-01-01")) == 0

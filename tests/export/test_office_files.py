@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import geopandas as gpd
+import geopandas.testing
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -20,9 +21,11 @@ from support.offices import run
 from support.towns import EPSG, UTM, footprints
 
 from msbdb import api
+from msbdb.database.history import shownlayers
 from msbdb.errors import InputError
 from msbdb.export.fields import FIELDS, short_name
 from msbdb.export.qgis.symbology import STYLES
+from msbdb.io import layers
 from msbdb.run.export import LAYERS_OF
 from msbdb.tables.aliases import COLUMN_WORDS, LAYER_WORDS, words_of
 
@@ -253,3 +256,23 @@ def test_a_project_shows_the_database(town: Path, tmp_path: Path) -> None:
     assert "exists already" in run("qgis", town, "--out", tmp_path / "town.qgz", code=1)
     run("qgis", tmp_path / "town.sqlite", "--out", tmp_path / "town.qgz", "--overwrite")
     assert (tmp_path / "town.qgz").read_bytes() == before
+
+
+@pytest.mark.parametrize("given", [{}, {"survey": "here"}, {"what": "evidence"}], ids=["current", "survey", "evidence"])
+@pytest.mark.filterwarnings("ignore::msbdb.errors.MsbdbWarning")
+def test_a_file_by_pieces_is_the_file_in_one(town, tmp_path, monkeypatch, given) -> None:
+    """Rows are read and written one by one, with the same values, types and order; also by way of geometries."""
+    api.export(town, tmp_path / "whole.gpkg", **given)
+    monkeypatch.setattr(shownlayers, "ROWS_AT_A_TIME", 1)
+    monkeypatch.setattr(layers, "ROWS_AT_A_TIME", 1)
+    api.export(town, tmp_path / "pieces.gpkg", **given)
+    api.export(town, tmp_path / "decoded.gpkg", crs=f"EPSG:{EPSG}", **given)
+    names = [name for (name,) in gpkg(tmp_path / "whole.gpkg", "SELECT table_name FROM gpkg_geometry_columns")]
+    assert len(names) > 3
+    for name in names:
+        whole, *others = (
+            gpd.read_file(tmp_path / f"{file}.gpkg", layer=name) for file in ("whole", "pieces", "decoded")
+        )
+        for other in others:
+            gpd.testing.assert_geodataframe_equal(other, whole)
+        assert len(whole) > 1 or name not in ("footprint", "part", "building_evidence")

@@ -1,18 +1,24 @@
 """Layers out: arrays give the files that frames do, whole or not at all, and no library of frames is loaded."""
 
+import errno
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
 import pytest
+import shapely
 from pyproj import CRS
 from shapely import MultiPolygon, box
 from support.processes import environment
 
 from msbdb.errors import FileError
+from msbdb.io import layers
 from msbdb.io.layers import Layer, texts, write_layers
 from msbdb.io.vector import read_polygons
 
@@ -65,6 +71,53 @@ def test_a_written_layer_replaces_the_old_file_whole(tmp_path):
     write_layers(path, {"parts": Layer({"part_id": np.array([1])}, np.array([HOUSE]), "EPSG:2154")}, "GPKG")
     frame = read_polygons(path, layer="parts")
     assert list(frame["part_id"]) == [1]
+    assert [file.name for file in tmp_path.iterdir()] == ["parts.gpkg"]
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_a_layer_in_pieces_is_the_layer_in_one(tmp_path, monkeypatch, size):
+    """Schema, rows, their order and the index are equal, also where a first piece has nulls alone; WKB serves, too."""
+    frame = gpd.GeoDataFrame(pd.concat([pd.DataFrame(columns_of_each_kind())[::-1]] * 4, ignore_index=True))
+    frame = frame.set_geometry([HOUSE.buffer(n) for n in range(8)], crs=LAMBERT)
+    layer = Layer.of(frame.assign(geometry=[MultiPolygon([shape]) for shape in frame.geometry[:-1]] + [HOUSE]))
+    write_layers(tmp_path / "one.gpkg", {"a": layer, "b": layer}, "GPKG")
+    monkeypatch.setattr(layers, "ROWS_AT_A_TIME", size)
+    encoded = replace(layer, geometry=shapely.to_wkb(layer.geometry))
+    write_layers(tmp_path / "more.gpkg", {"a": layer, "b": encoded}, "GPKG")
+    one, more = (file_content(tmp_path / name) for name in ("one.gpkg", "more.gpkg"))
+    assert one == more
+    assert len(more["a"]) == len(more["b"]) == len(more["rtree_a_geom"]) == 8
+
+
+def file_content(path):
+    """Return the schema and all rows of a GeoPackage, without its times and the nodes of its indexes."""
+    with closing(sqlite3.connect(path)) as file:
+        tables = dict(file.execute("SELECT name, sql FROM sqlite_master WHERE name NOT GLOB 'rtree_*_*_[nrp]*'"))
+        found = {"": tables}
+        for name, sql in tables.items():
+            if sql and sql.startswith(("CREATE TABLE", "CREATE VIRTUAL TABLE")):
+                rows = file.execute(f'SELECT * FROM "{name}"').fetchall()
+                found[name] = [[value for value in row if not str(value).endswith("Z")] for row in rows]
+        return found
+
+
+def test_a_failure_in_a_later_piece_leaves_the_old_file(tmp_path, monkeypatch):
+    """Nothing of the new one is there."""
+    path, done = tmp_path / "parts.gpkg", []
+    path.write_text("old")
+    layer = Layer({"n": np.arange(3)}, np.array([HOUSE] * 3), "EPSG:2154")
+
+    def full(piece):
+        done.append(len(piece))
+        if len(done) == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return piece
+
+    monkeypatch.setattr(layers, "ROWS_AT_A_TIME", 1)
+    with pytest.raises(FileError, match="No space left"):
+        write_layers(path, {"parts": layer}, "GPKG", None, full)
+    assert done == [1, 1, 1]
+    assert path.read_text() == "old"
     assert [file.name for file in tmp_path.iterdir()] == ["parts.gpkg"]
 
 

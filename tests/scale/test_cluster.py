@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from threading import Event
@@ -82,11 +82,55 @@ def test_workers_start_beside_the_plan(aside):
         yield "workers"
         told.append("ends")
 
-    with cluster.beginning(starting(), aside=aside) as client:
+    with cluster.beginning(starting(), aside=aside) as crew:
         assert aside or told == ["begins"]
         done.set()
-        assert client() == "workers"
+        assert crew.client() == "workers"
+        assert told == ["begins"]
     assert told == ["begins", "ends"]
+
+
+@pytest.mark.parametrize("merges", [True, False])
+def test_workers_end_beside_the_merge(merges):
+    """A cluster that is dismissed ends once, while the block goes on, also when the block fails then."""
+    merging, told = Event(), []
+
+    @contextmanager
+    def ending():
+        yield "workers"
+        assert merging.wait(20), "the block did not go on"
+        told.append("ends")
+
+    with suppress(OSError), cluster.beginning(ending(), aside=True) as crew:
+        assert crew.client() == "workers"
+        crew.dismiss()
+        merging.set()
+        if not merges:
+            raise OSError
+    assert told == ["ends"]
+
+
+def test_an_error_of_the_end_of_workers_is_told():
+    """What fails in their thread is raised when the block ends."""
+
+    @contextmanager
+    def broken():
+        yield "workers"
+        msg = "a worker does not end"
+        raise RuntimeError(msg)
+
+    with pytest.raises(RuntimeError, match="does not end"), cluster.beginning(broken(), aside=True) as crew:
+        crew.dismiss()
+
+
+def test_each_worker_is_prepared(monkeypatch):
+    """Its process takes memory and searches for garbage as that of the command does."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("distributed.comm.inproc.get_ip", lambda: "127.0.0.1")
+    prepared = []
+    monkeypatch.setattr(cluster, "own_process", lambda: prepared.append("worker"))
+    with cluster.cluster_of(2, None, processes=False):
+        assert prepared == ["worker"] * 2
 
 
 def test_a_lost_scheduler_is_named(monkeypatch):
@@ -146,10 +190,12 @@ def test_a_killed_worker_changes_nothing(files, alone, tmp_path):
 
 
 @pytest.mark.long
-def test_disturbed_builds_in_tiles_end_as_undisturbed_ones():
+@pytest.mark.parametrize("of", ["points", "rasters"])
+def test_disturbed_builds_in_tiles_end_as_undisturbed_ones(of):
     """Kills, files that vanish or may not grow, and a broken tile: scripts/benchmarks/tilefaults in short."""
     pytest.importorskip("distributed")
-    done = run_script(BENCHMARKS / "tilefaults", "--kills", 3, "--others", 1, "--dialect", "spatialite", "--json")
+    words = ("--of", of, "--kills", 3, "--others", 1, "--dialect", "spatialite", "--json")
+    done = run_script(BENCHMARKS / "tilefaults", *words)
     assert done.returncode == 0, done.stderr
     runs = json.loads(done.stdout)["runs"]
     assert {run["problem"] for run in runs} == {""}

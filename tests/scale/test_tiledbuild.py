@@ -3,6 +3,7 @@
 import errno
 import json
 import random
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -32,12 +33,14 @@ from msbdb.database import (
     read_result,
     read_run,
 )
-from msbdb.errors import InputError, ParameterError, TilesError
+from msbdb.database.runs.digests import RunContent
+from msbdb.errors import InputError, ParameterError, TilesError, collected_notices
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
 from msbdb.run.prepare import THINNED
-from msbdb.scale import tiledbuild, tilework
+from msbdb.scale import tiledbuild, tilework, windowbuild
 from msbdb.scale.tiledbuild import FOLDER
+from msbdb.tables import Reason
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +146,53 @@ def test_a_build_in_tiles_finds_their_size_by_itself(files, whole, tmp_path):
     assert without_counts(lines(db)) == without_counts(lines(whole))
 
 
+def test_notices_of_tiles_wait_for_the_merge(files, tmp_path, monkeypatch):
+    """A merge that is killed and repeated keeps in the run what the tiles said."""
+    params = with_values(Params(), {"surface": {"most_density": 0.5}})
+    given = {"survey": "town", "extract": "multiscale", "tile": TILE_M, "params": params}
+    msbdb.build(files, db=tmp_path / "one.sqlite", **given)
+    db = tmp_path / "town.sqlite"
+
+    def killed(*_given, **_words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tiledbuild, "merge_tiles", killed)
+    with pytest.raises(KeyboardInterrupt):
+        msbdb.build(files, db=db, **given)
+    monkeypatch.undo()
+    made = tiledbuild.make_plan
+
+    def silent(*words):
+        with collected_notices():
+            return made(*words)
+
+    # What the tiles alone say, not the plan.
+    monkeypatch.setattr(tiledbuild, "make_plan", silent)
+    msbdb.build(files, db=db, **given, resume=True)
+    with opened(db) as engine, opened(tmp_path / "one.sqlite") as whole:
+        assert THINNED in read_run(engine).notices
+        assert read_run(engine).notices == read_run(whole).notices
+    assert lines(db) == lines(tmp_path / "one.sqlite")
+
+
+def test_a_digest_that_fails_leaves_no_survey(files, quick, tmp_path, monkeypatch):
+    """It is made in a thread beside the merge: its error ends the merge, and the tiles wait for the next one."""
+    db = tmp_path / "town.sqlite"
+    given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
+
+    def breaks(_content):
+        msg = "no memory is left"
+        raise MemoryError(msg)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(RunContent, "tables_digested", breaks)
+        with pytest.raises(MemoryError, match="no memory is left"):
+            msbdb.build(files, **given)
+    assert msbdb.info(db)["runs"] == []
+    msbdb.build(files, **given, resume=True)
+    assert lines(db) == lines(quick)
+
+
 def test_what_two_tiles_claim_is_there_once_with_its_links(files, whole, tmp_path, monkeypatch):
     """Where windows see a place otherwise, two tiles may claim a building: the first one has it."""
     every = "msbdb.scale.tileresults.owned_buildings"
@@ -182,6 +232,31 @@ def test_the_window_grows_until_it_holds_whole_islands(files, whole, tmp_path, m
     assert after["area_m2"].to_numpy() == pytest.approx(before["area_m2"].to_numpy(), rel=0.02)
 
 
+def test_a_window_that_is_too_narrow_is_left_before_its_outlines(files, tmp_path, monkeypatch):
+    """Each tile is taken to its parts twice, with both halos, and described once, with the wide one."""
+    monkeypatch.setattr(tiledbuild, "HALO_M", 25.0)
+    monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 75.0)
+    begun, described = [], []
+
+    def begins(job, plan, window, stages, original=tilework.decompose_window):
+        begun.append(window.seen[2] - window.seen[0])
+        return original(job, plan, window, stages)
+
+    def describes(scene, *given, original=windowbuild.describe, **words):
+        made = original(scene, *given, **words)
+        roofs = made.rasters.reason == Reason.BUILDING
+        assert np.array_equal(roofs, given[1].root_labels > 0)
+        described.append(roofs)
+        return made
+
+    monkeypatch.setattr(tilework, "decompose_window", begins)
+    monkeypatch.setattr(windowbuild, "describe", describes)
+    msbdb.build(files, db=tmp_path / "town.sqlite", survey="town", extract="multiscale", tile=TILE_M)
+    assert begun == [TILE_M + 50.0, TILE_M + 150.0] * 4
+    assert len(described) == 4
+    assert all(roofs.any() for roofs in described)
+
+
 def test_what_a_window_cuts_is_told(files, tmp_path, monkeypatch):
     """Where the window may not grow, the notice counts the islands, and where neighbours differ."""
     monkeypatch.setattr(tiledbuild, "HALO_M", 5.0)
@@ -195,16 +270,16 @@ def test_what_a_window_cuts_is_told(files, tmp_path, monkeypatch):
 def test_a_failed_tile_is_named_and_the_others_complete(files, quick, tmp_path, monkeypatch):
     """No survey is written; the repetition builds this tile alone, and ends in the undisturbed dump."""
     db = tmp_path / "town.sqlite"
-    original, built = tilework.find_buildings, []
+    original, built = tilework.decompose_window, []
 
-    def fails(job, stages, plan, window):
+    def fails(job, plan, window, stages):
         built.append(window.own)
         if broken and window.own[:2] == (389_100.0, 5_821_080.0):
             msg = "the disk is on fire"
             raise OSError(msg)
-        return original(job, stages, plan, window)
+        return original(job, plan, window, stages)
 
-    monkeypatch.setattr(tilework, "find_buildings", fails)
+    monkeypatch.setattr(tilework, "decompose_window", fails)
     broken = True
     given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
     with pytest.raises(TilesError, match=r"1 tile of 4 of 'town' failed.*the disk is on fire.*--resume"):
@@ -229,13 +304,13 @@ def test_a_file_that_vanishes_leaves_the_other_tiles(files, tmp_path, monkeypatc
     own = [tmp_path / path.name for path in files]
     for path, kept in zip(own, files, strict=True):
         path.write_bytes(kept.read_bytes())
-    original = tilework.find_buildings
+    original = tilework.decompose_window
 
-    def loses(job, stages, plan, window):
+    def loses(job, plan, window, stages):
         own[1].unlink(missing_ok=True)
-        return original(job, stages, plan, window)
+        return original(job, plan, window, stages)
 
-    monkeypatch.setattr(tilework, "find_buildings", loses)
+    monkeypatch.setattr(tilework, "decompose_window", loses)
     # Tiles of the west do not see the eastern file.
     monkeypatch.setattr(tiledbuild, "HALO_M", 5.0)
     monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 5.0)
@@ -246,7 +321,7 @@ def test_a_file_that_vanishes_leaves_the_other_tiles(files, tmp_path, monkeypatc
     states = {tile.state for tile in msbdb.tiles(db)}
     assert states == {"done", "failed"}
     own[1].write_bytes(files[1].read_bytes())
-    monkeypatch.setattr(tilework, "find_buildings", original)
+    monkeypatch.setattr(tilework, "decompose_window", original)
     msbdb.build(own, db=db, **given, resume=True)
     undisturbed = tmp_path / "undisturbed.sqlite"
     msbdb.build(own, db=undisturbed, **given)
@@ -300,7 +375,7 @@ def test_the_same_again_changes_nothing(files, quick, tmp_path, monkeypatch):
     db.write_bytes(quick.read_bytes())
     given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
     assert not msbdb.build(files, **given).changed
-    monkeypatch.setattr(tilework, "find_buildings", None)
+    monkeypatch.setattr(tilework, "decompose_window", None)
     assert not msbdb.build(files, **given, resume=True).changed
     assert lines(db) == lines(quick)
 
@@ -319,7 +394,7 @@ def test_a_killed_client_goes_on_where_it_was(files, quick, tmp_path):
         [sys.executable, "-c", code, str(db), *map(str, files)],
         env=environment(**{KILLED: str(marker)}), capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert ended.returncode == 9, ended.stderr
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
     states = [tile.state for tile in msbdb.tiles(db)]
     assert (states.count("done"), states.count("running")) == (2, 1)
     before = {tile.key: tile.seconds for tile in msbdb.tiles(db) if tile.state == "done"}
@@ -332,18 +407,18 @@ def test_a_killed_client_goes_on_where_it_was(files, quick, tmp_path):
 def test_results_of_two_surveys_do_not_mix(files, quick, tmp_path, monkeypatch):
     """A survey that fails half-way, and another one on the same tiles, go on and end as if each had been alone."""
     db = tmp_path / "town.sqlite"
-    original = tilework.find_buildings
+    original = tilework.decompose_window
 
-    def fails(job, stages, plan, window):
+    def fails(job, plan, window, stages):
         if window.own[:2] == (389_100.0, 5_821_080.0):
             raise OSError
-        return original(job, stages, plan, window)
+        return original(job, plan, window, stages)
 
-    monkeypatch.setattr(tilework, "find_buildings", fails)
+    monkeypatch.setattr(tilework, "decompose_window", fails)
     given = {"db": db, "extract": "multiscale", "tile": TILE_M}
     with pytest.raises(TilesError):
         msbdb.build(files, survey="town", **given)
-    monkeypatch.setattr(tilework, "find_buildings", original)
+    monkeypatch.setattr(tilework, "decompose_window", original)
     msbdb.build(files[:1], survey="west", **given)
     msbdb.build(files, survey="town", **given, resume=True)
     with opened(quick) as one, opened(db) as other:

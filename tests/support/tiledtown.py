@@ -13,10 +13,11 @@ from rasterio.windows import Window
 from simulated.files import write_heights, write_image, write_points
 from simulated.scenes import DATUM_M, Block, Scene, Tree, World, scan
 
+from msbdb.database import TileStatus
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
 from msbdb.run.prepare import build_surface
-from msbdb.scale.tilework import TileSummary, TileTask, work
+from msbdb.scale.tilework import TileTask, work
 
 TILE_M = 60.0
 
@@ -107,7 +108,7 @@ def write_vrt(path: Path, folder: Path) -> Path:
     return found
 
 
-def work_once_killed(task: TileTask) -> TileSummary:
+def work_once_killed(task: TileTask) -> TileStatus:
     """Build a tile; the first process that begins one is killed on the way, as by a machine without memory."""
     marker = Path(os.environ[KILLED])
     if not marker.exists():
@@ -116,11 +117,11 @@ def work_once_killed(task: TileTask) -> TileSummary:
     return work(task)
 
 
-def end_at_third(task: TileTask) -> TileSummary:
-    """Build two tiles, and end the whole process at the third, as a power cut does."""
+def end_at_third(task: TileTask) -> TileStatus:
+    """Build two tiles, and kill the whole process at the third, as a power cut does."""
     marker = Path(os.environ[KILLED])
     done = int(marker.read_text()) if marker.exists() else 0
     if done == 2:
-        os._exit(9)
+        os.kill(os.getpid(), signal.SIGKILL)
     marker.write_text(str(done + 1))
     return work(task)

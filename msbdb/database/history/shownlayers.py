@@ -37,6 +37,9 @@ VIEW_LAYERS = ("building_evidence", "part_evidence", "candidate_evidence")
 
 CURRENT = "footprint_current"
 
+ROWS_AT_A_TIME = 5000
+"""Rows that are in memory as the driver gives them, which takes several times as much as their arrays."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownLayers:
@@ -46,7 +49,7 @@ class ShownLayers:
     ----------
     layers : dict of str to dict of str to (N,) ndarray
         Columns by layer, ``survey`` and ``geometry`` among them: numbers, where NaN is null; objects, which are texts
-        or None; masked whole numbers, null where masked.
+        or None; masked whole numbers, null where masked. Geometries, or WKB where this was asked for.
     surveys : tuple of Survey
         Those that were read, the newest first.
     present : bool
@@ -80,6 +83,7 @@ def read_shown(
     survey: str | None = None,
     inventory: bool = True,
     date: str | None = None,
+    encoded: bool = False,
 ) -> ShownLayers:
     """Read layers of one survey, of the inventory, or of all surveys.
 
@@ -95,6 +99,8 @@ def read_shown(
         Without ``survey``, take the footprints of the inventory, where there is one, and their parts alone.
     date : str, optional
         The day of the inventory, ISO 8601; its present state by default.
+    encoded : bool
+        Leave geometries as WKB, which takes a seventh of the memory of small polygons.
 
     Raises
     ------
@@ -118,6 +124,8 @@ def read_shown(
             if buildings is not None and name == "part":
                 found = _of_buildings(connection, found, buildings)
             layers[name] = found
+        for columns in () if encoded else layers.values():
+            columns["geometry"] = shapely.from_wkb(columns["geometry"])
         surveys = tuple(survey_record(connection, run.survey_id) for run in runs)
         srid = dialect_of(engine.url).database_srid(connection)
         return ShownLayers(layers, surveys, present, srid, {str(run.name): int(run.run_id) for run in runs})
@@ -143,8 +151,7 @@ def _inventory(connection: Connection, date: str | None) -> Columns:
     columns = VIEW_COLUMNS[CURRENT]
     values = {} if date is None else {"date": first_day(date)}
     found = _read(connection, origin, columns, "", values)
-    order = np.argsort(np.asarray(found["uid"]), kind="stable")
-    return {name: own[order] for name, own in found.items()}
+    return _ordered(found, np.argsort(np.asarray(found["uid"]), kind="stable"))
 
 
 def _layer(connection: Connection, name: str, runs: Sequence[Any]) -> Columns:
@@ -162,9 +169,8 @@ def _layer(connection: Connection, name: str, runs: Sequence[Any]) -> Columns:
         else:
             found = _read(connection, name, columns, "WHERE f.survey = :survey", {"survey": run.name})
             order = np.argsort(np.asarray(found[columns[0].name]), kind="stable")
-        pieces.append({own: values[order] for own, values in found.items()})
-    pieces = pieces or [_arrays(columns, [])]
-    return {own: _joined([piece[own] for piece in pieces]) for own in pieces[0]}
+        pieces.append(_ordered(found, order))
+    return _together(pieces or [_arrays(columns)])
 
 
 def _read(
@@ -173,19 +179,35 @@ def _read(
     """Return the rows of a table, view or query."""
     names = ", ".join(f"f.{column.name}" for column in columns)
     query = f"SELECT {names}, ST_AsBinary(f.geometry) FROM {origin} AS f {where}"  # noqa: S608  (our own names)
-    return _arrays(columns, connection.execute(text(query), values).all())
+    rows = connection.execute(text(query), values, execution_options={"stream_results": True})
+    words: dict[str, str] = {}
+    return _together([_arrays(columns, some, words) for some in rows.partitions(ROWS_AT_A_TIME)] or [_arrays(columns)])
 
 
-def _arrays(columns: Sequence[Column], rows: Sequence[Any]) -> Columns:
-    """Return rows as arrays by column, the last value as geometry."""
+def _arrays(columns: Sequence[Column], rows: Sequence[Any] = (), words: dict[str, str] | None = None) -> Columns:
+    """Return rows as arrays by column, the last value as geometry in WKB; ``words`` gets the texts that rows share."""
     values = list(zip(*rows, strict=True)) or [()] * (len(columns) + 1)
-    found = {column.name: _array(own, column.dtype) for column, own in zip(columns, values, strict=False)}
-    found["geometry"] = shapely.from_wkb(np.array([bytes(blob) for blob in values[-1]], dtype=object))
+    known = {} if words is None else words
+    found = {column.name: _array(own, column.dtype, known) for column, own in zip(columns, values, strict=False)}
+    found["geometry"] = np.array([bytes(blob) for blob in values[-1]], dtype=object)
     return found
 
 
-def _array(values: Sequence[Any], dtype: str) -> NDArray[Any]:
-    """Return values as an array: whole numbers with nulls are masked, texts are objects, and JSON is canonical text."""
+def _ordered(found: Columns, order: NDArray[np.intp]) -> Columns:
+    """Return the columns in another order, and take each from ``found``, so that no two copies of all exist."""
+    return {name: found.pop(name)[order] for name in list(found)}
+
+
+def _together(pieces: list[Columns]) -> Columns:
+    """Return the columns of several pieces as one, taken from them one by one, as `_ordered` does."""
+    return {name: _joined([piece.pop(name) for piece in pieces]) for name in list(pieces[0])}
+
+
+def _array(values: Sequence[Any], dtype: str, known: dict[str, str]) -> NDArray[Any]:
+    """Return values as an array: whole numbers with nulls are masked, texts are objects, and JSON is canonical text.
+
+    Equal texts become one object, that in ``known``: most columns of texts have few words.
+    """
     if dtype in ("int64", "Int64", "int32"):
         if None not in values:
             return np.array(values, dtype=np.int64)
@@ -194,7 +216,10 @@ def _array(values: Sequence[Any], dtype: str) -> NDArray[Any]:
     if dtype == "float64":
         return np.array(values, dtype=np.float64)
     words = np.empty(len(values), dtype=object)
-    words[:] = [_json(value) for value in values] if dtype == "json" else values
+    if dtype == "json":
+        words[:] = [_json(value) for value in values]
+    else:
+        words[:] = [value if value is None else known.setdefault(value, value) for value in values]
     return words
 
 

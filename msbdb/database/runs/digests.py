@@ -166,16 +166,9 @@ class RunContent:
     rasters: Mapping[str, NDArray[Any] | Mosaic]
     plan: Plan | None = None
 
-    def digest(self) -> str:
-        """Return the SHA-256 of the content except its timings."""
-        digest = hashlib.sha256()
-        run = run_row(self.run)
-        del run["timings"]
-        digest.update(to_json([survey_row(self.survey), source_rows(self.survey), run]).encode())
-        for table, columns in self.columns.items():
-            for name, values in columns.items():
-                digest.update(f"\0{table}.{name}\0".encode())
-                digest.update(_column_bytes(name, values))
+    def digest(self, tables: "hashlib._Hash | None" = None) -> str:
+        """Return the SHA-256 of the content except its timings; ``tables`` is the begun one of `tables_digested`."""
+        digest = self.tables_digested() if tables is None else tables
         for name, raster in sorted(self.rasters.items()):
             # Equal numbers are equal content, in 16 bits or 32.
             dtype = np.dtype("<i4") if raster.dtype == np.int16 else raster.dtype.newbyteorder("<")
@@ -185,6 +178,18 @@ class RunContent:
         if self.plan is not None:
             digest.update(f"\0plan\0{self.plan.as_json()}".encode())
         return digest.hexdigest()
+
+    def tables_digested(self) -> "hashlib._Hash":
+        """Return the SHA-256 of the survey, the run and its tables, to which the rasters and the plan are to come."""
+        digest = hashlib.sha256()
+        run = run_row(self.run)
+        del run["timings"]
+        digest.update(to_json([survey_row(self.survey), source_rows(self.survey), run]).encode())
+        for table, columns in self.columns.items():
+            for name, values in columns.items():
+                digest.update(f"\0{table}.{name}\0".encode())
+                digest.update(_column_bytes(name, values))
+        return digest
 
 
 def run_row(run: Run) -> dict[str, Any]:
@@ -218,6 +223,9 @@ def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
         from msbdb.database.runs.normalform import normal_form  # numba takes long to load
 
         return normal_form(values)
+    if values.dtype.kind == "f":
+        # SQLite stores -0.0 as 0.0, and a missing value has no sign: equal numbers are equal content.
+        values = np.where(np.isnan(values), np.nan, values + 0.0)
     if values.dtype.kind in "if":
         return portable(values).tobytes()
     words = values.tolist()

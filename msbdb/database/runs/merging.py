@@ -1,9 +1,10 @@
 """Merging the tiles of a survey into one run, in one transaction, with a tile in memory at a time."""
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,7 +18,6 @@ from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_frames
 from msbdb.database.runs.digests import RunContent
 from msbdb.database.runs.mosaics import mosaics_of
-from msbdb.database.runs.reading import LazyTables
 from msbdb.database.runs.tiles import forget_results
 from msbdb.database.runs.writing import (
     BY_NAME,
@@ -33,6 +33,7 @@ from msbdb.database.schema.sqltables import SQL
 from msbdb.database.schema.srid import srid_of
 from msbdb.identity import text_id
 from msbdb.kept import ANSWER_NAMES, REGION_NAMES, KeptRun
+from msbdb.tables import TABLES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -127,6 +128,30 @@ class _UnchangedError(Exception):
     """The database has this content already."""
 
 
+def _among(ids: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which ids are among known ones, which are sorted; it hardly depends on how many are known."""
+    if not known.size:
+        return np.zeros(ids.shape, dtype=np.bool_)
+    found: NDArray[np.bool_] = known[np.minimum(np.searchsorted(known, ids), known.size - 1)] == ids
+    return found
+
+
+def _joined(known: NDArray[np.int64], ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return known ids, which are sorted, with others in their places.
+
+    Examples
+    --------
+    >>> known = np.array([2, 5, 9])
+    >>> _joined(known, np.array([7, 5, 1, 7]))
+    array([1, 2, 5, 7, 9])
+    >>> _among(np.array([9, 3, 10]), known)
+    array([ True, False, False])
+    """
+    ids = np.unique(ids)
+    ids = ids[~_among(ids, known)]
+    return np.insert(known, np.searchsorted(known, ids), ids)
+
+
 @dataclass(eq=False)
 class _Merge:
     """A merge in an open transaction."""
@@ -155,7 +180,7 @@ class _Merge:
     def write_rows(self, piece: Piece) -> None:
         """Write what a tile owns, but for what an earlier tile has."""
         frames = {name: piece.frames[name] for name in ROWS}
-        taken = {name: np.isin(frames[name][key], self.seen[name]) for name, key in KEYS.items()}
+        taken = {name: _among(frames[name][key].to_numpy(np.int64), self.seen[name]) for name, key in KEYS.items()}
         parts, buildings = frames["part"], frames["building"]
         # A building goes as a whole, with all of its parts.
         lost = {*parts.loc[taken["part"], "building_id"], *buildings.loc[taken["building"], "building_id"]}
@@ -164,15 +189,15 @@ class _Merge:
             self.report.twice += int(taken[name].sum())
             self.left_out[piece.key, name] = frames[name].loc[taken[name], key].to_numpy(np.int64)
             frames[name] = frames[name][~taken[name]].reset_index(drop=True)
-            self.seen[name] = np.union1d(self.seen[name], frames[name][key].to_numpy(np.int64))
+            self.seen[name] = _joined(self.seen[name], frames[name][key].to_numpy(np.int64))
         for method, rows in frames["candidate_region"].groupby("method"):
             known = self.of_method.get(str(method), NOTHING)
-            self.of_method[str(method)] = np.union1d(known, rows["candidate_id"].to_numpy(np.int64))
+            self.of_method[str(method)] = _joined(known, rows["candidate_id"].to_numpy(np.int64))
         columns = check_frames(frames)
         ids = rejection_ids(self.head.survey.name, columns["rejection"])
-        again = np.isin(ids, self.seen["rejection"])
+        again = _among(ids, self.seen["rejection"])
         ids[again] = [text_id("rejection", int(one), *piece.key) for one in ids[again]]
-        self.seen["rejection"] = np.union1d(self.seen["rejection"], ids)
+        self.seen["rejection"] = _joined(self.seen["rejection"], ids)
         # Buildings come before the parts that refer to them.
         for name in ROWS:
             self._write(name, columns[name], ids if name == "rejection" else None)
@@ -183,13 +208,9 @@ class _Merge:
         What an earlier tile has comes with that tile's links.
         """
         frames = {}
-        for name, (one, other) in LINKS.items():
-            frame = piece.frames[name]
-            first, second = frame.columns[:2]
-            frame = frame[~np.isin(frame[first], self.left_out[piece.key, one])]
-            known = np.isin(frame[first], self.seen[one]) & np.isin(frame[second], self.seen[other])
-            self.report.unlinked += int((~known).sum())
-            frames[name] = frame[known].reset_index(drop=True)
+        for name in LINKS:
+            frames[name], unlinked = self._linked(piece, name)
+            self.report.unlinked += unlinked
         for name, columns in check_frames(frames).items():
             self._write(name, columns)
         row, column = piece.origin
@@ -198,13 +219,30 @@ class _Merge:
             named = name, self._renumbered(piece, name, cells)
             self.connection.execute(insert(RASTER_TILE), [place | raster_row(named)])
 
+    def kept(self, piece: Piece, name: str) -> "pd.DataFrame":
+        """Return the rows of a piece that are written: of `LINKS`, or of `ROWS`, after the rows of all tiles."""
+        if name in LINKS:
+            return self._linked(piece, name)[0]
+        frame = piece.frames[name]
+        return frame[~np.isin(frame[KEYS[name]], self.left_out[piece.key, name])] if name in KEYS else frame
+
+    def _linked(self, piece: Piece, name: str) -> "tuple[pd.DataFrame, int]":
+        """Return the links of a piece between what is written, and the number of its other ones."""
+        one, other = LINKS[name]
+        frame = piece.frames[name]
+        first, second = frame.columns[:2]
+        frame = frame[~np.isin(frame[first], self.left_out[piece.key, one])]
+        ends = (frame[first], self.seen[one]), (frame[second], self.seen[other])
+        known = np.logical_and(*(_among(ids.to_numpy(np.int64), seen) for ids, seen in ends))
+        return frame[known].reset_index(drop=True), int((~known).sum())
+
     def _renumbered(self, piece: Piece, name: str, cells: NDArray[Any]) -> NDArray[Any]:
         """Return the cells with the labels of the run in place of those of the tile."""
         method = METHODS.get(name, "")
         if method in piece.ids:
             own = piece.ids[method]
             known = self.seen["flat_region"] if method == "flatregions" else self.of_method.get(method, NOTHING)
-            places = np.where(np.isin(own, known), np.searchsorted(known, own) + 1, 0)
+            places = np.where(_among(own, known), np.searchsorted(known, own) + 1, 0)
             labels: NDArray[Any] = np.concatenate([[0], places]).astype(np.int32)[cells]
             return labels
         method = ANSWERED.get(name, "")
@@ -225,6 +263,35 @@ class _Merge:
         write_columns(self.connection, self.dialect, name, columns, run_id=self.run_id, srid=self.srid, ids=ids)
 
 
+class _MergedTables(Mapping[str, "dict[str, NDArray[Any]]"]):
+    """The tables of a merged run as plain columns, in their order; each is put together when it is asked for.
+
+    They come from the pieces, not from the database, so that a thread may read them beside the transaction.
+    """
+
+    def __init__(self, merge: _Merge, pieces: TilePieces) -> None:
+        self._merge, self._pieces = merge, pieces
+
+    def __getitem__(self, name: str) -> dict[str, NDArray[Any]]:
+        """Return the columns of a table."""
+        if name in WHOLE:
+            frame = self._merge.head.frames[name]
+        else:
+            import pandas as pd
+
+            kept = [self._merge.kept(piece, name) for piece in self._pieces((name,), rasters=False)]
+            frame = pd.concat([rows for rows in kept if len(rows)] or kept[:1], ignore_index=True)
+        return ordered(check_frames({name: frame})[name], BY_NAME[name])
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names of the tables."""
+        return (table.name for table in TABLES)
+
+    def __len__(self) -> int:
+        """Return the number of tables."""
+        return len(TABLES)
+
+
 def merge_tiles(
     target: str | PathLike[str] | URL,
     head: KeptRun,
@@ -233,7 +300,10 @@ def merge_tiles(
     coming: Mapping[str, int],
     basis: BuildBasis,
 ) -> MergeReport:
-    """Write the tiles of a survey as its run, in one transaction; the pieces are taken twice, one at a time.
+    """Write the tiles of a survey as its run, in one transaction; the pieces are taken one at a time.
+
+    They are taken twice, and a table at a time once more: a thread makes the digest of them while links, rasters and
+    indexes are written.
 
     Parameters
     ----------
@@ -277,19 +347,22 @@ def _merge(merge: _Merge, pieces: TilePieces, coming: Mapping[str, int]) -> None
     """Write all in the caller's transaction; raise where the database has the same already."""
     connection, dialect, head, report, run_id = merge.connection, merge.dialect, merge.head, merge.report, merge.run_id
     before = connection.scalar(select(RUN.c.content_sha256).where(RUN.c.run_id == run_id))
-    with dialect.in_bulk(connection, coming):
-        report.status = "replaced" if write_head(connection, dialect, head, "") else "created"
-        with dialect.keys_in_sets(connection, LOADED, run_id):
-            merge.write_whole()
-            for piece in pieces(ROWS, rasters=False):
-                merge.write_rows(piece)
-            for piece in pieces((*LINKS,), rasters=True):
-                merge.write_rest(piece)
-    tables, rasters = LazyTables(connection, run_id), mosaics_of(connection, run_id)
-    digest = RunContent(head.survey, head.run, tables, rasters, head.plan).digest()
+    content = RunContent(head.survey, head.run, _MergedTables(merge, pieces), {}, head.plan)
+    with ThreadPoolExecutor(1) as thread:
+        with dialect.in_bulk(connection, coming):
+            report.status = "replaced" if write_head(connection, dialect, head, "") else "created"
+            with dialect.keys_in_sets(connection, LOADED, run_id):
+                merge.write_whole()
+                for piece in pieces(ROWS, rasters=False):
+                    merge.write_rows(piece)
+                # From here on it is known which rows are kept.
+                tables = thread.submit(content.tables_digested)
+                for piece in pieces((*LINKS,), rasters=True):
+                    merge.write_rest(piece)
+        dialect.after_load(connection)
+        digest = replace(content, rasters=mosaics_of(connection, run_id)).digest(tables.result())
     if digest == before:
         report.status = "unchanged"
         raise _UnchangedError
     connection.execute(update(RUN).where(RUN.c.run_id == run_id).values(content_sha256=digest))
-    dialect.after_load(connection)
     logger.info("Merged the tiles of the survey %s: %s", head.survey.name, report)

@@ -1,6 +1,6 @@
 """Reading runs: tables as frames, rasters, and a summary in numbers."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -135,26 +135,6 @@ def content_of(connection: Connection, survey: str | None, tables: Sequence[Tabl
         rasters=_read_rasters(connection, run.run_id, pieces=tables is None),
         plan=_plan_of(connection, run.run_id) if tables is None else None,
     )
-
-
-class LazyTables(Mapping[str, "dict[str, NDArray[Any]]"]):
-    """The tables of a run as plain columns, each read when it is asked for."""
-
-    def __init__(self, connection: Connection, run_id: int) -> None:
-        self._connection, self._run_id = connection, run_id
-        self._tables = {table.name: table for table in TABLES}
-
-    def __getitem__(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return the columns of a table."""
-        return _columns_of(self._connection, self._tables[name], self._run_id)
-
-    def __iter__(self) -> Iterator[str]:
-        """Yield the names of the tables."""
-        return iter(self._tables)
-
-    def __len__(self) -> int:
-        """Return the number of tables."""
-        return len(self._tables)
 
 
 def read_survey(engine: Engine, survey: str | None = None) -> Survey:

@@ -16,41 +16,41 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
+from msbdb.change.surveywindows import WINDOW_CELLS
 from msbdb.database import (
     Engine,
+    OutdatedError,
     crs_of,
     database_crs_of,
     first_day,
     opened,
     read_buildings,
+    read_digest,
     read_events_near,
     read_fallback,
     read_parts,
-    read_rasters,
     read_run,
     read_survey,
     shown,
     write_import,
 )
-from msbdb.detect.scene import Elevations
 from msbdb.errors import DatabaseError, InputError, PassingNotice, collected_notices, give_notice
-from msbdb.fuse.buildings import covered_shares
-from msbdb.fuse.roofheights import measure_heights
-from msbdb.grid import Grid
 from msbdb.io.extents import Extent, require_common_place
 from msbdb.io.vector import read_polygons
-from msbdb.kept import heights_of
-from msbdb.labels import Labels, height_statistics, order_heights, sizes, sums
-from msbdb.outline.polygons import rasterise
 from msbdb.params import Params, with_values
+from msbdb.run.inventory.footprintcells import (
+    STANDS,
+    STATISTICS,
+    DrawnShapes,
+    SurveyCells,
+    cells_within,
+    heights_inside,
+    shares_inside,
+)
 from msbdb.run.inventory.footprintfile import write_footprints
 from msbdb.run.inventory.imported import MEASURED, SINCE_EVER, as_versions, digest_of, keys_of
 from msbdb.run.reports import BuildReport, MeasureReport
-from msbdb.run.store import recall_elevations
-from msbdb.tables import CONFIRMING_COVER, EXTRACTOR_SHARES, HEIGHTS
-
-STANDS = 0.5
-"""Ours, as for an evaluation: a building stands where at least this share of the footprint is detected as one."""
+from msbdb.tables import CONFIRMING_COVER, HEIGHTS
 
 SEEN = 0.5
 """Ours: a survey decides on a footprint if it has heights on at least this share of it."""
@@ -58,15 +58,11 @@ SEEN = 0.5
 LEAST_PIECE_M2 = 1.0
 """Ours: smaller pieces of a detected outline between footprints are the difference of two drawings."""
 
-STATISTICS = ("h_max", "h_mean", "h_p50", "h_p90")
-
 SHOWN = ("state", "building_share", "points", "point_share", "seen_share")
 """Measures that no column of the inventory has; they stay with the attributes, under `OWN`."""
 
 OWN = "msbdb"
 """The attribute of a measured footprint that holds the values of `SHOWN`."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +82,7 @@ class Measured:
     others: gpd.GeoDataFrame
 
 
-def measure_footprints(engine: Engine, survey: str, frame: gpd.GeoDataFrame) -> Measured:
+def measure_footprints(engine: Engine, survey: str, frame: gpd.GeoDataFrame, *, side: int = WINDOW_CELLS) -> Measured:
     """Measure footprints on what a survey found.
 
     Parameters
@@ -97,6 +93,13 @@ def measure_footprints(engine: Engine, survey: str, frame: gpd.GeoDataFrame) -> 
         A survey that is built.
     frame : GeoDataFrame
         Polygons in the survey's CRS. They may overlap.
+    side : int
+        Side of the windows in which the rasters are read, cells; of no influence on the result.
+
+    Raises
+    ------
+    OutdatedError
+        When others replace the survey meanwhile.
 
     Notes
     -----
@@ -108,19 +111,16 @@ def measure_footprints(engine: Engine, survey: str, frame: gpd.GeoDataFrame) -> 
     the survey has heights on less than `SEEN` of the footprint. So is a footprint smaller than the least building on
     which something raised was found.
     """
-    record, rasters, run = read_survey(engine, survey), read_rasters(engine, survey), read_run(engine, survey)
+    record, run = read_survey(engine, survey), read_run(engine, survey)
     values: Any = run.parameters
     params = with_values(Params(), {name: values.get(name, {}) for name in ("fuse", "heights", "surface")})
-    heights, elevations = heights_of(record, rasters), recall_elevations(record, rasters)
     buildings = read_buildings(engine, survey).reset_index(drop=True)
-    standing = rasterise(buildings.geometry, heights.spec)
+    cells = SurveyCells(engine, record, buildings, side)
     rows = pd.DataFrame(np.nan, index=range(len(frame)), columns=[*STATISTICS, "volume_m3", *HEIGHTS])
     for layer in layers_of(frame):
-        shapes = frame.geometry.to_numpy()[layer]
-        labels = rasterise(shapes, heights.spec)
-        found = _measured(labels, shapes, heights, elevations, standing, params=params)
-        found |= covered_by(labels, len(shapes), rasters.regions)
-        for name, own in found.items():
+        footprints = DrawnShapes(frame.geometry.to_numpy()[layer], cells.spec)
+        shares = shares_inside(footprints, cells)
+        for name, own in (shares | heights_inside(footprints, cells, shares["building_share"], params)).items():
             if name not in rows:
                 rows[name] = np.nan
             rows.loc[layer, name] = own
@@ -137,8 +137,8 @@ def measure_footprints(engine: Engine, survey: str, frame: gpd.GeoDataFrame) -> 
     rows["parts"] = _parts_inside(frame, read_parts(engine, survey))
     for name in (*(name for name in HEIGHTS if name.startswith("storeys")), "parts"):
         rows[name] = rows[name].where(stands).astype("Int64")
-    footprints = gpd.GeoDataFrame(rows.assign(area_m2=frame.area.to_numpy()), geometry=[*frame.geometry], crs=frame.crs)
-    return Measured(footprints, _without_footprint(buildings, standing, frame, heights))
+    measured = gpd.GeoDataFrame(rows.assign(area_m2=frame.area.to_numpy()), geometry=[*frame.geometry], crs=frame.crs)
+    return Measured(measured, _without_footprint(buildings, cells, frame))
 
 
 def layers_of(frame: gpd.GeoDataFrame) -> list[NDArray[np.intp]]:
@@ -165,74 +165,6 @@ def layers_of(frame: gpd.GeoDataFrame) -> list[NDArray[np.intp]]:
     return [np.flatnonzero(layer == number) for number in range(int(layer.max(initial=-1)) + 1)]
 
 
-def covered_by(labels: Labels, count: int, regions: Mapping[str, Labels]) -> dict[str, Floats]:
-    """Return the share of each footprint that the regions of each detector cover; NaN of one without cells."""
-    has_cells = sizes(labels, count) > 0
-    shares = {EXTRACTOR_SHARES[name]: covered_shares(labels, count, own) for name, own in regions.items()}
-    return {name: np.where(has_cells, own, np.nan) for name, own in shares.items()}
-
-
-def _measured(
-    labels: Labels,
-    shapes: NDArray[np.object_],
-    heights: Grid,
-    elevations: Elevations,
-    standing: Labels,
-    *,
-    params: Params,
-) -> dict[str, Floats]:
-    """Measure footprints that do not overlap, by name; NaN where the survey has no height in one."""
-    count, spec = len(shapes), heights.spec
-    inside = np.where(heights.valid, labels, 0)
-    cells = sizes(inside, count).astype(np.float64)
-    built = np.where(standing > 0, inside, 0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found: dict[str, Floats] = {
-            "seen_share": np.minimum(cells * spec.cell_area_m2 / shapely.area(shapes), 1.0),
-            "building_share": sizes(built, count) / cells,
-        }
-        roofs = found["building_share"] >= STANDS
-        used = np.where(np.concatenate([[False], roofs])[labels], built, inside)
-        found |= {"points": np.full(count, np.nan), "point_share": np.full(count, np.nan)}
-        if elevations.of_points and elevations.echoes is not None:
-            echoes = elevations.echoes.ravel().astype(np.float64)
-            found["points"] = _sums(labels, echoes, count)
-            found["point_share"] = _sums(built, echoes, count) / found["points"]
-    found["main"] = _largest(built, standing, count)
-    rows = np.flatnonzero(sizes(used, count) > 0)
-    if not rows.size:
-        return found
-    number = np.zeros(count + 1, dtype=np.int32)
-    number[rows + 1] = np.arange(1, rows.size + 1)
-    few = number[used]
-    of_cells = height_statistics(few, slice(0, rows.size), order_heights(heights, few > 0))
-    above = np.maximum(np.asarray(heights.values, dtype=np.float64), 0) * spec.cell_area_m2
-    roofs_of = measure_heights(few, rows.size, heights, elevations, params=params.heights, surface=params.surface)
-    some = {name: of_cells[name] for name in STATISTICS} | {"volume_m3": _sums(few, above.ravel(), rows.size)}
-    some |= {name: roofs_of[name].to_numpy(dtype=np.float64) for name in HEIGHTS}
-    for name, own in some.items():
-        found[name] = np.full(count, np.nan)
-        found[name][rows] = own
-    return found
-
-
-def _sums(labels: Labels, values: Floats, count: int) -> Floats:
-    """Return the sum of the values in each region."""
-    use = labels.ravel() > 0
-    found: Floats = sums(labels.ravel()[use], values[use], count)
-    return found
-
-
-def _largest(built: Labels, standing: Labels, count: int) -> Floats:
-    """Return the row of the detected building that covers most of each footprint; -1 for none."""
-    use = built > 0
-    pairs, cells = np.unique(np.stack([built[use], standing[use]]), axis=1, return_counts=True)
-    main = np.full(count, -1.0)
-    order = np.lexsort((-pairs[1], cells))  # the last one wins: most cells, and of equals the first building
-    main[pairs[0][order] - 1] = pairs[1][order] - 1
-    return main
-
-
 def _parts_inside(frame: gpd.GeoDataFrame, parts: pd.DataFrame) -> "pd.Series[Any]":
     """Return the number of the survey's parts in each footprint; null without any."""
     inner: NDArray[np.object_] = np.asarray(shapely.points(parts["xin"].to_numpy(), parts["yin"].to_numpy()))
@@ -241,12 +173,9 @@ def _parts_inside(frame: gpd.GeoDataFrame, parts: pd.DataFrame) -> "pd.Series[An
     return found.where(found > 0)
 
 
-def _without_footprint(
-    buildings: gpd.GeoDataFrame, standing: Labels, frame: gpd.GeoDataFrame, heights: Grid
-) -> gpd.GeoDataFrame:
+def _without_footprint(buildings: gpd.GeoDataFrame, survey: SurveyCells, frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     """Return the detected buildings that footprints cover by less than `STANDS`, with what lies outside of these."""
-    covered = rasterise(frame.geometry, heights.spec) > 0
-    cells, within = sizes(standing, len(buildings)), sizes(np.where(covered, standing, 0), len(buildings))
+    cells, within = cells_within(survey, DrawnShapes(frame.geometry.to_numpy(), survey.spec))
     left = buildings[within < STANDS * np.maximum(cells, 1)].reset_index(drop=True)
     shapes = left.geometry.to_numpy()
     rows, near = shapely.STRtree(frame.geometry.to_numpy()).query(shapes, predicate="intersects")
@@ -314,7 +243,7 @@ def take_measures(
     with opened(db) as engine:
         record = read_survey(engine, survey)
         frame = read_polygons(file, layer=layer, crs=crs or read_fallback(db), to=crs_of(record))
-        found = measure_footprints(engine, survey, frame)
+        found = _of_one_state(engine, survey, frame)
         if found.footprints["seen_share"].max() <= 0:
             msg = f"No footprint of {file.name} lies within the survey '{survey}'. Check both, and their CRS."
             raise InputError(msg)
@@ -342,6 +271,19 @@ def take_measures(
         database=where,
         build=built,
     )
+
+
+def _of_one_state(engine: Engine, survey: str, frame: gpd.GeoDataFrame) -> Measured:
+    """Measure footprints, and refuse a survey that others replaced between two windows."""
+    before, outdated = read_digest(engine, survey), None
+    try:
+        found = measure_footprints(engine, survey, frame)
+        if read_digest(engine, survey) == before:
+            return found
+    except OutdatedError as error:
+        outdated = error
+    msg = f"Others replaced the survey '{survey}' while footprints were measured on it. Measure them again."
+    raise DatabaseError(msg) from outdated
 
 
 def _as_inventory(found: Measured, frame: gpd.GeoDataFrame, id_column: str | None) -> gpd.GeoDataFrame:

@@ -8,12 +8,15 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
-from simulated.files import write_points
-from simulated.scenes import DATUM_M, Block, Tree, World, scan
+import numpy as np
+from affine import Affine
+from simulated.files import write_heights, write_image, write_points
+from simulated.scenes import DATUM_M, Block, Scene, Tree, World, scan
 
 from disturbance.forks import end, fork
 from disturbance.places import Files, Server, filled, limit_files
@@ -21,6 +24,9 @@ from disturbance.runs import ENDS, REFUSED, BrokenError, Outcome, content, requi
 from msbdb import api
 from msbdb.database import opened, read_tile_status, tiles_with_results
 from msbdb.errors import MsbdbError
+from msbdb.grid import Grid, GridSpec
+from msbdb.params import Params, with_values
+from msbdb.run.prepare import build_surface
 from msbdb.scale import tilework
 
 TILE_M = 60.0
@@ -35,23 +41,54 @@ ROOM = {"full": (500_000, 1_500_000), "limit": (10_000, 800_000)}
 """Bytes between which a build comes to its end or not: of the disk, and of one file, also the database."""
 
 
-def town_files(folder: Path) -> tuple[Path, ...]:
-    """Write a town of six tiles of 60 m as three files: a courtyard over a corner of tiles, houses and trees.
+Sources = Mapping[str, tuple[Path, ...]]
+"""The files of a survey by role: points, or dsm, dtm and ortho."""
 
-    They are LAS, because the readers of LAZ start threads, which a fork lacks.
+
+def town_files(folder: Path, of: str) -> Sources:
+    """Write a town of six tiles of 60 m: a courtyard over a corner of tiles, houses and trees.
+
+    Of points these are three files. They are LAS, because the readers of LAZ start threads, which a fork lacks. Of
+    rasters these are a DSM of cells of 1 m, a DTM of 2 m, and an orthophoto.
     """
     blocks = [Block("ring", 44, 44, 34, 34, DATUM_M + 12.5, 1, hole=(54, 54, 14, 14))]
     for number, (west, south) in enumerate([(15, 20), (90, 12), (95, 85), (20, 92), (140, 30), (142, 88)]):
         blocks.append(Block(f"house {number}", west, south, 13, 11, DATUM_M + 6.5 + number, number + 2))
     trees = tuple(Tree(8.0 + 10 * n, 36.0, 3.5, 9.0 + n % 3, 2.5) for n in range(16))
-    points = scan(World("town", (180, 120), tuple(blocks), trees, origin=(389_040.0, 5_821_020.0)), density=1.0).points
-    column = ((points.x - 389_040.0) // 60).astype(int)
-    return tuple(write_points(folder / f"{name}.las", points.take(column == n)) for n, name in enumerate("wme"))
+    scene = scan(World("town", (180, 120), tuple(blocks), trees, origin=(389_040.0, 5_821_020.0)), density=1.0)
+    if of == "rasters":
+        return _rasters(scene, folder)
+    column = ((scene.points.x - 389_040.0) // 60).astype(int)
+    files = (write_points(folder / f"{name}.las", scene.points.take(column == n)) for n, name in enumerate("wme"))
+    return {"points": tuple(files)}
 
 
-def build(files: tuple[Path, ...], target: str, scheduler: str | None, *, resume: bool) -> None:
+def _rasters(scene: Scene, folder: Path) -> Sources:
+    """Write the surface of a town, its ground and an orthophoto."""
+    surface = build_surface(scene.points, with_values(Params(), {"surface": {"cell_m": 1.0}}))
+    (west, south), crs = scene.world.origin, surface.dsm.spec.crs
+    lattices = {
+        name: GridSpec((round(120 / cell), round(180 / cell)), Affine(cell, 0, west, 0, -cell, south + 120), crs)
+        for name, cell in (("dsm", 1.0), ("dtm", 2.0), ("ortho", 0.5))
+    }
+    centres = lattices["dsm"].centres()
+    heights = surface.dsm.spec.sample(np.asarray(surface.dsm.values, np.float32), *centres, outside=0.0)
+    dsm = Grid(heights, surface.dsm.spec.sample(surface.dsm.valid, *centres, outside=False), lattices["dsm"])
+    flat = lattices["dtm"].shape
+    dtm = Grid(np.full(flat, DATUM_M, np.float32), np.ones(flat, np.bool_), lattices["dtm"])
+    bands = ("red", "green", "blue", "nir")
+    return {
+        "dsm": (write_heights(folder / "dsm.tif", dsm),),
+        "dtm": (write_heights(folder / "dtm.tif", dtm),),
+        "ortho": (write_image(folder / "ortho.tif", scene.ortho(lattices["ortho"]), lattices["ortho"], bands),),
+    }
+
+
+def build(files: Sources, target: str, scheduler: str | None, *, resume: bool) -> None:
     """Build the town in tiles."""
-    api.build(files, db=target, survey=SURVEY, extract="multiscale", tile=TILE_M, scheduler=scheduler, resume=resume)
+    given = {role: paths if role in {"points", "ortho"} else paths[0] for role, paths in files.items()}
+    how = {"extract": "multiscale", "tile": TILE_M, "scheduler": scheduler, "resume": resume}
+    api.build(given.pop("points", ()), db=target, survey=SURVEY, **given, **how)
 
 
 @dataclass
@@ -128,7 +165,7 @@ class Client:
     """A build in a forked process, alone or on a cluster."""
 
     def __init__(
-        self, files: tuple[Path, ...], target: str, scheduler: str | None, before: Callable[[], None], *, resume: bool
+        self, files: Sources, target: str, scheduler: str | None, before: Callable[[], None], *, resume: bool
     ) -> None:
         self.words = tempfile.TemporaryFile()  # noqa: SIM115  (goes with this object)
 
@@ -170,17 +207,17 @@ class TiledCourse:
     """The files of the town, what an undisturbed build ends in, and how long builds take."""
 
     folder: Path
-    files: tuple[Path, ...]
+    files: Sources
     expected: list[str]
     seconds: dict[tuple[str, int], float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, folder: Path) -> "TiledCourse":
+    def of(cls, folder: Path, of: str = "points") -> "TiledCourse":
         """Write the files, and build them undisturbed in this process, so that forks have all loaded and compiled."""
         import distributed  # noqa: F401  (before any fork)
 
         folder.mkdir(exist_ok=True)
-        files = town_files(folder)
+        files = town_files(folder, of)
         db = folder / "undisturbed.sqlite"
         build(files, str(db), None, resume=False)
         return cls(folder, files, content(str(db)))
@@ -234,7 +271,8 @@ def _run(course: TiledCourse, places: Files | Server, workers: int, rng: random.
     own = course.folder / "own"
     shutil.rmtree(own, ignore_errors=True)
     own.mkdir()
-    files = tuple(Path(shutil.copy2(path, own)) for path in course.files)
+    files = {role: tuple(Path(shutil.copy2(path, own)) for path in paths) for role, paths in course.files.items()}
+    every = list(chain.from_iterable(files.values()))
     moment, place = rng.uniform(0, usual), rng.randrange(6)
     room = rng.randrange(*ROOM.get(fault, (0, 1)))
     before = {"raise": lambda: _raise_at(place), "limit": lambda: limit_files(room)}.get(fault, lambda: None)
@@ -246,10 +284,10 @@ def _run(course: TiledCourse, places: Files | Server, workers: int, rng: random.
             stack.enter_context(filled(next(folder for folder in places.folder.parents if folder.is_mount()), room))
         client = Client(files, target, cluster and cluster.address, before, resume=False)
         time.sleep(0 if fault in {"raise", "full", "limit"} else moment)
-        _strike(fault, client, cluster, places, vanishing=rng.choice(files), rng=rng)
+        _strike(fault, client, cluster, places, vanishing=rng.choice(every), rng=rng)
         code = client.wait()
         outcome.ended, outcome.said = ENDS.get(code, f"with the code {code}"), client.said()
-        for path, kept in zip(files, course.files, strict=True):
+        for path, kept in zip(every, chain.from_iterable(course.files.values()), strict=True):
             shutil.copy2(kept, path)
     allowed = ("done", "killed") if fault == "client" else ("done", "refused")
     require(outcome.ended in allowed, f"it ended {outcome.ended}: {outcome.said}")
@@ -293,16 +331,16 @@ def _strike(
 
 def _raise_at(number: int) -> None:
     """Have a tile raise whenever it is built: the n-th of the town."""
-    original = tilework.find_buildings
+    original = tilework.decompose_window
 
-    def raises(job: object, stages: object, plan: object, window: object) -> object:
+    def raises(job: object, plan: object, window: object, stages: object) -> object:
         west, south = window.own[:2]
         if round((west - 389_040.0) / TILE_M) % 3 + 3 * (round((south - 5_821_020.0) / TILE_M) % 2) == number:
             msg = "this tile is broken"
             raise RuntimeError(msg)
-        return original(job, stages, plan, window)
+        return original(job, plan, window, stages)
 
-    tilework.find_buildings = raises
+    tilework.decompose_window = raises
 
 
 def _state_of(course: TiledCourse, target: str, outcome: Outcome) -> str:
