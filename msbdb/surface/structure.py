@@ -20,6 +20,7 @@ from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import CoverParams, Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.heights import Surface
+from msbdb.surface.noise import height_noise, without_noise
 from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, roughness
 from msbdb.threads import in_threads
 
@@ -256,7 +257,12 @@ def cover_from_surface(surface: Surface, points: PointCloud | None, params: Para
         window.
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
-    rough, wide = in_threads(partial(roughness, surface.samples), (small_m, wide_m))
+
+    def relief(window_m: float) -> Field:
+        seen = roughness(surface.samples, window_m)
+        return without_noise(seen, height_noise(seen, surface.ndsm))
+
+    rough, wide = in_threads(relief, (small_m, wide_m))
     found = (
         None
         if points is None

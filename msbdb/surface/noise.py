@@ -1,0 +1,128 @@
+"""Noise of the heights: how rough even ground looks, beyond what a precise scanner leaves.
+
+Roofs carry the noise of the ground beside them. So what noise adds is taken from the roughness before roofs and
+crowns are separated by it. Strips that do not fit in height, and coarse ranges of older scanners, act alike.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
+
+from msbdb.grid import Grid
+from msbdb.surface.texture import NO_PLANE_M
+
+BARE_M = 0.5
+"""Cells below this height are bare ground."""
+
+BLOCK_M = 25.0
+"""Side of the blocks of the absolute lattice in which bare cells are counted; those of 3 by 3 blocks count together."""
+
+STEP_M, STEPS = 0.005, 60
+"""Width of the classes of roughness that are counted, metres, and their number; the last one is open."""
+
+SMOOTHEST = 0.25
+"""Even ground is among the smoothest quarter of the bare cells, as grass, kerbs and cars are rough."""
+
+PRECISE_M = 0.02
+"""That quarter is smoother than this on all surveys at hand. On cells above 1 m windows are wider, and it grows."""
+
+MEDIAN_OF_NOISE = 2.0
+"""Squared median of the roughness over its squared lower quartile, in windows of nine samples of noise alone."""
+
+UNSEEN = 1 / 3
+"""Less relief than this share of the noise is not seen in it: an even surface may have as much."""
+
+LEAST_CELLS = 50
+"""With fewer bare cells the noise is taken as 0."""
+
+Field = NDArray[np.float32]
+
+
+def height_noise(roughness_m: Field, ndsm: Grid) -> Field:
+    """Return the roughness that noise adds to even surfaces, by the bare ground around.
+
+    Parameters
+    ----------
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane (`msbdb.surface.texture.roughness`).
+    ndsm : Grid
+        Heights above ground, metres.
+
+    Returns
+    -------
+    (H, W) ndarray of float32, metres
+        The median that noise alone would give; 0 where even ground is as smooth as a precise scanner sees it, and
+        where there is hardly any bare ground. At most 0.42 m.
+
+    Notes
+    -----
+    With q the lower quartile of the roughness of bare cells in 3 by 3 blocks, noise is √(2 (q² - q₀²)), q₀ = 0.02 m.
+    Blocks lie on the absolute lattice, so that tiles agree: a cell's noise depends on ground up to 50 m away.
+    Border: blocks end at the lattice. Nodata: cells that are not valid, or without a plane, do not count.
+    Linear in the cells.
+
+    Examples
+    --------
+    Even ground that looks 5 cm rough, and a roof on it:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> high = np.zeros((20, 20), dtype=np.float32)
+    >>> high[5:15, 5:15] = 6
+    >>> ndsm = Grid(high, high >= 0, lattice((0, 0.1, 19, 19.9), 1.0, CRS.from_epsg(2154)))
+    >>> height_noise(np.full((20, 20), 0.051, np.float32), ndsm)[10, 10].round(3)
+    np.float32(0.069)
+    >>> height_noise(np.full((20, 20), 0.012, np.float32), ndsm).max()
+    np.float32(0.0)
+    """
+    spec = ndsm.spec
+    frame, side = spec.frame, max(1, round(BLOCK_M / spec.cell_m))
+    rows, cols = (
+        (first + np.arange(length)) // side - first // side
+        for first, length in zip((frame.row, frame.col), spec.shape, strict=True)
+    )
+    count = int(cols[-1]) + 1
+    counts = np.zeros((int(rows[-1]) + 1, count, STEPS), dtype=np.int64)
+    # One row of blocks after the other, as places in the lattice take more memory than the roughness.
+    for number, band in enumerate(counts):
+        here = slice(*np.searchsorted(rows, (number, number + 1)))
+        high, rough_m = np.asarray(ndsm.values[here]), roughness_m[here]
+        bare = ndsm.valid[here] & (high < BARE_M) & (rough_m < NO_PLANE_M)
+        step = np.minimum((rough_m[bare] / STEP_M).astype(np.int64), STEPS - 1)
+        col = np.broadcast_to(cols, bare.shape)[bare]
+        band[:] = np.bincount(col * STEPS + step, minlength=count * STEPS).reshape(count, STEPS)
+    for axis in (0, 1):
+        counts = correlate1d(counts, np.ones(3, dtype=np.int64), axis=axis, mode="constant")
+    below = counts.cumsum(axis=2)
+    total = below[:, :, -1]
+    quartile_m = STEP_M * (0.5 + np.argmax(below >= SMOOTHEST * total[:, :, None], axis=2))
+    precise_m = PRECISE_M * max(1.0, spec.cell_m)
+    noise_m = np.sqrt(MEDIAN_OF_NOISE * np.maximum(quartile_m**2 - precise_m**2, 0))
+    found: Field = np.where(total >= LEAST_CELLS, noise_m, 0).astype(np.float32)[rows[:, None], cols[None, :]]
+    return found
+
+
+def without_noise(roughness_m: Field, noise_m: Field) -> Field:
+    """Return the roughness of the surface itself, √(r² - n²), and n/3 where less is left.
+
+    Parameters
+    ----------
+    roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane; cells without a plane (`msbdb.surface.texture.NO_PLANE_M`) stay as they are.
+    noise_m : (H, W) ndarray of float32, metres
+        From `height_noise`.
+
+    Returns
+    -------
+    (H, W) ndarray of float32, metres
+        The given array itself where there is no noise at all.
+
+    Examples
+    --------
+    >>> without_noise(np.float32([0.05, 0.13, 5.0]), np.float32([0.05, 0.05, 0.05])).round(2)
+    array([0.02, 0.12, 5.  ], dtype=float32)
+    """
+    if not noise_m.any():
+        return roughness_m
+    relief_m = np.sqrt(np.maximum(roughness_m**2 - noise_m**2, (UNSEEN * noise_m) ** 2))
+    return np.where((roughness_m < NO_PLANE_M) & (noise_m > 0), relief_m, roughness_m)
