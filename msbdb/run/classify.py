@@ -68,7 +68,7 @@ def classify_points(
         taken = np.zeros(len(cloud), dtype=np.bool_)
         if is_fused(regions, params.fuse):
             # The buildings of a build: what the detectors decide together, and not what any of them takes.
-            built = fuse_and_decompose(scene, regions, params, stages)[0].root_labels > 0
+            built = fuse_and_decompose(scene, regions, params, stages).roofs
             inside = scene.heights.spec.sample(built, cloud.x, cloud.y, outside=False)
             taken = inside & (heights >= params.surface.mask_m)
             edges = regions.get(EDGES)

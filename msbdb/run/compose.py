@@ -6,7 +6,7 @@ kept run, detects parts under the new labels, and shares all later steps.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,15 +21,15 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import ParameterError, give_notice
 from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.fuse.touching import Division, divide
-from msbdb.grid import Grid
-from msbdb.kept import KeptRun
+from msbdb.grid import Bounds, Grid
+from msbdb.kept import KeptRun, Packed, Rasters
 from msbdb.params import Params, as_dict, with_values
 from msbdb.parts.forest import Forest
 from msbdb.parts.tree import extract_parts
 from msbdb.points.aside import let_go
 from msbdb.run.describe import Description, count_cells, describe, describe_choices, describe_rasters
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, is_large, make_plan, note_missing_sources, prepare, read_cloud
+from msbdb.run.prepare import Label, Window, is_large, make_plan, note_missing_sources, prepare, read_cloud
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
@@ -73,10 +73,93 @@ class Job:
     plan: Plan | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Detected:
+    """A survey, or a window of it, after the steps from reading to the detectors.
+
+    Parameters
+    ----------
+    scene : Scene
+        Without its sources.
+    params : Params
+        With the values of the plan.
+    plan : Plan
+        That given, or that of the survey.
+    regions : mapping of str to Regions
+        Of each detector that was run.
+    choices : dict
+        What the run decided itself, as `msbdb.run.describe.describe_choices` returns it.
+    points : int
+        Points in the own ground of the window; of rasters, cells with a value.
+    reach : tuple of float or None
+        West, south, east and north of these points, or of all of these cells, metres; None without any.
+    """
+
+    scene: Scene
+    params: Params
+    plan: Plan
+    regions: Mapping[str, Regions]
+    choices: dict[str, object]
+    points: int = 0
+    reach: Bounds | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decomposed:
+    """A scene whose cells are decided, divided into houses, and decomposed into parts, but not described.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the steps share.
+    params : Params
+        Of the run.
+    regions : mapping of str to Regions
+        Of each detector that was run.
+    built : (H, W) ndarray of bool or None
+        The cells that the detectors take together; None where they do not decide together.
+    division : Division or None
+        The houses in these cells.
+    forest : Forest
+        The tree of parts.
+    rasters : Rasters, optional
+        What the run keeps of the cells, where it is known already.
+    packed : mapping of str to (ndarray, dict)
+        These rasters as the database keeps them, where they are packed already.
+    """
+
+    scene: Scene
+    params: Params
+    regions: Mapping[str, Regions]
+    built: NDArray[np.bool_] | None
+    division: Division | None
+    forest: Forest
+    rasters: Rasters | None = None
+    packed: Packed = field(default_factory=dict)
+
+    @property
+    def roofs(self) -> NDArray[np.bool_]:
+        """The (H, W) cells of buildings: those to which the raster of reasons will give *building*."""
+        roofs: NDArray[np.bool_] = self.forest.root_labels > 0
+        return roofs
+
+    def described(self, stages: Stages) -> Description:
+        """Return what the database keeps of it: outlines, heights, evidence and rasters."""
+        with stages.stage("outlines"):
+            found = describe(
+                self.scene,
+                self.regions,
+                self.forest,
+                self.params,
+                built=self.built,
+                division=self.division,
+                rasters=self.rasters,
+            )
+        return replace(found, packed=self.packed)
+
+
 def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
     """Take one survey through all steps, up to the run that the database keeps.
-
-    Points, surface and bands are released as soon as no later step needs them, to keep the peak of memory low.
 
     Parameters
     ----------
@@ -92,29 +175,61 @@ def run_survey(job: Job, stages: Stages, notices: Notices) -> KeptRun:
         with collect_notices(Notices()), memory_reused():
             planned = make_plan(job.inputs, job.params, stages)
     with collect_notices(notices), memory_reused():
-        with stages.stage("read"):
-            cloud = read_cloud(job.inputs, stages.progress, None if planned is None else planned.points)
-        scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned)
-        del cloud
-        note_missing_sources(scene)
-        choices = describe_choices(scene, params)
-        regions = detect(scene, job.methods, params, stages)
-        if job.denoising_figure is not None and "flatregions" in job.methods:
-            _draw_denoising(scene, params, job.denoising_figure)
-        scene = scene.without_sources()
-        made = fuse_and_describe(scene, regions, params, stages)
-    run = record_run(job, counts_of(scene, made, job, choices), stages.timings, notices)
-    return KeptRun(scene.survey, run, made.frames, made.rasters, plan, made.packed)
+        found = find_regions(job, planned, stages)
+        made = fuse_and_decompose(found.scene, found.regions, found.params, stages, packs=True).described(stages)
+    run = record_run(job, counts_of(found, made, job), stages.timings, notices)
+    return KeptRun(found.scene.survey, run, made.frames, made.rasters, found.plan, made.packed)
 
 
-def counts_of(scene: Scene, made: Description, job: Job, choices: dict[str, object]) -> Counts:
+def find_regions(job: Job, planned: Plan | None, stages: Stages, window: Window | None = None) -> Detected:
+    """Take a survey, or a window of it, through the steps from reading to the detectors.
+
+    Points, surface and bands are released as soon as no later step needs them, to keep the peak of memory low. In a
+    window the detectors run one by one, as tiles beside it use the cores.
+
+    Parameters
+    ----------
+    job : Job
+        What to do.
+    planned : Plan or None
+        The plan; None where the survey makes its own.
+    stages : Stages
+        For timings and progress.
+    window : Window, optional
+        The part that is built; the classes count the cells of its own ground alone.
+
+    Raises
+    ------
+    NodataError
+        When there are no points or heights.
+    MsbdbError
+        When the files cannot be used.
+    """
+    facts, area = (None if planned is None else planned.points), (None if window is None else window.area)
+    with stages.stage("read"):
+        cloud = read_cloud(job.inputs, stages.progress, facts, area)
+    scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, window=window)
+    points, reach = (0, None) if window is None else window.held(cloud, scene.heights)
+    del cloud
+    if window is not None:
+        scene = scene.with_points_aside()
+    note_missing_sources(scene)
+    choices = describe_choices(scene, params)
+    regions = detect(scene, job.methods, params, stages, frugal=window is not None)
+    if job.denoising_figure is not None and "flatregions" in job.methods:
+        _draw_denoising(scene, params, job.denoising_figure)
+    return Detected(scene.without_sources(), params, plan, regions, choices, points, reach)
+
+
+def counts_of(found: Detected, made: Description, job: Job) -> Counts:
     """Return what a run counts, states and chooses: its regions by stage, its cells, and how they were classified."""
+    cover = found.scene.cover
     return Counts(
         regions=made.counts,
-        cells=count_cells(scene.heights, scene.cover),
-        cover={"colours_decide": int(scene.cover.colours_decide), "green_decides": int(scene.cover.green_decides)},
+        cells=count_cells(found.scene.heights, cover),
+        cover={"colours_decide": int(cover.colours_decide), "green_decides": int(cover.green_decides)},
         stated=job.inputs.stated(),
-        chosen=choices,
+        chosen=found.choices,
     )
 
 
@@ -151,7 +266,7 @@ def relabelled(
     params = with_values(params, {"scale": {"scales_m2": kept.frames["scale"]["threshold_m2"].tolist()[::-1]}})
     if "multiscale" in kept.run.methods:
         regions = {**regions, **detect(scene, ["multiscale"], params, stages)}
-    found = fuse_and_describe(scene, regions, params, stages)
+    found = fuse_and_decompose(scene, regions, params, stages, packs=True).described(stages)
     counts = replace(kept.run.counts, regions=found.counts, cells=count_cells(scene.heights, scene.cover))
     run = replace(kept.run, counts=counts, timings={**kept.run.timings, **stages.timings})
     return KeptRun(kept.survey, run, found.frames, found.rasters, kept.plan, found.packed)
@@ -176,36 +291,25 @@ def detect(
     return dict(zip(methods, found, strict=True))
 
 
-def fuse_and_describe(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> Description:
-    """Fuse, decompose and describe: the steps that a build and a re-labelling share.
+def fuse_and_decompose(
+    scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages, *, packs: bool = False
+) -> Decomposed:
+    """Decide which cells are building, divide them into houses, and these into parts.
 
-    The rasters are packed beside the first steps, which use one core.
+    Where the detectors do not decide together, nothing is divided, and the multi-scale one alone makes the parts. Where
+    a run will be written as a whole, it ``packs`` the rasters beside the first steps, which use one core.
     """
-    rasters = describe_rasters(scene, regions)
+    rasters = describe_rasters(scene, regions) if packs else None
 
-    def decide() -> tuple[NDArray[np.bool_] | None, Division | None]:
+    def decide_cells() -> tuple[NDArray[np.bool_] | None, Division | None]:
         built = fuse(scene, regions, params, stages)
         return built, divide_houses(scene, built, params, stages)
 
-    (built, division), packed = together(decide, partial(pack_rasters, rasters.by_name()))
+    by_name = {} if rasters is None else rasters.by_name()
+    (built, division), packed = together(decide_cells, partial(pack_rasters, by_name))
     with stages.stage("parts"):
         forest = decompose(scene, regions, built, division, params)
-    with stages.stage("outlines"):
-        found = describe(scene, regions, forest, params, built=built, division=division, rasters=rasters)
-    return replace(found, packed=packed)
-
-
-def fuse_and_decompose(
-    scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages
-) -> tuple[Forest, Division | None]:
-    """Decide which cells are building and divide them into houses; return the tree of parts inside the houses.
-
-    Where the detectors do not decide together, nothing is divided.
-    """
-    built = fuse(scene, regions, params, stages)
-    division = divide_houses(scene, built, params, stages)
-    with stages.stage("parts"):
-        return decompose(scene, regions, built, division, params), division
+    return Decomposed(scene, params, regions, built, division, forest, rasters, packed)
 
 
 def fuse(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: Stages) -> NDArray[np.bool_] | None:

@@ -108,6 +108,27 @@ class Window:
     own: Bounds
     seen: Bounds
 
+    def held(self, cloud: PointCloud | None, heights: Grid) -> tuple[int, Bounds | None]:
+        """Return how many points lie in the own ground, and how far they reach; of rasters, cells with a value.
+
+        Points on the west or south edge count. Cells count by their centre; the reach is that of all cells.
+        """
+        if cloud is None:
+            rows, cols = heights.spec.within(self.own)
+            if rows.start == rows.stop:
+                return 0, None
+            return int(np.count_nonzero(heights.valid[rows, cols])), heights.spec.crop(rows, cols).bounds
+        west, south, east, north = self.own
+        held = (cloud.x >= west) & (cloud.x < east) & (cloud.y >= south) & (cloud.y < north)
+        if not held.any():
+            return 0, None
+        # Without copies of the coordinates, which would be the highest peak of all.
+        (west, east), (south, north) = (
+            (float(each.min(where=held, initial=np.inf)), float(each.max(where=held, initial=-np.inf)))
+            for each in (cloud.x, cloud.y)
+        )
+        return int(np.count_nonzero(held)), (west, south, east, north)
+
 
 @dataclass(frozen=True, slots=True)
 class Label:

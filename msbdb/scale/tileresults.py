@@ -20,15 +20,35 @@ from msbdb.grid import GridSpec
 from msbdb.identity import to_json
 from msbdb.ledger import sum_up
 from msbdb.params import POINT_DETECTORS
+from msbdb.run.compose import Detected
+from msbdb.run.describe import Description
 from msbdb.scale.tiling import Tile, first_cells, owned_buildings
-from msbdb.scale.windowbuild import Found
-from msbdb.tables import TABLES, Reason
+from msbdb.tables import TABLES, Counts, Reason
 
 RING_M = 20.0
 """Ours: neighbours are compared so far beyond a tile: what lies there belongs to whole islands of the tile."""
 
 STRAIGHT = ("scale", "spectral_class", "spectral_class_band")
 """Tables that each tile has for the run as a whole."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What the steps found in the window of a tile.
+
+    Parameters
+    ----------
+    window : Detected
+        Its scene, and what the detectors found.
+    description : Description
+        Tables, rasters and counts.
+    counts : Counts
+        What the run keeps of them.
+    """
+
+    window: Detected
+    description: Description
+    counts: Counts
 
 
 def packed(
@@ -60,9 +80,9 @@ def packed(
     about: dict[str, Any] = {"points": 0, "halo_m": halo_m, "cut": cut, "notices": [str(each) for each in notices]}
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
-        if found is not None and found.reach is not None:
+        if found is not None and found.window.reach is not None:
             frames, kinds = _owned(tile, found, least_m2)
-            spec = found.scene.heights.spec
+            spec = found.window.scene.heights.spec
             for name, frame in frames.items():
                 with file.open(f"{name}.parquet", "w", force_zip64=True) as own:
                     frame.to_parquet(own, compression=None)
@@ -77,15 +97,15 @@ def packed(
                     np.save(own, array, allow_pickle=False)
             row, column = spec.origin
             about |= {
-                "points": found.points,
-                "reach": found.reach,
+                "points": found.window.points,
+                "reach": found.window.reach,
                 "origin": [row + rows.start, column + columns.start],
                 "own": [rows.stop - rows.start, columns.stop - columns.start],
                 "near": [row + near[0].start, column + near[1].start, *reason[near].shape]
                 if reason is not None
                 else [],
                 "kinds": kinds,
-                "survey": asdict(replace(found.scene.survey, sources=())),
+                "survey": asdict(replace(found.window.scene.survey, sources=())),
                 "reasons": [] if reason is None else np.bincount(reason[rows, columns].ravel(), minlength=len(Reason)),
                 "cells": _counted(found, rows, columns),
                 "cover": found.counts.cover,
@@ -121,7 +141,7 @@ def _region_ids(frames: Mapping[str, pd.DataFrame], method: str) -> NDArray[np.i
 
 def _counted(found: Found, rows: slice, columns: slice) -> dict[str, int]:
     """Count the own cells: all, valid, and a class label each."""
-    classes, valid = found.scene.cover.classes, found.scene.heights.valid[rows, columns]
+    classes, valid = found.window.scene.cover.classes, found.window.scene.heights.valid[rows, columns]
     index = np.bincount(classes.index[rows, columns].ravel(), minlength=256)
     counts = {"all": int(valid.size), "valid": int(np.count_nonzero(valid))}
     for number, label in sorted(classes.labels.items()):
@@ -132,7 +152,7 @@ def _counted(found: Found, rows: slice, columns: slice) -> dict[str, int]:
 def _owned(tile: Tile, found: Found, least_m2: float) -> tuple[dict[str, pd.DataFrame], dict[str, list[list[str]]]]:
     """Return the rows that a tile owns, and the stages and reasons that the numbers of its answers mean."""
     frames, kept = found.description.frames, found.description.rasters
-    spec = found.scene.heights.spec
+    spec = found.window.scene.heights.spec
     buildings = owned_buildings(tile, frames["part"])
     own = {name: frames[name] for name in STRAIGHT}
     for name in ("building", "part"):

@@ -14,12 +14,11 @@ from msbdb.database import TileStatus, note_result
 from msbdb.errors import NodataError, collected_notices
 from msbdb.grid import Bounds
 from msbdb.io.vector import Area
-from msbdb.run.compose import Job
+from msbdb.run.compose import Detected, Job, counts_of, find_regions, fuse_and_decompose
 from msbdb.run.prepare import Window
 from msbdb.run.reports import Stages
-from msbdb.scale.tileresults import packed
+from msbdb.scale.tileresults import Found, packed
 from msbdb.scale.tiling import Tile, cut_islands
-from msbdb.scale.windowbuild import Decomposed, decompose_window
 from msbdb.surveyplan import Plan
 from msbdb.threads import alone_on, memory_reused
 
@@ -88,16 +87,19 @@ def work(task: TileTask) -> TileStatus:
     with alone_on(task.cores), collected_notices() as notices, memory_reused(bounded=True):
         while True:
             try:
-                parts = _in_window(task, halo_m)
+                seen = _in_window(task, halo_m)
             except NodataError as error:
                 reason = str(error)
                 break
+            decomposed = fuse_and_decompose(seen.scene, seen.regions, seen.params, Stages(None))
+            # Now it is known whether the window holds its islands of roofs whole; no outlines are made of a narrow one.
             window = task.tile.window(halo_m)
-            cut = cut_islands(task.tile, parts.roofs, parts.scene.heights.spec, window, task.survey)
+            cut = cut_islands(task.tile, decomposed.roofs, seen.scene.heights.spec, window, task.survey)
             if not cut or halo_m >= task.most_m:
-                found = parts.described(task.job, Stages(None))
+                made = decomposed.described(Stages(None))
+                found = Found(seen, made, counts_of(seen, made, task.job))
                 break
-            del parts
+            del seen, decomposed
             # At once as far as it may: how far a cut island goes on is not known, and each step is a whole build.
             halo_m = task.most_m
             logger.info("Tile %s: %d islands reach beyond its window; it sees %g m now", task.tile, cut, halo_m)
@@ -106,7 +108,7 @@ def work(task: TileTask) -> TileStatus:
     status = replace(
         task.status,
         state="done",
-        points=0 if found is None else found.points,
+        points=0 if found is None else found.window.points,
         halo_m=halo_m,
         seconds=round(time.perf_counter() - begin, 3),
         reason=reason,
@@ -133,8 +135,8 @@ def put_file(path: Path, content: bytes) -> None:
         growing.unlink(missing_ok=True)
 
 
-def _in_window(task: TileTask, halo_m: float) -> Decomposed:
-    """Return the parts in the tile and its halo."""
+def _in_window(task: TileTask, halo_m: float) -> Detected:
+    """Return what the detectors find in the tile and its halo."""
     bounds = task.tile.window(halo_m)
     crs = CRS.from_user_input(task.plan.crs)
     area = Area.of_box(bounds, crs)
@@ -145,7 +147,7 @@ def _in_window(task: TileTask, halo_m: float) -> Decomposed:
             msg = f"The tile {task.tile} has no ground in {interest.what}."
             raise NodataError(msg)
         area = Area(gpd.GeoSeries([shape], crs=crs), 0.0, f"{interest.what}, in the tile {task.tile}")
-    return decompose_window(task.job, task.plan, Window(area, task.tile.bounds, bounds), Stages(None))
+    return find_regions(task.job, task.plan, Stages(None), Window(area, task.tile.bounds, bounds))
 
 
 def one_by_one(tasks: Sequence[TileTask], begin: Callable[[TileTask], None]) -> Iterator[Outcome]:

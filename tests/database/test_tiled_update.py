@@ -63,19 +63,19 @@ def test_a_comparison_by_small_windows_ends_as_one_of_the_whole(target, epochs, 
 
 def test_an_update_with_a_failed_tile_is_resumed(target, epochs, expected, monkeypatch):
     """The inventory stays until all tiles are done; the repetition builds the one tile, and completes the update."""
-    original, built = tilework.decompose_window, []
+    original, built = tilework.find_regions, []
 
-    def fails(job, plan, window, stages):
+    def fails(job, plan, stages, window):
         built.append(window.own)
         if broken and len(built) == 2:
             msg = "the disk is on fire"
             raise OSError(msg)
-        return original(job, plan, window, stages)
+        return original(job, plan, stages, window)
 
     (older, first), (newer, second) = epochs
     msbdb.update(older, db=target, **first, **ONE)
     before = content(target)
-    monkeypatch.setattr(tilework, "decompose_window", fails)
+    monkeypatch.setattr(tilework, "find_regions", fails)
     broken = True
     with pytest.raises(TilesError, match="--resume"):
         msbdb.update(newer, db=target, **second, **TILES)

@@ -37,8 +37,9 @@ from msbdb.database.runs.digests import RunContent
 from msbdb.errors import InputError, ParameterError, TilesError, collected_notices
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
+from msbdb.run import compose
 from msbdb.run.prepare import THINNED
-from msbdb.scale import tiledbuild, tilework, windowbuild
+from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
 from msbdb.tables import Reason
 
@@ -238,19 +239,19 @@ def test_a_window_that_is_too_narrow_is_left_before_its_outlines(files, tmp_path
     monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 75.0)
     begun, described = [], []
 
-    def begins(job, plan, window, stages, original=tilework.decompose_window):
+    def begins(job, plan, stages, window, original=tilework.find_regions):
         begun.append(window.seen[2] - window.seen[0])
-        return original(job, plan, window, stages)
+        return original(job, plan, stages, window)
 
-    def describes(scene, *given, original=windowbuild.describe, **words):
+    def describes(scene, *given, original=compose.describe, **words):
         made = original(scene, *given, **words)
         roofs = made.rasters.reason == Reason.BUILDING
         assert np.array_equal(roofs, given[1].root_labels > 0)
         described.append(roofs)
         return made
 
-    monkeypatch.setattr(tilework, "decompose_window", begins)
-    monkeypatch.setattr(windowbuild, "describe", describes)
+    monkeypatch.setattr(tilework, "find_regions", begins)
+    monkeypatch.setattr(compose, "describe", describes)
     msbdb.build(files, db=tmp_path / "town.sqlite", survey="town", extract="multiscale", tile=TILE_M)
     assert begun == [TILE_M + 50.0, TILE_M + 150.0] * 4
     assert len(described) == 4
@@ -270,16 +271,16 @@ def test_what_a_window_cuts_is_told(files, tmp_path, monkeypatch):
 def test_a_failed_tile_is_named_and_the_others_complete(files, quick, tmp_path, monkeypatch):
     """No survey is written; the repetition builds this tile alone, and ends in the undisturbed dump."""
     db = tmp_path / "town.sqlite"
-    original, built = tilework.decompose_window, []
+    original, built = tilework.find_regions, []
 
-    def fails(job, plan, window, stages):
+    def fails(job, plan, stages, window):
         built.append(window.own)
         if broken and window.own[:2] == (389_100.0, 5_821_080.0):
             msg = "the disk is on fire"
             raise OSError(msg)
-        return original(job, plan, window, stages)
+        return original(job, plan, stages, window)
 
-    monkeypatch.setattr(tilework, "decompose_window", fails)
+    monkeypatch.setattr(tilework, "find_regions", fails)
     broken = True
     given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
     with pytest.raises(TilesError, match=r"1 tile of 4 of 'town' failed.*the disk is on fire.*--resume"):
@@ -304,13 +305,13 @@ def test_a_file_that_vanishes_leaves_the_other_tiles(files, tmp_path, monkeypatc
     own = [tmp_path / path.name for path in files]
     for path, kept in zip(own, files, strict=True):
         path.write_bytes(kept.read_bytes())
-    original = tilework.decompose_window
+    original = tilework.find_regions
 
-    def loses(job, plan, window, stages):
+    def loses(job, plan, stages, window):
         own[1].unlink(missing_ok=True)
-        return original(job, plan, window, stages)
+        return original(job, plan, stages, window)
 
-    monkeypatch.setattr(tilework, "decompose_window", loses)
+    monkeypatch.setattr(tilework, "find_regions", loses)
     # Tiles of the west do not see the eastern file.
     monkeypatch.setattr(tiledbuild, "HALO_M", 5.0)
     monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 5.0)
@@ -321,7 +322,7 @@ def test_a_file_that_vanishes_leaves_the_other_tiles(files, tmp_path, monkeypatc
     states = {tile.state for tile in msbdb.tiles(db)}
     assert states == {"done", "failed"}
     own[1].write_bytes(files[1].read_bytes())
-    monkeypatch.setattr(tilework, "decompose_window", original)
+    monkeypatch.setattr(tilework, "find_regions", original)
     msbdb.build(own, db=db, **given, resume=True)
     undisturbed = tmp_path / "undisturbed.sqlite"
     msbdb.build(own, db=undisturbed, **given)
@@ -375,7 +376,7 @@ def test_the_same_again_changes_nothing(files, quick, tmp_path, monkeypatch):
     db.write_bytes(quick.read_bytes())
     given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
     assert not msbdb.build(files, **given).changed
-    monkeypatch.setattr(tilework, "decompose_window", None)
+    monkeypatch.setattr(tilework, "find_regions", None)
     assert not msbdb.build(files, **given, resume=True).changed
     assert lines(db) == lines(quick)
 
@@ -407,18 +408,18 @@ def test_a_killed_client_goes_on_where_it_was(files, quick, tmp_path):
 def test_results_of_two_surveys_do_not_mix(files, quick, tmp_path, monkeypatch):
     """A survey that fails half-way, and another one on the same tiles, go on and end as if each had been alone."""
     db = tmp_path / "town.sqlite"
-    original = tilework.decompose_window
+    original = tilework.find_regions
 
-    def fails(job, plan, window, stages):
+    def fails(job, plan, stages, window):
         if window.own[:2] == (389_100.0, 5_821_080.0):
             raise OSError
-        return original(job, plan, window, stages)
+        return original(job, plan, stages, window)
 
-    monkeypatch.setattr(tilework, "decompose_window", fails)
+    monkeypatch.setattr(tilework, "find_regions", fails)
     given = {"db": db, "extract": "multiscale", "tile": TILE_M}
     with pytest.raises(TilesError):
         msbdb.build(files, survey="town", **given)
-    monkeypatch.setattr(tilework, "decompose_window", original)
+    monkeypatch.setattr(tilework, "find_regions", original)
     msbdb.build(files[:1], survey="west", **given)
     msbdb.build(files, survey="town", **given, resume=True)
     with opened(quick) as one, opened(db) as other:

@@ -160,16 +160,16 @@ def test_each_tile_reads_its_window_alone(files, whole, tmp_path, monkeypatch):
 def test_after_a_failure_the_rest_is_built(files, quick, tmp_path, monkeypatch):
     """The tile is named, the others complete, and --resume builds this one alone."""
     db = tmp_path / "town.sqlite"
-    original, built = tilework.decompose_window, []
+    original, built = tilework.find_regions, []
 
-    def fails(job, plan, window, stages):
+    def fails(job, plan, stages, window):
         built.append(window.own)
         if broken and len(built) == 2:
             msg = "the disk is on fire"
             raise OSError(msg)
-        return original(job, plan, window, stages)
+        return original(job, plan, stages, window)
 
-    monkeypatch.setattr(tilework, "decompose_window", fails)
+    monkeypatch.setattr(tilework, "find_regions", fails)
     broken = True
     with pytest.raises(TilesError, match=r"1 tile of \d+ of 'town' failed.*the disk is on fire.*--resume"):
         msbdb.build(**files, db=db, **GIVEN)

@@ -70,7 +70,7 @@ def build(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Forest]:
     """Build a case by the default values on a ground, without any other class than that of the ground."""
     scene, regions, params = detected(case, ground)
     with collect_notices(Notices()):
-        return scene, regions, fuse_and_decompose(scene, regions, params, Stages(None))[0]
+        return scene, regions, fuse_and_decompose(scene, regions, params, Stages(None)).forest
 
 
 def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params]:

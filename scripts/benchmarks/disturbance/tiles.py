@@ -331,16 +331,16 @@ def _strike(
 
 def _raise_at(number: int) -> None:
     """Have a tile raise whenever it is built: the n-th of the town."""
-    original = tilework.decompose_window
+    original = tilework.find_regions
 
-    def raises(job: object, plan: object, window: object, stages: object) -> object:
+    def raises(job: object, plan: object, stages: object, window: object) -> object:
         west, south = window.own[:2]
         if round((west - 389_040.0) / TILE_M) % 3 + 3 * (round((south - 5_821_020.0) / TILE_M) % 2) == number:
             msg = "this tile is broken"
             raise RuntimeError(msg)
-        return original(job, plan, window, stages)
+        return original(job, plan, stages, window)
 
-    tilework.decompose_window = raises
+    tilework.find_regions = raises
 
 
 def _state_of(course: TiledCourse, target: str, outcome: Outcome) -> str:
