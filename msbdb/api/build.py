@@ -70,7 +70,8 @@ def build(
     db : str or path
         A SpatiaLite file, made when it is missing, or a ``postgresql+psycopg://`` URL.
     survey : str, optional
-        Name of the survey; the first file's name by default, with that of its folder where it is one like 'points'.
+        Name of the survey; by default that of the file, or of the folder of several files, with the folder's around it
+        where it is one like 'points'.
         Building the same files again with other values replaces the survey, with a notice.
     date : str, optional
         When the data were taken, ISO 8601.

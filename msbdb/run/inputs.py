@@ -219,18 +219,24 @@ class Inputs:
         return self.ortho_crs or self.fallback
 
     def default_survey(self) -> str:
-        """Name the survey after the first file, and after its folder too where the file's name holds for any place."""
-        stem = self._stem()
-        return self.longer_survey() if ANYWHERE.fullmatch(stem) else stem
+        """Name the survey after its file, or after the folder of several files of points; see `longer_survey`."""
+        name, _ = self._called()
+        return self.longer_survey() if ANYWHERE.fullmatch(name) else name
 
     def longer_survey(self, taken: str = "") -> str:
-        """Return a name of the first file with its folder; NAME where that is taken."""
-        folder = next(self.files())[0].resolve().parent.name
-        name = "-".join(word for word in (folder, self._stem()) if word)
-        return "NAME" if name == taken else name
+        """Return that name with the folder around it, for names that hold for any place; NAME where that is taken."""
+        name, around = self._called()
+        longer = "-".join(word for word in (around, name) if word)
+        return "NAME" if longer == taken else longer
 
-    def _stem(self) -> str:
-        return Path(file_name(next(self.files())[0])).stem.removesuffix(".copc")
+    def _called(self) -> tuple[str, str]:
+        """Return the name of the first file, or of the one folder of several files of points, and of what it is in."""
+        first = next(self.files())[0]
+        folder = first.resolve().parent
+        # Not the first of many files: the name would change with a tile that comes or goes.
+        if len(self.points) > 1 and folder.name and len({path.parent for path in self.points}) == 1:
+            return folder.name, folder.parent.name
+        return Path(file_name(first)).stem.removesuffix(".copc"), folder.name
 
     def sources(self) -> tuple[Source, ...]:
         """Describe every file by name, role, size and checksum, in an order of content."""

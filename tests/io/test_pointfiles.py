@@ -42,6 +42,18 @@ def test_a_folder_stands_for_its_point_files(folder):
     assert Inputs.of(folder).points == (folder / "a.LAS", folder / "b.laz")
 
 
+def test_many_tiles_are_named_after_their_folder(tmp_path):
+    """So that a tile before the first one changes no name; a folder named like any gets the one around it."""
+    for name in ("east", "tiles"):
+        (tmp_path / "town" / name).mkdir(parents=True)
+        for column in (1, 2):
+            tile(tmp_path / "town" / name / f"t_{column}.laz", column)
+    assert Inputs.of(tmp_path / "town" / "east").default_survey() == "east"
+    assert Inputs.of(tmp_path / "town" / "tiles").default_survey() == "town-tiles"
+    assert Inputs.of(tmp_path / "town" / "*" / "t_2.laz").default_survey() == "t_2"
+    assert Inputs.of(tmp_path / "town" / "east" / "t_2.laz").default_survey() == "t_2"
+
+
 def test_a_pattern_stands_for_what_it_matches(folder, monkeypatch):
     """Absolute or relative, with folders beneath by two stars; a file with such signs in its name is itself."""
     assert point_files([folder / "**" / "*.laz"]) == (folder / "b.laz", folder / "south" / "c.laz")
