@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 @click.option(
     "--survey",
     metavar="NAME",
-    help="Name of the survey. [default: that of the file or folder; with the folder's around it if it is one like 'points']",
+    help="Name of the survey. [default: that of the file or folder; of one like 'points' with the folder around it]",
 )
 @click.option("--date", type=iso_date, metavar="DATE", help="When the data were taken: 2021-05-31, 2021-05 or 2021.")
 @values
