@@ -61,6 +61,9 @@ class FlatRegionParams:
     max_compactness: float = param(100.0, "1", "ψ: regions of this Ψ or more are too long and thin.",
         paper="M20, M23 give 9, 11, 10.5",
         ours="connected blocks of old towns reach 55; 100 is a rectangle of 312 to 1", low=1, high=1e6)
+    compact_m2: float = param(10_000.0, "m2", "Of a larger region Ψ counts per so much area; 0 counts it as a whole.",
+        ours="Ψ of blocks that touch grows with their number; so a hectare and more needs a mean width of 5.6 m",
+        low=0, high=1e9)
     grow_m: float = param(0.9, "m", "Width of the edge that is given back to regions on heights above ground.",
         ours="in the cells of a roof's edge the lowest points lie beside or below the roof", low=0, high=20)
     grow_step_m: float = param(1.0, "m", "Largest step in height to a cell that is given back.",

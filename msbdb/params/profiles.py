@@ -113,6 +113,7 @@ MONGUS: dict[str, Any] = {
     "largest_m2": 0.0,
     "opening_m": 3.0,
     "max_compactness": 9.0,
+    "compact_m2": 0.0,
     "grow_m": 0.0,
 }
 """Mongus et al. 2013 as written, with Table 1's values of the data set DS1 (M23).

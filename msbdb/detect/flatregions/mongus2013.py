@@ -230,9 +230,13 @@ def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, 
 def _drop_long(labels: Labels, count: int, own: FlatRegionParams, cell_m: float, ledger: FlatRegionLedger) -> Labels:
     """Keep the regions of Ψ < ψ (Eq. 16) and number them again, by their first cells.
 
-    Ψ is P²/(4πA) (A9), or its inverse as printed (M20).
+    Ψ is P²/(4πA) (A9), or its inverse as printed (M20). Ours: above ``compact_m2`` it counts per this area. A and P of
+    blocks that touch add up, so that Ψ grows with their number, and a whole old town would be too long and thin.
     """
-    psi = measure_shapes(labels, cell_m)["compactness"].to_numpy()
+    shapes = measure_shapes(labels, cell_m)
+    psi = shapes["compactness"].to_numpy()
+    if own.compactness == "inverse" and own.compact_m2 > 0:
+        psi = psi / np.maximum(shapes["area_m2"].to_numpy() / own.compact_m2, 1)
     compact = (1 / psi if own.compactness == "literal" else psi) < own.max_compactness
     inside = chosen_cells(labels, compact)
     long = ledger.reject("compactness", LONG, np.where(inside, 0, labels))

@@ -145,6 +145,18 @@ def test_recognition_rejects_a_wall(changes, stage):
     assert found.counts[stage]["dropped"] == 1
 
 
+@pytest.mark.parametrize(("compact_m2", "kept"), [(10_000.0, True), (0.0, False)])
+def test_blocks_that_touch_are_no_long_region(compact_m2, kept):
+    """Rows 8 m wide that a cross row joins, 4.6 ha, have a Ψ of 200; a wall of 3 m by 1200 m has 115, and goes."""
+    heights = np.zeros((1230, 430), dtype=np.float32)
+    for row in range(14):
+        heights[10 + 16 * row : 18 + 16 * row, 10:410] = 8.0
+    heights[10:226, 10:18] = 8.0
+    heights[10:1210, 420:423] = 4.0
+    found = extract(grid(heights, cell_m=1.0), with_flat(compact_m2=compact_m2))
+    assert sorted(found.regions["h_max"]) == ([8.0] if kept else [])
+
+
 @pytest.mark.parametrize(("grow_m", "gained"), [(0.9, True), (0.0, False)])
 def test_on_large_cells_a_roof_gets_an_edge_of_one_cell_back(grow_m, gained):
     """The outermost cells of a roof hold ground points, also where a cell is wider than the edge that returns."""
