@@ -140,9 +140,23 @@ def report_of(
     )
 
 
+OVERVIEW = (
+    "building_id",
+    "state",
+    "probability",
+    "area_m2",
+    "ridge",
+    "z_ground_min",
+    "z_ground_max",
+    "xin",
+    "yin",
+)
+"""The columns of buildings that an overview takes."""
+
+
 def overview_of(found: pd.DataFrame, refused: dict[str, float], refused_regions: int) -> Overview:
     """Return what a person wants to know of a run first: its buildings, and what was refused, square metres."""
-    buildings = pd.DataFrame(found.drop(columns="geometry"))
+    buildings = pd.DataFrame(found[list(OVERVIEW)])
     by_area = buildings.sort_values(["area_m2", "building_id"], ascending=[False, True])
     by_ridge = buildings.sort_values(["ridge", "building_id"], ascending=[False, True])
     states = {state: int((buildings["state"] == state).sum()) for state in BUILDING_STATES}

@@ -39,7 +39,7 @@ from msbdb.params import as_dict
 from msbdb.run.compose import Job
 from msbdb.run.prepare import make_plan
 from msbdb.run.reports import BuildReport, Notices, Stages, collect_notices
-from msbdb.run.store import overview_of, refused_areas
+from msbdb.run.store import OVERVIEW, overview_of, refused_areas
 from msbdb.scale.tileresults import Result
 from msbdb.scale.tilesums import sum_up_tiles
 from msbdb.scale.tilework import Outcome, TileTask, one_by_one, result_file
@@ -386,7 +386,7 @@ def _report(engine: Engine, build: TiledBuild, merged: MergeReport, stages: Stag
     """Sum up the run as the database has it."""
     name = build.name
     found = summarise_run(engine, name)
-    buildings = read_tables(engine, (BUILDING,), name)["building"]
+    buildings = read_tables(engine, (BUILDING.narrowed(*OVERVIEW),), name)["building"]
     cells = read_value_counts(engine, name, "reason", len(Reason))
     if merged.twice:
         notices.passing.append(f"{counted(merged.twice, 'row')} that two tiles claim went to the first of them.")

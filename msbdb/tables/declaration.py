@@ -153,6 +153,10 @@ class Table:
 
         return pd.DataFrame({c.name: pd.Series(dtype=c.dtype) for c in self.columns})
 
+    def narrowed(self, *names: str) -> "Table":
+        """Return the table with some of its columns alone, to be read without the others and without the geometry."""
+        return replace(self, stored=tuple(column for column in self.stored if column.name in names), geometry=None)
+
     def typed(self, frame: "pd.DataFrame") -> "pd.DataFrame":
         """Return these columns of a frame (and its geometry), in order and of their dtypes."""
         more = [name for name in ("geometry",) if name in frame]

@@ -33,7 +33,6 @@ from msbdb.database import (
     read_result,
     read_run,
 )
-from msbdb.database.runs.digests import RunContent
 from msbdb.errors import InputError, ParameterError, TilesError, collected_notices
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
@@ -181,12 +180,12 @@ def test_a_digest_that_fails_leaves_no_survey(files, quick, tmp_path, monkeypatc
     db = tmp_path / "town.sqlite"
     given = {"db": db, "survey": "town", "extract": "multiscale", "tile": TILE_M}
 
-    def breaks(_content):
+    def breaks(*_content):
         msg = "no memory is left"
         raise MemoryError(msg)
 
     with monkeypatch.context() as broken:
-        broken.setattr(RunContent, "tables_digested", breaks)
+        broken.setattr("msbdb.database.runs.merging.tables_digest", breaks)
         with pytest.raises(MemoryError, match="no memory is left"):
             msbdb.build(files, **given)
     assert msbdb.info(db)["runs"] == []

@@ -5,37 +5,28 @@ of earlier ones. So each of its rows has its own digest, in the column `COLUMN`.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from sqlalchemy import (
-    JSON,
-    Boolean,
-    ColumnElement,
-    Connection,
-    Double,
-    Table,
-    bindparam,
-    func,
-    select,
-    update,
-)
+from sqlalchemy import JSON, Boolean, ColumnElement, Connection, Double, bindparam, func, select, update
+from sqlalchemy import Table as SqlTable
 from sqlalchemy.types import TypeEngine
 
 from msbdb.database.dialects.dialect import Dialect
 from msbdb.database.runs.mosaics import Mosaic
 from msbdb.database.schema.sqltables import SQL
+from msbdb.errors import FileError
 from msbdb.identity import exact_json, plain, text_id, to_json
 from msbdb.surveyplan import Plan
-from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Run, Survey
-
-if TYPE_CHECKING:
-    pass
-
+from msbdb.tables import DATABASE_TABLES, ROW_DIGEST, Run, Survey, Table
 
 COLUMN = ROW_DIGEST.name
 
@@ -44,6 +35,20 @@ TABLES = tuple(table.name for table in DATABASE_TABLES if table.digested)
 
 BATCH = 5000
 """Rows in memory at a time."""
+
+SHARE = 100_000
+"""About so many rows of a table that is larger than memory are there at a time."""
+
+BLOCK = 2**20
+"""Bytes that are read at a time."""
+
+NONE = -1
+"""Length of a text that is missing."""
+
+ColumnBytes = tuple[str, Iterable[bytes]]
+"""A column's name, and what the digest takes of it, in pieces."""
+
+Columns = Mapping[str, NDArray[Any]]
 
 
 def digests(table: str, columns: Sequence[tuple[str, TypeEngine[Any]]], rows: Sequence[Sequence[Any]]) -> list[int]:
@@ -116,7 +121,7 @@ def insert_digested(
     dialect.insert_rows(connection, table, stored, srid)
 
 
-def digest_again(connection: Connection, table: Table, where: ColumnElement[bool] | None = None) -> None:
+def digest_again(connection: Connection, table: SqlTable, where: ColumnElement[bool] | None = None) -> None:
     """Write the digests of rows again after SQL changed them."""
     [key] = table.primary_key.columns
     named = update(table).where(key == bindparam("own_key")).values({COLUMN: bindparam("own_digest")})
@@ -125,7 +130,7 @@ def digest_again(connection: Connection, table: Table, where: ColumnElement[bool
 
 
 def digested(
-    connection: Connection, table: Table, where: ColumnElement[bool] | None = None
+    connection: Connection, table: SqlTable, where: ColumnElement[bool] | None = None
 ) -> Iterator[list[tuple[int, int | None, int]]]:
     """Yield rows of a table in batches: key, stored digest, and digest of the values."""
     [key] = table.primary_key.columns
@@ -167,8 +172,8 @@ class RunContent:
     plan: Plan | None = None
 
     def digest(self, tables: "hashlib._Hash | None" = None) -> str:
-        """Return the SHA-256 of the content except its timings; ``tables`` is the begun one of `tables_digested`."""
-        digest = self.tables_digested() if tables is None else tables
+        """Return the SHA-256 of the content except its timings; ``tables`` is the begun one of `tables_digest`."""
+        digest = tables_digest(self.survey, self.run, self._tables()) if tables is None else tables
         for name, raster in sorted(self.rasters.items()):
             # Equal numbers are equal content, in 16 bits or 32.
             dtype = np.dtype("<i4") if raster.dtype == np.int16 else raster.dtype.newbyteorder("<")
@@ -179,17 +184,24 @@ class RunContent:
             digest.update(f"\0plan\0{self.plan.as_json()}".encode())
         return digest.hexdigest()
 
-    def tables_digested(self) -> "hashlib._Hash":
-        """Return the SHA-256 of the survey, the run and its tables, to which the rasters and the plan are to come."""
-        digest = hashlib.sha256()
-        run = run_row(self.run)
-        del run["timings"]
-        digest.update(to_json([survey_row(self.survey), source_rows(self.survey), run]).encode())
+    def _tables(self) -> Iterator[tuple[str, Iterable[ColumnBytes]]]:
+        """Yield the tables with the bytes of their columns."""
         for table, columns in self.columns.items():
-            for name, values in columns.items():
-                digest.update(f"\0{table}.{name}\0".encode())
-                digest.update(_column_bytes(name, values))
-        return digest
+            yield table, ((name, (column_bytes(name, values),)) for name, values in columns.items())
+
+
+def tables_digest(survey: Survey, run: Run, tables: Iterable[tuple[str, Iterable[ColumnBytes]]]) -> "hashlib._Hash":
+    """Return the SHA-256 of the survey, the run and its tables, to which the rasters and the plan are to come."""
+    digest = hashlib.sha256()
+    own = run_row(run)
+    del own["timings"]
+    digest.update(to_json([survey_row(survey), source_rows(survey), own]).encode())
+    for table, columns in tables:
+        for name, pieces in columns:
+            digest.update(f"\0{table}.{name}\0".encode())
+            for piece in pieces:
+                digest.update(piece)
+    return digest
 
 
 def run_row(run: Run) -> dict[str, Any]:
@@ -215,7 +227,7 @@ def portable(values: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
 
 
-def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
+def column_bytes(name: str, values: NDArray[Any]) -> bytes:
     """Return a column's content as bytes; equal columns give equal bytes."""
     if name == "geometry":
         if not values.size or not isinstance(values[0], bytes):
@@ -232,3 +244,145 @@ def _column_bytes(name: str, values: NDArray[Any]) -> bytes:
     # Each different text is encoded once.
     written = {word: to_json(word) for word in set(words)}
     return f"[{', '.join(map(written.__getitem__, words))}]".encode()
+
+
+def ordered(columns: Mapping[str, NDArray[Any]], table: Table) -> dict[str, NDArray[Any]]:
+    """Return the rows in the table's order."""
+    first = columns[table.order[0]]
+    order = np.argsort(first, kind="stable")
+    if (first[order][1:] == first[order][:-1]).any():
+        order = np.lexsort([columns[name] for name in reversed(table.order)])
+    return {name: values[order] for name, values in columns.items()}
+
+
+def limits_of(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where to cut a table with these keys, which are sorted, so that about `SHARE` of them come together.
+
+    Examples
+    --------
+    >>> limits_of(np.arange(250_000))
+    array([100000, 200000])
+    """
+    return keys[SHARE::SHARE]
+
+
+def spooled(chunks: Iterable[Columns], table: Table, limits: NDArray[np.int64]) -> Iterator[ColumnBytes]:
+    """Yield each column of a table with its bytes for the digest: those of the whole table in its order.
+
+    Parameters
+    ----------
+    chunks : iterable of mapping of str to (N,) ndarray
+        All rows, some at a time: columns as `msbdb.database.runs.digests.RunContent` has them.
+    table : Table
+        The first column of its order holds whole numbers.
+    limits : (K,) ndarray of int64
+        The table is cut at these values of that column, which rise: rows between two of them are in memory together.
+
+    Raises
+    ------
+    FileError
+        When the folder of temporary files has no room.
+
+    Notes
+    -----
+    Each row goes into the file of its share of the table. Then each share is put in order, and its columns are appended
+    to files of their own. Rows that are equal in all columns of the order keep the order of the chunks.
+    """
+    with ExitStack() as stack:
+        with _needed_for(table):
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="msbdb.")))
+        kinds: dict[str, str] = {}
+        for columns in chunks:
+            with _needed_for(table):
+                _share_out(columns, table, limits, folder)
+            for name, values in columns.items():
+                # A column of whole numbers holds floats as soon as one of them is missing.
+                both = kinds.get(name, "") + values.dtype.kind
+                kinds[name] = next(kind for kind in "fiO" if kind in both)
+        with _needed_for(table):
+            for number in range(len(limits) + 1):
+                _append_share(folder / f"{number}.share", table, kinds, folder)
+        for column, kind in kinds.items():
+            yield column, _read_back(folder / f"{column}.column", kind)
+
+
+@contextmanager
+def _needed_for(table: Table) -> Iterator[None]:
+    """Say what temporary files are for where they cannot be used."""
+    try:
+        yield
+    except OSError as error:
+        msg = (
+            f"The digest of the table {table.name} could not use the folder of temporary files, "
+            f"{tempfile.gettempdir()}: {error.strerror}. Make room there, or name another folder by TMPDIR."
+        )
+        raise FileError(msg) from error
+
+
+def _share_out(columns: Columns, table: Table, limits: NDArray[np.int64], folder: Path) -> None:
+    """Append each row to the file of its share."""
+    share = np.searchsorted(limits, columns[table.order[0]], side="right")
+    rows = np.argsort(share, kind="stable")
+    ends = np.searchsorted(share[rows], np.arange(len(limits) + 2)).tolist()
+    for number, (begin, end) in enumerate(pairwise(ends)):
+        if end > begin:
+            with (folder / f"{number}.share").open("ab") as file:
+                for values in columns.values():
+                    _write(file, values[rows[begin:end]])
+
+
+def _append_share(path: Path, table: Table, kinds: Mapping[str, str], folder: Path) -> None:
+    """Put a share in order, and append what the digest takes of its columns to their files."""
+    pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in kinds}
+    if path.exists():
+        with path.open("rb") as file:
+            while file.peek(1):
+                for name, kind in kinds.items():
+                    pieces[name].append(_read(file, kind, is_text=name != "geometry"))
+        path.unlink()
+    columns = {name: np.concatenate(found) for name, found in pieces.items() if found}
+    for name, values in (ordered(columns, table) if columns else {}).items():
+        kind = kinds[name]
+        content = column_bytes(name, values.astype(np.float64) if kind == "f" else values)
+        with (folder / f"{name}.column").open("ab") as file:
+            if kind == "O" and name != "geometry":
+                # The brackets of the whole list are put around it when it is read.
+                content = (b", " if file.tell() else b"") + content[1:-1]
+            file.write(content)
+
+
+def _read_back(path: Path, kind: str) -> Iterator[bytes]:
+    """Yield what the digest takes of a column."""
+    is_list = kind == "O" and path.stem != "geometry"
+    if is_list:
+        yield b"["
+    if path.exists():
+        with path.open("rb") as file:
+            while block := file.read(BLOCK):
+                yield block
+    if is_list:
+        yield b"]"
+
+
+def _write(file: IO[bytes], values: NDArray[Any]) -> None:
+    """Append an array; of texts and bytes their lengths, and then all of them."""
+    if values.dtype.kind in "if":
+        np.save(file, values, allow_pickle=False)
+        return
+    parts = [None if one is None else one if isinstance(one, bytes) else str(one).encode() for one in values]
+    np.save(file, np.array([NONE if one is None else len(one) for one in parts], dtype=np.int64), allow_pickle=False)
+    file.write(b"".join(filter(None, parts)))
+
+
+def _read(file: IO[bytes], kind: str, *, is_text: bool) -> NDArray[Any]:
+    """Read the next array of a file."""
+    numbers: NDArray[Any] = np.load(file, allow_pickle=False)
+    if kind in "if":
+        return numbers
+    found = np.empty(len(numbers), dtype=object)
+    ends = np.cumsum(np.maximum(numbers, 0))
+    content = file.read(int(ends[-1]) if len(ends) else 0)
+    for row, (length, end) in enumerate(zip(numbers.tolist(), ends.tolist(), strict=True)):
+        part = content[end - length : end] if length != NONE else None
+        found[row] = part.decode() if is_text and part is not None else part
+    return found

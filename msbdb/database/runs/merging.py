@@ -4,7 +4,7 @@ import logging
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -16,14 +16,21 @@ from msbdb.database.dialects.connection import PATIENCE_S, open_database, requir
 from msbdb.database.dialects.dialect import Dialect, dialect_of, guarded, shown
 from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_frames
-from msbdb.database.runs.digests import RunContent
+from msbdb.database.runs.digests import (
+    ColumnBytes,
+    RunContent,
+    column_bytes,
+    limits_of,
+    ordered,
+    spooled,
+    tables_digest,
+)
 from msbdb.database.runs.mosaics import mosaics_of
 from msbdb.database.runs.tiles import forget_results
 from msbdb.database.runs.writing import (
     BY_NAME,
     LOADED,
     keys_of,
-    ordered,
     raster_row,
     rejection_ids,
     write_columns,
@@ -226,6 +233,12 @@ class _Merge:
         frame = piece.frames[name]
         return frame[~np.isin(frame[KEYS[name]], self.left_out[piece.key, name])] if name in KEYS else frame
 
+    def limits(self, name: str) -> NDArray[np.int64]:
+        """Return where the digest cuts a table: links by what they refer to first, others by their own keys."""
+        first = LINKS[name][0] if name in LINKS else name
+        # The keys of rejections are no ids of theirs.
+        return NOTHING if name == "rejection" else limits_of(self.seen[first])
+
     def _linked(self, piece: Piece, name: str) -> "tuple[pd.DataFrame, int]":
         """Return the links of a piece between what is written, and the number of its other ones."""
         one, other = LINKS[name]
@@ -263,33 +276,20 @@ class _Merge:
         write_columns(self.connection, self.dialect, name, columns, run_id=self.run_id, srid=self.srid, ids=ids)
 
 
-class _MergedTables(Mapping[str, "dict[str, NDArray[Any]]"]):
-    """The tables of a merged run as plain columns, in their order; each is put together when it is asked for.
+def _merged_tables(merge: _Merge, pieces: TilePieces) -> Iterator[tuple[str, Iterable[ColumnBytes]]]:
+    """Yield the tables of a merged run, each with what the digest takes of its columns, in order.
 
     They come from the pieces, not from the database, so that a thread may read them beside the transaction.
     """
-
-    def __init__(self, merge: _Merge, pieces: TilePieces) -> None:
-        self._merge, self._pieces = merge, pieces
-
-    def __getitem__(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return the columns of a table."""
+    for table in TABLES:
+        name = table.name
         if name in WHOLE:
-            frame = self._merge.head.frames[name]
+            columns = ordered(check_frames({name: merge.head.frames[name]})[name], table)
+            yield name, ((column, (column_bytes(column, values),)) for column, values in columns.items())
         else:
-            import pandas as pd
-
-            kept = [self._merge.kept(piece, name) for piece in self._pieces((name,), rasters=False)]
-            frame = pd.concat([rows for rows in kept if len(rows)] or kept[:1], ignore_index=True)
-        return ordered(check_frames({name: frame})[name], BY_NAME[name])
-
-    def __iter__(self) -> Iterator[str]:
-        """Yield the names of the tables."""
-        return (table.name for table in TABLES)
-
-    def __len__(self) -> int:
-        """Return the number of tables."""
-        return len(TABLES)
+            frames = (merge.kept(piece, name) for piece in pieces((name,), rasters=False))
+            chunks = (check_frames({name: frame})[name] for frame in frames)
+            yield name, spooled(chunks, table, merge.limits(name))
 
 
 def merge_tiles(
@@ -303,7 +303,7 @@ def merge_tiles(
     """Write the tiles of a survey as its run, in one transaction; the pieces are taken one at a time.
 
     They are taken twice, and a table at a time once more: a thread makes the digest of them while links, rasters and
-    indexes are written.
+    indexes are written. Of each table the digest holds a share, and the rest waits in temporary files.
 
     Parameters
     ----------
@@ -347,7 +347,6 @@ def _merge(merge: _Merge, pieces: TilePieces, coming: Mapping[str, int]) -> None
     """Write all in the caller's transaction; raise where the database has the same already."""
     connection, dialect, head, report, run_id = merge.connection, merge.dialect, merge.head, merge.report, merge.run_id
     before = connection.scalar(select(RUN.c.content_sha256).where(RUN.c.run_id == run_id))
-    content = RunContent(head.survey, head.run, _MergedTables(merge, pieces), {}, head.plan)
     with ThreadPoolExecutor(1) as thread:
         with dialect.in_bulk(connection, coming):
             report.status = "replaced" if write_head(connection, dialect, head, "") else "created"
@@ -356,11 +355,12 @@ def _merge(merge: _Merge, pieces: TilePieces, coming: Mapping[str, int]) -> None
                 for piece in pieces(ROWS, rasters=False):
                     merge.write_rows(piece)
                 # From here on it is known which rows are kept.
-                tables = thread.submit(content.tables_digested)
+                tables = thread.submit(tables_digest, head.survey, head.run, _merged_tables(merge, pieces))
                 for piece in pieces((*LINKS,), rasters=True):
                     merge.write_rest(piece)
         dialect.after_load(connection)
-        digest = replace(content, rasters=mosaics_of(connection, run_id)).digest(tables.result())
+        content = RunContent(head.survey, head.run, {}, mosaics_of(connection, run_id), head.plan)
+        digest = content.digest(tables.result())
     if digest == before:
         report.status = "unchanged"
         raise _UnchangedError

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
 RUN, RUN_METHOD, RUN_STATE = SQL["run"], SQL["run_method"], SQL["run_state"]
 SOURCE, SURVEY, SURVEY_PLAN = SQL["source"], SQL["survey"], SQL["survey_plan"]
 
+ROWS = 50_000
+"""Rows that are read at a time."""
+
 
 def list_runs(engine: Engine) -> "pd.DataFrame":
     """Return one row for each run: survey, methods, profile, version, date, EPSG code, density and cell size."""
@@ -370,11 +373,18 @@ def _columns_of(connection: Connection, table: Table, run_id: int) -> dict[str, 
     names = table.names
     chosen = ", ".join(names) + (", ST_AsBinary(geometry)" if table.geometry else "")
     query = text(f"SELECT {chosen} FROM {table.name} WHERE run_id = :run")  # noqa: S608  (names are the declaration's)
-    rows = connection.execute(query, {"run": run_id}).all()
-    values = list(zip(*rows, strict=True)) or [()] * (len(names) + 1)
-    columns = {c.name: _typed(own, c.dtype) for c, own in zip(table.columns, values, strict=False)}
-    if table.geometry:
-        columns["geometry"] = shapely.from_wkb(np.array([bytes(blob) for blob in values[-1]], dtype=object))
+    dtypes = [column.dtype for column in table.columns]
+    read: list[list[NDArray[Any]]] = []
+    # Values of Python take several times the memory of arrays.
+    for rows in connection.execute(query, {"run": run_id}, execution_options={"yield_per": ROWS}).partitions():
+        values = list(zip(*rows, strict=True))
+        read.append([_typed(own, dtype) for own, dtype in zip(values, dtypes, strict=False)])
+        if table.geometry:
+            read[-1].append(shapely.from_wkb(np.array([bytes(blob) for blob in values[-1]], dtype=object)))
+    if not read:
+        read = [[_typed((), dtype) for dtype in (*dtypes, *["str"] * bool(table.geometry))]]
+    named = [*names, "geometry"] if table.geometry else names
+    columns = {name: np.concatenate(own) for name, own in zip(named, zip(*read, strict=True), strict=True)}
     order = np.lexsort([columns[name] for name in reversed(table.order)])
     return {name: own[order] for name, own in columns.items()}
 

@@ -15,14 +15,14 @@ from msbdb.database.dialects.connection import TIMEOUT_S, open_database, require
 from msbdb.database.dialects.dialect import Dialect, database_url, dialect_of, guarded, shown
 from msbdb.database.runs.basis import BuildBasis
 from msbdb.database.runs.checks import check_build
-from msbdb.database.runs.digests import RunContent, portable, run_row, source_rows, survey_row
+from msbdb.database.runs.digests import RunContent, ordered, portable, run_row, source_rows, survey_row
 from msbdb.database.runs.packing import pack
 from msbdb.database.runs.tiles import forget_tiles
 from msbdb.database.schema.sqltables import METADATA, SQL
 from msbdb.database.schema.srid import srid_of
 from msbdb.identity import text_id
 from msbdb.kept import KeptRun, Packed
-from msbdb.tables import TABLES, Column, Table
+from msbdb.tables import TABLES, Column
 from msbdb.threads import in_threads, together
 
 RUN = SQL["run"]
@@ -347,12 +347,3 @@ def _repeats(*sorted_keys: NDArray[np.int64]) -> NDArray[np.int64]:
     begins[1:] = np.any([own[1:] != own[:-1] for own in sorted_keys], axis=0)
     own: NDArray[np.int64] = places - np.maximum.accumulate(np.where(begins, places, 0))
     return own
-
-
-def ordered(columns: Mapping[str, NDArray[Any]], table: Table) -> dict[str, NDArray[Any]]:
-    """Return the rows in the table's order."""
-    first = columns[table.order[0]]
-    order = np.argsort(first, kind="stable")
-    if (first[order][1:] == first[order][:-1]).any():
-        order = np.lexsort([columns[name] for name in reversed(table.order)])
-    return {name: values[order] for name, values in columns.items()}
