@@ -29,6 +29,21 @@ BEGINNING = 0.3
 WAY_PX = 3
 """Width of a way, cells."""
 
+HALL_M = 4.0
+"""Ours: least mean depth of the walls of a hall that the border cuts: retaining walls are lower."""
+
+BARE = 0.25
+"""Ours: higher things stand on a plateau along more than this share of its edge; a hall carries lanterns and plant."""
+
+HOUSE_M2 = 500.0
+"""Ours: what is larger and stands on a hall is a higher part of it; houses and crowns are smaller."""
+
+CUT, SIDE = 0.55, 1 / 3
+"""Ours: largest shares of the border in the edge of such a hall: two sides of a square and a little more; one side."""
+
+STEPS = 4
+"""Ours: a hall in so many levels is found."""
+
 MOST_HOUSES = 0.5
 """A hollow lies in terrain if at most so much of its rim are houses; of a court it is nearly all."""
 
@@ -52,7 +67,8 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
        - nothing where both are above ground.
 
     4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
-       one too large for the windows of the progressive filter.
+       one too large for the windows of the progressive filter. Of a region that the border cuts the rest of the edge
+       decides, if it is high and bare.
     5. Of the ground, cells that rise above the opening are clutter, not ground.
     6. A region above ground is terrain after all where a way leads from the ground to ``reached_share`` of its cells: a
        terrace or a ramp. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell. It begins
@@ -168,7 +184,8 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
     cut = minimum_cut(costs, Pairs(first, second, terrace, smooth, np.ones_like(terrace), np.zeros_like(terrace)))
     ground = sure.copy()
     ground[free] = ~cut
-    return ground & ~_podiums(heights, ground, measured, cell_m, params)
+    ground &= ~_podiums(heights, ground, measured, cell_m, params)
+    return ground & ~_cut_halls(heights, ground, measured, cell_m, params)
 
 
 def _podiums(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
@@ -191,6 +208,53 @@ def _podiums(heights: Heights, ground: Mask, measured: Mask, cell_m: float, para
     edges, walls = (np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls))
     podium: Mask = ground & ((walls > 0) & (walls >= params.podium_share * edges))[regions]
     return podium
+
+
+def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
+    """Return the ground within halls that the border cuts.
+
+    A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
+    seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
+    plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
+    `SIDE`, the region is the smaller part of the place, too.
+    """
+    wall_m, found = _wall_m(cell_m, params), np.zeros_like(ground)
+    regions, count = _joined(heights, measured, wall_m)
+    possible = np.bincount(regions[ground], minlength=count) > 0
+    node, edge = np.arange(heights.size, dtype=np.int32).reshape(heights.shape), []
+    for one, other in neighbours(heights.shape):
+        for here, there in ((one, other), (other, one)):
+            at = possible[regions[here]] & (regions[here] != regions[there])
+            edge.append((regions[here][at], node[there][at], heights[here][at] - heights[there][at]))
+    own, beside, fall = (np.concatenate(parts) for parts in zip(*edge, strict=True))
+    seen = measured.ravel()[beside]
+    # What is next to a void goes on into it, as over the border.
+    sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
+    cut = np.bincount(np.concatenate([*sides, own[~seen]]), minlength=count)
+    possible &= cut > 0
+    cells = np.bincount(regions.ravel(), minlength=count)
+    small = cells[regions.ravel()[beside]] * cell_m**2 < HOUSE_M2
+    # The lower part of a hall is known to be one once the higher part beside it is.
+    for _ in range(STEPS):
+        of_ground = (ground & ~found).ravel()[beside]
+        falls, outer = seen & (fall >= wall_m), seen & (of_ground | (fall > -wall_m))
+        carries = seen & small & (fall <= -wall_m) & ~of_ground
+        edges, walls, depth_m, carried = (
+            np.bincount(own, weights=each, minlength=count) for each in (outer, falls, fall * falls, carries)
+        )
+        share = cut / np.maximum(edges + cut, 1)
+        halls = (
+            possible
+            & (walls >= np.maximum(params.podium_share * edges, 1))
+            & (depth_m >= HALL_M * walls)
+            & (carried <= BARE * edges)
+            & (share <= CUT)
+            & ((share <= SIDE) | (2 * cells <= np.count_nonzero(measured)))
+        )
+        before, found = found, ground & halls[regions]
+        if (before == found).all():
+            break
+    return found
 
 
 def _reached(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:

@@ -52,8 +52,8 @@ class FlatRegionParams:
         paper="M17, M23 give 1.5", ours="1.5 takes more crowns, 2 loses large roofs with holes", low=0, high=100)
     blind_ratio: float = param(2.0, "1/m", "The same, without echoes.", paper="M17, M23 give 1.5",
         ours="roughness alone mistakes more crowns", low=0, high=100)
-    largest_m2: float = param(50_000.0, "m2", "Larger flat regions are terrain; 0 sets no limit.",
-        ours="λ_max alone takes all the ground of a tile of a few hectares for one building", low=0, high=1e9)
+    largest_m2: float = param(500_000.0, "m2", "Larger flat regions are terrain; 0 sets no limit.",
+        ours="the largest halls cover 40 ha; λ_max alone takes the ground of a tile for one building", low=0, high=1e9)
     opening_m: float = param(1.5, "m", "Window of the opening and closing of flat regions.", paper="M19 gives 3",
         ours="that cuts roofs of 3 m and all that trees indent", low=0, high=50)
     compactness: str = param("inverse", "-", "Ψ: P²/(4πA), or 4πA/P² as printed.", paper="M20: 4πA/P²",

@@ -3,11 +3,11 @@
 import laspy
 import numpy as np
 import pytest
-from cases.copies import first_only, pulses, taken, thinned, with_class_alone
+from cases.copies import first_only, mirrored, pulses, taken, thinned, with_class_alone
 from cases.labelled import Objects, Place, cell_for, first_density, reference_of
 from cases.measures import GIVEN, OWN, Case, measure
 from cases.othergrounds import smrf
-from simulated import hills, scenes
+from simulated import hills, scenes, trees
 from simulated.files import write_points
 from support.processes import BENCHMARKS, load_script
 
@@ -118,6 +118,59 @@ def test_a_town_over_hills_keeps_its_roofs_level_and_lays_its_ground_on_the_reli
     # A block beyond the largest size goes up the slope in steps.
     block = np.where((x > 5) & (y > 2), 6, 2).astype(np.uint8)
     assert len(np.unique(hills.lifted(x, y, z * 0, block, hills.slope)[block == 6].round(6))) > 2
+
+
+@pytest.fixture(scope="module")
+def orchard():
+    """Return a meadow with a tree of 8 m, a pulse each 0.25 m; a second echo lies beneath the crown."""
+    x, y = (place.ravel() for place in np.meshgrid(np.arange(0, 30, 0.25), np.arange(0, 30, 0.25)))
+    away = np.hypot(x - 15, y - 15)
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales = [0.001] * 3
+    cloud = laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(2 * len(x), header=header))
+    crown = away < 3
+    kept = np.concatenate([np.ones(len(x), dtype=bool), crown])
+    cloud.x, cloud.y = np.tile(x, 2), np.tile(y, 2)
+    cloud.z = np.concatenate([np.where(crown, 8 - away, 0), np.zeros(len(x))])
+    cloud.classification = np.concatenate([np.where(crown, 5, 2), np.full(len(x), 2)]).astype(np.uint8)
+    cloud.return_number = np.repeat([1, 2], len(x)).astype(np.uint8)
+    cloud.number_of_returns = np.tile(np.where(crown, 2, 1), 2).astype(np.uint8)
+    cloud.gps_time, cloud.intensity = np.tile(np.arange(len(x)), 2).astype(float), np.full(2 * len(x), 100, np.uint16)
+    return taken(cloud, kept)
+
+
+def test_trees_of_another_place_are_planted_with_their_columns(town, orchard):
+    """They stand beside houses, on the ground, with all their echoes; beneath them nothing else is left."""
+    _, (cloud,), _ = town
+    [crown] = trees.crowns_of(orchard, 1.0)
+    assert len(crown.cells) * trees.CELL_M**2 == pytest.approx(np.pi * 9, rel=0.2)
+    copy = trees.planted(cloud, [crown], 40.0)
+    old = np.isin(np.asarray(copy.gps_time), np.asarray(cloud.gps_time))
+    there = trees.Town.of(cloud)
+    stands = there.stands([crown], 40.0)
+    assert len(stands) >= 3
+    assert np.count_nonzero(~old) == len(stands) * len(crown.east)
+    assert not any(np.isfinite(there.roofs[tuple(stem)]) for _, stem in stands)
+    tall = ~old & (copy.classification == 5) & (copy.return_number == 1)
+    assert np.asarray(copy.z)[tall].max() == pytest.approx(8 + there.ground.mean(), abs=1.0)
+    own = {tuple(cell) for _, stem in stands for cell in (crown.cells + stem).tolist()}
+    cells = np.floor((np.column_stack((copy.y, copy.x)) - [there.south, there.west]) / trees.CELL_M).astype(int)
+    assert not own & {tuple(cell) for cell in cells[old].tolist()}
+    np.testing.assert_array_equal(np.asarray(trees.planted(cloud, [crown], 40.0).z), np.asarray(copy.z))
+    assert len(trees.crowns_of(orchard, 0.5)[0].east) < 0.7 * len(crown.east)
+
+
+def test_a_mirrored_town_meets_itself_at_its_edges(town):
+    """Four copies have four times the points, and the second is the first from its other side."""
+    _, (cloud,), _ = town
+    four, count = mirrored(cloud, 2), len(cloud.points)
+    assert len(four.points) == 4 * count
+    x = np.asarray(cloud.X, dtype=np.int64)
+    # Copies go by columns, and in them by rows.
+    east = np.asarray(four.X, dtype=np.int64)[2 * count : 3 * count]
+    assert len(np.unique(east + x)) == 1
+    assert east.min() == x.max() + 1
+    np.testing.assert_array_equal(np.asarray(four.X)[:count], x)
 
 
 def test_a_real_relief_begins_at_its_south_western_corner_and_is_mirrored():

@@ -1,6 +1,7 @@
 """The ground by its walls, on small worlds in which filters with windows fail."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -101,6 +102,43 @@ def test_a_podium_wider_than_the_windows_is_a_building(side):
     built = heights > 0
     assert not ground[built].any()
     assert ground[~built].mean() > 0.99
+
+
+def halls_at_the_border():
+    """Yield heights and the cells of a hall: on one side, on two, in a corner with a higher part and lanterns."""
+    for part in (np.s_[100:250, :150], np.s_[170:, :100], np.s_[:200, :120]):
+        heights = np.zeros((250, 300))
+        heights[part] = 8
+        hall = heights > 0
+        heights[30:40, 180:290:30] = 5
+        yield heights, hall
+    heights[20:70, 30:90] = 13
+    heights[100:104, 20:110], heights[120:124, 20:110] = 10, 10
+    yield heights, hall
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_a_hall_that_the_border_cuts_is_a_building(number):
+    """Nothing is known of it beyond the border; walls bound the rest. A void cuts it as the border does."""
+    heights, hall = list(halls_at_the_border())[number]
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[hall].any()
+    assert ground[heights == 0].mean() > 0.97
+    framed, inside = np.pad(heights, 30), np.pad(np.ones(heights.shape, dtype=bool), 30)
+    ground = walled_ground(replace(grid(framed), valid=inside), PARAMS)
+    assert not ground[30:-30, 30:-30][hall].any()
+
+
+@pytest.mark.parametrize(("level", "houses"), [(3.5, False), (8.0, True)])
+def test_a_plateau_that_the_border_cuts_is_ground(level, houses):
+    """A terrace is lower than a hall; a plateau above a quarry carries houses and trees, of which a hall has none."""
+    heights = np.zeros((250, 300))
+    heights[:200, :120] = level
+    if houses:
+        for row, col in product(range(10, 190, 25), range(10, 110, 25)):
+            heights[row : row + 10, col : col + 10] += 5
+    ground = walled_ground(grid(heights), PARAMS)
+    assert ground[(heights == level) | (heights == 0)].mean() > 0.95
 
 
 def test_a_ramp_between_walls_is_ground():

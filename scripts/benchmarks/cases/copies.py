@@ -1,5 +1,7 @@
 """Copies of a cloud as another sensor would have recorded it: fewer pulses, more of them, first echoes only, or no classes."""
 
+import itertools
+
 import laspy
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +49,22 @@ def thickened(cloud: laspy.LasData, target: float, density: float) -> laspy.LasD
 def on_lines(cloud: laspy.LasData, ratio: float, spacing_m: float) -> laspy.LasData:
     """Return the echoes of bands one spacing wide and ``ratio`` spacings apart, as scan lines from west to east."""
     return taken(cloud, np.asarray(cloud.y) / (ratio * spacing_m) % 1 < 1 / ratio)
+
+
+def mirrored(cloud: laspy.LasData, times: int) -> laspy.LasData:
+    """Return a cloud side by side ``times`` times along both axes; every second copy is mirrored, so that edges meet."""
+    parts = []
+    for column, row in itertools.product(range(times), repeat=2):
+        copy = taken(cloud, np.ones(len(cloud.points), dtype=np.bool_))
+        for name, number in (("X", column), ("Y", row)):
+            axis = np.asarray(cloud[name], dtype=np.int64)
+            side, place = axis.max() - axis.min() + 1, axis - axis.min()
+            copy[name] = (axis.min() + number * side + (side - 1 - place if number % 2 else place)).astype(np.int32)
+        parts.append(copy.points.array)
+    record = laspy.ScaleAwarePointRecord(
+        np.concatenate(parts), cloud.point_format, cloud.header.scales, cloud.header.offsets
+    )
+    return laspy.LasData(cloud.header, record)
 
 
 def first_only(cloud: laspy.LasData) -> laspy.LasData:

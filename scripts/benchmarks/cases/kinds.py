@@ -1,4 +1,4 @@
-"""The kinds of cases: the places as they are, thinned, denser, on scan lines, with first echoes only, and laid over hills."""
+"""The kinds of cases: the places as they are, thinned, denser, on scan lines, of first echoes, over hills, under trees."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,8 +7,9 @@ import laspy
 import numpy as np
 from pyproj import CRS
 from simulated.hills import RELIEFS, Relief, lifted, relief_of
+from simulated.trees import crowns_of, planted
 
-from cases.copies import first_only, on_lines, taken, thickened, thinned
+from cases.copies import first_only, mirrored, on_lines, taken, thickened, thinned
 from cases.labelled import NAMED, PLACES, Place, cell_for, first_density, reference_of
 from cases.measures import Case
 from msbdb.grid import lattice
@@ -28,6 +29,13 @@ DENSE, DENSE_M2 = ("delft_2", "montpellier", "champs"), 66.0
 """The places of which there are dense copies, and about how many first echoes a square metre these have."""
 
 LIFTED = ("delft_2", "montpellier", "amsterdam", "sevilla_plaza", "beziers_right")
+
+PLANTED = ("delft_1", "delft_2", "montpellier", "beziers_left", "beziers_right", "amsterdam")
+
+LARGER = "amsterdam"
+
+CROWNS, A_HECTARE = ("montpellier", "champs"), 100.0
+"""The places whose crowns are planted elsewhere, and how many of them a hectare."""
 
 WINDOW_M = 300.0
 """Of a larger place only so much of the south-western corner is laid over hills."""
@@ -94,6 +102,31 @@ def over_hills(data: Path, names: set[str]) -> Iterator[Case]:
             for kind, relief in hills.items():
                 laid = [laid_over(cloud, relief) for cloud in clouds]
                 yield Case(f"{name}, {kind}", place.crs, laid, reference, {})
+
+
+def under_trees(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield towns with trees of other places beside and over their houses, with all echoes and with first ones only."""
+    for case in as_they_are(data, names & set(PLANTED)):
+        density = first_density(case.clouds)
+        for donor in CROWNS:
+            if donor == case.name:
+                continue
+            [trees] = NAMED[donor].read(data)
+            crowns = crowns_of(trees, min(1.0, density / first_density([trees])))
+            clouds = [planted(cloud, crowns, A_HECTARE) for cloud in case.clouds]
+            reference = reference_of(NAMED[case.name], clouds, data, case.reference.spec.cell_m)
+            yield Case(f"{case.name}, {donor}", case.crs, clouds, reference, {})
+            firsts = [first_only(cloud) for cloud in clouds]
+            yield Case(f"{case.name}, {donor}, first", case.crs, firsts, reference, {})
+
+
+def mirrored_town(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield a dense town at four and nine times its area: what touches goes on over the mirrored edges."""
+    for case in as_they_are(data, names & {LARGER}):
+        for times in (2, 3):
+            clouds = [mirrored(cloud, times) for cloud in case.clouds]
+            reference = reference_of(NAMED[LARGER], clouds, data, case.reference.spec.cell_m)
+            yield Case(f"{case.name}, {times}² times", case.crs, clouds, reference, {})
 
 
 def reliefs(data: Path) -> dict[str, Relief]:
