@@ -141,6 +141,13 @@ def test_a_plateau_that_the_border_cuts_is_ground(level, houses):
     assert ground[(heights == level) | (heights == 0)].mean() > 0.95
 
 
+def test_a_hall_on_three_sides_of_a_tile_is_ground():
+    """A known limit: nothing tells it from a plateau with a cliff."""
+    heights = np.zeros((250, 300))
+    heights[:100] = 8
+    assert walled_ground(grid(heights), PARAMS).mean() > 0.97
+
+
 def test_a_ramp_between_walls_is_ground():
     """A way up of 1 in 8 between walls, 40 m wide, leads to a terrace: both are ground."""
     heights = np.zeros((120, 180))
