@@ -42,7 +42,7 @@ CUT, SIDE = 0.55, 1 / 3
 """Ours: largest shares of the border in the edge of such a hall: two sides of a square and a little more; one side."""
 
 STEPS = 4
-"""Ours: a hall in so many levels is found."""
+"""Ours: a hall of up to so many levels is found, the highest level first."""
 
 MOST_HOUSES = 0.5
 """A hollow lies in terrain if at most so much of its rim are houses; of a court it is nearly all."""
