@@ -32,6 +32,7 @@ from msbdb.database import (
     read_buildings,
     read_result,
     read_run,
+    read_tables,
 )
 from msbdb.errors import InputError, ParameterError, TilesError, collected_notices
 from msbdb.grid import Grid, GridSpec
@@ -40,7 +41,7 @@ from msbdb.run import compose
 from msbdb.run.prepare import THINNED
 from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
-from msbdb.tables import Reason
+from msbdb.tables import BUILDING, Reason
 
 
 @pytest.fixture(scope="module")
@@ -377,6 +378,16 @@ def test_the_same_again_changes_nothing(files, quick, tmp_path, monkeypatch):
     assert not msbdb.build(files, **given).changed
     monkeypatch.setattr(tilework, "find_regions", None)
     assert not msbdb.build(files, **given, resume=True).changed
+    assert lines(db) == lines(quick)
+
+
+def test_a_digest_of_a_few_rows_at_a_time_is_that_of_the_rows(files, quick, tmp_path, monkeypatch):
+    """Tables in shares of three rows; the check of the database makes the digest again from all rows."""
+    db = tmp_path / "town.sqlite"
+    monkeypatch.setattr("msbdb.database.runs.digests.SHARE", 3)
+    msbdb.build(files, db=db, survey="town", extract="multiscale", tile=TILE_M)
+    with opened(db) as engine:
+        assert len(read_tables(engine, (BUILDING,))["building"]) > 3
     assert lines(db) == lines(quick)
 
 
