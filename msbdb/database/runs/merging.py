@@ -236,7 +236,7 @@ class _Merge:
     def limits(self, name: str) -> NDArray[np.int64]:
         """Return where the digest cuts a table: links by what they refer to first, others by their own keys."""
         first = LINKS[name][0] if name in LINKS else name
-        # The keys of rejections are no ids of theirs.
+        # Rejections are ordered by a region that many of them share; they are few, and one share.
         return NOTHING if name == "rejection" else limits_of(self.seen[first])
 
     def _linked(self, piece: Piece, name: str) -> "tuple[pd.DataFrame, int]":

@@ -31,8 +31,10 @@ DENSE, DENSE_M2 = ("delft_2", "montpellier", "champs"), 66.0
 LIFTED = ("delft_2", "montpellier", "amsterdam", "sevilla_plaza", "beziers_right")
 
 PLANTED = ("delft_1", "delft_2", "montpellier", "beziers_left", "beziers_right", "amsterdam")
+"""The places with classes of ground and of roofs, beside which trees are planted."""
 
 LARGER = "amsterdam"
+"""The place whose blocks go on over mirrored edges."""
 
 CROWNS, A_HECTARE = ("montpellier", "champs"), 100.0
 """The places whose crowns are planted elsewhere, and how many of them a hectare."""
