@@ -23,8 +23,8 @@ Mask = NDArray[np.bool_]
 LEAST_M2 = 50.0
 """No way is sought to smaller regions: clutter, and the cells of walls. Nor does one begin on less even ground."""
 
-BEGINNING = 0.3
-"""Share of a way that is ground already: of ways to terraces 0.4 to 0.9, of a roof whose rear meets a bank 0.2."""
+BEGINNING, BEGINNING_M2 = 0.3, 150.0
+"""Share or area of a way that is ground already: of a roof whose rear meets a bank 0.2, and hardly 100 m²."""
 
 WAY_PX = 3
 """Width of a way, cells."""
@@ -70,10 +70,10 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
        one too large for the windows of the progressive filter. Of a region that the border cuts the rest of the edge
        decides, if it is high and bare.
     5. Of the ground, cells that rise above the opening are clutter, not ground.
-    6. A region above ground is terrain after all where a way leads from the ground to ``reached_share`` of its cells: a
-       terrace or a ramp. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell. It begins
-       on even ground, so not on a slope where a level roof touches the terrain; nor is the rear of such a roof its
-       beginning, which may count as ground.
+    6. What a way leads to from the ground is terrain after all: a terrace or a ramp, and all of a region if ways lead
+       to ``reached_share`` of it. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell.
+       Where the trend rises by more, it may follow the trend. It begins on even ground, so not on a slope
+       where a level roof touches the terrain; nor is the rear of such a roof its beginning, which may count as ground.
     7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. Without a cell that is
        sure it is a well in a roof, unless it lies on the terrain of the other ground.
 
@@ -118,13 +118,14 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     measured = surface.valid
     radius = max(1, round(params.clutter_m / cell_m))
     opened = np.where(measured, opening(heights, 2 * radius + 1, measured), heights)
-    above_trend = _without_hollows(np.where(measured, opened - lower_trend(surface, params), 0), cell_m, params)
+    trend = lower_trend(surface, params)
+    above_trend = _without_hollows(np.where(measured, opened - trend, 0), cell_m, params)
     sure = open_progressively(above_trend, cell_m, params.slope, params, measured)
     decided = _decide(opened, sure, measured, cell_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
-    reached: Mask = ground | _reached(heights, ground, measured, cell_m, params)
+    reached: Mask = ground | _reached(surface, trend, ground, params)
     return reached & ~_wells(surface, reached, sure, params)
 
 
@@ -257,18 +258,29 @@ def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, pa
     return found
 
 
-def _reached(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
-    """Return the regions above ground that a way from the ground leads to, for most of their cells."""
-    rise = dilation(heights, WAY_PX, measured) - erosion(heights, WAY_PX, measured)
-    even = measured & (rise < (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0))
-    ways, count = label_zones(even)
-    of_ground = sizes(ways[ground], count)
-    from_ground = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
-    reached = dilation(chosen_cells(ways, from_ground).astype(np.float32), WAY_PX, None) > 0
+def _reached(surface: Grid, trend: Heights, ground: Mask, params: GroundParams) -> Mask:
+    """Return the cells above ground that a way from the ground leads to, and the regions of which ways cover most.
+
+    A way is even. Where the trend is too steep for that, what follows the trend is a way, too; but none does both, as
+    a level roof may touch the slope.
+    """
+    heights, measured, cell_m = np.asarray(surface.values, dtype=np.float32), surface.valid, surface.spec.cell_m
+    most_m = (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0)
+
+    def rise(of: Heights) -> Heights:
+        return dilation(of, WAY_PX, measured) - erosion(of, WAY_PX, measured)
+
+    led = np.zeros_like(ground)
+    for even in (rise(heights) < most_m, (rise(heights - trend) < most_m) & (rise(trend) >= most_m)):
+        ways, count = label_zones(measured & even)
+        of_ground = sizes(ways[ground], count)
+        begun = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
+        led |= chosen_cells(ways, begun | (of_ground * cell_m**2 >= BEGINNING_M2))
+    reached = dilation((led & ~ground).astype(np.float32), WAY_PX, None) > 0
     regions, count = _joined(heights, measured & ~ground, _wall_m(cell_m, params))
     cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))
-    large = cells * cell_m**2 >= LEAST_M2
-    terrain: Mask = measured & ~ground & (large & (of_them >= params.reached_share * cells))[regions]
+    mostly, large = of_them >= params.reached_share * cells, cells * cell_m**2 >= LEAST_M2
+    terrain: Mask = measured & ~ground & large[regions] & (reached | mostly[regions])
     return terrain
 
 

@@ -76,8 +76,9 @@ class GroundParams:
     even_step_m: float = param(0.3, "m", "Filter by walls: what rises by more from cell to cell of 1 m is no way.",
         ours="the steepest streets; 0.2 to 0.4 m give the same", low=0.01, high=2)
     reached_share: float = param(0.75, "1",
-        "Filter by walls: share of a region to which a way must lead for it to be terrain.",
-        ours="terraces 0.8 to 1, roofs that touch a slope up to 0.65; above 1 the rule is off", low=0.1, high=1.1)
+        "Filter by walls: share of a region to which ways must lead for all of it to be terrain.",
+        ours="terraces 0.8 to 1, roofs that touch a slope up to 0.65; above 1 the ways alone are terrain",
+        low=0.1, high=1.1)
     window_m: float = param(80.0, "m", "Progressive filter, also inside `walls`: largest half-width of a window.",
         ours="half the width of the widest hall that is still a building", low=5, high=500)
     window_growth: float = param(1.4, "1", "Progressive filter: factor from one window to the next.",

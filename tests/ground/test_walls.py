@@ -193,6 +193,32 @@ def test_a_terrace_is_ground_where_a_way_leads_up(wide, leads):
     assert ground[41:79, 81:119].any() == leads
 
 
+def test_a_way_makes_ground_of_the_cells_that_it_leads_to():
+    """Of a terrace between walls, half is overgrown, so that the way up covers less of it than three quarters."""
+    heights = np.zeros((120, 140))
+    heights[40:80, 80:120] = 4
+    heights[60:66, 60:80] = np.linspace(0, 4, 20)
+    heights[40:80, 98:120] += np.random.default_rng(1).uniform(0, 1.2, (40, 22))
+    ground = walled_ground(grid(heights), PARAMS)
+    assert ground[41:79, 81:96].all()
+    assert not ground[41:79, 101:119].any()
+
+
+def test_a_hillside_too_steep_for_an_even_way_is_ground():
+    """On a slope of 60 % a row of houses and a ditch before it part the terrain from border to border."""
+    row, col = np.indices((200, 70))
+    heights = 0.48 * col + 0.36 * (200 - row)
+    below = row - 0.6 * col - 70
+    heights[(below >= 0) & (below < 16)] -= 4
+    houses = (below > -14) & (below < 0)
+    for west in range(0, 70, 12):
+        house = houses & (col >= west) & (col < west + 12)
+        heights[house] = heights[house].mean() + 9
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[houses].any()
+    assert ground[~houses].mean() > 0.99
+
+
 def test_a_level_roof_that_touches_a_slope_is_a_building():
     """On a slope of 30 %, the uphill edge of a roof meets the terrain; its other sides are walls."""
     col = np.indices((120, 160))[1]
