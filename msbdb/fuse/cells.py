@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.secondlook import (
+    smooth_limit,
     with_flush_planes,
     without_crowns,
     without_green,
@@ -89,7 +90,7 @@ def fuse_cells(
     if evidence is None:
         return decided
     roughness_m = evidence.roughness_mm.astype(np.float32) / np.float32(1000)
-    limit_m = params.smooth_m * max(1.0, heights.spec.cell_m)
+    limit_m = smooth_limit(params, heights.spec.cell_m)
     share, clear = np.asarray(votes / len(regions), dtype=np.float32), (needed + 1) / len(regions)
     decided = without_crowns(decided, share, roughness_m, params, clear=clear, cell_m=heights.spec.cell_m)
     decided = without_rough(decided, roughness_m, heights, params)

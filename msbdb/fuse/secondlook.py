@@ -56,8 +56,22 @@ DENIED = 0.6
 BESIDE = 0.45
 """Ours, in sample: what has a larger share of its edge at buildings stands among them, as annexes in courts do."""
 
+SPANNED = 1.5
+"""Ours, in sample: on cells above 1 m the limit of smoothness grows by this power, as windows span several roofs."""
+
 STEPPED = 0.4
 """Ours, in sample: what is flush with the house along a larger share of the edge at it may be a part of its roof."""
+
+
+def smooth_limit(params: FuseParams, cell_m: float) -> float:
+    """Return the roughness up to which a cell is smooth, metres: ``smooth_m`` on cells of up to 1 m.
+
+    Examples
+    --------
+    >>> [round(smooth_limit(FuseParams(smooth_m=0.06), cell_m), 2) for cell_m in (0.5, 1.0, 2.0)]
+    [0.06, 0.06, 0.17]
+    """
+    return float(params.smooth_m * max(1.0, cell_m) ** SPANNED)
 
 
 def without_crowns(
@@ -77,7 +91,7 @@ def without_crowns(
     roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small window.
     params : FuseParams
-        ``smooth_m``: cells of at most this roughness are smooth, in proportion on cells above 1 m; and the odds of a
+        ``smooth_m``: cells of at most this roughness are smooth (`smooth_limit`); and the odds of a
         building by support and area (`msbdb.fuse.probability.building_probability`).
     clear : float
         Objects of 50 m² with this mean share stay, and larger ones with a smaller share of the same odds, if a tenth of
@@ -101,9 +115,7 @@ def without_crowns(
     labels, count = label_zones(decided)
     area = sizes(labels, count)
     support = sums(labels, share, count) / area
-    smooth = _share_of_known(
-        labels, count, roughness_m <= params.smooth_m * max(1.0, cell_m), roughness_m, unknown=MOST
-    )
+    smooth = _share_of_known(labels, count, roughness_m <= smooth_limit(params, cell_m), roughness_m, unknown=MOST)
     # Smaller objects than a house need no more support than it: their smoothness decides.
     area_m2 = np.where(smooth >= SOME, np.maximum(area * cell_m**2, HOUSE_M2), HOUSE_M2)
     enough = building_probability(np.array([clear]), np.array([HOUSE_M2]), params)
@@ -237,7 +249,7 @@ def without_green(
     """
     labels, count = label_zones(decided)
     area = sizes(labels, count)
-    smooth = roughness_m <= params.smooth_m * max(1.0, cell_m)
+    smooth = roughness_m <= smooth_limit(params, cell_m)
     denied = (
         (sizes(labels[multiscale], count) < SOME * area)
         & (sizes(labels[green], count) >= MOST * area)

@@ -21,11 +21,17 @@ from msbdb.params import CoverParams, Params
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.heights import Surface
 from msbdb.surface.noise import height_noise, without_noise
-from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, roughness
+from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, roughness, window_cells
 from msbdb.threads import in_threads
 
 ROOF, VEGETATION = 1, 2
 """Indices of the structural classes."""
+
+USUAL_CELL_M = 0.6
+"""Ours: the largest cells of the surveys that the limits of roughness were calibrated on."""
+
+SPANNED = 1.2
+"""Ours, in sample: wider windows span several roofs, so that the limit of smoothness grows by this power of them."""
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
@@ -99,6 +105,7 @@ def structural_cover(
         )
         odds = _echo_odds(roughness_m, echoes, params)
     else:
+        params = _for_wider_windows(params, ndsm.spec.cell_m)
         odds = _rough_odds(filled_m, wide_roughness_m, params)
     probability = _sigmoid(odds)
     roof = smooth_share(probability, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
@@ -145,6 +152,26 @@ def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field
         - params.split_wide_weight * echoes.split_wide
         - params.echo_rough_weight * np.log(np.maximum(roughness_m, params.smooth_floor_m))
         + params.solid_weight * echoes.solid
+    )
+
+
+def _for_wider_windows(params: CoverParams, cell_m: float) -> CoverParams:
+    """Return the parameters with limits of roughness for large cells, where windows of three cells exceed their width.
+
+    A window of 6 m holds the ridge and the eaves of a roof, and is as rough as a crown is in one of 1.5 m.
+    """
+
+    def wider(window_m: float) -> float:
+        usual_m = window_cells(window_m, USUAL_CELL_M) * USUAL_CELL_M
+        return max(1.0, window_cells(window_m, cell_m) * cell_m / usual_m)
+
+    small, wide = wider(params.window_m), wider(params.wide_window_m)
+    return replace(
+        params,
+        rough_m=params.rough_m * small,
+        rough_wide_m=params.rough_wide_m * wide,
+        # On cells above 1 m the limit grows with the cell already.
+        smooth_m_limit=params.smooth_m_limit * max(1.0, small**SPANNED / max(1.0, cell_m)),
     )
 
 

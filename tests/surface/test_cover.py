@@ -209,3 +209,19 @@ def test_the_share_of_leaves_rises_between_its_limits_which_grow_with_the_cell()
         assert (share[rough >= 1.001 * factor * params.leaf_m] == 1).all()
         between = (rough > 1.01 * factor * params.glass_m) & (rough < 0.99 * factor * params.leaf_m)
         assert ((share[between] > 0) & (share[between] < 1)).all()
+
+
+@pytest.mark.parametrize(("cell_m", "half_m"), [(0.5, 4), (1.0, 4), (1.5, 3), (2.0, 4), (2.0, 5)])
+def test_gabled_roofs_are_no_crowns_on_coarse_cells(cell_m, half_m):
+    """Two houses of 20 m with ridges, 35 degrees steep, and a clump of crowns 24 m wide, without echoes."""
+    spec = lattice((0.0, 0.0, 59.9, 59.9), cell_m, scenes.UTM33)
+    east, north = spec.xy(*np.indices(spec.shape))
+    houses = (np.minimum(abs(east - 12), abs(east - 48)) < half_m) & (abs(north - 40) < 10)
+    crowns = (east - 30) ** 2 + (north - 14) ** 2 < 12**2
+    heights = np.where(houses, 5 + 0.7 * (half_m - np.minimum(abs(east - 12), abs(east - 48))), 0.0)
+    heights[crowns] = np.random.default_rng(2).uniform(3, 12, np.count_nonzero(crowns))
+    dsm = Grid(heights.astype(np.float32), np.ones(spec.shape, dtype=bool), spec)
+    surface = surface_from_rasters(dsm, dsm.with_values(np.zeros(spec.shape, dtype=np.float32)))
+    roofs = cover_from_surface(surface, None, Params()).cover.labelled("building")
+    assert roofs[houses].mean() > 0.9
+    assert roofs[crowns].mean() < 0.1

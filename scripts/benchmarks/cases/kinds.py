@@ -20,6 +20,12 @@ from msbdb.params import GroundParams
 DENSITIES = (8.0, 4.0, 2.0, 1.0, 0.5, 0.3)
 """First echoes a square metre of the thinned copies."""
 
+FEW = (1.0, 0.5, 0.3)
+"""First echoes a square metre of the thinned copies that have no others."""
+
+RASTERS = (0.5, 1.0, 2.0)
+"""Cells of the rasters, metres."""
+
 LINES = (3.0, 5.0, 8.0)
 """Distance of scan lines, in the spacings of the points along them."""
 
@@ -91,6 +97,20 @@ def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
     """Yield copies of places as a sensor of one echo records them, each place once."""
     for case in as_they_are(data, {name for name in names if not name.endswith("cadastre")}):
         yield Case(case.name, case.crs, [first_only(cloud) for cloud in case.clouds], case.reference, {})
+
+
+def with_few_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield thinned copies of places as a sensor of one echo records them."""
+    for case in with_fewer_pulses(data, names, FEW):
+        yield Case(case.name, case.crs, [first_only(cloud) for cloud in case.clouds], case.reference, {})
+
+
+def on_rasters(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield places as rasters of heights: a surface of the highest first echoes, and a terrain through class 2."""
+    for case in as_they_are(data, names & set(THINNED)):
+        for cell_m in RASTERS:
+            reference = reference_of(NAMED[case.name], case.clouds, data, max(case.reference.spec.cell_m, cell_m))
+            yield Case(f"{case.name}, {cell_m:g} m", case.crs, case.clouds, reference, {}, raster_m=cell_m)
 
 
 def over_hills(data: Path, names: set[str]) -> Iterator[Case]:

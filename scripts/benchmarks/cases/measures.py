@@ -11,8 +11,9 @@ import numpy as np
 from cases.copies import with_class_alone
 from cases.labelled import Objects, Reference
 from cases.othergrounds import OTHER_GROUNDS
+from cases.rasters import as_rasters
 from msbdb.detect.scene import Scene
-from msbdb.params import DETECTORS, Params, profile, with_values
+from msbdb.params import DETECTORS, POINT_DETECTORS, Params, profile, with_values
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import GROUND_CLASS, UNCLASSIFIED_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
@@ -25,6 +26,8 @@ GIVEN = "class 2"
 
 OWN = "walls"
 """The ground of the default values."""
+
+RASTER_DETECTORS = tuple(name for name in DETECTORS if name not in POINT_DETECTORS)
 
 Value = float | str | Objects | None
 
@@ -39,6 +42,8 @@ class Case:
     reference: Reference
     known: dict[str, Value]
     """What its row says beforehand."""
+    raster_m: float = 0.0
+    """Cells of the rasters that are made of the points, metres; 0 builds from the points."""
 
 
 def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
@@ -48,7 +53,7 @@ def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
     -------
     dict
         Density; quality by area, per cent, of each detector and of the buildings on the ground of the default values,
-        and of the buildings on each other ground; objects found and true; seconds.
+        and of the buildings on each other ground; objects found and true; seconds. Rasters have two detectors.
     """
     begun = time.perf_counter()
     row: dict[str, Value] = {"case": case.name, **case.known}
@@ -58,7 +63,7 @@ def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
         quality = case.reference.quality(built, spec)
         if ground == OWN:
             row |= {"density": scene.survey.density}
-            row |= {name: case.reference.quality(regions[name].labels > 0, spec) for name in DETECTORS}
+            row |= {name: case.reference.quality(found.labels > 0, spec) for name, found in regions.items()}
             row |= {"buildings": quality, "found": case.reference.found_objects(built, spec)}
             row |= {"true": case.reference.true_objects(built, spec)}
         else:
@@ -84,11 +89,14 @@ def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params
             cloud.classification = np.where(mask, GROUND_CLASS, UNCLASSIFIED_CLASS).astype(np.uint8)
     own = "class2" if ground == GIVEN or ground in OTHER_GROUNDS else ground
     params = with_values(profile(), {"ground": {"ground_filter": own}})
-    with tempfile.TemporaryDirectory() as folder, collect_notices(Notices()):
-        files = []
-        for number, cloud in enumerate(clouds):
-            files.append(Path(folder) / f"{number}.las")
-            cloud.write(files[-1])
-        inputs, stages = Inputs(points=tuple(files), crs=case.crs), Stages(None)
+    with tempfile.TemporaryDirectory() as name, collect_notices(Notices()):
+        folder = Path(name)
+        files = tuple(folder / f"{number}.las" for number in range(len(clouds)))
+        for file, cloud in zip(files, case.clouds if case.raster_m else clouds, strict=True):
+            cloud.write(file)
+        inputs, methods = Inputs(points=files, crs=case.crs), DETECTORS
+        if case.raster_m:
+            inputs, methods = as_rasters(files, case.crs, case.raster_m, folder), RASTER_DETECTORS
+        stages = Stages(None)
         scene, params, _ = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
-        return scene, detect(scene, DETECTORS, params, stages), params
+        return scene, detect(scene, methods, params, stages), params

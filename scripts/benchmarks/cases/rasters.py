@@ -1,0 +1,45 @@
+"""A cloud as an office may have it: a surface of its highest first echoes, gaps filled, and a terrain through class 2."""
+
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from pyproj import CRS
+from rasterio.fill import fillnodata
+
+from msbdb.grid import lattice
+from msbdb.ground.choice import terrain
+from msbdb.io.las import read_points
+from msbdb.params import GroundParams
+from msbdb.run.inputs import Inputs
+
+NODATA = -9999.0
+
+REACH_PX = 6
+"""Gaps are filled from the cells up to this far around."""
+
+
+def as_rasters(files: tuple[Path, ...], crs: str, cell_m: float, folder: Path) -> Inputs:
+    """Write the DSM and the DTM of files with class 2, with cells of so many metres, and return them as inputs."""
+    points = read_points(files, crs=CRS.from_user_input(crs))
+    spec = lattice(points.bounds, cell_m, points.crs)
+    first = points.first_echo
+    surface = np.full(spec.shape, NODATA, dtype=np.float32)
+    np.maximum.at(surface, spec.rowcol(points.x[first], points.y[first]), points.z[first].astype(np.float32))
+    surface = fillnodata(surface, surface != NODATA, max_search_distance=REACH_PX)
+    ground, _ = terrain(points, spec, GroundParams(ground_filter="class2"))
+    for name, heights in {"dsm": surface, "dtm": np.asarray(ground.values, dtype=np.float32)}.items():
+        with rasterio.open(
+            folder / f"{name}.tif",
+            "w",
+            driver="GTiff",
+            height=spec.shape[0],
+            width=spec.shape[1],
+            count=1,
+            dtype="float32",
+            crs=crs,
+            transform=spec.transform,
+            nodata=NODATA,
+        ) as file:
+            file.write(heights, 1)
+    return Inputs(dsm=folder / "dsm.tif", dtm=folder / "dtm.tif")
