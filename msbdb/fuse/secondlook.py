@@ -56,22 +56,33 @@ DENIED = 0.6
 BESIDE = 0.45
 """Ours, in sample: what has a larger share of its edge at buildings stands among them, as annexes in courts do."""
 
-SPANNED = 1.5
-"""Ours, in sample: on cells above 1 m the limit of smoothness grows by this power, as windows span several roofs."""
+CELL_POWER = 1.5
+"""Ours, in sample: above 1 m the limit of smoothness grows by this power of the cell, as windows span several roofs."""
 
 STEPPED = 0.4
 """Ours, in sample: what is flush with the house along a larger share of the edge at it may be a part of its roof."""
 
 
 def smooth_limit(params: FuseParams, cell_m: float) -> float:
-    """Return the roughness up to which a cell is smooth, metres: ``smooth_m`` on cells of up to 1 m.
+    """Return the roughness up to which a cell is smooth, metres.
+
+    Parameters
+    ----------
+    params : FuseParams
+        ``smooth_m``: the limit on cells of up to 1 m; on larger cells it grows.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    float
 
     Examples
     --------
     >>> [round(smooth_limit(FuseParams(smooth_m=0.06), cell_m), 2) for cell_m in (0.5, 1.0, 2.0)]
     [0.06, 0.06, 0.17]
     """
-    return float(params.smooth_m * max(1.0, cell_m) ** SPANNED)
+    return float(params.smooth_m * max(1.0, cell_m) ** CELL_POWER)
 
 
 def without_crowns(
@@ -91,8 +102,8 @@ def without_crowns(
     roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small window.
     params : FuseParams
-        ``smooth_m``: cells of at most this roughness are smooth (`smooth_limit`); and the odds of a
-        building by support and area (`msbdb.fuse.probability.building_probability`).
+        ``smooth_m``: cells of at most this roughness are smooth (`smooth_limit`); and the odds of a building by support
+        and area (`msbdb.fuse.probability.building_probability`).
     clear : float
         Objects of 50 m² with this mean share stay, and larger ones with a smaller share of the same odds, if a tenth of
         them is smooth.

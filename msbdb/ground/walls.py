@@ -24,7 +24,7 @@ LEAST_M2 = 50.0
 """No way is sought to smaller regions: clutter, and the cells of walls. Nor does one begin on less even ground."""
 
 BEGINNING, BEGINNING_M2 = 0.3, 150.0
-"""Share or area of a way that is ground already: of a roof whose rear meets a bank 0.2, and hardly 100 m²."""
+"""Ours, in sample: share or area of a way that is ground already; of a roof whose rear meets a bank 0.2, or 100 m²."""
 
 WAY_PX = 3
 """Width of a way, cells."""
@@ -261,8 +261,8 @@ def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, pa
 def _reached(surface: Grid, trend: Heights, ground: Mask, params: GroundParams) -> Mask:
     """Return the cells above ground that a way from the ground leads to, and the regions of which ways cover most.
 
-    A way is even. Where the trend is too steep for that, what follows the trend is a way, too; but none does both, as
-    a level roof may touch the slope.
+    A way is even. Where the trend is too steep for that, a way may follow the trend. No way is partly even and partly
+    follows the trend, because a level roof may touch the slope.
     """
     heights, measured, cell_m = np.asarray(surface.values, dtype=np.float32), surface.valid, surface.spec.cell_m
     most_m = (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0)
@@ -270,13 +270,13 @@ def _reached(surface: Grid, trend: Heights, ground: Mask, params: GroundParams) 
     def rise(of: Heights) -> Heights:
         return dilation(of, WAY_PX, measured) - erosion(of, WAY_PX, measured)
 
-    led = np.zeros_like(ground)
+    on_ways = np.zeros_like(ground)
     for even in (rise(heights) < most_m, (rise(heights - trend) < most_m) & (rise(trend) >= most_m)):
         ways, count = label_zones(measured & even)
         of_ground = sizes(ways[ground], count)
         begun = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
-        led |= chosen_cells(ways, begun | (of_ground * cell_m**2 >= BEGINNING_M2))
-    reached = dilation((led & ~ground).astype(np.float32), WAY_PX, None) > 0
+        on_ways |= chosen_cells(ways, begun | (of_ground * cell_m**2 >= BEGINNING_M2))
+    reached = dilation((on_ways & ~ground).astype(np.float32), WAY_PX, None) > 0
     regions, count = _joined(heights, measured & ~ground, _wall_m(cell_m, params))
     cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))
     mostly, large = of_them >= params.reached_share * cells, cells * cell_m**2 >= LEAST_M2

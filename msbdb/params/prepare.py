@@ -166,9 +166,11 @@ class CoverParams:
     echo_bias: float = param(-1.2, "1", "Log-odds without any evidence.", ours=CALIBRATED, low=-50, high=50)
     rough_weight: float = param(1.5, "1", "Log-odds per factor e of roughness, without echoes.", ours=CALIBRATED,
         low=0, high=100)
-    rough_m: float = param(0.25, "m", "Roughness in the small window that supports neither roof nor crown.",
+    rough_m: float = param(0.25, "m",
+        "Roughness in the small window that supports neither roof nor crown; grows with cells above 0.6 m.",
         ours=CALIBRATED, low=0.01, high=10)
-    rough_wide_m: float = param(0.35, "m", "Roughness in the wide window that supports neither roof nor crown.",
+    rough_wide_m: float = param(0.35, "m",
+        "Roughness in the wide window that supports neither roof nor crown; grows with cells above 0.6 m.",
         ours=CALIBRATED, low=0.01, high=10)
     smooth_floor_m: float = param(0.02, "m", "Least roughness; smaller values count as this.",
         ours="the range noise of a scanner", low=0.001, high=1)
@@ -180,7 +182,7 @@ class CoverParams:
     hole_m2: float = param(20.0, "m2", "Smaller holes of a roof, above the mask, are filled.",
         ours="twice the finest scale", low=0, high=1e4)
     min_roof_m2: float = param(10.0, "m2", "Smaller regions are no roof.", ours="the finest scale", low=0, high=1e4)
-    smooth_m_limit: float = param(0.12, "m", "Cells of less roughness are smooth.",
+    smooth_m_limit: float = param(0.12, "m", "Cells of less roughness are smooth; grows with large cells.",
         ours="three times a scanner's range noise", low=0.01, high=5)
     min_smooth_share: float = param(0.5, "1", "Least smooth share of a roof, without echoes.",
         ours="most of a roof is smooth; with 0.6 blocks at 1 point/m2 are lost", low=0, high=1)

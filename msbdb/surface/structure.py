@@ -30,8 +30,8 @@ ROOF, VEGETATION = 1, 2
 USUAL_CELL_M = 0.6
 """Ours: the largest cells of the surveys that the limits of roughness were calibrated on."""
 
-SPANNED = 1.2
-"""Ours, in sample: wider windows span several roofs, so that the limit of smoothness grows by this power of them."""
+WINDOW_POWER = 1.2
+"""Ours, in sample: the limit of smoothness grows by this power of the window, as wide windows span several roofs."""
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
@@ -92,6 +92,7 @@ def structural_cover(
     -----
     Where the small window has too few samples for a plane, as beside strips that overlap, the wide one is judged:
     sparse is not rough. In the odds with echoes such cells keep the penalty that they were calibrated with.
+    Without echoes the limits of roughness grow with the windows on cells above 0.6 m.
     """
     raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
     filled_m = np.where(roughness_m < NO_PLANE_M, roughness_m, wide_roughness_m)
@@ -156,9 +157,9 @@ def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field
 
 
 def _for_wider_windows(params: CoverParams, cell_m: float) -> CoverParams:
-    """Return the parameters with limits of roughness for large cells, where windows of three cells exceed their width.
+    """Return the parameters with limits of roughness for large cells, whose windows of three cells are too wide.
 
-    A window of 6 m holds the ridge and the eaves of a roof, and is as rough as a crown is in one of 1.5 m.
+    A window of 6 m holds the ridge and the eaves of a roof, which is as rough there as a crown in a window of 1.5 m.
     """
 
     def wider(window_m: float) -> float:
@@ -171,7 +172,7 @@ def _for_wider_windows(params: CoverParams, cell_m: float) -> CoverParams:
         rough_m=params.rough_m * small,
         rough_wide_m=params.rough_wide_m * wide,
         # On cells above 1 m the limit grows with the cell already.
-        smooth_m_limit=params.smooth_m_limit * max(1.0, small**SPANNED / max(1.0, cell_m)),
+        smooth_m_limit=params.smooth_m_limit * max(1.0, small**WINDOW_POWER / max(1.0, cell_m)),
     )
 
 

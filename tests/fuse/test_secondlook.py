@@ -51,6 +51,15 @@ def test_only_rough_objects_of_few_votes_go(votes, rough_share, kept):
     assert np.array_equal(found, decided if kept else np.zeros(shape, dtype=bool))
 
 
+@pytest.mark.parametrize(("cell_m", "rough_m", "kept"), [(1.0, 0.05, True), (1.0, 0.15, False), (2.0, 0.15, True)])
+def test_roofs_may_be_rougher_on_large_cells(cell_m, rough_m, kept):
+    """What is rough on cells of 1 m is smooth on those of 2 m, where a window holds several planes of a roof."""
+    decided = block((20, 20), (5, 15), (5, 15))
+    rough = np.full(decided.shape, rough_m, dtype=np.float32)
+    found = without_crowns(decided, 0.5 * decided, rough, PARAMS, clear=0.625, cell_m=cell_m)
+    assert found.any() == kept
+
+
 @pytest.mark.parametrize(
     ("side", "share", "smooth_rows", "kept"),
     [(4, 0.6, 1, False), (10, 0.6, 2, True), (10, 0.6, 0, False), (10, 0.55, 2, False), (30, 0.55, 6, True)],
