@@ -128,7 +128,7 @@ def build(
     from msbdb.io.files import PICTURES, require_output
     from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.inputs import Inputs
-    from msbdb.run.prepare import Label
+    from msbdb.run.preparation.prepare import Label
     from msbdb.run.reports import collect_notices
     from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
@@ -207,7 +207,7 @@ def plan(
         One of its kinds, when the inputs cannot be used.
     """
     from msbdb.run.inputs import Inputs
-    from msbdb.run.prepare import make_plan
+    from msbdb.run.preparation.planning import make_plan
     from msbdb.run.reports import collect_notices
     from msbdb.threads import memory_reused
 

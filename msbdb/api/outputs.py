@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def info(db: str | Path) -> dict[str, Any]:
     """Return what a database holds: a record a run, with counts and notices, and the inventory in numbers."""
-    from msbdb.run.outputs import info_of
+    from msbdb.run.contents import info_of
 
     return info_of(db)
 
@@ -165,7 +165,7 @@ def view(
 
         msg = "An orthophoto is a layer of the page. Leave out --ortho, or write a page: .html."
         raise InputError(msg)
-    from msbdb.run.outputs import draw
+    from msbdb.run.contents import draw
 
     draw(db, Path(out), survey=survey, what=what, aoi=aoi, overwrite=overwrite)
 

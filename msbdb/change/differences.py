@@ -62,7 +62,7 @@ class Epochs:
     surveyed : (H, W) ndarray of bool
         Where the later survey has heights, within the area of interest.
     whole : GridSpec
-        The lattice of the survey, of which all others here are a window.
+        The lattice of the survey; all others here are windows of it.
     rise : Grid
         Height above ground now less that of before, without the vertical offset, metres; invalid where the earlier one
         is not known.

@@ -259,7 +259,7 @@ def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, pa
 
 
 def _reached(surface: Grid, trend: Heights, ground: Mask, params: GroundParams) -> Mask:
-    """Return the cells above ground that a way from the ground leads to, and the regions of which ways cover most.
+    """Return the cells above ground that a way from the ground leads to, and the regions that are mostly ways.
 
     A way is even. Where the trend is too steep for that, a way may follow the trend. No way is partly even and partly
     follows the trend, because a level roof may touch the slope.

@@ -4,9 +4,9 @@ The same area filters on the points themselves are in `msbdb.points.pointarea`.
 """
 
 from msbdb.morphology.area import area_closing, area_open_close, area_opening
+from msbdb.morphology.attributeprofiles import AttributeProfile, build_profile, zone_thresholds
 from msbdb.morphology.componenttree import ComponentTree, areas, build_tree, is_increasing, sums
 from msbdb.morphology.levelzones import label_level_zones
-from msbdb.morphology.profiles import AttributeProfile, build_profile, zone_thresholds
 from msbdb.morphology.scalespace import ScaleSpace, build_scale_space, find_scales, opening_areas
 from msbdb.morphology.smallzones import merge_small_zones
 from msbdb.morphology.windows import (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.morphology.area import require_valid
-from msbdb.morphology.profiles import MAX_ZONES
+from msbdb.morphology.attributeprofiles import MAX_ZONES
 
 Mask = NDArray[np.bool_] | None
 

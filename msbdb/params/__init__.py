@@ -17,7 +17,7 @@ from msbdb.params.parts import (
     TouchingParams,
     VectorParams,
 )
-from msbdb.params.prepare import CoverParams, GroundParams, SpectralParams, SurfaceParams
+from msbdb.params.preparation import CoverParams, GroundParams, SpectralParams, SurfaceParams
 from msbdb.params.profiles import (
     DETECTORS,
     POINT_DETECTORS,

@@ -16,7 +16,7 @@ from msbdb.params.parts import (
     TouchingParams,
     VectorParams,
 )
-from msbdb.params.prepare import CoverParams, GroundParams, SpectralParams, SurfaceParams
+from msbdb.params.preparation import CoverParams, GroundParams, SpectralParams, SurfaceParams
 
 POINT_DETECTORS = ("area3d", "adaptive")
 """The detectors that search the points themselves, and find candidate regions."""

@@ -209,8 +209,8 @@ def _strips(index: CellIndex) -> NDArray[np.int32]:
 def _find(search: _GraphSearch, degree: NDArray[np.int32], once: bool, part: tuple[int, int]) -> NDArray[np.int32]:
     """Return the neighbours of the points in a range of cells, ascending for each point, or each pair once.
 
-    They come in the order of the cells; ``degree`` gets how many each point has. A pair that is held once is held by
-    the point that comes later in the order of the cells: the other one is in its own row or in that to the south.
+    They come in the order of the cells; ``degree`` gets how many each point has. A pair that is stored once is stored
+    with the point that comes later in the order of the cells: the other one is in its own row or in that to the south.
     """
     order, starts, strips, begin, x, y, z, limit_m2 = search
     found = np.empty(max(A_POINT * (starts[part[1]] - starts[part[0]]), FEW), dtype=np.int32)

@@ -22,7 +22,7 @@ from msbdb.points.nearest import nearest_of
 from msbdb.points.repeated import without_repeated
 from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, prepare
+from msbdb.run.preparation.prepare import Label, prepare
 from msbdb.run.reports import ClassifyReport, Notices, Progress, Stages, collect_notices
 from msbdb.surface import heights_above
 

@@ -29,7 +29,9 @@ from msbdb.parts.tree import extract_parts
 from msbdb.points.aside import let_go
 from msbdb.run.describe import Description, count_cells, describe, describe_choices, describe_rasters
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, Window, is_large, make_plan, note_missing_sources, prepare, read_cloud
+from msbdb.run.preparation.drafts import read_cloud
+from msbdb.run.preparation.planning import is_large, make_plan
+from msbdb.run.preparation.prepare import Label, Window, note_missing_sources, prepare
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run

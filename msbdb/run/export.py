@@ -24,7 +24,7 @@ from msbdb.export import Content, check_options, choose_layers, export, find_for
 from msbdb.export.qgis.project import Bounds, layers_of, project
 from msbdb.io.files import require_input, require_output, write_atomic
 from msbdb.io.layers import Layer, crs_text
-from msbdb.run.outputs import Choice, tell_choice
+from msbdb.run.contents import Choice, tell_choice
 from msbdb.tables import FIRST_SURVEY, Column, Survey
 from msbdb.tables.declaration import RUN_ID
 from msbdb.tables.view_columns import VIEW_COLUMNS

@@ -43,7 +43,7 @@ ANYWHERE = re.compile(
 class Inputs:
     """The files of a build, and what the user states about them; ``fallback`` is the CRS where nothing states one.
 
-    ``known`` describes the files of a whole survey, of which these are a part.
+    ``known`` describes the files of a whole survey; these are a part of them.
     """
 
     points: tuple[Path, ...] = ()

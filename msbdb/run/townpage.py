@@ -29,8 +29,8 @@ from msbdb.database.history.periods import read_period
 from msbdb.errors import InputError, PassingNotice, counted, give_notice
 from msbdb.grid import Grid
 from msbdb.io.files import require_output
+from msbdb.run.contents import Choice, area_of, choose, of_one_place, photo_on, reason_rasters, relief_for, within
 from msbdb.run.inventory.changed import NOT_SURVEYED, changes_of
-from msbdb.run.outputs import Choice, area_of, choose, of_one_place, photo_on, reason_rasters, relief_for, within
 from msbdb.tables import BUILDING, DETECTOR_SHARES, PART
 from msbdb.tables.aliases import words_of
 from msbdb.tables.view_columns import VIEW_COLUMNS

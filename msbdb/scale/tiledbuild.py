@@ -37,7 +37,7 @@ from msbdb.io.extents import extent_of_points
 from msbdb.io.lasheader import read_las_header
 from msbdb.params import as_dict
 from msbdb.run.compose import Job
-from msbdb.run.prepare import make_plan
+from msbdb.run.preparation.planning import make_plan
 from msbdb.run.reports import BuildReport, Notices, Stages, collect_notices
 from msbdb.run.store import OVERVIEW, overview_of, refused_areas
 from msbdb.scale.tileresults import Result

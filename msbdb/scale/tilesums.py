@@ -179,7 +179,7 @@ def _unpacked(place: Place, bits: NDArray[Any]) -> NDArray[Any]:
 
 
 def _shared(one: Place, other: Place) -> Place:
-    """Return the place that two places have in common, of no cells where there is none."""
+    """Return the place that two places have in common, without cells where they have nothing in common."""
     top, left = max(one[0], other[0]), max(one[1], other[1])
     bottom, right = min(one[0] + one[2], other[0] + other[2]), min(one[1] + one[3], other[1] + other[3])
     return (top, left, max(bottom - top, 0), max(right - left, 0))

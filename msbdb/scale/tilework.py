@@ -15,7 +15,7 @@ from msbdb.errors import NodataError, collected_notices
 from msbdb.grid import Bounds
 from msbdb.io.vector import Area
 from msbdb.run.compose import Detected, Job, counts_of, find_regions, fuse_and_decompose
-from msbdb.run.prepare import Window
+from msbdb.run.preparation.prepare import Window
 from msbdb.run.reports import Stages
 from msbdb.scale.tileresults import Found, packed
 from msbdb.scale.tiling import Tile, cut_islands

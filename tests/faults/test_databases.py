@@ -188,7 +188,7 @@ def test_a_torn_database_is_refused(tiles, town):
 
 def test_another_crs_is_refused(tmp_path, tiles, town, monkeypatch):
     """A database has one CRS; both are named, before the points are read."""
-    monkeypatch.delattr("msbdb.run.prepare.read_points")
+    monkeypatch.delattr("msbdb.run.preparation.drafts.read_points")
     cloud = SCENES["podium_tower"](density=1.0).points
     other = write_points(tmp_path / "other.laz", cloud, crs=CRS.from_epsg(32632))
     before = checksums(town.parent)

@@ -28,7 +28,8 @@ from msbdb.grid import lattice
 from msbdb.io.las import read_points
 from msbdb.io.raster import align_grid, read_grid
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, make_surface
+from msbdb.run.preparation.drafts import make_surface
+from msbdb.run.preparation.prepare import Label
 
 SECONDS = 10.0
 OREGON_M, OREGON_FT = CRS.from_epsg(2993), CRS.from_epsg(2994)
@@ -426,7 +427,7 @@ def test_a_user_forgets_the_file_behind_an_option(tmp_path):
 @pytest.mark.parametrize("option", ["--ortho", "--dtm", "--parcels", "--aoi"])
 def test_a_user_gives_a_file_of_another_kind(tmp_path, tile, option, monkeypatch):
     """A raster or vector file that is none is refused before the points are read."""
-    monkeypatch.delattr("msbdb.run.prepare.read_points")
+    monkeypatch.delattr("msbdb.run.preparation.drafts.read_points")
     wrong = tmp_path / "wrong.txt"
     wrong.write_text("no map")
     args = ["--points", tile, option, wrong, "--db", tmp_path / "town.sqlite"]

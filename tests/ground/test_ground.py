@@ -26,7 +26,7 @@ from msbdb.ground.wavelet import smooth_b3, two_means
 from msbdb.io.las import read_points
 from msbdb.params import GroundParams, Params
 from msbdb.points.cloud import PointCloud
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 
 CRS_M = CRS.from_epsg(32633)
 PARAMS = GroundParams()

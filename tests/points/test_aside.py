@@ -18,7 +18,7 @@ from msbdb.grid import lattice
 from msbdb.params import Params
 from msbdb.points import aside
 from msbdb.points.aside import let_go, set_aside
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import heights_above
 from msbdb.threads import memory_reused
 

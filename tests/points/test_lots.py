@@ -11,7 +11,7 @@ from simulated import scenes
 
 from msbdb.points.cloud import PointCloud
 from msbdb.points.lots import CELL_M, drawn, thinned
-from msbdb.run.planning import with_facts
+from msbdb.run.preparation.pointfacts import with_facts
 
 METRES = CRS.from_epsg(32633)
 

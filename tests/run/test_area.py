@@ -21,7 +21,7 @@ from msbdb.io.las import read_points
 from msbdb.io.vector import Area
 from msbdb.params import Params, with_values
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import make_draft
+from msbdb.run.preparation.drafts import make_draft
 from msbdb.run.reports import Stages
 
 CELL = with_values(Params(), {"surface": {"cell_m": 0.8}})

@@ -15,7 +15,7 @@ from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, prepare
+from msbdb.run.preparation.prepare import Label, prepare
 from msbdb.run.reports import Stages
 from msbdb.tables import EXTRACTOR_SHARES, PART_FLAT_REGION
 

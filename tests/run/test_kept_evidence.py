@@ -14,7 +14,7 @@ from msbdb.database import read_rasters
 from msbdb.detect.scene import Evidence
 from msbdb.kept import Rasters
 from msbdb.params import Params
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import cover_from_surface
 from msbdb.tables import HEIGHTS
 

@@ -18,7 +18,7 @@ from msbdb.errors import FileError, InputError, ParameterError
 from msbdb.grid import Grid
 from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
-from msbdb.run import planning
+from msbdb.run.preparation import samples
 from msbdb.surveyplan import Plan
 
 AUTO = with_values(Params(), {"scale": {"scales_m2": ()}})
@@ -100,8 +100,8 @@ def test_a_tile_takes_the_values_of_the_city(files, alone, city, tmp_path):
 
 def test_a_large_survey_is_planned_from_blocks(monkeypatch, tmp_path):
     """Blocks are drawn by their place, whatever the order of the files; the build of all points takes their plan."""
-    monkeypatch.setattr(planning, "MOST_POINTS", 12_000)
-    monkeypatch.setattr(planning, "BLOCK_M", 40.0)
+    monkeypatch.setattr(samples, "MOST_POINTS", 12_000)
+    monkeypatch.setattr(samples, "BLOCK_M", 40.0)
     cloud = scenes.under_trees(density=2.0).points
     west = cloud.x < cloud.bounds[0] + 50
     halves = [write_points(tmp_path / f"{n}.laz", cloud.take(half)) for n, half in enumerate((west, ~west))]
@@ -120,9 +120,9 @@ def test_a_large_survey_is_planned_from_blocks(monkeypatch, tmp_path):
 
 def test_a_stray_point_hides_no_town_from_the_plan(monkeypatch, tmp_path):
     """The box of a header that it widens to tens of kilometres draws no blocks; the points that are read do."""
-    monkeypatch.setattr(planning, "MOST_POINTS", 12_000)
-    monkeypatch.setattr(planning, "BLOCK_M", 40.0)
-    monkeypatch.setattr(planning, "LEAST_BLOCK_M", 20.0)
+    monkeypatch.setattr(samples, "MOST_POINTS", 12_000)
+    monkeypatch.setattr(samples, "BLOCK_M", 40.0)
+    monkeypatch.setattr(samples, "LEAST_BLOCK_M", 20.0)
     p = scenes.under_trees(density=2.0).points
     far = np.arange(len(p)) == 500
     x, y = np.where(far, p.x - 9e4, p.x), np.where(far, p.y - 9e4, p.y)
@@ -136,30 +136,30 @@ def test_a_stray_point_hides_no_town_from_the_plan(monkeypatch, tmp_path):
 
 def test_cells_bound_the_plan_as_points_do(monkeypatch, tmp_path):
     """A survey of few points on many cells is planned from blocks that hold as many cells as the memory takes."""
-    monkeypatch.setattr(planning, "BLOCK_M", 40.0)
-    monkeypatch.setattr(planning, "LEAST_BLOCK_M", 20.0)
+    monkeypatch.setattr(samples, "BLOCK_M", 40.0)
+    monkeypatch.setattr(samples, "LEAST_BLOCK_M", 20.0)
     file = write_points(tmp_path / "sparse.laz", scenes.under_trees(density=2.0).points)
     every = msbdb.plan(file)
     fine = with_values(Params(), {"surface": {"cell_m": 0.25}})
     assert every.blocks == msbdb.plan(file, params=fine).blocks == ()
-    monkeypatch.setattr(planning, "MOST_BYTES", planning.bytes_to_plan(every.points.points, 70.0**2, 0.25, fine))
+    monkeypatch.setattr(samples, "MOST_BYTES", samples.bytes_to_plan(every.points.points, 70.0**2, 0.25, fine))
     found = msbdb.plan(file, params=fine)
     assert found.block_m == 20, "a block takes a quarter of the memory at most"
     cells = len(found.blocks) * found.block_m**2 / 0.25**2
     assert len(found.blocks) > 2
-    assert cells * planning.CELL_BYTES < planning.MOST_BYTES + planning.bytes_to_plan(0, 40.0**2, 0.25, fine)
+    assert cells * samples.CELL_BYTES < samples.MOST_BYTES + samples.bytes_to_plan(0, 40.0**2, 0.25, fine)
     assert msbdb.plan(file).blocks == (), "cells of a metre are few enough"
 
 
 def test_a_lattice_that_is_wide_beside_its_points_is_planned_from_blocks(monkeypatch, tmp_path):
     """Points in two far corners of one file span more cells than the header tells; the build has that plan, too."""
-    monkeypatch.setattr(planning, "BLOCK_M", 40.0)
-    monkeypatch.setattr(planning, "LEAST_BLOCK_M", 20.0)
+    monkeypatch.setattr(samples, "BLOCK_M", 40.0)
+    monkeypatch.setattr(samples, "LEAST_BLOCK_M", 20.0)
     cloud = scenes.under_trees(density=2.0).points
     places = {name: np.append(getattr(cloud, name), getattr(cloud, name) + 600 * (name != "z")) for name in "xyz"}
     twice = {name: np.append(value, value, axis=0) for name, value in cloud.arrays().items() if name not in places}
     file = write_points(tmp_path / "two.laz", replace(cloud, **places, **twice))
-    monkeypatch.setattr(planning, "MOST_BYTES", planning.bytes_to_plan(2 * len(cloud), 400.0**2, 1.0, Params()))
+    monkeypatch.setattr(samples, "MOST_BYTES", samples.bytes_to_plan(2 * len(cloud), 400.0**2, 1.0, Params()))
     found = msbdb.plan(file)
     assert found.blocks
     for tile in (None, 1000):
@@ -170,7 +170,7 @@ def test_a_lattice_that_is_wide_beside_its_points_is_planned_from_blocks(monkeyp
 
 def test_a_sample_lies_in_the_area_of_interest(monkeypatch, tmp_path):
     """Of a large area the plan draws blocks, and looks at nothing outside; a small one it sees as a whole."""
-    monkeypatch.setattr(planning, "BLOCK_M", 20.0)
+    monkeypatch.setattr(samples, "BLOCK_M", 20.0)
     cloud = scenes.under_trees(density=2.0).points
     file = write_points(tmp_path / "all.laz", cloud)
     west, south, _, north = cloud.bounds
@@ -178,7 +178,7 @@ def test_a_sample_lies_in_the_area_of_interest(monkeypatch, tmp_path):
     area = tmp_path / "half.gpkg"
     gpd.GeoDataFrame(geometry=[shape], crs=cloud.crs).to_file(area)
     assert msbdb.plan(file, aoi=area).blocks == ()
-    monkeypatch.setattr(planning, "MOST_POINTS", 3_000)
+    monkeypatch.setattr(samples, "MOST_POINTS", 3_000)
     found = msbdb.plan(file, aoi=area)
     assert len(found.blocks) > 1
     assert all(shape.intersects(shapely.box(x, y, x + 20, y + 20)) for x, y in found.blocks)

@@ -38,7 +38,7 @@ from msbdb.errors import InputError, ParameterError, TilesError, collected_notic
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
 from msbdb.run import compose
-from msbdb.run.prepare import THINNED
+from msbdb.run.preparation.pointfacts import THINNED
 from msbdb.scale import tiledbuild, tilework
 from msbdb.scale.tiledbuild import FOLDER
 from msbdb.tables import BUILDING, Reason

@@ -20,8 +20,8 @@ from msbdb.errors import FileError, NodataError, TilesError, collected_notices
 from msbdb.grid import Grid, GridSpec
 from msbdb.io.raster import align_grid, read_grid
 from msbdb.run.inputs import Inputs
-from msbdb.run.rasters import cellblocks, rastersurface
-from msbdb.run.rasters.rastersurface import NO_TERRAIN
+from msbdb.run.preparation import cellblocks, rastersurface
+from msbdb.run.preparation.rastersurface import NO_TERRAIN
 from msbdb.scale import cluster, tiledbuild, tilework
 
 GIVEN = {"survey": "town", "tile": TILE_M}

@@ -16,7 +16,7 @@ from simulated.scenes import DATUM_M, Block, Scene, Tree, World, scan
 from msbdb.database import TileStatus
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.scale.tilework import TileTask, work
 
 TILE_M = 60.0

@@ -11,7 +11,7 @@ from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid, lattice
 from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import cover_from_surface, normalise, surface_from_rasters
 from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_share, structural_cover
 from msbdb.surface.texture import NO_PLANE_M, Echoes

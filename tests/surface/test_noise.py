@@ -9,7 +9,7 @@ from simulated import scenes
 
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.params import Params, with_values
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import cover_from_surface
 from msbdb.surface.gridding import Samples
 from msbdb.surface.noise import height_noise, without_noise

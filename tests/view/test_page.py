@@ -25,7 +25,7 @@ from msbdb.cli.main import cli
 from msbdb.database import open_database, write_build
 from msbdb.errors import FileError, InputError, MissingDependencyError
 from msbdb.run import townpage as made
-from msbdb.run.outputs import MAPS
+from msbdb.run.contents import MAPS
 from msbdb.view.blocks import blocks_of
 from msbdb.view.page import DEGREE, Library, as_data, image_uri, page_of, read_library, shapes_of
 

@@ -1,4 +1,4 @@
-"""The normal form of geometries, of which digests are made: GEOS's own, written by a kernel in a third of its time."""
+"""The normal form of geometries, for digests: GEOS's own, written by a kernel in a third of its time."""
 
 import numpy as np
 import shapely

@@ -18,7 +18,7 @@ PAPER, SELECTED = (255, 255, 255, 255), (255, 255, 0, 255)
 """Colours of the map's ground and of what is selected; without them QGIS 3.22 selects in white."""
 
 EVIDENCE = ("building_evidence", "part_evidence", "flat_region", "candidate_region", "candidate_evidence", "rejection")
-"""Layers that stand in a group of their own, above the buildings."""
+"""Layers in a group of their own, above the buildings."""
 
 EVIDENCE_GROUP = "Evidence"
 

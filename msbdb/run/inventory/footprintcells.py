@@ -239,7 +239,7 @@ def cells_within(survey: SurveyCells, footprints: DrawnShapes) -> tuple[Ints, In
 
 
 def _measured(labels: Labels, count: int, cells: WindowCells, params: Params) -> dict[str, Floats]:
-    """Measure the footprints of a window, each of which has a cell."""
+    """Measure the footprints of a window; each has a cell."""
     heights = cells.heights
     of_cells = height_statistics(labels, slice(0, count), order_heights(heights, labels > 0))
     above = np.maximum(np.asarray(heights.values, dtype=np.float64), 0) * heights.spec.cell_area_m2

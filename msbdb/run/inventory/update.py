@@ -41,7 +41,7 @@ from msbdb.run.compose import choose_detectors
 from msbdb.run.inputs import Inputs, Paths
 from msbdb.run.inventory.borders import combined, make_seams, near_pieces, pieces_of
 from msbdb.run.inventory.ground import StoredGround
-from msbdb.run.prepare import Label
+from msbdb.run.preparation.prepare import Label
 from msbdb.run.reports import AdvanceReport, Notices, collect_notices
 from msbdb.surveyplan import Plan
 from msbdb.tables import EXTRACTOR_SHARES, HEIGHTS, Survey

@@ -18,7 +18,8 @@ from msbdb.parts.forest import Forest
 from msbdb.points.cloud import GROUND_CLASS, UNCLASSIFIED_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
 from msbdb.run.inputs import Inputs
-from msbdb.run.prepare import Label, prepare, read_cloud
+from msbdb.run.preparation.drafts import read_cloud
+from msbdb.run.preparation.prepare import Label, prepare
 from msbdb.run.reports import Notices, Stages, collect_notices
 
 GIVEN = "class 2"

@@ -26,7 +26,7 @@ from msbdb.database import opened, read_tile_status, tiles_with_results
 from msbdb.errors import MsbdbError
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.scale import tilework
 
 TILE_M = 60.0

@@ -9,7 +9,7 @@ import pandas as pd
 from msbdb.detect.scene import Elevations
 from msbdb.fuse.roofheights import measure_heights
 from msbdb.params import Params
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from simulated.scenes import DATUM_M, Array, Block, World, scan
 
 DENSITIES = (0.5, 1.0, 2.0, 4.0, 16.0)

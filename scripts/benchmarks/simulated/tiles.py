@@ -15,7 +15,7 @@ from msbdb.io.las import read_points
 from msbdb.kept import heights_of
 from msbdb.params import profile
 from msbdb.points.cloud import PointCloud
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.run.reports import Notices, collect_notices
 from msbdb.surface import heights_above
 from simulated.epochs import EDITS, Edit, second_epoch

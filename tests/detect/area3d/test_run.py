@@ -20,7 +20,7 @@ from msbdb.grid import lattice
 from msbdb.io.las import read_points
 from msbdb.params import Params, profile, with_values
 from msbdb.points.cloud import PointCloud
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import heights_above
 from msbdb.tables import CANDIDATE_REGION, REJECTION, validate
 

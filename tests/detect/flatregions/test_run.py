@@ -24,7 +24,7 @@ from msbdb.io.las import read_points
 from msbdb.outline.polygons import polygonise
 from msbdb.params import Params, profile, with_values
 from msbdb.parts.tree import extract_parts
-from msbdb.run.prepare import build_surface
+from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface.heights import normalise
 from msbdb.tables import FLAT_REGION, REJECTION
 

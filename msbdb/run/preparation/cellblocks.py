@@ -7,7 +7,8 @@ import numpy as np
 
 from msbdb.errors import NodataError, collected_notices, give_notice
 from msbdb.grid import Bounds, GridSpec
-from msbdb.run.planning import BLOCK_M, Draft
+from msbdb.run.preparation.drafts import Draft
+from msbdb.run.preparation.samples import BLOCK_M
 from msbdb.spectral.kmeans import lattice_keys
 
 MOST_CELLS = 12_000_000
@@ -36,8 +37,8 @@ def block_side(cell_m: float) -> float:
 def drawn_blocks(cells: GridSpec, *, seed: int) -> list[Bounds]:
     """Return the bounds of all blocks of a raster in the order in which they are looked at, metres.
 
-    Their edges lie on those of cells, at whole multiples of the side on the lattice of the raster, so that the order
-    does not depend on its extent.
+    Their edges lie on those of cells, at whole multiples of the side on the lattice of the raster. So the order does
+    not depend on its extent.
     """
     side_m, frame = block_side(cells.cell_m), cells.frame
     side = round(side_m / cells.cell_m)

@@ -1,0 +1,1 @@
+"""From the files of a survey to its scene: drafts, the plan that fixes their values, and the surfaces of rasters."""

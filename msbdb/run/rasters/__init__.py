@@ -1,1 +1,0 @@
-"""Surveys from rasters of heights: the surface of a part, and the blocks that a plan looks at."""
