@@ -56,6 +56,9 @@ DENIED = 0.6
 BESIDE = 0.45
 """Ours, in sample: what has a larger share of its edge at buildings stands among them, as annexes in courts do."""
 
+LEANING_M2 = 600.0
+"""Ours, in sample: a larger piece is no crown, nor a row of them; 100 to 1,000 m² differ little."""
+
 CELL_POWER = 1.5
 """Ours, in sample: above 1 m the limit of smoothness grows by this power of the cell, as windows span several roofs."""
 
@@ -280,7 +283,8 @@ def without_leaning_crowns(
 
     A piece is what is left of an object without the house, the cells that all detectors take, and without the cells
     beside these. It goes if all of this holds. Hardly more than half of the detectors take it. It is hardly smooth. It
-    is seldom flush with the house, and free on most of its edge. An annex fails one of these.
+    is seldom flush with the house, and free on most of its edge. It is not larger than crowns are. An annex fails one
+    of these.
 
     Parameters
     ----------
@@ -293,7 +297,7 @@ def without_leaning_crowns(
     heights : Grid
         Heights above ground, metres.
     params : FuseParams
-        ``flush_m``; pieces smaller than ``piece_m2`` stay.
+        ``flush_m``; pieces smaller than ``piece_m2`` stay, as do those larger than `LEANING_M2`.
     limit_m : float
         Cells up to this roughness are smooth, metres.
 
@@ -331,10 +335,12 @@ def without_leaning_crowns(
     with_house = chosen_cells(objects, sizes(objects[house], count) > 0)
     labels, count = label_zones(with_house & ~near, connectivity=4)
     area = sizes(labels, count)
+    area_m2 = area * heights.spec.cell_area_m2
     smooth = _share_of_known(labels, count, roughness_m <= limit_m, roughness_m, unknown=1.0)
     edge, beside, flush = _edges(labels, count, decided, np.where(near, around, values), params)
     crowns = (
-        (area * heights.spec.cell_area_m2 >= params.piece_m2)
+        (area_m2 >= params.piece_m2)
+        & (area_m2 <= LEANING_M2)
         & (sums(labels, share, count) <= DENIED * area)
         & (smooth < HARDLY)
         & (beside <= BESIDE * edge)

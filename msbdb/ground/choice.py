@@ -16,7 +16,7 @@ from msbdb.ground.walls import walled_ground
 from msbdb.ground.wavelet import wavelet_ground
 from msbdb.params import GroundParams
 from msbdb.points.cloud import GROUND_CLASS, PointCloud
-from msbdb.surface.gridding import lowest
+from msbdb.surface.gridding import density, lowest
 from msbdb.threads import kernel
 
 MIN_GROUND_SHARE = 0.02
@@ -33,7 +33,7 @@ SIDE = 5
 class GroundFilter(Protocol):
     """Detects the ground cells of a grid of lowest points."""
 
-    def __call__(self, surface: Grid, params: GroundParams, /) -> NDArray[np.bool_]:
+    def __call__(self, surface: Grid, params: GroundParams, points_m2: float = ..., /) -> NDArray[np.bool_]:
         """Return the (H, W) mask of ground cells.
 
         Parameters
@@ -42,6 +42,8 @@ class GroundFilter(Protocol):
             Lowest heights, gap-free, metres. Valid are the cells near points; the values of others are mere guesses.
         params : GroundParams
             The filter's parameters.
+        points_m2 : float
+            First echoes a square metre; by default so many that it does not matter.
         """
 
 
@@ -61,9 +63,9 @@ class PointGroundFilter(Protocol):
 
 
 FILTERS: dict[str, GroundFilter] = {
-    "progressive": progressive_ground,
+    "progressive": lambda surface, params, _=0.0: progressive_ground(surface, params),
     "walls": walled_ground,
-    "wavelet": wavelet_ground,
+    "wavelet": lambda surface, params, _=0.0: wavelet_ground(surface, params),
 }
 
 POINT_FILTERS: dict[str, PointGroundFilter] = {"quadratic": quadratic_ground, "adaptive": adaptive_ground}
@@ -97,7 +99,7 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
     if name in POINT_FILTERS:
         return refine(_through(points, POINT_FILTERS[name](points, params), coarse), spec), name
     surface = lowest_surface(points, coarse, params)
-    ground = FILTERS[name](surface, params)
+    ground = FILTERS[name](surface, params, density(points))
     return refine(interpolate_ground(surface.values, ground, coarse), spec), name
 
 

@@ -3,13 +3,15 @@
 The progressive filter is sure of some ground. What else is ground follows from the edges between the cells.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from msbdb.grid import Grid
+from msbdb.grid import Grid, GridSpec
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
@@ -47,11 +49,23 @@ STEPS = 4
 MOST_HOUSES = 0.5
 """A hollow lies in terrain if at most so much of its rim are houses; of a court it is nearly all."""
 
+FEW = 100
+"""Ours, in sample: so many echoes show walls as walls. Between fewer, shrubs beside a shed make up a slope to it."""
+
+RISE_M = 0.5
+"""Ours: a thing rises so much more than terrain may, as kerbs and beds do not."""
+
+LEVEL_M, LEVEL_SHARE = 0.3, 0.25
+"""Ours: a piece of a terrace has ground as high as itself beside more than this share of it."""
+
+NEAR_M = 3.0
+"""Ours: beside is within so many metres, the width of a path."""
+
 HOLLOW_M = 180.0
 """Side of the square in which hollows are compared with what stands: as wide as the trend looks, nine blocks."""
 
 
-def walled_ground(surface: Grid, params: GroundParams) -> Mask:
+def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.inf) -> Mask:
     """Detect ground cells by the walls between cells.
 
     1. An opening with a square of half-width ``clutter_m`` removes crowns, cars and masts.
@@ -69,7 +83,8 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
        one too large for the windows of the progressive filter. Of a region that the border cuts the rest of the edge
        decides, if it is high and bare.
-    5. Of the ground, cells that rise above the opening are clutter, not ground.
+    5. Of the ground, cells that rise above the opening are clutter, not ground. Nor are pieces of fewer than `FEW`
+       echoes that rise above the terrain of what is sure, and are no part of a terrace: sheds among shrubs.
     6. What a way leads to from the ground is terrain after all: a terrace or a ramp, and all of a region if ways lead
        to ``reached_share`` of it. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell.
        Where the trend rises by more, it may follow the trend. It begins on even ground, so not on a slope
@@ -86,6 +101,8 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
         Lowest heights, gap-free, metres; cells that are not valid are a void far from all points.
     params : GroundParams
         Section ``ground``.
+    points_m2 : float
+        First echoes a square metre; by default so many that every piece shows its walls.
 
     Returns
     -------
@@ -125,6 +142,7 @@ def walled_ground(surface: Grid, params: GroundParams) -> Mask:
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
+    ground &= ~_blurred(Grid(opened, measured, surface.spec), ground, sure, params, points_m2)
     reached: Mask = ground | _reached(surface, trend, ground, params)
     return reached & ~_wells(surface, reached, sure, params)
 
@@ -284,20 +302,49 @@ def _reached(surface: Grid, trend: Heights, ground: Mask, params: GroundParams) 
     return terrain
 
 
-def _wells(surface: Grid, ground: Mask, sure: Mask, params: GroundParams) -> Mask:
-    """Return the regions of ground without a sure cell that lie above the terrain of the other ground.
+def _blurred(opened: Grid, ground: Mask, sure: Mask, params: GroundParams, points_m2: float) -> Mask:
+    """Return the small pieces of ground that rise like things whose walls few echoes do not show.
 
-    The terrain may rise towards them as towards an object in the progressive filter, by ``height_m`` and ``slope``.
+    None of their cells is sure. They rise above the terrain of the sure ground, and then above that of all other
+    ground: terraces that are large enough hold their small pieces. A piece beside ground as high as itself stays, too.
     """
+    heights, spec = np.asarray(opened.values), opened.spec
+    found, known = np.zeros_like(ground), ground & sure
+    most_m2 = min(FEW / points_m2, params.hill_m2)
+    if most_m2 < spec.cell_area_m2 or known.all() or not known.any():
+        return found
+    raised = ground & ~sure & (_rise(heights, known, spec, params) > RISE_M)
+    pieces, count = label_zones(raised)
+    few = sizes(pieces, count) * spec.cell_area_m2 < most_m2
+    small = chosen_cells(pieces, few)
+    if not small.any():
+        return found
+    others = ground & ~small
+    beside = dilation(heights, 2 * max(1, round(NEAR_M / spec.cell_m)) + 1, others)
+    level = sizes(pieces[small & (beside >= heights - LEVEL_M)], count)
+    rise = sums(pieces, _rise(heights, others, spec, params) - RISE_M, count)
+    return chosen_cells(pieces, few & (level <= LEVEL_SHARE * sizes(pieces, count)) & (rise > 0))
+
+
+def _wells(surface: Grid, ground: Mask, sure: Mask, params: GroundParams) -> Mask:
+    """Return the regions of ground without a sure cell that lie above the terrain of the other ground."""
     regions, count = label_zones(ground)
     doubtful = sizes(regions[sure], count) == 0
     others = ground & ~chosen_cells(regions, doubtful)
     if not doubtful.any() or not others.any():
         return np.zeros_like(ground)
-    terrain = np.asarray(interpolate_ground(surface.values, others, surface.spec).values)
-    most_m = params.height_m + params.slope * surface.spec.cell_m * distance_transform_edt(~others)
-    rises = np.asarray(surface.values) - terrain - most_m
-    return chosen_cells(regions, doubtful & (sums(regions, rises, count) > 0))
+    rise = _rise(np.asarray(surface.values), others, surface.spec, params)
+    return chosen_cells(regions, doubtful & (sums(regions, rise, count) > 0))
+
+
+def _rise(heights: Heights, ground: Mask, spec: GridSpec, params: GroundParams) -> Heights:
+    """Return how far heights lie above what the terrain of some ground may reach there, metres.
+
+    It may rise from that ground as towards an object in the progressive filter, by ``height_m`` and ``slope``.
+    """
+    terrain = np.asarray(interpolate_ground(heights, ground, spec).values)
+    most_m = params.height_m + params.slope * spec.cell_m * distance_transform_edt(~ground)
+    return np.asarray(heights - terrain - most_m)
 
 
 def _joined(heights: Heights, among: Mask, step_m: float) -> tuple[NDArray[np.int32], int]:

@@ -264,6 +264,17 @@ def test_what_leans_on_a_house_goes_if_all_its_evidence_is_poor(change, kept):
     assert np.array_equal(left, house | annex if kept else house | block(shape, (12, 17), (14, 15)))
 
 
+@pytest.mark.parametrize(("depth", "kept"), [(10, False), (11, True)])
+def test_a_piece_larger_than_crowns_stays(depth, kept):
+    """A row of trees of 600 m² goes. What is larger is a wing whose roof few echoes show."""
+    shape = (80, 40)
+    house, wing = block(shape, (4, 70), (2, 12)), block(shape, (5, 65), (12, 13 + depth))
+    heights = grid(np.where(wing, 4.0, np.where(house, 6.0, 0.0)))
+    share, rough = np.where(house, 1.0, wing / 2), np.where(wing, 0.3, 0.02).astype(np.float32)
+    left = without_leaning_crowns(house | wing, share, rough, heights, PARAMS, limit_m=0.06)
+    assert np.array_equal(left, house | wing if kept else house | block(shape, (5, 65), (12, 13)))
+
+
 def test_an_object_that_not_all_detectors_see_has_no_leaning_pieces():
     """Without a house there is nothing to lean on; the object as a whole is judged elsewhere."""
     decided = block((20, 20), (5, 15), (5, 15))

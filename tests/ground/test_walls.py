@@ -255,6 +255,39 @@ def test_a_well_in_a_roof_is_ground_only_where_it_reaches_down_to_the_terrain(fl
     assert ground[:30].mean() > 0.98
 
 
+def gardens(shed):
+    """Return a plain with two rows of houses, and between them a shed behind shrubs that make up a slope to it."""
+    heights = np.zeros((80, 120))
+    heights[20:30], heights[60:70] = 8, 8
+    heights[40:45, 40:45] = shed
+    for step in range(1, 4):
+        heights[40 - step, 40:45] = heights[44 + step, 40:45] = shed - 0.8 * step
+        heights[40:45, 40 - step] = heights[40:45, 44 + step] = shed - 0.8 * step
+    return grid(np.maximum(heights, 0))
+
+
+def test_a_shed_behind_shrubs_is_no_ground_where_echoes_are_few():
+    """Steps of 0.8 m are no walls, so that the shed counts as a knoll. Few echoes do not tell knolls from sheds."""
+    surface, shed = gardens(2.8), np.s_[40:45, 40:45]
+    assert walled_ground(surface, PARAMS)[shed].all()
+    few = walled_ground(surface, PARAMS, 0.5)
+    assert not few[shed].any()
+    assert few[:18].all()
+    assert few[72:].all()
+
+
+def test_a_small_piece_of_a_terrace_is_ground_though_echoes_are_few():
+    """Walls part a yard of 64 m² from the rest of its terrace, which no progressive filter is sure of."""
+    heights = terraced()
+    yard = np.s_[60:68, 100:108]
+    heights[58:70, 98:110] += 5
+    heights[yard] -= 5
+    surface = grid(heights)
+    many, few = walled_ground(surface, PARAMS), walled_ground(surface, PARAMS, 0.5)
+    assert many[yard].all()
+    assert np.array_equal(many, few)
+
+
 def narrow_tile(pits):
     """Return a small tile with two rows of houses across it; some squares of the plain lie 6 m deeper."""
     heights = np.zeros((150, 72))
