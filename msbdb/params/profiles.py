@@ -111,6 +111,7 @@ MONGUS: dict[str, Any] = {
     "ratio": 1.5,
     "blind_ratio": 1.5,
     "largest_m2": 0.0,
+    "leaf_probability": 0.0,
     "opening_m": 3.0,
     "max_compactness": 9.0,
     "compact_m2": 0.0,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from msbdb.detect.flatregions.binarisation import Binarised, binarise
 from msbdb.detect.flatregions.initialisation import Denoised, denoise, initialise
 from msbdb.detect.flatregions.recognition import FlatRegionLedger, clean, describe, grow, measure_shapes
-from msbdb.detect.scene import Regions, Scene
+from msbdb.detect.scene import CERTAIN, Regions, Scene
 from msbdb.errors import GridMismatchError, NodataError, give_notice
 from msbdb.grid import Grid
 from msbdb.labels import Labels, chosen_cells, islands_of, label_zones, reorder, sizes
@@ -19,6 +19,7 @@ from msbdb.ledger import Answers
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
 from msbdb.params import FlatRegionParams, Params, with_values
+from msbdb.surface.structure import smooth_share
 from msbdb.tables import FLAT_REGION
 
 logger = logging.getLogger(__name__)
@@ -26,6 +27,7 @@ logger = logging.getLogger(__name__)
 PEAK = "sharp peak"
 VALLEY = "steep valley"
 ROUGH = "too rough for its size in every zone"
+LEAFY = "leaves by its echoes and texture"
 THIN = "thinner than the opening"
 LONG = "too long and thin"
 
@@ -93,7 +95,11 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
     if scene.cloud is None or not scene.cloud.has_echoes:
         params = with_values(params, {"flatregions": {"ratio": params.flatregions.blind_ratio}})
     found = extract_flat_regions(
-        lowest_surface(scene, params), heights=scene.heights, survey=scene.survey.name, params=params
+        lowest_surface(scene, params),
+        heights=scene.heights,
+        survey=scene.survey.name,
+        params=params,
+        leafy=find_leaves(scene, params),
     )
     if params.flatregions.on == "surface" and len(found.regions):
         share = sizes(found.labels, len(found.regions)).max() / np.count_nonzero(scene.heights.valid)
@@ -122,6 +128,20 @@ def lowest_surface(scene: Scene, params: Params) -> Grid:
     return above_ground(lowest, surface.dtm) if params.flatregions.on == "ndsm" else lowest
 
 
+def find_leaves(scene: Scene, params: Params) -> NDArray[np.bool_] | None:
+    """Return the (H, W) cells that are leaves by their echoes and texture; None where these do not count (ours).
+
+    A dense crown may be as flat for its size as a rough roof. Its gradients do not show it, but its echoes do.
+    """
+    own, evidence, heights = params.flatregions, scene.evidence, scene.heights
+    if own.leaf_probability == 0 or evidence is None:
+        return None
+    raised = heights.valid & (np.asarray(heights.values) >= params.surface.mask_m)
+    probability = evidence.roof_probability.astype(np.float32) / np.float32(CERTAIN)
+    around = smooth_share(probability, raised, own.leaf_m / heights.spec.cell_m)
+    return raised & (around < own.leaf_probability)
+
+
 def above_ground(surface: Grid, dtm: Grid) -> Grid:
     """Subtract the terrain from another surface than the DSM; valid where both are, 0 elsewhere."""
     valid = surface.valid & dtm.valid
@@ -129,7 +149,9 @@ def above_ground(surface: Grid, dtm: Grid) -> Grid:
     return Grid(np.where(valid, height, np.float32(0)), valid, surface.spec)
 
 
-def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params) -> FlatRegions:
+def extract_flat_regions(
+    g: Grid, *, heights: Grid, survey: str, params: Params, leafy: NDArray[np.bool_] | None = None
+) -> FlatRegions:
     """Detect the flat regions of a surface that may be buildings.
 
     Parameters
@@ -144,6 +166,8 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
         Name of the survey; part of the ids.
     params : Params
         Sections ``flatregions`` and, of ``surface``, the mask.
+    leafy : (H, W) ndarray of bool, optional
+        Cells of leaves, which belong to no region.
 
     Returns
     -------
@@ -184,7 +208,7 @@ def extract_flat_regions(g: Grid, *, heights: Grid, survey: str, params: Params)
     rough = ledger.reject("ratio", ROUGH, found.risen & ~found.flat)
     _, candidates = label_zones(found.flat)
     ledger.count("ratio", candidates + rough, candidates, rough)
-    labels = recognise(found, candidates, heights, params, ledger)
+    labels = recognise(found, candidates, heights, params, ledger, leafy=leafy)
     regions = describe(labels, found, heights, survey)
     logger.info("flatregions found %d regions, of %d candidates", len(regions), candidates)
     return FlatRegions(
@@ -211,12 +235,26 @@ def level_ground(heights: Grid, mask_m: float) -> Grid:
     return heights.with_values(np.where(values < mask_m, 0, values).astype(np.float32))
 
 
-def recognise(found: Binarised, candidates: int, heights: Grid, params: Params, ledger: FlatRegionLedger) -> Labels:
-    """Turn the set G into labelled regions: G_B = Γ^Ψ(Φ_w(Γ_w(G))) (Eq. 17; M22)."""
-    own, cell_m = params.flatregions, heights.spec.cell_m
-    cleaned = clean(found.flat, own.opening_m, cell_m)
+def recognise(
+    found: Binarised,
+    candidates: int,
+    heights: Grid,
+    params: Params,
+    ledger: FlatRegionLedger,
+    *,
+    leafy: NDArray[np.bool_] | None = None,
+) -> Labels:
+    """Turn the set G without leaves into labelled regions: G_B = Γ^Ψ(Φ_w(Γ_w(G))) (Eq. 17; M22)."""
+    own, cell_m, flat = params.flatregions, heights.spec.cell_m, found.flat
+    if leafy is not None:
+        dropped = ledger.reject("leaves", LEAFY, flat & leafy)
+        flat, entered = flat & ~leafy, candidates
+        heights = Grid(heights.values, heights.valid & ~leafy, heights.spec)  # nor do regions grow into them
+        _, candidates = label_zones(flat)
+        ledger.count("leaves", entered, candidates, dropped, pieces=candidates + dropped - entered)
+    cleaned = clean(flat, own.opening_m, cell_m)
     labels, count = label_zones(cleaned)
-    before, number = label_zones(found.flat)
+    before, number = label_zones(flat)
     vanished = chosen_cells(before, sizes(before[cleaned], number) == 0)
     thin = ledger.reject("opening", THIN, vanished)
     ledger.count("opening", candidates, count, thin, pieces=count + thin - candidates)

@@ -22,7 +22,7 @@ KIND = "\0flat region"
 
 METHOD = "flatregions"
 
-STAGES = ("denoising", "ratio", "opening", "compactness")
+STAGES = ("denoising", "ratio", "leaves", "opening", "compactness")
 """The stages that reject regions, in order."""
 
 

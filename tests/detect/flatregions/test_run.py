@@ -17,6 +17,7 @@ from support.notices import with_notices
 from msbdb.detect.flatregions import mongus2013
 from msbdb.detect.flatregions.initialisation import initialise
 from msbdb.detect.flatregions.mongus2013 import extract_flat_regions
+from msbdb.detect.scene import Evidence
 from msbdb.errors import GridMismatchError, NodataError, ParameterError
 from msbdb.evaluate import PointReference, evaluate
 from msbdb.grid import Grid, GridSpec
@@ -226,10 +227,42 @@ def test_without_echoes_the_ratio_is_stricter(monkeypatch, echoes, ratio):
     monkeypatch.setattr(mongus2013, "lowest_surface", lambda scene, _params: scene.heights)
     monkeypatch.setattr(mongus2013, "extract_flat_regions", stop)
     cloud = None if echoes is None else SimpleNamespace(has_echoes=echoes)
-    scene = SimpleNamespace(heights=grid(houses()), cloud=cloud, survey=SimpleNamespace(name="test"))
+    scene = SimpleNamespace(heights=grid(houses()), cloud=cloud, survey=SimpleNamespace(name="test"), evidence=None)
     with pytest.raises(NodataError):
         mongus2013.detect_flat_regions(scene, Params())
     assert seen == [ratio]
+
+
+def test_leaves_belong_to_no_region():
+    """A dense crown, as flat as the house that it touches, goes to the ledger; the roof does not grow into it."""
+    heights = np.zeros((60, 80), dtype=np.float32)
+    heights[10:40, 10:70] = 6.0
+    leafy = np.zeros(heights.shape, dtype=bool)
+    leafy[10:40, 44:70] = True
+    whole = extract(grid(heights))
+    found = extract_flat_regions(grid(heights), heights=grid(heights), survey="test", params=Params(), leafy=leafy)
+    assert np.array_equal(whole.labels > 0, heights > 0)
+    assert np.array_equal(found.labels > 0, (heights > 0) & ~leafy)
+    lost = found.rejections[found.rejections["stage"] == "leaves"]
+    assert lost["area_m2"].tolist() == [30 * 26 * 0.25]
+    assert found.counts["leaves"] == {"in": 2, "pieces": 1, "kept": 1, "dropped": 1}
+
+
+@pytest.mark.parametrize(("least", "lost"), [(0.2, True), (0.0, False)])
+def test_leaves_are_known_by_echoes_and_texture(least, lost):
+    """A crown with a probability of roof of a tenth has leaves; what is below the mask has none."""
+    heights = np.zeros((40, 60), dtype=np.float32)
+    heights[10:30, 5:25], heights[10:30, 35:55] = 6, 6
+    probability = np.full(heights.shape, 230, dtype=np.uint8)
+    probability[:, 30:] = 25
+    evidence = Evidence(np.zeros(heights.shape, dtype=np.uint16), probability)
+    found = mongus2013.find_leaves(
+        SimpleNamespace(heights=grid(heights), evidence=evidence), with_flat(leaf_probability=least)
+    )
+    if lost:
+        assert np.array_equal(found, (heights > 0) & (probability < 100))
+    else:
+        assert found is None
 
 
 def test_trees_are_rejected():
