@@ -55,10 +55,13 @@ class FlatRegionParams:
     largest_m2: float = param(500_000.0, "m2", "Larger flat regions are terrain; 0 sets no limit.",
         ours="the largest halls cover 40 ha; λ_max alone takes the ground of a tile for one building", low=0, high=1e9)
     leaf_probability: float = param(0.2, "1",
-        "Cells are leaves where the probability of roof by echoes and texture is less around them; 0 keeps them.",
+        "Cells are leaves where the probability of roof around them is less, and leaf_rough_m exceeded; 0 is off.",
         ours="three quarters of the false cells have less than 0.5, a tenth of the true ones; above 0.2 few echoes "
         "lose roofs", low=0, high=1)
-    leaf_m: float = param(0.75, "m", "Sigma of the mean probability around a cell, at least 0.7 cells.",
+    leaf_rough_m: float = param(0.4, "m", "What is smoother is glass or planting, and no leaves.",
+        ours="0.15 loses planted roofs; 0.3 and 0.5 m differ little", low=0, high=1)
+    leaf_sigma_m: float = param(1.0, "m",
+        "Sigma of the means of probability and of roughness around a cell, at least 0.7 cells.",
         ours="0.75 to 3 m differ little", low=0, high=20)
     opening_m: float = param(1.5, "m", "Window of the opening and closing of flat regions.", paper="M19 gives 3",
         ours="that cuts roofs of 3 m and all that trees indent", low=0, high=50)

@@ -21,6 +21,7 @@ from msbdb.outline.simplification import simplify_coverage
 from msbdb.params import FlatRegionParams, Params, with_values
 from msbdb.surface.structure import smooth_share
 from msbdb.tables import FLAT_REGION
+from msbdb.threads import in_threads
 
 logger = logging.getLogger(__name__)
 
@@ -35,6 +36,9 @@ GROUND_IS_FLAT = (
     "One flat region covers {share:.0%} of the survey: on the raw surface, the ground is a flat region where its sum "
     "of gradients is below lambda_max_m2. Set flatregions.on=ndsm, or take the default profile."
 )
+NO_PLANE_MM = 1000
+"""Ours: larger roughness counts as this."""
+
 MOST_OF_SURVEY = 0.35
 """No building covers so much of a survey; on the tiles at hand, ground that is a flat region covers 40 % and more."""
 
@@ -131,15 +135,18 @@ def lowest_surface(scene: Scene, params: Params) -> Grid:
 def find_leaves(scene: Scene, params: Params) -> NDArray[np.bool_] | None:
     """Return the (H, W) cells that are leaves by their echoes and texture; None where these do not count (ours).
 
-    A dense crown may be as flat for its size as a rough roof. Its gradients do not show it, but its echoes do.
+    A dense crown may be as flat for its size as a rough roof. Its gradients do not show it, but its echoes do. What is
+    smoother than leaves is a roof of glass. Where no plane fits, the roughness counts as `NO_PLANE_MM`.
     """
     own, evidence, heights = params.flatregions, scene.evidence, scene.heights
     if own.leaf_probability == 0 or evidence is None:
         return None
     raised = heights.valid & (np.asarray(heights.values) >= params.surface.mask_m)
     probability = evidence.roof_probability.astype(np.float32) / np.float32(CERTAIN)
-    around = smooth_share(probability, raised, own.leaf_m / heights.spec.cell_m)
-    return raised & (around < own.leaf_probability)
+    rough = np.minimum(evidence.roughness_mm, NO_PLANE_MM).astype(np.float32) / np.float32(1000)
+    sigma = own.leaf_sigma_m / heights.spec.cell_m
+    likely, rough = in_threads(lambda image: smooth_share(image, raised, sigma), (probability, rough))
+    return raised & (likely < own.leaf_probability) & (rough > own.leaf_rough_m)
 
 
 def above_ground(surface: Grid, dtm: Grid) -> Grid:

@@ -250,17 +250,21 @@ def test_leaves_belong_to_no_region():
 
 @pytest.mark.parametrize(("least", "lost"), [(0.2, True), (0.0, False)])
 def test_leaves_are_known_by_echoes_and_texture(least, lost):
-    """A crown with a probability of roof of a tenth has leaves; what is below the mask has none."""
+    """A rough crown with a probability of roof of a tenth has leaves. Glass has none, nor what is below the mask."""
     heights = np.zeros((40, 60), dtype=np.float32)
     heights[10:30, 5:25], heights[10:30, 35:55] = 6, 6
     probability = np.full(heights.shape, 230, dtype=np.uint8)
     probability[:, 30:] = 25
-    evidence = Evidence(np.zeros(heights.shape, dtype=np.uint16), probability)
+    glass = np.zeros(heights.shape, dtype=bool)
+    glass[20:, 30:] = True
+    evidence = Evidence(np.where(glass | (probability > 100), 20, 600).astype(np.uint16), probability)
     found = mongus2013.find_leaves(
         SimpleNamespace(heights=grid(heights), evidence=evidence), with_flat(leaf_probability=least)
     )
     if lost:
-        assert np.array_equal(found, (heights > 0) & (probability < 100))
+        assert found[11:18, 35:55].all()
+        assert not found[(heights == 0) | (probability > 100)].any()
+        assert not found[23:].any()
     else:
         assert found is None
 
