@@ -16,9 +16,9 @@ def told(script, *options):
 @pytest.mark.long
 def test_towns_have_their_area_and_are_built():
     """A larger town has more points in proportion, and buildings."""
-    one, two = told("growth", "--areas", "0.02", "0.04", "--density", "1")
+    one, two = told("growth", "--areas", "0.02", "0.08", "--density", "1")
     assert one["points"] / 20_000 == pytest.approx(1.3, abs=0.3)
-    assert two["points"] / one["points"] == pytest.approx(2, rel=0.1)
+    assert two["points"] / one["points"] == pytest.approx(4, rel=0.15)
     assert two["buildings"] > one["buildings"] > 0
     assert min(one["cpu_seconds"], one["peak_gb"], one["database_mb"]) > 0
 
