@@ -91,7 +91,8 @@ class GroundParams:
     steep_slope: float = param(1.0, "m/m",
         "Progressive filter: steepest terrain that is searched for where there are no edges.",
         ours="banks of earthworks are no steeper; 0.5 loses much of towns on hills of 50 %", low=0, high=5)
-    hill_m2: float = param(100.0, "m2", "Progressive filter: smallest region without edges that is taken for a hill.",
+    hill_m2: float = param(100.0, "m2",
+        "Smallest region without edges that is taken for a hill. Walls: largest piece of few echoes that is a shed.",
         ours="a smaller region is judged as a house", low=0, high=1e6)
     trend_m: float = param(8.0, "m",
         "Progressive filter: sigma of the trend of hilly terrain, which is subtracted before a second pass.",

@@ -37,7 +37,7 @@ GROUND_IS_FLAT = (
     "of gradients is below lambda_max_m2. Set flatregions.on=ndsm, or take the default profile."
 )
 NO_PLANE_MM = 1000
-"""Ours: larger roughness counts as this."""
+"""Ours: a larger roughness counts as this, millimetres: no plane fits there."""
 
 MOST_OF_SURVEY = 0.35
 """No building covers so much of a survey; on the tiles at hand, ground that is a flat region covers 40 % and more."""
@@ -133,10 +133,27 @@ def lowest_surface(scene: Scene, params: Params) -> Grid:
 
 
 def find_leaves(scene: Scene, params: Params) -> NDArray[np.bool_] | None:
-    """Return the (H, W) cells that are leaves by their echoes and texture; None where these do not count (ours).
+    """Return the cells that are leaves by their echoes and texture (ours).
 
     A dense crown may be as flat for its size as a rough roof. Its gradients do not show it, but its echoes do. What is
-    smoother than leaves is a roof of glass. Where no plane fits, the roughness counts as `NO_PLANE_MM`.
+    smoother than leaves is a roof of glass or with plants.
+
+    Parameters
+    ----------
+    scene : Scene
+        Heights, and each cell's own evidence of roof.
+    params : Params
+        ``flatregions.leaf_*``, and ``surface.mask_m``.
+
+    Returns
+    -------
+    (H, W) ndarray of bool or None
+        None where the rule is off, or the scene has no evidence.
+
+    Notes
+    -----
+    Both means are over raised cells alone. Where no plane fits, the roughness counts as `NO_PLANE_MM`. Border and
+    nodata: what is invalid or beyond the lattice does not count.
     """
     own, evidence, heights = params.flatregions, scene.evidence, scene.heights
     if own.leaf_probability == 0 or evidence is None:
