@@ -99,11 +99,18 @@ def create(url: URL, timeout_s: float, fill: Callable[[Connection], None]) -> bo
         _remove_leftovers(path)
         growing.touch()
         engine = make_engine(url.set(database=str(growing)), timeout_s)
+        msg = f"The database {path} could not be created: its first tables failed; free some space, try again."
         with engine.begin() as connection:
             if not connection.scalar(text("SELECT InitSpatialMetaData(0, 'NONE')")):
-                msg = f"The database {path} could not be created: its first tables failed; free some space, try again."
                 raise DatabaseError(msg)
-            fill(connection)
+            try:
+                fill(connection)
+            except DBAPIError as error:
+                # Functions of SpatiaLite keep a failed write to themselves. SQLite then takes back all tables, and the
+                # next statement misses one of them.
+                if connection.connection.dbapi_connection.in_transaction:  # type: ignore[union-attr]  # of SQLite
+                    raise
+                raise DatabaseError(msg) from error
         _publish(growing, path)
     except FileExistsError:
         logger.info("Another process created %s meanwhile", path)
