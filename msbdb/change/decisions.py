@@ -20,9 +20,11 @@ from msbdb.tables import FIRST_SURVEY
 KINDS = ("unchanged", "modified", "new", "demolished", "merged", "split")
 """The kinds of change of a surveyed building; a building outside of the survey has no row."""
 
-NO_FOOTPRINT = "not distinguished from its surroundings this time, but its heights are unchanged"
+NO_FOOTPRINT = "not distinguished from its surroundings this time, but its heights do not show that it is gone"
 
 STOOD_BEFORE = "existed before, and is distinguished from its surroundings for the first time"
+
+LEVEL_CHANGE = "not distinguished from its surroundings this time, but its level changed as a whole"
 
 BEYOND_BORDER = "it reaches beyond the border of the earlier surveys, and is known as a whole for the first time"
 
@@ -138,7 +140,10 @@ class Decisions:
         gains = self.links.gains.get(i, [])
         outline = bool(lost) or not self.beyond.issuperset(gains)
         height = lifted > 0 or (bool(own) and self._rose_by_attributes(i, own[0]))
-        if not own:
+        if not own and height:
+            version = self._enter(i, 0, self.links.shifted[i - 1], adopted=False)
+            self._note("modified", i, 0, version=version, height=True, note=LEVEL_CHANGE)
+        elif not own:
             self._note("unchanged", i, 0, note=NO_FOOTPRINT)
         elif outline or height:
             common = int(np.count_nonzero(stood & (np.asarray(self.epochs.heights.values)[box] >= self.params.rise_m)))
@@ -159,6 +164,7 @@ class Decisions:
         """Count the cells of a building that rose or sank: in thick pieces, or of a slender building as a whole.
 
         A crown that grew over its roof is no part of it: a piece counts where later footprints cover a share of it.
+        Where they do not, the building counts as a whole if its cells changed alike, as those of a crown do not.
         """
         box, least = self.box_before[i], self.params.link_share
         stood, under = self.epochs.before[box] == i, self.epochs.after[box] > 0
@@ -166,11 +172,16 @@ class Decisions:
         lifted = sum(n for piece, n in self._own(self.pieces.lift, i).items() if held[piece - 1] >= least * n)
         if lifted:
             return lifted
-        whole = max((stood & side[box] for side in (self.pieces.rose, self.pieces.sank)), key=np.count_nonzero)
-        count = int(np.count_nonzero(whole))
-        is_whole = count >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1)
-        is_large = count * self.spec.cell_area_m2 >= self.params.least_m2
-        return count if is_whole and is_large and np.count_nonzero(whole & under) >= least * count else 0
+        sides = (stood & self.pieces.rose[box], stood & self.pieces.sank[box])
+        counts = [int(np.count_nonzero(side)) for side in sides]
+        whole, count = sides[int(np.argmax(counts))], max(counts)
+        # Cells at walls may change the other way, and say nothing of the roof.
+        roof = int(self.links.seen[i - 1]) - min(counts)
+        if not count or count < self.params.gone_share * roof or count * self.spec.cell_area_m2 < self.params.least_m2:
+            return 0
+        low, high = np.quantile(self.rise[box][whole], [0.25, 0.75])
+        is_alike = high - low <= self.params.rise_m / 2
+        return count if is_alike or np.count_nonzero(whole & under) >= least * count else 0
 
     def _divide_beyond(self) -> set[int]:
         """Give each building what of it lies beyond the earlier surveys, and return these pieces of gain.
@@ -245,38 +256,45 @@ class Decisions:
         return bool(abs(rise) >= self.params.rise_m)
 
     def _newcomers(self) -> None:
-        """Decide on footprints that share no building of the inventory, and on pieces built apart from all others."""
+        """Decide on footprints that share no known building, and on pieces that were built apart from those."""
         known = {a for own in self.links.own.values() for a in own}
+        stood: set[int] = set()
         for a in range(1, len(self.after) + 1):
             if a in self.used or a in known:
                 continue
             if a in self.box_after:
                 self.rank = (1, self._row(a, self.rows_after), 0)
-                self._arrive(a)
+                if self._arrive(a):
+                    stood.add(a)
         taken = {piece for pieces in self.links.gains.values() for piece in pieces}
         for piece, own in self.links.gain_after.items():
-            if piece not in taken and own <= known:
+            if piece not in taken and (own <= known or (len(own) == 1 and own <= stood)):
                 self._detached(piece, min(own))
 
-    def _arrive(self, a: int) -> None:
-        """Enter a footprint that the inventory does not know."""
+    def _arrive(self, a: int) -> bool:
+        """Enter a footprint that the inventory does not know, and return whether it stood before."""
         box = self.box_after[a]
         place = (self.epochs.after[box] == a) & self.epochs.surveyed[box]
         if not place.any():
-            return
+            return False
         known = self.epochs.earlier.valid[box][place].mean() >= self.params.surveyed_share
-        built = np.mean(self.pieces.gain[box][place] > 0) >= self.params.surveyed_share
-        if known and not built:
-            if 2 * np.count_nonzero(self.epochs.before[box][place]) >= np.count_nonzero(place):
-                return  # the inventory divides this ground in another way, and its houses still stand
-            kind, note = "unchanged", STOOD_BEFORE
-        else:
-            kind, note = "new", "" if known else FIRST_SURVEY
-        version = self._enter(0, a, self.after.geometry.iloc[a - 1], adopted=True)
-        self._note(kind, 0, a, version=version, note=note)
+        gain, shape = self.pieces.gain[box], self.after.geometry.iloc[a - 1]
+        if not known or np.mean(gain[place] > 0) >= self.params.surveyed_share:
+            version = self._enter(0, a, shape, adopted=True)
+            self._note("new", 0, a, version=version, note="" if known else FIRST_SURVEY)
+            return False
+        if 2 * np.count_nonzero(self.epochs.before[box][place]) >= np.count_nonzero(place):
+            return False  # the inventory divides this ground in another way, and its houses still stand
+        # What was built onto it is new by itself.
+        built = [piece for piece in np.unique(gain[place]).tolist() if self.links.gain_after.get(piece) == {a}]
+        if built:
+            rest = without_slivers(place & ~np.isin(gain, built), self.spec, self.params)
+            shape = polygonise(rest.astype(np.int32), self.spec.crop(*box), 1)[0]
+        self._note("unchanged", 0, a, version=self._enter(0, a, shape, adopted=not built), note=STOOD_BEFORE)
+        return True
 
     def _detached(self, piece: int, a: int) -> None:
-        """Enter a new building that is detached from the others of its footprint."""
+        """Enter a new building that its footprint joins with others, or with what stood before."""
         box = self.box_gain[piece]
         cells = self.pieces.gain[box] == piece
         self.rank = (2, self.first[0] + box[0].start, self.first[1] + box[1].start + int(cells[0].argmax()))

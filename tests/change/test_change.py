@@ -17,7 +17,7 @@ from shapely.affinity import translate
 
 from msbdb.change import comparison, thickness
 from msbdb.change.comparison import Comparison, measure_roofs
-from msbdb.change.decisions import BEYOND_BORDER, KINDS, NO_FOOTPRINT, STOOD_BEFORE
+from msbdb.change.decisions import BEYOND_BORDER, KINDS, LEVEL_CHANGE, NO_FOOTPRINT, STOOD_BEFORE
 from msbdb.change.differences import Offset, earlier_heights, estimate_offset
 from msbdb.change.surveywindows import Heights
 from msbdb.change.thickness import opened_and_dilated, without_slivers
@@ -451,6 +451,34 @@ def test_a_slender_building_that_rises_as_a_whole_is_modified() -> None:
     assert kinds(part) == []
 
 
+def test_walls_of_a_slender_building_do_not_hide_that_it_rose() -> None:
+    """Cells at its walls that sank say nothing of its roof; those that are as before do."""
+    slender: House = (20, 60, 60, 61.5, 10)
+    before = ground([*ROW, (*slender[:4], 6), (20, 60, 34, 61.5, 20)])
+    rose = compare(town([*ROW, slender]), town([*ROW, slender]), heights=ground([*ROW, slender]), earlier=[before])
+    assert kinds(rose) == [("modified", 8, 8)]
+    stayed = ground([*ROW, (*slender[:4], 6), (20, 60, 34, 61.5, 10)])
+    same = compare(town([*ROW, slender]), town([*ROW, slender]), heights=ground([*ROW, slender]), earlier=[stayed])
+    assert kinds(same) == []
+
+
+def test_a_raised_house_that_the_later_build_misses_is_modified() -> None:
+    """It rose alike in all its cells, and keeps its outline; a crown that grew over it rises unlike."""
+    house: House = (20, 60, 38, 75, 6)
+    now = ground([*ROW, (*house[:4], 10)])
+    found = compare(town([*ROW, house]), town(ROW), heights=now, earlier=[ground([*ROW, house])])
+    row = found.changes.iloc[8]
+    assert (row["kind"], row["after"], row["height"], row["outline"]) == ("modified", -1, True, False)
+    assert row["note"] == LEVEL_CHANGE
+    assert row["dh_m"] == pytest.approx(4)
+    assert found.versions.geometry.iloc[0].equals(town([house]).geometry.iloc[0])
+    crown = np.asarray(now.values) + np.random.default_rng(1).normal(scale=1.5, size=SPEC.shape).astype(np.float32)
+    grown = Grid(np.where(np.asarray(ground([house]).values) > 0, crown, now.values), now.valid, SPEC)
+    found = compare(town([*ROW, house]), town(ROW), heights=grown, earlier=[ground([*ROW, house])])
+    assert kinds(found) == [("unchanged", 8, -1)]
+    assert found.changes["note"].iloc[8] == NO_FOOTPRINT
+
+
 def test_a_raised_house_that_the_later_build_sees_in_part_is_modified() -> None:
     """Its heights decide; a crown that grew over a missed part of a roof does not count."""
     seen: House = (20, 60, 28, 75, 10)
@@ -537,3 +565,15 @@ def test_heights_are_sampled_in_bands_as_at_once(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_array_equal(found.values, whole.values)
     np.testing.assert_array_equal(found.valid, whole.valid)
     assert 0 < np.count_nonzero(whole.valid) < whole.valid.size
+
+
+def test_a_house_built_onto_what_a_build_had_missed_is_new_by_itself() -> None:
+    """The survey draws both as one; what stood before is unchanged, and the rest is new."""
+    stood, built = (20.0, 60.0, 40.0, 75.0, 6.0), (40.0, 60.0, 48.0, 75.0, 6.0)
+    whole = (20.0, 60.0, 48.0, 75.0, 6.0)
+    found = compare(town(ROW), town([*ROW, whole]), heights=ground([*ROW, whole]), earlier=[ground([*ROW, stood])])
+    assert kinds(found) == [("unchanged", -1, 8), ("new", -1, 8)]
+    assert found.changes["note"].tolist()[8:] == [STOOD_BEFORE, ""]
+    areas = [shape.symmetric_difference(town([house]).geometry.iloc[0]).area for shape, house in
+             zip(found.versions.geometry, (stood, built), strict=True)]  # fmt: skip
+    assert areas == pytest.approx([0, 0], abs=1e-6)
