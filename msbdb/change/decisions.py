@@ -48,6 +48,8 @@ class Decisions:
     def __post_init__(self) -> None:
         """Find where each building and piece lies."""
         self.used: set[int] = set()
+        self.known = {a for own in self.links.own.values() for a in own}
+        self.arriving = [a for a in range(1, len(self.after) + 1) if a not in self.known]
         self.rise = np.asarray(self.epochs.rise.values)
         self.box_before, self.box_after, self.box_gain = map(
             boxes, (self.epochs.before, self.epochs.after, self.pieces.gain)
@@ -241,10 +243,29 @@ class Decisions:
         """Split a building into several; the one with the largest share keeps its identity."""
         height = self._lifted(i) > 0
         for n, a in enumerate(parted):
-            # Each part takes the survey's own outline, because the old one holds them all.
-            shape, adopted = self._with_unseen((i,) if n == 0 else (), self.after.geometry.iloc[a - 1], adopted=True)
+            shape, adopted = self._part(i, a)
+            shape, adopted = self._with_unseen((i,) if n == 0 else (), shape, adopted=adopted)
             version = self._enter(i if n == 0 else 0, a, shape, adopted=adopted)
             self._note("split", i, a, version=version, outline=True, height=height)
+
+    def _part(self, i: int, a: int) -> tuple[shapely.Geometry, bool]:
+        """Return the outline of a part of a split building, and whether it is the survey's, which the old one holds.
+
+        Where the survey's footprint covers other buildings, too, the part has what of it stood in this one, or was
+        built onto it.
+        """
+        if self._sharing(a) == {i}:
+            return self.after.geometry.iloc[a - 1], True
+        gains = [piece for piece in self.links.gains.get(i, ()) if a in self.links.gain_after[piece]]
+        box = _around([self.box_before[i], *(self.box_gain[piece] for piece in gains)])
+        stood = (self.epochs.before[box] == i) & (self.pieces.loss[box] == 0)
+        cells = (stood | np.isin(self.pieces.gain[box], gains or [-1])) & (self.epochs.after[box] == a)
+        cells = without_slivers(cells, self.spec, self.params)
+        return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
+
+    def _sharing(self, a: int) -> set[int]:
+        """Return the buildings of the inventory that a footprint of the survey is linked to."""
+        return {i for i, own in self.links.own.items() if a in own}
 
     def _rose_by_attributes(self, i: int, a: int) -> bool:
         """Return whether a building rose by its attributes, where the earlier lattice has no heights."""
@@ -257,18 +278,15 @@ class Decisions:
 
     def _newcomers(self) -> None:
         """Decide on footprints that share no known building, and on pieces that were built apart from those."""
-        known = {a for own in self.links.own.values() for a in own}
         stood: set[int] = set()
-        for a in range(1, len(self.after) + 1):
-            if a in self.used or a in known:
-                continue
-            if a in self.box_after:
+        for a in self.arriving:
+            if a in self.box_after and a not in self.used:
                 self.rank = (1, self._row(a, self.rows_after), 0)
                 if self._arrive(a):
                     stood.add(a)
         taken = {piece for pieces in self.links.gains.values() for piece in pieces}
         for piece, own in self.links.gain_after.items():
-            if piece not in taken and (own <= known or (len(own) == 1 and own <= stood)):
+            if piece not in taken and (own <= self.known or (len(own) == 1 and own <= stood)):
                 self._detached(piece, min(own))
 
     def _arrive(self, a: int) -> bool:
@@ -303,13 +321,14 @@ class Decisions:
 
     def _outline(self, group: tuple[int, ...], a: int) -> tuple[shapely.Geometry, bool]:
         """Return the buildings' new outline: the survey's where it covers only them, else the old with the change."""
-        sharing = {i for i, own in self.links.own.items() if a in own}
-        if sharing == set(group) and all(len(self.links.own[i]) == 1 for i in group):
+        if self._sharing(a) == set(group) and all(len(self.links.own[i]) == 1 for i in group):
             return self._with_unseen(group, self.after.geometry.iloc[a - 1], adopted=True)
         gains = [piece for i in group for piece in self.links.gains.get(i, ())]
         box = _around([self.box_before[i] for i in group] + [self.box_gain[piece] for piece in gains])
         kept = np.isin(self.epochs.before[box], group) & (self.pieces.loss[box] == 0)
-        cells = without_slivers(kept | np.isin(self.pieces.gain[box], gains or [-1]), self.spec, self.params)
+        # What the survey draws as a house by itself arrives as one.
+        built = np.isin(self.pieces.gain[box], gains or [-1]) & ~np.isin(self.epochs.after[box], self.arriving)
+        cells = without_slivers(kept | built, self.spec, self.params)
         return self._with_unseen(group, polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], adopted=False)
 
     def _with_unseen(

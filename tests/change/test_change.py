@@ -577,3 +577,34 @@ def test_a_house_built_onto_what_a_build_had_missed_is_new_by_itself() -> None:
     areas = [shape.symmetric_difference(town([house]).geometry.iloc[0]).area for shape, house in
              zip(found.versions.geometry, (stood, built), strict=True)]  # fmt: skip
     assert areas == pytest.approx([0, 0], abs=1e-6)
+
+
+def overlap_m2(found: Comparison, before: list[House], *, gone: Sequence[int] = ()) -> float:
+    """Return the largest area that two buildings share after a survey: new outlines, and those that stay."""
+    renewed = {*found.versions["before"], *gone}
+    stay = [shape for n, shape in enumerate(town(before).geometry) if n not in renewed]
+    return max(
+        one.intersection(other).area for one, other in itertools.combinations([*found.versions.geometry, *stay], 2)
+    )
+
+
+def test_a_split_building_takes_no_ground_of_its_neighbour() -> None:
+    """The survey joins one of the parts with the neighbour, whose outline stays."""
+    house, neighbour = (20.0, 60.0, 60.0, 75.0, 8.0), (60.0, 60.0, 80.0, 75.0, 8.0)
+    west, east = (20.0, 60.0, 32.0, 75.0, 8.0), (44.0, 60.0, 80.0, 75.0, 8.0)
+    before, after = [*ROW, house, neighbour], [*ROW, west, east]
+    found = compared(before, after)
+    assert sorted(kinds(found)) == [("split", 8, 8), ("split", 8, 9)]
+    assert overlap_m2(found, before) < 1
+    assert sorted(found.versions.geometry.area) == pytest.approx([12 * 15, 16 * 15])
+
+
+def test_what_the_survey_draws_as_a_house_by_itself_is_no_part_of_its_neighbour() -> None:
+    """An annexe and a house behind it are one piece of what was built; the building grows by the annexe alone."""
+    house, neighbour = (20.0, 60.0, 40.0, 75.0, 8.0), (5.0, 60.0, 20.0, 75.0, 8.0)
+    joined, behind = (5.0, 60.0, 46.0, 75.0, 8.0), (46.0, 60.0, 56.0, 75.0, 8.0)
+    before = [*ROW, house, neighbour]
+    found = compared(before, [*ROW, joined, behind])
+    assert kinds(found) == [("modified", 8, 8), ("new", -1, 9)]
+    assert overlap_m2(found, before) < 1
+    assert sorted(found.versions.geometry.area) == pytest.approx([10 * 15, 26 * 15])
