@@ -47,15 +47,16 @@ class Decisions:
 
     def __post_init__(self) -> None:
         """Find where each building and piece lies."""
-        self.used: set[int] = set()
-        self.known = {a for own in self.links.own.values() for a in own}
-        self.arriving = [a for a in range(1, len(self.after) + 1) if a not in self.known]
         self.rise = np.asarray(self.epochs.rise.values)
         self.box_before, self.box_after, self.box_gain = map(
             boxes, (self.epochs.before, self.epochs.after, self.pieces.gain)
         )
         self.beyond = self._divide_beyond()
         self.box_gain = boxes(self.pieces.gain)
+        self.known = {a for own in self.links.own.values() for a in own}
+        self.arriving = [a for a in self.box_after if a not in self.known and self._arrives(a)]
+        for pieces in self.links.gains.values():
+            pieces[:] = [piece for piece in pieces if self._is_extension(piece)]
 
     @property
     def before(self) -> gpd.GeoDataFrame:
@@ -112,7 +113,6 @@ class Decisions:
         """Join buildings into one, which keeps the identity of the largest."""
         keeper = max(group, key=lambda i: (self.links.cells[i - 1], -i))
         a = self.links.own[keeper][0]
-        self.used.update(a for i in group for a in self.links.own.get(i, ()))
         shape, adopted = self._outline(group, a)
         version = self._enter(keeper, a, shape, adopted=adopted)
         for i in group:
@@ -133,7 +133,6 @@ class Decisions:
             else:
                 self._note("modified", i, 0, version=self._enter(i, 0, unseen, adopted=False), outline=True)
             return
-        self.used.update(own)
         parted = [a for a in own if any(a in self.links.loss_by[piece] for piece in lost)]
         if len(parted) > 1:
             self._split(i, parted)
@@ -254,12 +253,12 @@ class Decisions:
         Where the survey's footprint covers other buildings, too, the part has what of it stood in this one, or was
         built onto it.
         """
-        if self._sharing(a) == {i}:
-            return self.after.geometry.iloc[a - 1], True
         gains = [piece for piece in self.links.gains.get(i, ()) if a in self.links.gain_after[piece]]
         box = _around([self.box_before[i], *(self.box_gain[piece] for piece in gains)])
         stood = (self.epochs.before[box] == i) & (self.pieces.loss[box] == 0)
         cells = (stood | np.isin(self.pieces.gain[box], gains or [-1])) & (self.epochs.after[box] == a)
+        if self._sharing(a) == {i} or not cells.any():
+            return self.after.geometry.iloc[a - 1], True
         cells = without_slivers(cells, self.spec, self.params)
         return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
 
@@ -280,30 +279,58 @@ class Decisions:
         """Decide on footprints that share no known building, and on pieces that were built apart from those."""
         stood: set[int] = set()
         for a in self.arriving:
-            if a in self.box_after and a not in self.used:
-                self.rank = (1, self._row(a, self.rows_after), 0)
-                if self._arrive(a):
-                    stood.add(a)
+            self.rank = (1, self._row(a, self.rows_after), 0)
+            if self._arrive(a):
+                stood.add(a)
         taken = {piece for pieces in self.links.gains.values() for piece in pieces}
         for piece, own in self.links.gain_after.items():
             if piece not in taken and (own <= self.known or (len(own) == 1 and own <= stood)):
                 self._detached(piece, min(own))
 
-    def _arrive(self, a: int) -> bool:
-        """Enter a footprint that the inventory does not know, and return whether it stood before."""
-        box = self.box_after[a]
-        place = (self.epochs.after[box] == a) & self.epochs.surveyed[box]
+    def _arrives(self, a: int) -> bool:
+        """Return whether a footprint that the inventory does not know is a building of its own.
+
+        It is none where it was not built since, and half of it or more lies on known buildings: the inventory divides
+        this ground in another way, and its houses still stand.
+        """
+        box, place = self.box_after[a], self._place(a)
         if not place.any():
             return False
-        known = self.epochs.earlier.valid[box][place].mean() >= self.params.surveyed_share
-        gain, shape = self.pieces.gain[box], self.after.geometry.iloc[a - 1]
-        if not known or np.mean(gain[place] > 0) >= self.params.surveyed_share:
+        on_known = 2 * np.count_nonzero(self.epochs.before[box][place]) >= np.count_nonzero(place)
+        return not on_known or not self._is_measured(a) or self._is_built(a)
+
+    def _is_extension(self, piece: int) -> bool:
+        """Return whether a piece of gain is large enough without the houses that arrive by themselves."""
+        box = self.box_gain[piece]
+        cells = (self.pieces.gain[box] == piece) & ~np.isin(self.epochs.after[box], self.arriving)
+        is_large = np.count_nonzero(cells) * self.spec.cell_area_m2 >= self.params.least_m2
+        return bool(is_large and core(cells, self.spec, self.params).any())
+
+    def _place(self, a: int) -> NDArray[np.bool_]:
+        """Return the surveyed cells of a footprint of the survey, in its box."""
+        box = self.box_after[a]
+        return np.asarray((self.epochs.after[box] == a) & self.epochs.surveyed[box])
+
+    def _is_measured(self, a: int) -> bool:
+        """Return whether earlier surveys have measured the ground of a footprint."""
+        share = self.epochs.earlier.valid[self.box_after[a]][self._place(a)].mean()
+        return bool(share >= self.params.surveyed_share)
+
+    def _is_built(self, a: int) -> bool:
+        """Return whether most of a footprint was built since."""
+        share = np.mean(self.pieces.gain[self.box_after[a]][self._place(a)] > 0)
+        return bool(share >= self.params.surveyed_share)
+
+    def _arrive(self, a: int) -> bool:
+        """Enter a footprint that the inventory does not know, and return whether it stood before."""
+        shape, is_measured = self.after.geometry.iloc[a - 1], self._is_measured(a)
+        if not is_measured or self._is_built(a):
             version = self._enter(0, a, shape, adopted=True)
-            self._note("new", 0, a, version=version, note="" if known else FIRST_SURVEY)
+            self._note("new", 0, a, version=version, note="" if is_measured else FIRST_SURVEY)
             return False
-        if 2 * np.count_nonzero(self.epochs.before[box][place]) >= np.count_nonzero(place):
-            return False  # the inventory divides this ground in another way, and its houses still stand
         # What was built onto it is new by itself.
+        box, place = self.box_after[a], self._place(a)
+        gain = self.pieces.gain[box]
         built = [piece for piece in np.unique(gain[place]).tolist() if self.links.gain_after.get(piece) == {a}]
         if built:
             rest = without_slivers(place & ~np.isin(gain, built), self.spec, self.params)

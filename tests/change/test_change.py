@@ -579,10 +579,9 @@ def test_a_house_built_onto_what_a_build_had_missed_is_new_by_itself() -> None:
     assert areas == pytest.approx([0, 0], abs=1e-6)
 
 
-def overlap_m2(found: Comparison, before: list[House], *, gone: Sequence[int] = ()) -> float:
+def overlap_m2(found: Comparison, before: list[House]) -> float:
     """Return the largest area that two buildings share after a survey: new outlines, and those that stay."""
-    renewed = {*found.versions["before"], *gone}
-    stay = [shape for n, shape in enumerate(town(before).geometry) if n not in renewed]
+    stay = town(before).geometry.drop(index=[n for n in found.versions["before"] if n >= 0])
     return max(
         one.intersection(other).area for one, other in itertools.combinations([*found.versions.geometry, *stay], 2)
     )
@@ -608,3 +607,14 @@ def test_what_the_survey_draws_as_a_house_by_itself_is_no_part_of_its_neighbour(
     assert kinds(found) == [("modified", 8, 8), ("new", -1, 9)]
     assert overlap_m2(found, before) < 1
     assert sorted(found.versions.geometry.area) == pytest.approx([10 * 15, 26 * 15])
+    found = compared(before, [*ROW, (5.0, 60.0, 41.0, 75.0, 8.0), (41.0, 60.0, 56.0, 75.0, 8.0)])
+    assert kinds(found) == [("new", -1, 9)]
+
+
+def test_ground_that_the_survey_divides_otherwise_is_built_onto_a_known_building() -> None:
+    """A strip along three houses and an annexe is no building; the annexe keeps its part of the strip."""
+    row: list[House] = [(20.0 + 10 * n, 60.0, 30.0 + 10 * n, 75.0, 8.0) for n in range(3)]
+    joined, strip = (20.0, 60.0, 56.0, 75.0, 8.0), (20.0, 60.0, 56.0, 63.0, 8.0)
+    found = compared([*ROW, *row], [*ROW, joined, strip])
+    assert kinds(found) == [("modified", 10, 8)]
+    assert found.versions.geometry.area.tolist() == pytest.approx([16 * 15])
