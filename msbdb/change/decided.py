@@ -28,6 +28,9 @@ CHANGE_COLUMNS = {
 Rank = tuple[int, int, int]
 """Place of a decision among all: buildings of the inventory first, then those of the survey, then pieces by place."""
 
+Version = tuple[Rank, int, int, bool, shapely.Geometry]
+"""A new state: its rank, its rows before and after or -1, whether its outline is the survey's, and this outline."""
+
 
 @dataclass(frozen=True, slots=True)
 class Decided:
@@ -37,7 +40,15 @@ class Decided:
     """
 
     rows: list[tuple[Rank, dict[str, Any]]] = field(default_factory=list)
-    versions: list[tuple[Rank, int, int, bool, shapely.Geometry]] = field(default_factory=list)
+    versions: list[Version] = field(default_factory=list)
+
+    def replace_outline(self, number: int, shape: shapely.Geometry) -> None:
+        """Give a new state an outline of its own, and its rows the difference in area."""
+        version = self.versions[number]
+        self.versions[number] = (*version[:3], False, shape)
+        for _, row in self.rows:
+            if row["version"] == number:
+                row["darea_m2"] += float(shapely.area(shape) - shapely.area(version[4]))
 
 
 def joined(decided: Sequence[Decided], crs: CRS) -> tuple[pd.DataFrame, gpd.GeoDataFrame]:

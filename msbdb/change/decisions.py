@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt
 
 from msbdb.change.decided import Decided, Rank
 from msbdb.change.differences import Epochs, Links, Offset, Pieces
+from msbdb.change.owners import part_ground
 from msbdb.change.thickness import core, thick, without_slivers
 from msbdb.grid import GridSpec
 from msbdb.labels import Box, Labels, boxes, sizes
@@ -103,6 +104,7 @@ class Decisions:
             else:
                 self._alone(i)
         self._newcomers()
+        part_ground(self.decided, self.rows_before, self.links.shifted, self.params.thickness_m / 2)
         return self.decided
 
     def _row(self, number: int, rows: NDArray[np.int64]) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from geopandas.testing import assert_geodataframe_equal
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pandas.testing import assert_frame_equal
 from pyproj import CRS
@@ -35,6 +35,9 @@ SPEC = lattice((WEST, SOUTH, WEST + 200, SOUTH + 120), 0.5, UTM)
 
 House = tuple[float, float, float, float, float]
 """West, south, east and north in metres from the corner, and the height."""
+
+Sides = tuple[int, int, int, int, float]
+"""Place and size of a random house in steps, and its height."""
 
 ROW: list[House] = [(10.0 + 20 * n, 10.0, 22.0 + 20 * n, 22.0, 6.0 + n) for n in range(8)]
 """Eight houses of 12 x 12 m that do not change, so that there is an offset."""
@@ -581,10 +584,57 @@ def test_a_house_built_onto_what_a_build_had_missed_is_new_by_itself() -> None:
 
 def overlap_m2(found: Comparison, before: list[House]) -> float:
     """Return the largest area that two buildings share after a survey: new outlines, and those that stay."""
-    stay = town(before).geometry.drop(index=[n for n in found.versions["before"] if n >= 0])
+    gone = found.changes.query("kind in ('demolished', 'merged')")["before"]
+    stay = town(before).geometry.drop(index={n for n in [*found.versions["before"], *gone] if n >= 0})
     return max(
         one.intersection(other).area for one, other in itertools.combinations([*found.versions.geometry, *stay], 2)
     )
+
+
+def test_a_new_house_takes_no_ground_of_a_known_one() -> None:
+    """The survey draws it 3 m into the house beside it, whose outline stays; and one that was lifted keeps its own."""
+    house, drawn, beside = (20.0, 60.0, 40.0, 75.0, 8.0), (20.0, 60.0, 37.0, 75.0, 8.0), (37.0, 60.0, 60.0, 75.0, 8.0)
+    before = [*ROW, house]
+    found = compared(before, [*ROW, drawn, beside])
+    assert kinds(found) == [("new", -1, 9)]
+    assert found.versions.geometry.area.tolist() == pytest.approx([20 * 15], abs=2)
+    assert found.changes["darea_m2"].iloc[-1] == pytest.approx(20 * 15, abs=2)
+    assert not found.versions["adopted"].any()
+    found = compared(before, [*ROW, (*drawn[:4], 14.0), (*beside[:4], 14.0)])
+    assert kinds(found) == [("modified", 8, 8), ("new", -1, 9)]
+    assert overlap_m2(found, before) < 1
+
+
+SIDES = st.tuples(
+    st.integers(0, 5), st.integers(0, 5), st.integers(1, 4), st.integers(1, 4), st.sampled_from([4.0, 9.0])
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(SIDES, max_size=7), st.lists(SIDES, max_size=7), st.sampled_from([0.0, 2.0, 4.0]))
+def test_no_ground_has_two_owners(one: list[Sides], other: list[Sides], east_m: float) -> None:
+    """Houses on random places of two epochs, of which the later ones stand a little farther east."""
+    before, after = [*ROW, *apart(one)], [*ROW, *apart(other, east_m)]
+    assert overlap_m2(compared(before, after), before) < 1
+
+
+def test_what_was_decided_to_be_a_house_of_its_own_is_taken_from_the_one_drawn_with_it() -> None:
+    """A house is built onto a known one and drawn with it; behind a gap there is a piece of it that was built apart."""
+    before = [*ROW, (52.0, 56.0, 76.0, 62.0, 4.0), (64.0, 50.0, 82.0, 56.0, 4.0)]
+    found = compared(before, [*ROW, (66.0, 50.0, 72.0, 74.0, 4.0)])
+    assert kinds(found) == [("demolished", 8, -1), ("modified", 9, 8), ("new", -1, 8)]
+    assert overlap_m2(found, before) < 1
+    assert found.versions.geometry.area.tolist() == pytest.approx([6 * 12, 6 * 12], abs=2)
+
+
+def apart(sides: list[Sides], east_m: float = 0.0) -> list[House]:
+    """Return the houses of random sides, in steps of 6 m, without those that overlap an earlier one."""
+    houses: list[House] = []
+    for west, south, width, depth, height in sides:
+        place = (40 + 6 * west + east_m, 50.0 + 6 * south, 40 + 6 * (west + width) + east_m, 50.0 + 6 * (south + depth))
+        if all(box(*place).intersection(box(*house[:4])).area == 0 for house in houses):
+            houses.append((*place, height))
+    return houses
 
 
 def test_a_split_building_takes_no_ground_of_its_neighbour() -> None:
