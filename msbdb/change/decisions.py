@@ -27,6 +27,8 @@ STOOD_BEFORE = "existed before, and is distinguished from its surroundings for t
 
 LEVEL_CHANGE = "not distinguished from its surroundings this time, but its level changed as a whole"
 
+PART_GONE = "not distinguished from its surroundings this time, but a part of it is gone"
+
 BEYOND_BORDER = "it reaches beyond the border of the earlier surveys, and is known as a whole for the first time"
 
 
@@ -125,10 +127,8 @@ class Decisions:
         own = self.links.own.get(i, [])
         box = self.box_before[i]
         stood = self.epochs.before[box] == i
-        # A slender building leaves no thick piece; without any later footprint its cells decide.
-        gone = np.count_nonzero((self.pieces.loss[box] if own else self.pieces.fallen[box])[stood])
         lost = self._own(self.pieces.loss, i)
-        if gone >= self.params.gone_share * max(int(self.links.seen[i - 1]), 1):
+        if i in self.links.ended:
             unseen = self._unseen((i,))
             if unseen is None:
                 self._note("demolished", i, 0)
@@ -137,15 +137,16 @@ class Decisions:
             return
         parted = [a for a in own if any(a in self.links.loss_by[piece] for piece in lost)]
         if len(parted) > 1:
-            self._split(i, parted)
+            self._split(i, own)
             return
         lifted = self._lifted(i)
         gains = self.links.gains.get(i, [])
         outline = bool(lost) or not self.beyond.issuperset(gains)
         height = lifted > 0 or (bool(own) and self._rose_by_attributes(i, own[0]))
-        if not own and height:
-            version = self._enter(i, 0, self.links.shifted[i - 1], adopted=False)
-            self._note("modified", i, 0, version=version, height=True, note=LEVEL_CHANGE)
+        if not own and (height or lost):
+            shape = self._traced((i,), [])[0] if lost else self.links.shifted[i - 1]
+            version, note = self._enter(i, 0, shape, adopted=False), PART_GONE if lost else LEVEL_CHANGE
+            self._note("modified", i, 0, version=version, outline=bool(lost), height=height, note=note)
         elif not own:
             self._note("unchanged", i, 0, note=NO_FOOTPRINT)
         elif outline or height:
@@ -240,10 +241,10 @@ class Decisions:
         numbers, cells = np.unique(inside[thick(inside > 0, self.spec, self.params) > 0], return_counts=True)
         return {int(n): int(count) for n, count in zip(numbers, cells, strict=True)}
 
-    def _split(self, i: int, parted: list[int]) -> None:
-        """Split a building into several; the one with the largest share keeps its identity."""
+    def _split(self, i: int, own: list[int]) -> None:
+        """Split a building into its footprints of the survey; the one with the largest share keeps its identity."""
         height = self._lifted(i) > 0
-        for n, a in enumerate(parted):
+        for n, a in enumerate(own):
             shape, adopted = self._part(i, a)
             shape, adopted = self._with_unseen((i,) if n == 0 else (), shape, adopted=adopted)
             version = self._enter(i if n == 0 else 0, a, shape, adopted=adopted)
@@ -298,7 +299,10 @@ class Decisions:
         box, place = self.box_after[a], self._place(a)
         if not place.any():
             return False
-        on_known = 2 * np.count_nonzero(self.epochs.before[box][place]) >= np.count_nonzero(place)
+        known = self.epochs.before[box][place]
+        on_known = 2 * np.count_nonzero((known > 0) & ~np.isin(known, list(self.links.ended))) >= np.count_nonzero(
+            place
+        )
         return not on_known or not self._is_measured(a) or self._is_built(a)
 
     def _is_extension(self, piece: int) -> bool:
@@ -352,7 +356,10 @@ class Decisions:
         """Return the buildings' new outline: the survey's where it covers only them, else the old with the change."""
         if self._sharing(a) == set(group) and all(len(self.links.own[i]) == 1 for i in group):
             return self._with_unseen(group, self.after.geometry.iloc[a - 1], adopted=True)
-        gains = [piece for i in group for piece in self.links.gains.get(i, ())]
+        return self._traced(group, [piece for i in group for piece in self.links.gains.get(i, ())])
+
+    def _traced(self, group: tuple[int, ...], gains: list[int]) -> tuple[shapely.Geometry, bool]:
+        """Return the old outline of buildings with the change; it is never the survey's."""
         box = _around([self.box_before[i] for i in group] + [self.box_gain[piece] for piece in gains])
         kept = np.isin(self.epochs.before[box], group) & (self.pieces.loss[box] == 0)
         # What the survey draws as a house by itself arrives as one.

@@ -1,7 +1,7 @@
 """What differs between two surveys: their offset, the pieces built or gone, and the links between footprints."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
@@ -237,16 +237,12 @@ def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     along an outline.
     """
     rise, values, heights = epochs.rise, np.asarray(epochs.rise.values), np.asarray(epochs.heights.values)
-    high = heights >= params.rise_m
-    # A courtyard that the area closing filled has no roof.
-    stood = (epochs.before > 0) & ~(epochs.earlier.valid & (np.asarray(epochs.earlier.values) < params.rise_m))
-    gain = (epochs.after > 0) & high & ~stood & epochs.surveyed
-    gain &= ~rise.valid | (values >= params.rise_m)
-    gains = thick(gain, rise.spec, params)
+    gains = find_gains(epochs, params)
+    high, stood = heights >= params.rise_m, _stood(epochs, params)
     # Where the earlier height is not known, a building is gone only where its place is open now.
     fell = np.where(rise.valid, values <= -params.rise_m, heights < params.rise_m)
     loss = (epochs.before > 0) & ~((epochs.after > 0) & high) & epochs.surveyed & fell
-    del gain, fell
+    del fell
     losses = thick(loss, rise.spec, params)
     # A roof that was raised rises as a whole, also where the later footprint lacks a part of it.
     still = high & stood & epochs.surveyed & rise.valid
@@ -257,6 +253,29 @@ def find_pieces(epochs: Epochs, params: ChangeParams) -> Pieces:
     lifts[lifts > 0] += up.max(initial=0)
     np.copyto(lifts, up, where=up > 0)
     return Pieces(gains, losses, lifts, loss, higher, lower)
+
+
+def find_gains(
+    epochs: Epochs, params: ChangeParams, ended: Collection[int] = (), known: Collection[int] = ()
+) -> Labels:
+    """Find the pieces of ground that was built on, as in `find_pieces`.
+
+    Of the ground of buildings that ended, what has another level than they had was built since. So was what the survey
+    draws with a building that stands: the footprints in ``known`` are of those.
+    """
+    rise, values = epochs.rise, np.asarray(epochs.rise.values)
+    covered = (epochs.after > 0) & (np.asarray(epochs.heights.values) >= params.rise_m) & epochs.surveyed
+    gain = covered & ~_stood(epochs, params) & (~rise.valid | (values >= params.rise_m))
+    if ended:
+        other = ~rise.valid | (np.abs(values) >= params.rise_m) | np.isin(epochs.after, list(known))
+        gain |= covered & np.isin(epochs.before, list(ended)) & other
+    return thick(gain, rise.spec, params)
+
+
+def _stood(epochs: Epochs, params: ChangeParams) -> Mask:
+    """Return the cells of earlier footprints; a courtyard that the area closing filled has no roof."""
+    low = epochs.earlier.valid & (np.asarray(epochs.earlier.values) < params.rise_m)
+    return np.asarray((epochs.before > 0) & ~low)
 
 
 def touching(piece: Labels, other: Labels, reach_m: float, cell_m: float) -> dict[int, set[int]]:
@@ -285,7 +304,9 @@ class Links:
 
     - ``cells`` and ``seen``: cells of each building of the inventory, all and surveyed;
     - ``shared``: area that each pair shares;
-    - ``own``: the survey's footprints of each building, the one with the largest share first;
+    - ``ended``: the buildings that are gone, though a little may stand; they have no footprints, and nothing is built
+      onto them;
+    - ``own``: the survey's footprints of each other building, the one with the largest share first;
     - ``loss_by``: the survey's footprints that each piece of loss touches;
     - ``gain_after``: the survey's footprints in which each piece of gain lies;
     - ``gains``: the pieces of gain that were built onto each building.
@@ -306,7 +327,13 @@ class Links:
         self.seen = sizes(inside, len(self.before))
         self.shared = _shared(self.epochs, spec.cell_area_m2)
         self.own = self._linked()
-        gain_by = touching(self.pieces.gain, self.epochs.before, reach, spec.cell_m)
+        standing, self.ended = self.epochs.before, self._ended()
+        if self.ended:
+            self.own = {i: own for i, own in self.own.items() if i not in self.ended}
+            known = {a for own in self.own.values() for a in own}
+            self.pieces = replace(self.pieces, gain=find_gains(self.epochs, self.params, self.ended, known))
+            standing = np.where(np.isin(standing, list(self.ended)), np.int32(0), standing)
+        gain_by = touching(self.pieces.gain, standing, reach, spec.cell_m)
         self.loss_by = touching(self.pieces.loss, self.epochs.after, reach, spec.cell_m)
         self.gain_after = _within(self.pieces.gain, self.epochs.after)
         self.gains = self._gains_of(gain_by)
@@ -334,6 +361,17 @@ class Links:
             if overlap >= self.params.link_share * min(area_b[i - 1], area_a[a - 1]):
                 links.setdefault(i, []).append(a)
         return links
+
+    def _ended(self) -> set[int]:
+        """Return the surveyed buildings that are gone: by thick pieces, or all cells where no footprint is theirs."""
+        thick_cells, cells = (
+            sizes(np.where(gone, self.epochs.before, np.int32(0)), len(self.before))
+            for gone in (self.pieces.loss > 0, self.pieces.fallen)
+        )
+        # A slender building leaves no thick piece; without any later footprint its cells decide.
+        has_own = np.isin(np.arange(1, len(self.before) + 1), list(self.own))
+        gone = np.where(has_own, thick_cells, cells) >= self.params.gone_share * np.maximum(self.seen, 1)
+        return {i for i in (np.flatnonzero(gone) + 1).tolist() if self.is_surveyed(i)}
 
     def _gains_of(self, gain_by: dict[int, set[int]]) -> dict[int, list[int]]:
         """Return the pieces built onto each building: those that it touches, in a footprint that is its own as well."""
