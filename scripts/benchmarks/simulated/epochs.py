@@ -13,18 +13,18 @@ import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from shapely import box
-from shapely.affinity import rotate, translate
+from shapely.affinity import rotate, scale, translate
 
 from msbdb.grid import Grid, GridSpec
 from msbdb.outline.polygons import rasterise
 
 Array = NDArray[np.float64]
 
-EDITS = ("removed", "raised", "lowered", "part removed", "extended", "added")
+EDITS = ("removed", "replaced", "raised", "lowered", "part removed", "extended", "added")
 """What is done to a tile."""
 
-KINDS = {"removed": "demolished", "added": "new"}
-"""What a comparison must call it; all else is modified."""
+KINDS = {"removed": "demolished", "replaced": "new", "added": "new"}
+"""What a comparison must call it; all else is modified. The place of what replaces a building is that of the new one."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,9 @@ NOISE_M = 0.03
 """Of a flat roof or of bare ground."""
 FLOOR_M = 0.5
 """Below this height above ground nothing stands."""
+BLOCK_SHARE = 0.45
+"""Share of a building's sides that the sides of a house have that replaces it."""
+
 OPEN_M = 1.0
 """Below this height above ground a place is open: grass and parked bicycles make way for a building."""
 RAISE_M, LOWER_M = 4.0, 3.0
@@ -145,7 +148,8 @@ def second_epoch(
     tree = shapely.STRtree(buildings.geometry.to_numpy())
     for edit, whole, level_m in _chosen(buildings[~buildings.intersects(near)], each, rng):
         others = shapely.union_all(buildings.geometry.iloc[tree.query(whole.buffer(2.0))].to_numpy()).difference(whole)
-        around = edit.place.buffer(1.0).difference(others).difference(whole.difference(edit.place)).union(edit.place)
+        gone = whole if edit.what == "replaced" else edit.place
+        around = gone.buffer(1.0).difference(others).difference(whole.difference(gone)).union(gone)
         inside = _inside(x, y, around) & (heights > FLOOR_M)
         if edit.what == "raised":
             z[inside] += RAISE_M
@@ -154,6 +158,10 @@ def second_epoch(
             z[inside] = np.maximum(z[inside] - LOWER_M, left)
         else:
             z[inside] = np.fmin(ground[inside], level_m) + rng.normal(0, NOISE_M, int(inside.sum()))
+        if edit.what == "replaced":
+            taller = float(np.median(heights[inside])) + RAISE_M
+            inside = _inside(x, y, edit.place)
+            z[inside] = np.fmin(ground[inside], level_m) + taller + rng.normal(0, NOISE_M, int(inside.sum()))
         edits.append(edit)
     for edit, height in built:
         inside = _inside(x, y, edit.place)
@@ -170,6 +178,7 @@ def _chosen(
 ) -> Iterator[tuple[Edit, shapely.Geometry, float]]:
     """Yield edits of buildings that are there, each of another one, its whole outline, and the ground's upper level."""
     wanted = {"part removed": each, "lowered": each, "removed": each, "raised": each}
+    replaced = 0
     large = buildings[buildings.geometry.area >= LARGE_M2]
     levels = large.get("z_ground_max", np.full(len(large), np.nan))
     for at in rng.permutation(len(large)).tolist():
@@ -180,9 +189,22 @@ def _chosen(
         # All kinds come in turn, those that few buildings are fit for first.
         what = max(able, key=lambda word: wanted[word], default=None)
         if what is None:
+            # Of those that no other kind needs.
+            block = _block(shape) if replaced < each else None
+            if block is not None:
+                replaced += 1
+                yield Edit("replaced", block), shape, float(np.asarray(levels)[at])
             continue
         wanted[what] -= 1
         yield Edit(what, part if what == "part removed" else shape), shape, float(np.asarray(levels)[at])
+
+
+def _block(shape: shapely.Geometry) -> shapely.Geometry | None:
+    """Return a smaller house in a building, of some fifth of it."""
+    whole = shapely.oriented_envelope(shape)
+    block = scale(whole, BLOCK_SHARE, BLOCK_SHARE).intersection(shape)
+    single = shapely.get_num_geometries(block.buffer(-1)) == 1 and not block.buffer(-1).is_empty
+    return block if single and LARGE_M2 <= block.area <= shape.area / 4 else None
 
 
 def _part(shape: shapely.Geometry) -> shapely.Geometry | None:

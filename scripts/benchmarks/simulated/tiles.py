@@ -119,13 +119,15 @@ def _is_found(edit: Edit, told: gpd.GeoDataFrame) -> bool:
     """Tell whether changes of an edit's kind, in the respect that it changes, cover half of it.
 
     A building may fall apart when a part is removed. What is built against a wall is new where the survey has it as a
-    building of its own.
+    building of its own, and so is what replaces a building; else it is built onto its neighbour.
     """
     right = told["kind"] == edit.kind
     if edit.respect:
         right = told["kind"].isin(["modified", "merged", "split"]) & told[edit.respect]
     if edit.what == "extended":
         right |= told["kind"] == "new"
+    if edit.what == "replaced":
+        right |= told["kind"].isin(["modified", "merged"]) & told["outline"]
     covered = shapely.union_all(told.geometry[right].to_numpy()).intersection(edit.place).area
     return bool(covered >= FOUND_SHARE * edit.place.area)
 
