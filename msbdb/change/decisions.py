@@ -137,7 +137,9 @@ class Decisions:
             return
         parted = [a for a in own if any(a in self.links.loss_by[piece] for piece in lost)]
         if len(parted) > 1:
-            self._split(i, own)
+            self._split(
+                i, [a for a in own if a in parted or self._sharing(a) == {i} or self._part_cells(i, a)[0].any()]
+            )
             return
         lifted = self._lifted(i)
         gains = self.links.gains.get(i, [])
@@ -256,14 +258,18 @@ class Decisions:
         Where the survey's footprint covers other buildings, too, the part has what of it stood in this one, or was
         built onto it.
         """
-        gains = [piece for piece in self.links.gains.get(i, ()) if a in self.links.gain_after[piece]]
-        box = _around([self.box_before[i], *(self.box_gain[piece] for piece in gains)])
-        stood = (self.epochs.before[box] == i) & (self.pieces.loss[box] == 0)
-        cells = (stood | np.isin(self.pieces.gain[box], gains or [-1])) & (self.epochs.after[box] == a)
+        cells, box = self._part_cells(i, a)
         if self._sharing(a) == {i} or not cells.any():
             return self.after.geometry.iloc[a - 1], True
         cells = without_slivers(cells, self.spec, self.params)
         return polygonise(cells.astype(np.int32), self.spec.crop(*box), 1)[0], False
+
+    def _part_cells(self, i: int, a: int) -> tuple[NDArray[np.bool_], Box]:
+        """Return the cells of a footprint that stood in a building or were built onto it, and their box."""
+        gains = [piece for piece in self.links.gains.get(i, ()) if a in self.links.gain_after[piece]]
+        box = _around([self.box_before[i], *(self.box_gain[piece] for piece in gains)])
+        stood = (self.epochs.before[box] == i) & (self.pieces.loss[box] == 0)
+        return (stood | np.isin(self.pieces.gain[box], gains or [-1])) & (self.epochs.after[box] == a), box
 
     def _sharing(self, a: int) -> set[int]:
         """Return the buildings of the inventory that a footprint of the survey is linked to."""
