@@ -306,9 +306,8 @@ class Decisions:
         if not place.any():
             return False
         known = self.epochs.before[box][place]
-        on_known = 2 * np.count_nonzero((known > 0) & ~np.isin(known, list(self.links.ended))) >= np.count_nonzero(
-            place
-        )
+        standing = (known > 0) & ~np.isin(known, list(self.links.ended))
+        on_known = 2 * np.count_nonzero(standing) >= np.count_nonzero(place)
         return not on_known or not self._is_measured(a) or self._is_built(a)
 
     def _is_extension(self, piece: int) -> bool:

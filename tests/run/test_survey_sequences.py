@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import box
 from skimage.morphology import isotropic_opening
 from support.faultfiles import write_raster
 from support.notices import with_notices
-from support.towns import BOUNDS, ROW, UTM, House, town_heights
+from support.towns import BOUNDS, RANDOM_TOWN, ROW, UTM, random_houses, town_heights
 
 from msbdb import api
 from msbdb.database import check_database, open_database, read_history
@@ -22,35 +21,21 @@ SLIVER_CELLS = 2.5
 
 CHANGE_M2 = 30.0
 
-SIDES = st.tuples(
-    st.integers(0, 5), st.integers(0, 4), st.integers(1, 4), st.integers(1, 2), st.sampled_from([4.0, 9.0])
-)
-TOWN = st.lists(SIDES, max_size=7)
 PART = st.sampled_from([(0.0, 200.0), (0.0, 70.0), (0.0, 102.0), (64.0, 200.0), (91.0, 200.0)])
 """West and east of a survey, metres from the corner."""
 
 
-def houses_of(sides: list[tuple[int, int, int, int, float]]) -> list[House]:
-    """Return houses on random places in steps of 9 m, without those that overlap an earlier one, and some that stay."""
-    houses: list[House] = list(ROW)
-    for west, south, width, depth, height in sides:
-        place = (40.0 + 9 * west, 50.0 + 9 * south, 40.0 + 9 * (west + width), 50.0 + 9 * (south + depth))
-        if all(box(*place).intersection(box(*house[:4])).area == 0 for house in houses):
-            houses.append((*place, height))
-    return houses
-
-
 @pytest.mark.long
 @settings(max_examples=6, deadline=None)
-@given(TOWN, st.lists(st.tuples(TOWN, PART), min_size=1, max_size=3))
+@given(RANDOM_TOWN, st.lists(st.tuples(RANDOM_TOWN, PART), min_size=1, max_size=3))
 def test_the_inventory_has_the_ground_of_the_latest_survey(first: list, later: list) -> None:
     """No house is lost, none stays that is gone, none covers another one's ground, and the database is sound."""
     with tempfile.TemporaryDirectory() as words:
         folder = Path(words)
         db = folder / "town.sqlite"
-        true = np.asarray(town_heights(houses_of(first)).values) > 0
+        true = np.asarray(town_heights([*ROW, *random_houses(first)]).values) > 0
         for n, (sides, (west, east)) in enumerate([(first, BOUNDS[::2]), *later]):
-            heights = town_heights(houses_of(sides), bounds=(west, BOUNDS[1], east, BOUNDS[3]))
+            heights = town_heights([*ROW, *random_houses(sides)], bounds=(west, BOUNDS[1], east, BOUNDS[3]))
             values = np.asarray(heights.values)
             file = write_raster(folder / f"{n}.tif", values, heights.spec, crs=UTM)
             with_notices(lambda file=file, n=n: api.update(ndsm=file, db=db, survey=f"s{n}", date=f"20{10 + n}-01-01"))

@@ -5,6 +5,7 @@ from functools import cache
 
 import geopandas as gpd
 import numpy as np
+from hypothesis import strategies as st
 from pyproj import CRS
 from shapely import box
 
@@ -29,6 +30,16 @@ House = tuple[float, float, float, float, float]
 ROW: list[House] = [(10.0 + 20 * n, 10.0, 22.0 + 20 * n, 22.0, 6.0 + n) for n in range(8)]
 """Eight houses of 12 x 12 m, which most tests leave as they are, so that the offset can be told."""
 
+Steps = tuple[int, int, int, int, float]
+"""A random house: its west and south sides, width and depth in steps of 8 m, and its height."""
+
+RANDOM_TOWN = st.lists(
+    st.tuples(
+        st.integers(0, 5), st.integers(0, 5), st.integers(1, 4), st.integers(1, 2), st.sampled_from([4.0, 9.0])
+    ),
+    max_size=7,
+)
+
 BOUNDS = (0.0, 0.0, 200.0, 120.0)
 """West, south, east and north of a town, metres from the corner."""
 
@@ -37,6 +48,17 @@ def outline(house: House, shift: float = 0.0) -> object:
     """Return a house's footprint."""
     west, south, east, north, _ = house
     return box(WEST + west + shift, SOUTH + south, WEST + east + shift, SOUTH + north)
+
+
+def random_houses(town: list[Steps], east_m: float = 0.0) -> list[House]:
+    """Return the houses of a random town, all moved to the east, without those that overlap an earlier one."""
+    houses: list[House] = []
+    for west, south, width, depth, height in town:
+        left, low = 40.0 + 8 * west + east_m, 50.0 + 8 * south
+        place = (left, low, left + 8 * width, low + 8 * depth)
+        if all(box(*place).intersection(box(*house[:4])).area == 0 for house in houses):
+            houses.append((*place, height))
+    return houses
 
 
 def footprints(houses: list[House]) -> gpd.GeoDataFrame:

@@ -80,8 +80,7 @@ NOISE_M = 0.03
 FLOOR_M = 0.5
 """Below this height above ground nothing stands."""
 BLOCK_SHARE = 0.45
-"""Share of a building's sides that the sides of a house have that replaces it."""
-
+"""The sides of a house that replaces a building, as a share of the sides of that building."""
 OPEN_M = 1.0
 """Below this height above ground a place is open: grass and parked bicycles make way for a building."""
 RAISE_M, LOWER_M = 4.0, 3.0
@@ -189,7 +188,7 @@ def _chosen(
         # All kinds come in turn, those that few buildings are fit for first.
         what = max(able, key=lambda word: wanted[word], default=None)
         if what is None:
-            # Of those that no other kind needs.
+            # Replaced are buildings that no other kind needs, so that the other edits are the same with and without.
             block = _block(shape) if replaced < each else None
             if block is not None:
                 replaced += 1

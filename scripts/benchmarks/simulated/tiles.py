@@ -105,7 +105,7 @@ def judge(edits: Sequence[Edit], told: gpd.GeoDataFrame, before: gpd.GeoDataFram
         shape if pd.isna(version) else shape.union(outlines[int(version)])
         for shape, version in zip(told.geometry, told["version_before"], strict=True)
     ]
-    told = gpd.GeoDataFrame(pd.DataFrame(told.drop(columns="geometry")), geometry=places, crs=told.crs)
+    told = told.assign(now=told.geometry).set_geometry(gpd.GeoSeries(places, index=told.index, crs=told.crs))
     large = [edit for edit in edits if edit.place.area >= LEAST_M2]
     found = tuple(edit for edit in large if _is_found(edit, told))
     everywhere = shapely.union_all([edit.place for edit in edits])
@@ -126,9 +126,11 @@ def _is_found(edit: Edit, told: gpd.GeoDataFrame) -> bool:
         right = told["kind"].isin(["modified", "merged", "split"]) & told[edit.respect]
     if edit.what == "extended":
         right |= told["kind"] == "new"
+    shapes = told.geometry
     if edit.what == "replaced":
         right |= told["kind"].isin(["modified", "merged"]) & told["outline"]
-    covered = shapely.union_all(told.geometry[right].to_numpy()).intersection(edit.place).area
+        shapes = told["now"]  # the replaced building stood there before
+    covered = shapely.union_all(shapes[right].to_numpy()).intersection(edit.place).area
     return bool(covered >= FOUND_SHARE * edit.place.area)
 
 
