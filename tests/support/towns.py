@@ -34,9 +34,7 @@ Steps = tuple[int, int, int, int, float]
 """A random house: its west and south sides, width and depth in steps of 8 m, and its height."""
 
 RANDOM_TOWN = st.lists(
-    st.tuples(
-        st.integers(0, 5), st.integers(0, 5), st.integers(1, 4), st.integers(1, 2), st.sampled_from([4.0, 9.0])
-    ),
+    st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(1, 4), st.integers(1, 2), st.sampled_from([4.0, 9.0])),
     max_size=7,
 )
 
