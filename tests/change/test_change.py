@@ -665,6 +665,16 @@ def test_no_house_of_the_survey_is_lost(one: list[Steps], other: list[Steps], ea
         assert shape.intersection(now).area >= shape.area / 2
 
 
+@settings(max_examples=40, deadline=None)
+@given(RANDOM_TOWN, RANDOM_TOWN, st.sampled_from([0.0, 2.0, 4.0]))
+def test_no_building_stays_where_nothing_stands(one: list[Steps], other: list[Steps], east_m: float) -> None:
+    """A quarter of each that the inventory has after the survey is built on."""
+    before, after = [*ROW, *random_houses(one)], [*ROW, *random_houses(other, east_m)]
+    built = shapely.union_all(town(after).geometry.to_numpy())
+    for shape in current(compared(before, after), before):
+        assert shape.intersection(built).area >= shape.area / 4
+
+
 def test_a_split_building_takes_no_ground_of_its_neighbour() -> None:
     """The survey joins one of the parts with the neighbour, whose outline stays."""
     house, neighbour = (20.0, 60.0, 60.0, 75.0, 8.0), (60.0, 60.0, 80.0, 75.0, 8.0)
