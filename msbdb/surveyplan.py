@@ -19,6 +19,9 @@ T = TypeVar("T")
 FORM = 1
 """Version of the form in which a plan is written."""
 
+EVEN = 1.5
+"""Ours, in sample: sparser parts of a survey have up to so many mean spacings; real places have 1.1 to 1.45."""
+
 BASIS = {
     "surface": (),
     "ground": (),
@@ -48,6 +51,8 @@ class PointFacts:
         The same before what is denser than ``surface.most_density`` was thinned.
     spacing_m, typical_m, link_m : float
         Mean and median spacing of the first echoes, and their least link, metres (`msbdb.points.cloud.Density`).
+    sparse_m : float
+        Spacing of the sparser parts, metres (`msbdb.points.cloud.sparse_spacing`).
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
     under_m : float
@@ -69,6 +74,7 @@ class PointFacts:
     all_density: float
     spacing_m: float
     typical_m: float
+    sparse_m: float
     link_m: float
     numbered: bool
     echoes: bool
@@ -77,6 +83,11 @@ class PointFacts:
     colours: tuple[str, ...]
     intensity: bool
     levels_m: tuple[tuple[float, float], ...]
+
+    @property
+    def even_m(self) -> float:
+        """Spacing that cells and the links of points follow, metres: the mean, or more where much is far sparser."""
+        return max(self.spacing_m, self.sparse_m / EVEN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +222,7 @@ class Plan:
                 crs=str(known["crs"]),
                 cell_m=float(known["cell_m"]),
                 density=float(known["density"]),
-                points=None if points is None else _as(PointFacts, points),
+                points=None if points is None else _as(PointFacts, _with_sparse(points)),
                 ground_filter=str(known["ground_filter"]),
                 scales_m2=tuple(map(float, known["scales_m2"])),
                 heights_m=tuple(map(float, known["heights_m"])),
@@ -264,7 +275,7 @@ def _of_points(facts: PointFacts) -> dict[str, str]:
         "points": f"{facts.points:,}, {100 * facts.ground_share:.0f} % in class 2",
         "density": _density(facts),
         "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground, "
-        f"links of {facts.link_m:.2f} m",
+        f"{facts.sparse_m:.2f} m where it is sparse, links of {facts.link_m:.2f} m",
         "points have": ", ".join(name for name, there in has.items() if there) or "coordinates alone",
         "elevations": "; ".join(f"{low:.1f} to {high:.1f} m" for low, high in facts.levels_m),
     }
@@ -299,6 +310,13 @@ def known(values: "np.ndarray[Any, np.dtype[np.float64]]") -> tuple[float | None
 def numbers(values: tuple[Any, ...]) -> "np.ndarray[Any, np.dtype[np.float64]]":
     """Return the numbers of a plan as an array: NaN where one is unknown."""
     return np.array(values, dtype=np.float64)
+
+
+def _with_sparse(points: object) -> object:
+    """Return the facts of points; where an earlier plan does not tell the sparser parts, all are as sparse."""
+    if not isinstance(points, Mapping) or "sparse_m" in points or "spacing_m" not in points:
+        return points
+    return {**points, "sparse_m": points["spacing_m"]}
 
 
 def _as(kind: type[T], values: object) -> T:

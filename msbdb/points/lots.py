@@ -69,16 +69,21 @@ def thinned(cloud: PointCloud, most_density: float) -> PointCloud:
     >>> thinned(dense, 200.0) is dense
     True
     """
+    kept = kept_of(cloud, most_density)
+    return cloud if kept.all() else cloud.take(kept)
+
+
+def kept_of(cloud: PointCloud, most_density: float) -> Mask:
+    """Return (N,) bool, which points `thinned` keeps."""
+    kept = np.ones(len(cloud), dtype=np.bool_)
     if not most_density or not len(cloud):
-        return cloud
+        return kept
     index = index_cells(cloud.x, cloud.y, CELL_M)
     most = most_density * CELL_M**2
-    if np.diff(index.starts).max() <= most:
-        return cloud
-    dense, limits = _in_dense_cells(index, cloud.first_echo, most)
-    kept = np.ones(len(cloud), dtype=np.bool_)
-    kept[dense] = _hashed(cloud.x[dense], cloud.y[dense], cloud.z[dense]) < limits
-    return cloud if kept.all() else cloud.take(kept)
+    if np.diff(index.starts).max() > most:
+        dense, limits = _in_dense_cells(index, cloud.first_echo, most)
+        kept[dense] = _hashed(cloud.x[dense], cloud.y[dense], cloud.z[dense]) < limits
+    return kept
 
 
 @kernel

@@ -3,7 +3,7 @@
 import laspy
 import numpy as np
 import pytest
-from cases.copies import first_only, mirrored, pulses, taken, thinned, with_class_alone
+from cases.copies import first_only, mirrored, pulses, taken, thinned, thinned_east_of, with_class_alone
 from cases.labelled import Objects, Place, cell_for, first_density, reference_of
 from cases.measures import GIVEN, OWN, Case, measure
 from cases.othergrounds import smrf
@@ -83,6 +83,17 @@ def test_thinned_copies_keep_whole_pulses(town):
     kept = np.isin(np.asarray(cloud.gps_time), np.asarray(copy.gps_time))
     np.testing.assert_array_equal(np.asarray(cloud.x)[kept], np.asarray(copy.x))
     np.testing.assert_array_equal(np.asarray(thinned(cloud, 0.3).x), np.asarray(copy.x))
+
+
+def test_a_copy_that_is_sparser_in_the_east_keeps_all_of_the_west(town):
+    """East of the line it has the pulses of the thinned copy."""
+    _, (cloud,), _ = town
+    x = np.asarray(cloud.x)
+    line = float(np.median(x))
+    copy, few = thinned_east_of(cloud, line, 0.2), thinned(cloud, 0.2)
+    east, few_x = np.asarray(copy.x), np.asarray(few.x)
+    np.testing.assert_array_equal(east[east < line], x[x < line])
+    np.testing.assert_array_equal(east[east >= line], few_x[few_x >= line])
 
 
 def test_without_times_each_echo_is_a_pulse(town):

@@ -223,10 +223,14 @@ def lattice_of_points(points: PointCloud, params: Params) -> GridSpec:
 def cell_of_points(points: PointCloud, points_m2: float, params: Params) -> float:
     """Return the cell size by the mean spacing; a larger one where the texture would see single scan lines, metres.
 
-    A window of the texture needs points of two lines for a plane. It is three cells wide at least.
+    A window of the texture needs points of two lines for a plane. It is three cells wide at least. Where much of the
+    ground is far sparser than the rest, the spacing is `PointFacts.even_m`: smaller cells would be empty there.
     """
-    cell_m = cell_size(points_m2, literal=params.surface.cell_rule == "literal")
-    two_lines_m = 0.0 if points.facts is None else 2 * points.facts.link_m
-    if two_lines_m <= params.cover.window_m or params.surface.cell_rule == "literal":
+    if params.surface.cell_rule == "literal":
+        return cell_size(points_m2, literal=True)
+    facts = points.facts
+    sparser, two_lines_m = (1.0, 0.0) if facts is None else (facts.spacing_m / facts.even_m, 2 * facts.link_m)
+    cell_m = cell_size(points_m2 * sparser**2)
+    if two_lines_m <= params.cover.window_m:
         return cell_m
     return max(cell_m, cell_size((WINDOW_CELLS / two_lines_m) ** 2))

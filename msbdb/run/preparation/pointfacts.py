@@ -6,12 +6,21 @@ from dataclasses import replace
 from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msbdb.errors import give_notice
 from msbdb.params import Params
-from msbdb.points.cloud import GROUND_CLASS, LONE_GAP_Z_M, PointCloud, levels_of, measure_spacing
+from msbdb.points.cloud import (
+    GROUND_CLASS,
+    LONE_GAP_Z_M,
+    SPARSE_SHARE,
+    PointCloud,
+    levels_of,
+    measure_spacing,
+    sparse_spacing,
+)
 from msbdb.points.laterechoes import numbered_by_place, under_distance
-from msbdb.points.lots import thinned
+from msbdb.points.lots import kept_of, thinned
 from msbdb.surface.gridding import density
 from msbdb.surveyplan import PointFacts
 
@@ -20,6 +29,17 @@ THINNED = (
     "The values of the detectors were not judged on denser ones."
 )
 """Without numbers, so that the tiles of a build agree in it."""
+
+UNEVEN = (
+    "A part of the ground has far fewer points than the rest. The cells, and the distances by which points are linked, "
+    "follow from the spacing of that part. A build of the denser part by itself has smaller cells."
+)
+"""As `THINNED`."""
+
+DENSER = 2.0
+"""Ours, in sample: places that are denser by more than this keep a share of their points; 2, 3 and 100 do alike."""
+
+Heights = NDArray[np.float64]
 
 
 def with_facts(cloud: PointCloud, most_density: float) -> PointCloud:
@@ -60,6 +80,7 @@ def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
         When there is no first echo.
     """
     spacing_m, typical_m, link_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
+    first = cloud.first_echo
     points_m2 = density(cloud, link_m)
     return PointFacts(
         points=len(cloud),
@@ -67,6 +88,7 @@ def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
         all_density=points_m2,
         spacing_m=spacing_m,
         typical_m=typical_m,
+        sparse_m=sparse_spacing(cloud.x[first], cloud.y[first], spacing_m),
         link_m=link_m,
         numbered=cloud.return_number is not None,
         echoes=cloud.has_echoes,
@@ -81,8 +103,8 @@ def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
 def joined_facts(facts: Sequence[PointFacts]) -> PointFacts:
     """Return what holds for the points of several blocks together.
 
-    The density is that of their covered ground. Of the typical spacings and of the links the median counts, by
-    covered ground.
+    The density is that of their covered ground. Of the typical spacings and of the links the median counts, and of the
+    sparser parts the same quantile as within a block, by covered ground.
     """
     if len(facts) == 1:
         return facts[0]
@@ -90,9 +112,9 @@ def joined_facts(facts: Sequence[PointFacts]) -> PointFacts:
     # A block covers as many square metres as its points fill at its spacing, but for later echoes.
     covered = np.array([each.points * each.spacing_m**2 for each in facts])
 
-    def middle(values: list[float]) -> float:
+    def quantile(share: float, values: list[float]) -> float:
         order = np.argsort(values, kind="stable")
-        return values[int(order[np.searchsorted(np.cumsum(covered[order]), covered.sum() / 2)])]
+        return values[int(order[np.searchsorted(np.cumsum(covered[order]), covered.sum() * share)])]
 
     names = [name for name in ("red", "green", "blue", "nir") if any(name in each.colours for each in facts)]
     return PointFacts(
@@ -101,8 +123,9 @@ def joined_facts(facts: Sequence[PointFacts]) -> PointFacts:
         all_density=sum(each.points / each.density * each.all_density for each in facts)
         / sum(each.points / each.density for each in facts),
         spacing_m=math.sqrt(float(covered.sum()) / points),
-        typical_m=middle([each.typical_m for each in facts]),
-        link_m=middle([each.link_m for each in facts]),
+        typical_m=quantile(0.5, [each.typical_m for each in facts]),
+        sparse_m=quantile(SPARSE_SHARE, [each.sparse_m for each in facts]),
+        link_m=quantile(0.5, [each.link_m for each in facts]),
         numbered=any(each.numbered for each in facts),
         echoes=any(each.echoes for each in facts),
         under_m=max(each.under_m for each in facts),
@@ -130,3 +153,28 @@ def sparse_with_facts(cloud: PointCloud, params: Params) -> PointCloud:
     if len(found) < len(cloud):
         give_notice(THINNED)
     return found
+
+
+def evenly_dense(cloud: PointCloud, above: Heights | None) -> tuple[PointCloud, Heights | None]:
+    """Return the points that `area3d` and `adaptive` are shown, and their heights.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        N points that know what holds for all of the survey's.
+    above : (N,) ndarray of float64, metres
+        Heights above ground; None where they are not known.
+
+    Notes
+    -----
+    Both detectors link points by distances that follow from one spacing. By the mean one the roofs of far sparser parts
+    come apart. By theirs, dense parts have many points too many within reach. So these keep a share of their points, by
+    lot, and a notice is given. An even survey stays as it is.
+    """
+    facts = cloud.facts
+    if facts is None or facts.even_m == facts.spacing_m:
+        return cloud, above
+    give_notice(UNEVEN)
+    kept = kept_of(cloud, DENSER / facts.even_m**2)
+    facts = replace(facts, spacing_m=facts.even_m, typical_m=max(facts.typical_m, facts.even_m))
+    return replace(cloud.take(kept), facts=facts), None if above is None else above[kept]

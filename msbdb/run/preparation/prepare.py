@@ -26,7 +26,7 @@ from msbdb.run.preparation.planning import (
     require_fitting,
     settled,
 )
-from msbdb.run.preparation.pointfacts import sparse_with_facts
+from msbdb.run.preparation.pointfacts import evenly_dense, sparse_with_facts
 from msbdb.run.reports import Stages
 from msbdb.spectral.colours import kept_intensity
 from msbdb.spectral.coverclasses import Cover, classify_cover, keep_labels
@@ -179,6 +179,7 @@ def prepare(
         (cover, known, planned), (evidence, elevations, intensity) = together(classify, keep)
     record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
     parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec, everywhere=own is None)
+    points, above = (None, None) if draft.cloud is None else evenly_dense(draft.cloud.places(), draft.above)
     scene = Scene(
         record,
         surface.ndsm,
@@ -187,9 +188,9 @@ def prepare(
         elevations,
         parcels=parcels,
         surface=surface,
-        cloud=None if draft.cloud is None else draft.cloud.places(),
+        cloud=points,
         bands=bands,
-        above=draft.above,
+        above=above,
         intensity=intensity,
     )
     return scene, known, planned

@@ -30,9 +30,19 @@ def pulses(cloud: laspy.LasData) -> NDArray[np.int64]:
 
 def thinned(cloud: laspy.LasData, share: float) -> laspy.LasData:
     """Return a share of the pulses, chosen by a fixed seed, with all their echoes."""
+    return taken(cloud, _drawn(cloud, share))
+
+
+def thinned_east_of(cloud: laspy.LasData, x_m: float, share: float) -> laspy.LasData:
+    """Return a share of the pulses, as `thinned` does, and all echoes that lie west of a line."""
+    return taken(cloud, _drawn(cloud, share) | (np.asarray(cloud.x) < x_m))
+
+
+def _drawn(cloud: laspy.LasData, share: float) -> NDArray[np.bool_]:
+    """Return (N,) bool, the echoes of a share of the pulses, chosen by a fixed seed."""
     pulse = pulses(cloud)
     kept = np.random.default_rng(SEED).random(int(pulse.max(initial=-1)) + 1) < share
-    return taken(cloud, kept[pulse])
+    return np.asarray(kept[pulse])
 
 
 def thickened(cloud: laspy.LasData, target: float, density: float) -> laspy.LasData:

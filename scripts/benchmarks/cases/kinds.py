@@ -1,4 +1,4 @@
-"""The kinds of cases: the places as they are, thinned, denser, on scan lines, of first echoes, over hills, under trees."""
+"""The kinds of cases: the places as they are, and copies of another density, other echoes, over hills or under trees."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +9,7 @@ from pyproj import CRS
 from simulated.hills import RELIEFS, Relief, lifted, relief_of
 from simulated.trees import crowns_of, planted
 
-from cases.copies import first_only, mirrored, on_lines, taken, thickened, thinned
+from cases.copies import first_only, mirrored, on_lines, taken, thickened, thinned, thinned_east_of
 from cases.labelled import NAMED, PLACES, Place, cell_for, first_density, reference_of
 from cases.measures import Case
 from msbdb.grid import lattice
@@ -28,6 +28,9 @@ RASTERS = (0.5, 1.0, 2.0)
 
 LINES = (3.0, 5.0, 8.0)
 """Distance of scan lines, in the spacings of the points along them."""
+
+UNEVEN = (3.0, 5.0, 8.0)
+"""How many times denser the western half of an uneven copy is."""
 
 THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
 
@@ -91,6 +94,16 @@ def with_scan_lines(data: Path, names: set[str]) -> Iterator[Case]:
         for ratio in LINES:
             copies = [on_lines(cloud, ratio, spacing_m) for cloud in case.clouds]
             yield Case(f"{case.name}, {ratio:g}", case.crs, copies, case.reference, {})
+
+
+def with_sparse_halves(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places that are sparser in the east; the line halves the roofs of the reference."""
+    for case in as_they_are(data, names & set(THINNED)):
+        spec = case.reference.spec
+        x_m, _ = spec.xy(0, np.median(np.nonzero(case.reference.built & case.reference.scored)[1]))
+        for times in UNEVEN:
+            copies = [thinned_east_of(cloud, float(x_m), 1 / times) for cloud in case.clouds]
+            yield Case(f"{case.name}, {times:g}", case.crs, copies, case.reference, {})
 
 
 def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
