@@ -1,5 +1,6 @@
 """Clusters of points by single linkage: the tree of nearest pairs cut at a distance, without a graph."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -127,14 +128,16 @@ def _look_beside(
     for cell in range(part[0], part[1]):
         row, col = cell_place(index, cell)
         strips = [strip(index, other, col - 1, col + 1) for other in range(row - 1, row + 2)]
-        some = False
+        lowest, highest = math.inf, -math.inf  # of the others
         for first, stop in strips:
             for other in range(first - begin, stop - begin):
-                some = some or not chosen[other]
-        if not some:
-            continue
+                if not chosen[other]:
+                    lowest, highest = min(lowest, z[other]), max(highest, z[other])
         for point in range(index.starts[cell] - begin, index.starts[cell + 1] - begin):
-            near = not chosen[point]
+            up = max(z[point] - highest, lowest - z[point], 0.0)
+            if not chosen[point] or up * up >= limit_m2:  # above or below them all
+                continue
+            near = False
             for first, stop in strips:
                 for other in range(first - begin, stop - begin):
                     if near:
@@ -143,7 +146,7 @@ def _look_beside(
                         continue
                     dx, dy, dz = x[other] - x[point], y[other] - y[point], z[other] - z[point]
                     near = dx * dx + dy * dy + dz * dz < limit_m2
-            found[index.order[begin + point]] = near and chosen[point]
+            found[index.order[begin + point]] = near
 
 
 @kernel
