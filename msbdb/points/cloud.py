@@ -321,7 +321,7 @@ def sparse_spacing(x: NDArray[np.float64], y: NDArray[np.float64], spacing_m: fl
     >>> x = np.append(random.uniform(0, 50, 2500), random.uniform(50, 100, 10_000))
     >>> y = random.uniform(0, 50, 12_500)
     >>> round(sparse_spacing(x, y, 0.63), 1)
-    1.0
+    1.1
     """
     squares = index_cells(x, y, SQUARE_SPACINGS * spacing_m)
     full = np.flatnonzero(np.diff(squares.starts) >= 2 * NEIGHBOURS)

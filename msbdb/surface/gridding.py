@@ -40,12 +40,15 @@ class Samples:
         Its offset from the cell centre.
     spec : GridSpec
         The lattice.
+    within_m : float
+        Side of the square around that place in which it may lie, metres; 0 where it is known.
     """
 
     z: NDArray[np.float64]
     east: NDArray[np.float32]
     north: NDArray[np.float32]
     spec: GridSpec
+    within_m: float = 0.0
 
     @property
     def observed(self) -> NDArray[np.bool_]:

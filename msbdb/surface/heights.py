@@ -21,6 +21,9 @@ LEAST_GAP_CELLS = 2.0
 PART = 1_000_000
 """So many points at a time are worked on by a thread."""
 
+WIDEST_M = 1.0
+"""Ours: in windows of larger cells roofs are no planes, and the limits of roughness allow for it."""
+
 GIVEN_GROUND = "given"
 """Name instead of a ground filter's, where the terrain was given as a raster."""
 
@@ -167,5 +170,6 @@ def surface_from_rasters(dsm: Grid, dtm: Grid, *, terrain_known: bool = True) ->
     GridMismatchError
         When the lattices differ.
     """
-    density = 1 / dsm.spec.cell_area_m2
-    return Surface(dsm, dtm, normalise(dsm, dtm), grid_samples(dsm), GIVEN_GROUND, density, terrain_known)
+    density, cell_m = 1 / dsm.spec.cell_area_m2, dsm.spec.cell_m
+    samples = grid_samples(dsm, cell_m if cell_m <= WIDEST_M else 0.0)
+    return Surface(dsm, dtm, normalise(dsm, dtm), samples, GIVEN_GROUND, density, terrain_known)

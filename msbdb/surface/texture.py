@@ -23,6 +23,12 @@ NO_PLANE_M = 5.0
 LEAST_SAMPLES = 5
 """A plane always fits fewer samples, or nearly: of a crown, too."""
 
+JITTER = 0.5
+"""Ours, in sample: of the variance of a place by chance in a cell. Surfaces of triangles have 0, of single echoes 1."""
+
+STEEPEST = 1.5
+"""Ours: square of the steepest slope of a roof, 51 degrees; crowns are steeper."""
+
 Field = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int32]
@@ -75,6 +81,9 @@ def roughness(samples: Samples, window_m: float) -> Field:
     its squared residuals over n - 3, as three samples fit any plane. So leaves are as rough under few samples as under
     many; over n, the few samples of a sparse survey would make crowns smooth.
 
+    A height of a raster was measured anywhere in its cell, so that slopes are rough. The variance of a place in a
+    square is its side squared over 12. `JITTER` of it times the slope squared is subtracted, up to `STEEPEST`.
+
     Border: windows are cut at the edge. Nodata: cells without a first echo have no weight.
 
     Examples
@@ -102,14 +111,15 @@ def scatter(samples: Samples, window_m: float) -> Field:
         return np.full(samples.spec.shape, NO_PLANE_M, dtype=np.float32)
     # Heights are taken from the middle of their range, so that the sums of their squares keep their digits.
     origin = float(np.nanmin(samples.z) + np.nanmax(samples.z)) / 2
-    return _plane_residual(samples.z, (samples.east, samples.north), origin, samples.spec.cell_m, size // 2)
+    places = (samples.east, samples.north, np.float64(JITTER * samples.within_m**2 / 12))
+    return _plane_residual(samples.z, places, origin, samples.spec.cell_m, size // 2)
 
 
-def grid_samples(surface: Grid) -> Samples:
-    """Return the cells of a DSM as samples at their centres, for the texture of a raster source."""
+def grid_samples(surface: Grid, within_m: float = 0.0) -> Samples:
+    """Return the cells of a grid as samples at their centres, or of unknown places in squares of this side, metres."""
     zero = np.zeros(surface.spec.shape, dtype=np.float32)
     z = np.where(surface.valid, np.asarray(surface.values, dtype=np.float64), np.nan)
-    return Samples(z, zero, zero, surface.spec)
+    return Samples(z, zero, zero, surface.spec, within_m)
 
 
 def echoes(points: PointCloud, ndsm: Grid, dtm: Grid, *, small_m: float, wide_m: float, mask_m: float) -> Echoes | None:
@@ -190,15 +200,16 @@ def _echo_counts(
 
 
 @kernel
-def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell: float, half: int) -> Field:
+def _plane_residual(z: Floats, places: tuple[Field, Field, float], origin: float, cell: float, half: int) -> Field:
     """Residual of the least-squares plane through the samples of each window.
 
+    ``places`` are the samples' offsets from the centres, and the variance that is not known of them, square metres.
     The moments are summed by columns and then over the columns, whose eastings are shifted to the window's centre.
     """
-    height, width = z.shape
+    (east, north, unknown_m2), (height, width) = places, z.shape
     out = np.full(z.shape, np.float32(NO_PLANE_M))
     for row in range(height):
-        columns = _column_moments(z, offsets, (origin, cell), row, half)
+        columns = _column_moments(z, (east, north), (origin, cell), row, half)
         sums = np.zeros((10, width))
         # The columns around a cell one by one, each for all cells of the row: the processor takes several at once.
         for right in range(-half, half + 1):
@@ -231,6 +242,9 @@ def _plane_residual(z: Floats, offsets: tuple[Field, Field], origin: float, cell
             slope_e, slope_n = (cnn * cez - cen * cnz) / det, (cee * cnz - cen * cez) / det
             # Over n - 3, as the plane takes three degrees of freedom: the mean does not depend on the samples' number.
             residual = max(czz - slope_e * cez - slope_n * cnz, 0.0) / (n - 3)
+            steep = slope_e * slope_e + slope_n * slope_n
+            if steep <= STEEPEST:
+                residual = max(residual - unknown_m2 * steep, 0.0)
             out[row, col] = min(np.sqrt(residual), NO_PLANE_M)
     return out
 

@@ -10,14 +10,18 @@ from pyproj import CRS
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples, sample_nearest
+from msbdb.surface.heights import surface_from_rasters
 from msbdb.surface.texture import (
+    JITTER,
     LEAST_SAMPLES,
     NO_PLANE_M,
+    STEEPEST,
     Echoes,
     _plane_residual,
     echoes,
     grid_samples,
     roughness,
+    scatter,
     window_cells,
 )
 
@@ -81,7 +85,9 @@ def naive_residual(samples: Samples, half: int) -> NDArray[np.float64]:
             if np.linalg.det(moments[1:, 1:]) <= 1e-4 * (z.size * samples.spec.cell_area_m2) ** 2:
                 continue
             fit, *_ = np.linalg.lstsq(plane, z, rcond=None)
-            out[r, c] = min(np.sqrt(np.sum((z - plane @ fit) ** 2) / (z.size - 3)), NO_PLANE_M)
+            variance, steep = np.sum((z - plane @ fit) ** 2) / (z.size - 3), fit[1] ** 2 + fit[2] ** 2
+            unknown = JITTER * samples.within_m**2 / 12 if steep <= STEEPEST else 0.0
+            out[r, c] = min(np.sqrt(max(variance - unknown * steep, 0.0)), NO_PLANE_M)
     return out
 
 
@@ -93,14 +99,21 @@ def naive_best(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
     return out
 
 
-@given(st.integers(0, 10_000), st.sampled_from([(1, 9), (6, 5), (9, 8)]), st.sampled_from([1.5, 2.5]), st.booleans())
-def test_the_kernel_agrees_with_least_squares(seed, shape, window_m, sparse):
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([(1, 9), (6, 5), (9, 8)]),
+    st.sampled_from([1.5, 2.5]),
+    st.booleans(),
+    st.sampled_from([(3.0, 0.0), (0.2, 0.0), (0.2, 0.5)]),
+)
+def test_the_kernel_agrees_with_least_squares(seed, shape, window_m, sparse, noise_within):
     """Sums by columns give the residuals of numpy's fit, with gaps, at borders and far from height 0."""
     rng = np.random.default_rng(seed)
-    z = 1000 + rng.normal(0, 3, shape)
+    noise_m, within_m = noise_within
+    z = 1000 + rng.uniform(-1, 1) * np.indices(shape)[1] + rng.normal(0, noise_m, shape)
     z[rng.random(shape) < (0.7 if sparse else 0.1)] = np.nan
     east, north = rng.uniform(-0.25, 0.25, (2, *shape)).astype(np.float32)
-    samples = Samples(z, east, north, spec_of(*shape))
+    samples = Samples(z, east, north, spec_of(*shape), within_m)
     half = window_cells(window_m, 0.5) // 2
     expected = naive_best(naive_residual(samples, half), half)
     np.testing.assert_allclose(roughness(samples, window_m), expected, atol=1e-4)
@@ -113,7 +126,7 @@ def test_noise_is_as_rough_under_few_samples_as_under_many(half, seen_share):
     cells = np.indices((150, 150)).sum(axis=0)
     z = np.where(rng.random(cells.shape) < seen_share, 0.3 * cells + rng.normal(0, 0.2, cells.shape), np.nan)
     zero = np.zeros(cells.shape, dtype=np.float32)
-    residual = _plane_residual(z, (zero, zero), 40.0, 0.5, half)
+    residual = _plane_residual(z, (zero, zero, 0.0), 40.0, 0.5, half)
     assert np.mean(residual[residual < NO_PLANE_M] ** 2) == pytest.approx(0.04, rel=0.05)
 
 
@@ -133,6 +146,25 @@ def test_four_echoes_tell_no_plane_and_five_do():
     assert np.all(roughness(Samples(corners, zero, zero, spec_of(3, 3)), 1.5) == NO_PLANE_M)
     corners[1, 1] = 1.0
     assert np.all(roughness(Samples(corners, zero, zero, spec_of(3, 3)), 1.5) == 0)
+
+
+@pytest.mark.parametrize(("slope", "share"), [(0.0, 0.0), (0.5, 0.5), (1.0, 0.5), (2.0, 1.0)])
+def test_a_slope_is_rough_where_the_places_of_heights_are_unknown(slope, share):
+    """Half of what places by chance make of a roof is left, and all of what they make of a crown's side."""
+    rng, cells = np.random.default_rng(1), np.indices((300, 300))[1]
+    z = slope * 0.5 * (cells + rng.uniform(-0.5, 0.5, cells.shape))
+    grid = Grid(z, np.ones(z.shape, dtype=np.bool_), spec_of(*z.shape))
+    inside = scatter(grid_samples(grid, 0.5), 1.5)[1:-1, 1:-1]
+    variance = np.mean(inside**2)
+    assert variance == pytest.approx(share * slope**2 * 0.5**2 / 12, rel=0.1, abs=1e-9)
+
+
+@pytest.mark.parametrize(("cell_m", "within_m"), [(0.25, 0.25), (1.0, 1.0), (2.0, 0.0)])
+def test_places_in_rasters_are_unknown(cell_m, within_m):
+    """Up to cells of a metre, beyond which a window of the texture is wider than a roof's side."""
+    spec = spec_of(4, 4, cell_m)
+    flat = Grid(np.zeros(spec.shape, dtype=np.float32), np.ones(spec.shape, dtype=np.bool_), spec)
+    assert surface_from_rasters(flat, flat).samples.within_m == within_m
 
 
 def test_a_raster_is_sampled_at_its_centres():
