@@ -55,6 +55,7 @@ def classify(
     roughness: NDArray[np.floating] | None,
     params: Params,
     fitted: Fitted | None = None,
+    roof: NDArray[np.bool_] | None = None,
 ) -> Classified:
     """Classify the cells of at least one storey by their bands (V34 to V36).
 
@@ -70,6 +71,8 @@ def classify(
         Sections ``spectral``, ``surface`` (the mask) and ``scale`` (connectivity, and the scales, at least one).
     fitted : Fitted, optional
         The model of a larger survey; without it the classes are fitted to these bands.
+    roof : (H, W) ndarray of bool, optional
+        Cells that the structure takes for roofs. With it, roofs of the colour of crowns are no vegetation.
 
     Returns
     -------
@@ -83,7 +86,7 @@ def classify(
     """
     _require_lattice(bands, ndsm, roughness)
     if fitted is None:
-        sample, filtered = sample_to_classify(bands, ndsm, roughness, params)
+        sample, filtered = sample_to_classify(bands, ndsm, roughness, params, roof)
         model = fit_model(sample, params.spectral) if len(sample) else None
     else:
         model = fitted.model
@@ -96,11 +99,15 @@ def classify(
 
 
 def sample_to_classify(
-    bands: Bands, ndsm: Grid, roughness: NDArray[np.floating] | None, params: Params
+    bands: Bands,
+    ndsm: Grid,
+    roughness: NDArray[np.floating] | None,
+    params: Params,
+    roof: NDArray[np.bool_] | None = None,
 ) -> tuple[Sample, Bands]:
     """Return the cells to which classes are fitted, and the filtered bands; parameters are those of `classify`."""
     filtered, own = filter_to_classify(bands, ndsm, params), params.spectral
-    return draw_sample(filtered, bands, ndsm.values, roughness, count=own.sample, seed=own.seed), filtered
+    return draw_sample(filtered, bands, ndsm.values, roughness, roof, count=own.sample, seed=own.seed), filtered
 
 
 def is_imagery(bands: Bands | None) -> bool:
@@ -266,7 +273,8 @@ def classify_cover(
     """
     spectral, table, band_table, model = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), None
     if bands is not None and is_imagery(bands):
-        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params, fitted)
+        roof = structure.labelled("building")
+        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params, fitted, roof)
         if counted is not None:
             table, _ = class_tables(model, sizes(np.where(counted, spectral.index, 0), len(spectral.labels)))
     colours_decide = spectral is not None and params.spectral.decides == "spectral"

@@ -39,6 +39,8 @@ class Sample:
         NaN where unknown.
     height : (N,) ndarray of float64, metres
         Above ground.
+    roof : (N,) ndarray of float64
+        1 where the structure takes the cell for a roof, 0 where for vegetation; NaN where unknown.
     """
 
     names: tuple[str, ...]
@@ -47,6 +49,7 @@ class Sample:
     bands: NDArray[np.float64]
     roughness: NDArray[np.float64]
     height: NDArray[np.float64]
+    roof: NDArray[np.float64]
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -87,6 +90,7 @@ def draw_sample(
     bands: Bands,
     heights: NDArray[np.generic],
     roughness: NDArray[np.floating] | None,
+    roof: NDArray[np.bool_] | None = None,
     *,
     count: int,
     seed: int,
@@ -97,14 +101,18 @@ def draw_sample(
     keys = lattice_keys(row + first_row, col + first_col, seed)
     kept = _smallest(keys, count)
     row, col = row[kept], col[kept]
-    rough = np.full(row.size, np.nan) if roughness is None else roughness[row, col].astype(np.float64)
+
+    def known(values: NDArray[np.generic] | None) -> NDArray[np.float64]:
+        return np.full(row.size, np.nan) if values is None else values[row, col].astype(np.float64)
+
     return Sample(
         bands.names,
         keys[kept],
         filtered.values[:, row, col].T.astype(np.float64),
         bands.values[:, row, col].T.astype(np.float64),
-        rough,
-        heights[row, col].astype(np.float64),
+        known(roughness),
+        known(heights),
+        known(roof),
     )
 
 
@@ -114,7 +122,7 @@ def pooled(samples: Sequence[Sample], count: int) -> Sample:
         return samples[0]
     keys = np.concatenate([each.keys for each in samples])
     kept = _smallest(keys, count)
-    columns = ("filtered", "bands", "roughness", "height")
+    columns = ("filtered", "bands", "roughness", "height", "roof")
     values = (np.concatenate([getattr(each, name) for each in samples])[kept] for name in columns)
     return Sample(samples[0].names, keys[kept], *values)
 

@@ -101,7 +101,13 @@ def index_bounds(index: str, params: SpectralParams) -> tuple[float, float]:
     return min(bounds), max(bounds)
 
 
-def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, params: SpectralParams) -> list[str]:
+def suggest_labels(
+    facts: ClassFacts,
+    threshold: float,
+    index: str | None,
+    params: SpectralParams,
+    roof_share: NDArray[np.float64] | None = None,
+) -> list[str]:
     """Suggest the information class of each class (V36): one of ``msbdb.landcover.LABELS``.
 
     Parameters
@@ -114,6 +120,8 @@ def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, param
         Name of the vegetation index.
     params : SpectralParams
         The thresholds.
+    roof_share : (K,) ndarray of float64, optional
+        Share of each class that the structure takes for roofs; NaN for unknown.
 
     Returns
     -------
@@ -124,8 +132,10 @@ def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, param
     -----
     The first rule that holds decides:
 
-    1. Vegetation: green, and not as smooth as a roof. The index must exceed its threshold. For rough classes the
-       threshold is lower, by up to ``leafless_share`` of the width of its bounds, for bare crowns and crowns in shadow.
+    1. Vegetation: green, not as smooth as a roof, and by structure not mostly roofs. The index must exceed its
+       threshold. For rough classes the threshold is lower, by up to ``leafless_share`` of the width of its bounds, for
+       bare crowns and crowns in shadow. A picture has roofs of the colour of crowns, or no hue at all: there a class
+       of which the structure takes more than ``roof_share`` for roofs is none, or ``green_roof_share`` above the bounds.
     2. Other: rougher than any roof.
     3. Water: smooth, with a very low NDVI.
     4. Shadow: dark, and not known to be smoother than ``rough_m``. Smooth dark classes are roofs, in shadow or dark.
@@ -142,21 +152,30 @@ def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, param
     >>> suggest_labels(facts, 0.3, "ndvi", SpectralParams())
     ['vegetation', 'building', 'shadow']
     """
+    roofs = np.full(len(facts.index), np.nan) if roof_share is None else roof_share
     return [
         _label(*values, threshold=threshold, index=index, params=params)
-        for values in zip(facts.index, facts.brightness, facts.roughness, strict=True)
+        for values in zip(facts.index, facts.brightness, facts.roughness, roofs, strict=True)
     ]
 
 
 def _label(
-    greenness: float, bright: float, rough: float, *, threshold: float, index: str | None, params: SpectralParams
+    greenness: float,
+    bright: float,
+    rough: float,
+    roofs: float,
+    *,
+    threshold: float,
+    index: str | None,
+    params: SpectralParams,
 ) -> str:
     """Suggest the label of one class; comparisons with NaN are false."""
     smooth = rough < params.smooth_m
     crown = np.interp(rough, [params.smooth_m, max(params.rough_m, params.smooth_m)], [0.0, 1.0])
     low, high = index_bounds(index, params) if index else (0.0, 0.0)
     needed = threshold - params.leafless_share * (high - low) * float(np.nan_to_num(crown))
-    if (greenness > needed and not smooth) or (np.isnan(greenness) and rough >= params.rough_m):
+    roof = roofs > (params.green_roof_share if index and greenness > high else params.roof_share)
+    if (greenness > needed and not smooth and not roof) or (np.isnan(greenness) and rough >= params.rough_m):
         return "vegetation"
     if rough >= params.clutter_m:
         return "other"
@@ -336,7 +355,8 @@ def fit_model(sample: Sample, params: SpectralParams) -> ClassModel:
     )
     threshold = index_threshold(greenness, index, params)
     means = np.stack([_by_class(band, member, len(centres)) for band in sample.bands.T], axis=1)
-    suggested = tuple(suggest_labels(facts, threshold, index, params))
+    roofs = _by_class(sample.roof, member, len(centres))
+    suggested = tuple(suggest_labels(facts, threshold, index, params, roofs))
     return ClassModel(centres, facts, means, suggested, index, threshold)
 
 

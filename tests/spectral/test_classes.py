@@ -67,6 +67,25 @@ def test_colours_without_infrared_tell_crowns_from_roofs():
     assert roofs > 0.85
 
 
+@pytest.mark.parametrize("picture", ["grey", "green roofs"])
+def test_roofs_are_roofs_in_pictures_that_do_not_tell_them_from_crowns(city, picture):
+    """In cells as coarse as roofs are rough, no hue and the hue of crowns say nothing against the structure."""
+    values = np.array(city.bands.values[:3])
+    if picture == "grey":
+        values[:] = values.mean(axis=0)
+    else:
+        green = values[:, city.scene.cover == scenes.VEGETATION].mean(axis=1)
+        roofs = city.scene.cover == scenes.BUILDING
+        values[:, roofs] = green[:, None] * (values[:, roofs].mean(axis=0) / values[:, roofs].mean())
+    bands = Bands(values, ("red", "green", "blue"), np.array(city.bands.valid), city.bands.spec)
+    rough = np.maximum(city.roughness, np.float32(0.15))
+    roof = (city.scene.cover == scenes.BUILDING) & (np.random.default_rng(1).random(city.scene.cover.shape) < 0.9)
+    _, alone = city.shares(classify(bands, city.ndsm, rough, PARAMS).classes)
+    _, with_structure = city.shares(classify(bands, city.ndsm, rough, PARAMS, roof=roof).classes)
+    assert alone < 0.5
+    assert with_structure > 0.9
+
+
 def test_only_cells_of_at_least_one_storey_are_classified(city, classified):
     """Cells below the mask are 0, all others have a class (V35)."""
     np.testing.assert_array_equal(classified[0].index > 0, city.ndsm.values >= PARAMS.surface.mask_m)

@@ -19,10 +19,10 @@ NAN = float("nan")
 PARAMS = SpectralParams()
 
 
-def _label(index, bright, rough, *, threshold=0.1, name="ndvi"):
+def _label(index, bright, rough, *, threshold=0.1, name="ndvi", roofs=NAN):
     """Label of one class."""
     facts = ClassFacts(*(np.array([value]) for value in (index, bright, rough, 5.0)))
-    return suggest_labels(facts, threshold, name, PARAMS)[0]
+    return suggest_labels(facts, threshold, name, PARAMS, np.array([roofs]))[0]
 
 
 @pytest.mark.parametrize(
@@ -52,6 +52,21 @@ def test_rules(index, bright, rough, label):
     assert _label(index, bright, rough) == label
 
 
+@pytest.mark.parametrize(
+    ("index", "roofs", "label"),
+    [
+        (0.15, 0.4, "vegetation"),
+        (0.15, 0.6, "building"),
+        (0.4, 0.6, "vegetation"),
+        (0.4, 0.8, "building"),
+        (0.4, NAN, "vegetation"),
+    ],
+)
+def test_roofs_of_the_colour_of_crowns_are_known_by_structure(index, roofs, label):
+    """A class that is mostly roofs by structure is no vegetation; one that is surely green needs three quarters."""
+    assert _label(index, 0.3, 0.3, roofs=roofs) == label
+
+
 def test_water_needs_a_near_infrared_band():
     """A red roof has a low green-red index and is no water."""
     assert _label(-0.5, 0.4, 0.02, name="green-red") == "building"
@@ -70,7 +85,7 @@ def _sample(names, *rows):
     """Make a sample of given band values."""
     values = np.array(rows, dtype=float)
     unknown = np.full(len(values), NAN)
-    return Sample(names, np.arange(len(values), dtype=np.uint64), values, values, unknown, unknown)
+    return Sample(names, np.arange(len(values), dtype=np.uint64), values, values, unknown, unknown, unknown)
 
 
 def test_indices_by_their_formula():

@@ -186,8 +186,8 @@ def _fit(drafts: Sequence[Draft], params: Params) -> list[Fitted | None]:
         if each.bands is None or not is_imagery(each.bands):
             filtered.append(None)
             continue
-        rough = each.structure.filled_m
-        sample, bands = sample_to_classify(each.bands, each.surface.ndsm, rough, params)
+        rough, roof = each.structure.filled_m, each.structure.cover.labelled("building")
+        sample, bands = sample_to_classify(each.bands, each.surface.ndsm, rough, params, roof)
         samples.append(sample)
         filtered.append(bands)
     if not samples:
