@@ -110,6 +110,8 @@ class ClassPlan:
         What is known of each class (`msbdb.spectral.model.ClassFacts`).
     band_means : tuple of tuple of float or None
         For each class the mean of each band, in the source's units.
+    roof_share : tuple of float or None
+        The share of each class that the structure takes for roofs, and ``all_roofs``, that of all cells.
     """
 
     bands: tuple[str, ...]
@@ -124,6 +126,8 @@ class ClassPlan:
     roughness_m: tuple[float | None, ...]
     height_m: tuple[float | None, ...]
     band_means: tuple[tuple[float | None, ...], ...]
+    roof_share: tuple[float | None, ...]
+    all_roofs: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +231,7 @@ class Plan:
                 scales_m2=tuple(map(float, known["scales_m2"])),
                 heights_m=tuple(map(float, known["heights_m"])),
                 ndvi_threshold=None if known["ndvi_threshold"] is None else float(known["ndvi_threshold"]),
-                classes=None if classes is None else _as(ClassPlan, classes),
+                classes=None if classes is None else _as(ClassPlan, _with_roofs(classes)),
                 basis=_in_order(known["basis"]),
                 blocks=_tuples(known["blocks"]),
                 block_m=float(known["block_m"]),
@@ -317,6 +321,13 @@ def _with_sparse(points: object) -> object:
     if not isinstance(points, Mapping) or "sparse_m" in points or "spacing_m" not in points:
         return points
     return {**points, "sparse_m": points["spacing_m"]}
+
+
+def _with_roofs(classes: object) -> object:
+    """Return the classes of a plan; where an earlier plan does not tell their shares of roofs, these are unknown."""
+    if not isinstance(classes, Mapping) or "roof_share" in classes or "labels" not in classes:
+        return classes
+    return {**classes, "roof_share": [None] * len(classes["labels"]), "all_roofs": None}
 
 
 def _as(kind: type[T], values: object) -> T:

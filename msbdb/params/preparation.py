@@ -233,8 +233,8 @@ class SpectralParams:
         ours="the index of the scaled bands spreads about twice as wide as NDVI", low=-1, high=1)
     smooth_m: float = param(0.05, "m", "A green class of less roughness is a planted roof, not a crown.",
         ours="plain roofs show 0.003 to 0.05 m on real surveys, hedges and crowns 0.06 to 3 m", low=0, high=10)
-    roof_share: float = param(0.5, "1", "A class is no vegetation if the structure takes a larger share of it for roofs.",
-        ours="in eleven surveys and painted pictures, such classes are roofs of the colour of crowns or of none",
+    roof_share: float = param(0.5, "1", "A class is no vegetation where a larger share of it is roofs by structure.",
+        ours="in all pictures seen, such classes are roofs of the colour of crowns or of none",
         low=0, high=1)
     green_roof_share: float = param(0.75, "1", "The same for a class whose index exceeds the bounds of the threshold.",
         ours="dense rows of trees of Woodford have 0.64, planted roofs 0.85 and more", low=0, high=1)

@@ -15,7 +15,7 @@ from msbdb.landcover import LABELS, ClassMap, overlay
 from msbdb.params import Params
 from msbdb.spectral.kmeans import Sample, draw_sample, predict
 from msbdb.spectral.model import ClassModel, filter_to_classify, fit_model
-from msbdb.surface import drop_green_regions
+from msbdb.surface import Structure, cover_with_colours, drop_green_regions
 from msbdb.tables import SPECTRAL_CLASS, SPECTRAL_CLASS_BAND, validate
 
 COLOURS = {"red", "green", "blue", "nir"}
@@ -55,6 +55,7 @@ def classify(
     roughness: NDArray[np.floating] | None,
     params: Params,
     fitted: Fitted | None = None,
+    *,
     roof: NDArray[np.bool_] | None = None,
 ) -> Classified:
     """Classify the cells of at least one storey by their bands (V34 to V36).
@@ -257,10 +258,9 @@ class Cover:
 
 
 def classify_cover(
-    structure: ClassMap,
+    structure: Structure,
     bands: Bands | None,
     ndsm: Grid,
-    roughness_m: NDArray[np.float32],
     params: Params,
     *,
     echoes: bool,
@@ -269,21 +269,26 @@ def classify_cover(
 ) -> Cover:
     """Classify the colours, if given, and describe all classes in one table; see `classify`.
 
+    Without ``echoes`` the classes of colours help the structure (`msbdb.surface.structure.cover_with_colours`).
     Where ``counted`` is given, (H, W), the table counts these cells alone.
     """
+    by_structure, roughness_m = structure.cover, structure.filled_m
     spectral, table, band_table, model = None, SPECTRAL_CLASS.empty(), SPECTRAL_CLASS_BAND.empty(), None
     if bands is not None and is_imagery(bands):
-        roof = structure.labelled("building")
-        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params, fitted, roof)
+        roof = by_structure.labelled("building")
+        spectral, table, band_table, model = classify(bands, ndsm, roughness_m, params, fitted, roof=roof)
         if counted is not None:
             table, _ = class_tables(model, sizes(np.where(counted, spectral.index, 0), len(spectral.labels)))
     colours_decide = spectral is not None and params.spectral.decides == "spectral"
     if spectral is not None:
-        structure = drop_green_regions(structure, spectral.labelled("vegetation"), roughness_m, params.cover)
-    own = structure.index if counted is None else np.where(counted, structure.index, np.uint8(0))
+        odds = None if model is None or echoes else model.roof_odds
+        if odds is not None:
+            by_structure = cover_with_colours(structure, ndsm, spectral.index, odds, params.cover)
+        by_structure = drop_green_regions(by_structure, spectral.labelled("vegetation"), roughness_m, params.cover)
+    own = by_structure.index if counted is None else np.where(counted, by_structure.index, np.uint8(0))
     table = pd.concat([table, _structure_rows(own, len(table), ndsm, roughness_m)], ignore_index=True)
     green = bands is not None and "nir" in bands.names and not echoes
-    return Cover(structure, spectral, table, band_table, colours_decide, green, {}, model)
+    return Cover(by_structure, spectral, table, band_table, colours_decide, green, {}, model)
 
 
 def _structure_rows(index: NDArray[np.uint8], count: int, ndsm: Grid, roughness_m: NDArray[np.float32]) -> pd.DataFrame:

@@ -23,6 +23,9 @@ from msbdb.threads import in_threads
 INDEX_BANDS = {"ndvi": ("nir", "red"), "green-red": ("green", "red"), "pseudo-ndvi": ("intensity", "red")}
 """The two bands a and b of each vegetation index (a - b) / (a + b), in order of preference."""
 
+SURE_SHARES = (0.05, 0.95)
+"""Ours: the structure mistakes as many cells even where it is sure."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClassFacts:
@@ -38,12 +41,15 @@ class ClassFacts:
         Median, which edges of roofs do not sway.
     height : (K,) ndarray of float64, metres
         Mean height above ground.
+    roof_share : (K,) ndarray of float64
+        Share of the cells that the structure takes for roofs.
     """
 
     index: NDArray[np.float64]
     brightness: NDArray[np.float64]
     roughness: NDArray[np.float64]
     height: NDArray[np.float64]
+    roof_share: NDArray[np.float64]
 
 
 def choose_index(names: tuple[str, ...], wanted: str) -> str | None:
@@ -101,13 +107,7 @@ def index_bounds(index: str, params: SpectralParams) -> tuple[float, float]:
     return min(bounds), max(bounds)
 
 
-def suggest_labels(
-    facts: ClassFacts,
-    threshold: float,
-    index: str | None,
-    params: SpectralParams,
-    roof_share: NDArray[np.float64] | None = None,
-) -> list[str]:
+def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, params: SpectralParams) -> list[str]:
     """Suggest the information class of each class (V36): one of ``msbdb.landcover.LABELS``.
 
     Parameters
@@ -120,8 +120,6 @@ def suggest_labels(
         Name of the vegetation index.
     params : SpectralParams
         The thresholds.
-    roof_share : (K,) ndarray of float64, optional
-        Share of each class that the structure takes for roofs; NaN for unknown.
 
     Returns
     -------
@@ -134,8 +132,9 @@ def suggest_labels(
 
     1. Vegetation: green, not as smooth as a roof, and by structure not mostly roofs. The index must exceed its
        threshold. For rough classes the threshold is lower, by up to ``leafless_share`` of the width of its bounds, for
-       bare crowns and crowns in shadow. A picture has roofs of the colour of crowns, or no hue at all: there a class
-       of which the structure takes more than ``roof_share`` for roofs is none, or ``green_roof_share`` above the bounds.
+       bare crowns and crowns in shadow. Pictures may have roofs of the colour of crowns, or no hue at all. So a class
+       is none if the structure takes more of it for roofs than ``roof_share``, or, where its index exceeds the bounds,
+       than ``green_roof_share``.
     2. Other: rougher than any roof.
     3. Water: smooth, with a very low NDVI.
     4. Shadow: dark, and not known to be smoother than ``rough_m``. Smooth dark classes are roofs, in shadow or dark.
@@ -145,18 +144,15 @@ def suggest_labels(
 
     Examples
     --------
-    A green rough class, a smooth bright one, and a dark rough one:
+    A green rough class, a smooth bright one, and a dark rough one, of which nobody knows the structure:
 
     >>> index, bright, rough = np.array([[0.6, 0.1, 0.1], [0.3, 0.5, 0.05], [0.6, 0.03, 0.6]])
-    >>> facts = ClassFacts(index, bright, rough, np.full(3, 6.0))
+    >>> facts = ClassFacts(index, bright, rough, np.full(3, 6.0), np.full(3, np.nan))
     >>> suggest_labels(facts, 0.3, "ndvi", SpectralParams())
     ['vegetation', 'building', 'shadow']
     """
-    roofs = np.full(len(facts.index), np.nan) if roof_share is None else roof_share
-    return [
-        _label(*values, threshold=threshold, index=index, params=params)
-        for values in zip(facts.index, facts.brightness, facts.roughness, roofs, strict=True)
-    ]
+    values = zip(facts.index, facts.brightness, facts.roughness, facts.roof_share, strict=True)
+    return [_label(*each, threshold=threshold, index=index, params=params) for each in values]
 
 
 def _label(
@@ -268,6 +264,8 @@ class ClassModel:
         The vegetation index in use.
     threshold : float
         Of the vegetation index; NaN for none.
+    all_roofs : float
+        Share of all cells that the structure takes for roofs; NaN for unknown.
     """
 
     centres: Centres
@@ -276,6 +274,20 @@ class ClassModel:
     suggested: tuple[str, ...]
     index: str | None
     threshold: float
+    all_roofs: float
+
+    @property
+    def roof_odds(self) -> NDArray[np.float64] | None:
+        """Return the (K + 1,) log-odds of roof by the structure: of all cells, and then of each class.
+
+        ln(p / (1 - p)) of their shares p of roofs within `SURE_SHARES`; of a class without cells, that of all. None
+        where the structure was not known.
+        """
+        if np.isnan(self.all_roofs):
+            return None
+        shares = np.append(self.all_roofs, np.nan_to_num(self.facts.roof_share, nan=self.all_roofs))
+        shares = shares.clip(*SURE_SHARES)
+        return np.asarray(np.log(shares / (1 - shares)))
 
     @property
     def plan(self) -> ClassPlan:
@@ -293,13 +305,16 @@ class ClassModel:
             brightness=known(facts.brightness),
             roughness_m=known(facts.roughness),
             height_m=known(facts.height),
+            roof_share=known(facts.roof_share),
+            all_roofs=known(np.array([self.all_roofs]))[0],
             band_means=tuple(map(known, self.band_means)),
         )
 
     @classmethod
     def of_plan(cls, plan: ClassPlan) -> "ClassModel":
         """Return the model that a plan has, the inverse of ``plan``."""
-        facts = ClassFacts(*map(numbers, (plan.index, plan.brightness, plan.roughness_m, plan.height_m)))
+        columns = (plan.index, plan.brightness, plan.roughness_m, plan.height_m, plan.roof_share)
+        facts = ClassFacts(*map(numbers, columns))
         return cls(
             Centres(Scaling(plan.bands, plan.low, plan.high), numbers(plan.centres)),
             facts,
@@ -307,6 +322,7 @@ class ClassModel:
             plan.labels,
             plan.vegetation_index,
             float(numbers((plan.vegetation_threshold,))[0]),
+            float(numbers((plan.all_roofs,))[0]),
         )
 
     def as_dict(self) -> dict[str, object]:
@@ -352,12 +368,12 @@ def fit_model(sample: Sample, params: SpectralParams) -> ClassModel:
         _by_class(bright, member, len(centres)),
         np.array([_median(sample.roughness[member == k]) for k in range(1, len(centres) + 1)]),
         _by_class(sample.height, member, len(centres)),
+        _by_class(sample.roof, member, len(centres)),
     )
     threshold = index_threshold(greenness, index, params)
     means = np.stack([_by_class(band, member, len(centres)) for band in sample.bands.T], axis=1)
-    roofs = _by_class(sample.roof, member, len(centres))
-    suggested = tuple(suggest_labels(facts, threshold, index, params, roofs))
-    return ClassModel(centres, facts, means, suggested, index, threshold)
+    suggested = tuple(suggest_labels(facts, threshold, index, params))
+    return ClassModel(centres, facts, means, suggested, index, threshold, float(sample.roof.mean()))
 
 
 def _by_class(values: NDArray[np.float64], member: NDArray[np.uint8], classes: int) -> NDArray[np.float64]:

@@ -2,7 +2,13 @@
 
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.heights import Surface, grid_surface, heights_above, normalise, surface_from_rasters
-from msbdb.surface.structure import Structure, cover_from_surface, drop_green_regions, structural_cover
+from msbdb.surface.structure import (
+    Structure,
+    cover_from_surface,
+    cover_with_colours,
+    drop_green_regions,
+    structural_cover,
+)
 from msbdb.surface.texture import Echoes, echoes, roughness
 
 __all__ = [
@@ -12,6 +18,7 @@ __all__ = [
     "Surface",
     "cell_size",
     "cover_from_surface",
+    "cover_with_colours",
     "density",
     "drop_green_regions",
     "echoes",

@@ -33,6 +33,9 @@ USUAL_CELL_M = 0.6
 WINDOW_POWER = 1.2
 """Ours, in sample: the limit of smoothness grows by this power of the window, as wide windows span several roofs."""
 
+LEAST = np.float32(1e-4)
+"""Of a probability whose log-odds are taken."""
+
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
 
@@ -109,14 +112,61 @@ def structural_cover(
         params = _for_wider_windows(params, ndsm.spec.cell_m)
         odds = _rough_odds(filled_m, wide_roughness_m, params)
     probability = _sigmoid(odds)
-    roof = smooth_share(probability, raised, params.smooth_m / ndsm.spec.cell_m) > 0.5
-    neck_m = params.neck_m if echoes else params.blind_neck_m
-    roof = _tidy(roof & raised, raised, ndsm.spec.cell_m, neck_m, params)
-    roof = _judge_regions(roof, filled_m, echoes, ndsm.spec.cell_m, params)
-    roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), ndsm.spec.cell_m, params)
-    index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
-    cover = ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
+    cover = _regions_of(probability, raised, ndsm, params, roughness_m=filled_m, echoes=echoes)
     return Structure(cover, probability, roughness_m, filled_m)
+
+
+def _regions_of(
+    probability: Field, raised: Mask, ndsm: Grid, params: CoverParams, *, roughness_m: Field, echoes: Echoes | None
+) -> ClassMap:
+    """Smooth the cells' probabilities, cut them at one half, and judge each region as a whole."""
+    cell_m = ndsm.spec.cell_m
+    roof = smooth_share(probability, raised, params.smooth_m / cell_m) > 0.5
+    neck_m = params.neck_m if echoes else params.blind_neck_m
+    roof = _tidy(roof & raised, raised, cell_m, neck_m, params)
+    roof = _judge_regions(roof, roughness_m, echoes, cell_m, params)
+    roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), cell_m, params)
+    index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
+    return ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
+
+
+def cover_with_colours(
+    structure: Structure, ndsm: Grid, index: NDArray[np.uint8], odds: NDArray[np.float64], params: CoverParams
+) -> ClassMap:
+    """Separate roofs from vegetation without echoes: by roughness, and by what it tells of each class of colours.
+
+    Roughness errs on single roofs and crowns, and seldom on most of a class. So each class speaks for all of its cells.
+
+    Parameters
+    ----------
+    structure : Structure
+        By roughness alone.
+    ndsm : Grid
+        Heights above ground, metres.
+    index : (H, W) ndarray of uint8
+        Class of a cell, 1 to K; 0 where it has none, and stands by its own roughness.
+    odds : (K + 1,) ndarray of float64
+        Log-odds of roof by the structure, of all classified cells together, and then of those of each class.
+    params : CoverParams
+        Weights and sizes.
+
+    Returns
+    -------
+    ClassMap
+        As that of the structure.
+
+    Notes
+    -----
+    A class adds to the log-odds of its cells what it has more than all cells together, for so much is in their own
+    already. Where regions are judged, roughness r becomes r·exp(-odds / w): by that much it changes the odds itself,
+    with w the weight of roughness.
+    """
+    added = (odds - odds[0]).astype(np.float32)[index]
+    factor = np.exp(-np.append(0.0, odds[1:]) / params.rough_weight).astype(np.float32)[index]
+    own = np.clip(structure.roof_probability, LEAST, 1 - LEAST)
+    probability = _sigmoid(np.log(own / (1 - own)) + added)
+    wider, raised = _for_wider_windows(params, ndsm.spec.cell_m), structure.cover.index > 0
+    return _regions_of(probability, raised, ndsm, wider, roughness_m=structure.filled_m * factor, echoes=None)
 
 
 def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> Field:

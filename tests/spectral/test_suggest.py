@@ -21,8 +21,8 @@ PARAMS = SpectralParams()
 
 def _label(index, bright, rough, *, threshold=0.1, name="ndvi", roofs=NAN):
     """Label of one class."""
-    facts = ClassFacts(*(np.array([value]) for value in (index, bright, rough, 5.0)))
-    return suggest_labels(facts, threshold, name, PARAMS, np.array([roofs]))[0]
+    facts = ClassFacts(*(np.array([value]) for value in (index, bright, rough, 5.0, roofs)))
+    return suggest_labels(facts, threshold, name, PARAMS)[0]
 
 
 @pytest.mark.parametrize(

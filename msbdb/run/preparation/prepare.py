@@ -157,10 +157,9 @@ def prepare(
             require_fitting(plan, surface, cloud)
             chosen, fitted = plan, fitted_by(plan, bands)
         cover = classify_cover(
-            structure.cover,
+            structure,
             bands,
             surface.ndsm,
-            structure.filled_m,
             settled(params, chosen),
             echoes=cloud is not None and cloud.has_echoes,
             fitted=fitted,

@@ -2,17 +2,19 @@
 
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import laspy
 import numpy as np
+from numpy.typing import NDArray
 
 from cases.copies import with_class_alone
 from cases.labelled import Objects, Reference
 from cases.othergrounds import OTHER_GROUNDS
-from cases.rasters import as_rasters
+from cases.rasters import as_orthophoto, as_rasters
 from msbdb.detect.scene import Scene
+from msbdb.grid import GridSpec
 from msbdb.params import DETECTORS, POINT_DETECTORS, Params, profile, with_values
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import GROUND_CLASS, UNCLASSIFIED_CLASS
@@ -45,6 +47,10 @@ class Case:
     """What its row says beforehand."""
     raster_m: float = 0.0
     """Cells of the rasters that are made of the points, metres; 0 builds from the points."""
+    ortho: tuple[Path, ...] = ()
+    """Orthophotos beside the rasters."""
+    picture: tuple[NDArray[np.uint8], GridSpec] | None = None
+    """A picture that is written as such: (3, H, W) red, green and blue, and its lattice."""
 
 
 def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
@@ -98,6 +104,10 @@ def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params
         inputs, methods = Inputs(points=files, crs=case.crs), DETECTORS
         if case.raster_m:
             inputs, methods = as_rasters(files, case.crs, case.raster_m, folder), RASTER_DETECTORS
+            ortho = case.ortho
+            if case.picture is not None:
+                ortho = (as_orthophoto(*case.picture, case.crs, folder / "ortho.tif"),)
+            inputs = replace(inputs, ortho=ortho, ortho_crs=case.crs if ortho else None)
         stages = Stages(None)
         scene, params, _ = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
         return scene, detect(scene, methods, params, stages), params

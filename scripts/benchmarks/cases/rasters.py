@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
+from numpy.typing import NDArray
 from pyproj import CRS
 from rasterio.fill import fillnodata
 
-from msbdb.grid import lattice
+from msbdb.grid import GridSpec, lattice
 from msbdb.ground.choice import terrain
 from msbdb.io.las import read_points
 from msbdb.params import GroundParams
@@ -43,3 +44,22 @@ def as_rasters(files: tuple[Path, ...], crs: str, cell_m: float, folder: Path) -
         ) as file:
             file.write(heights, 1)
     return Inputs(dsm=folder / "dsm.tif", dtm=folder / "dtm.tif")
+
+
+def as_orthophoto(picture: NDArray[np.uint8], spec: GridSpec, crs: str, path: Path) -> Path:
+    """Write a picture of three bands."""
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        height=spec.shape[0],
+        width=spec.shape[1],
+        count=3,
+        dtype="uint8",
+        crs=crs,
+        transform=spec.transform,
+    ) as file:
+        file.write(picture)
+        for number, name in enumerate(("red", "green", "blue"), 1):
+            file.set_band_description(number, name)
+    return path
