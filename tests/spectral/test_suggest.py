@@ -1,5 +1,7 @@
 """The automatic suggestion of what a class is (V36)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,10 @@ from msbdb.spectral.colours import fit_scaling
 from msbdb.spectral.kmeans import Sample
 from msbdb.spectral.model import (
     ClassFacts,
+    ClassModel,
     brightness,
     choose_index,
+    fit_model,
     index_threshold,
     suggest_labels,
     vegetation_index,
@@ -116,3 +120,16 @@ def test_threshold_lies_between_roofs_and_crowns_and_within_its_bounds():
     assert index_threshold(roofs, "ndvi", PARAMS) == 0.0
     assert index_threshold(crowns, "ndvi", PARAMS) == 0.2
     assert np.isnan(index_threshold(roofs, None, PARAMS))
+
+
+def test_classes_know_their_odds_of_roof_and_keep_them_in_a_plan():
+    """Of three colours one is always a roof, one never, one half of the time; shares are cut at 5 and 95 per cent."""
+    values = np.repeat([[0.0], [50.0], [100.0]], 40, axis=0)
+    unknown = np.full(len(values), NAN)
+    roof = np.concatenate((np.ones(40), np.arange(40) % 2, np.zeros(40)))
+    sample = Sample(("red",), np.arange(len(values), dtype=np.uint64), values, values, unknown, unknown, roof)
+    model = fit_model(sample, PARAMS)
+    np.testing.assert_allclose(model.roof_odds, [0.0, np.log(19), 0.0, -np.log(19)], atol=1e-12)
+    again = ClassModel.of_plan(model.plan)
+    np.testing.assert_array_equal(again.roof_odds, model.roof_odds)
+    assert fit_model(replace(sample, roof=unknown), PARAMS).roof_odds is None

@@ -12,7 +12,7 @@ from msbdb.grid import Grid, lattice
 from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation.drafts import build_surface
-from msbdb.surface import cover_from_surface, normalise, surface_from_rasters
+from msbdb.surface import cover_from_surface, cover_with_colours, normalise, surface_from_rasters
 from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_share, structural_cover
 from msbdb.surface.texture import NO_PLANE_M, Echoes
 
@@ -225,3 +225,34 @@ def test_gabled_roofs_are_no_crowns_on_coarse_cells(cell_m, half_m):
     roofs = cover_from_surface(surface, None, Params()).cover.labelled("building")
     assert roofs[houses].mean() > 0.9
     assert roofs[crowns].mean() < 0.1
+
+
+def _roofs_and_crowns() -> tuple[Grid, NDArray[np.float32], NDArray[np.uint8]]:
+    """Return a smooth house, a rough one and a crown as rough: heights, roughness, and colours 1, 1, 2."""
+    spec = lattice((0, 0, 60, 20), 0.5, scenes.UTM33)
+    heights = np.zeros(spec.shape, dtype=np.float32)
+    rough = np.full(spec.shape, 0.02, dtype=np.float32)
+    index = np.zeros(spec.shape, dtype=np.uint8)
+    for first, rough_m, colour in ((10, 0.02, 1), (50, 0.3, 1), (90, 0.3, 2)):
+        here = np.s_[10:30, first : first + 20]
+        heights[here], rough[here], index[here] = 6.0, rough_m, colour
+    return Grid(heights, np.ones(spec.shape, dtype=bool), spec), rough, index
+
+
+def test_a_rough_roof_has_the_colour_of_smooth_ones():
+    """By roughness alone the rough house is a crown; its colour says a roof."""
+    ndsm, rough, index = _roofs_and_crowns()
+    alone = structural_cover(ndsm, rough, rough, None, mask_m=2.0, params=PARAMS.cover)
+    assert [alone.cover.index[20, col] for col in (20, 60, 100)] == [ROOF, VEGETATION, VEGETATION]
+    with_colours = cover_with_colours(alone, ndsm, index, np.array([-0.6, 2.0, -2.5]), PARAMS.cover)
+    assert [with_colours.index[20, col] for col in (20, 60, 100)] == [ROOF, ROOF, VEGETATION]
+
+
+def test_classes_that_say_nothing_change_nothing():
+    """Even odds of all classes, and cells without a class, give the cover of the structure alone."""
+    ndsm, rough, index = _roofs_and_crowns()
+    rough = np.random.default_rng(5).uniform(0.02, 0.5, rough.shape).astype(np.float32)
+    alone = structural_cover(ndsm, rough, rough, None, mask_m=2.0, params=PARAMS.cover)
+    for classes, odds in ((index, np.zeros(3)), (np.zeros_like(index), np.array([-0.6, 2.0, -2.5]))):
+        found = cover_with_colours(alone, ndsm, classes, odds, PARAMS.cover)
+        np.testing.assert_array_equal(found.index, alone.cover.index)
