@@ -33,9 +33,6 @@ USUAL_CELL_M = 0.6
 WINDOW_POWER = 1.2
 """Ours, in sample: the limit of smoothness grows by this power of the window, as wide windows span several roofs."""
 
-LEAST = np.float32(1e-4)
-"""Of a probability whose log-odds are taken."""
-
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
 
@@ -158,13 +155,15 @@ def cover_with_colours(
     Notes
     -----
     A class adds to the log-odds of its cells what it has more than all cells together, for so much is in their own
-    already. Where regions are judged, roughness r becomes r·exp(-odds / w): by that much it changes the odds itself,
-    with w the weight of roughness.
+    already: of odds p / (1 - p) that become f times as much, the probability is f·p / (1 - p + f·p). Where regions are
+    judged, roughness r becomes r·exp(-odds / w): by that much it changes the odds itself, with w the weight of
+    roughness.
     """
-    added = (odds - odds[0]).astype(np.float32)[index]
+    times = np.exp(odds - odds[0]).astype(np.float32)[index]
     factor = np.exp(-np.append(0.0, odds[1:]) / params.rough_weight).astype(np.float32)[index]
-    own = np.clip(structure.roof_probability, LEAST, 1 - LEAST)
-    probability = _sigmoid(np.log(own / (1 - own)) + added)
+    own = structure.roof_probability
+    times *= own
+    probability = times / (1 - own + times)
     wider, raised = _for_wider_windows(params, ndsm.spec.cell_m), structure.cover.index > 0
     return _regions_of(probability, raised, ndsm, wider, roughness_m=structure.filled_m * factor, echoes=None)
 
