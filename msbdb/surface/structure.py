@@ -132,7 +132,7 @@ def cover_with_colours(
 ) -> ClassMap:
     """Separate roofs from vegetation without echoes: by roughness, and by what it tells of each class of colours.
 
-    Roughness errs on single roofs and crowns, and seldom on most of a class. So each class is evidence for all its cells.
+    Roughness errs on single roofs and crowns, seldom on most of a class. So each class is evidence for its cells.
 
     Parameters
     ----------
