@@ -205,5 +205,6 @@ def test_real_hostile_files_end_well(path, crs):
         assert isinstance(cloud, PointCloud)
         assert all(np.isfinite(values).all() for values in (cloud.x, cloud.y, cloud.z))
         promised = read_las_header(path).points
-        assert len(cloud) == promised or any("dropped" in notice for notice in notices)
+        told = any("dropped" in notice or "Each place counts once" in notice for notice in notices)
+        assert len(cloud) == promised or told
         assert len(cloud) == SOUND.get(path.name, len(cloud))
