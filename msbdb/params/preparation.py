@@ -234,10 +234,9 @@ class SpectralParams:
     smooth_m: float = param(0.05, "m", "A green class of less roughness is a planted roof, not a crown.",
         ours="plain roofs show 0.003 to 0.05 m on real surveys, hedges and crowns 0.06 to 3 m", low=0, high=10)
     roof_share: float = param(0.5, "1", "A class is no vegetation where a larger share of it is roofs by structure.",
-        ours="in all pictures seen, such classes are roofs of the colour of crowns or of none",
-        low=0, high=1)
+        ours="of pictures in which roofs and crowns share colours, most such classes are roofs", low=0, high=1)
     green_roof_share: float = param(0.75, "1", "The same for a class whose index exceeds the bounds of the threshold.",
-        ours="dense rows of trees of Woodford have 0.64, planted roofs 0.85 and more", low=0, high=1)
+        ours="between dense rows of trees of Woodford, 0.64, and green roofs apart from crowns, 0.85", low=0, high=1)
     rough_m: float = param(0.5, "m",
         "Roughness of a certain crown, where the index may lie farthest below its threshold.",
         ours="the roughest roof classes seen show 0.4 to 0.46 m, at cells of 0.5 and 1 m", low=0, high=100)

@@ -24,7 +24,7 @@ INDEX_BANDS = {"ndvi": ("nir", "red"), "green-red": ("green", "red"), "pseudo-nd
 """The two bands a and b of each vegetation index (a - b) / (a + b), in order of preference."""
 
 SURE_SHARES = (0.05, 0.95)
-"""Ours: the structure mistakes as many cells even where it is sure."""
+"""Ours: lowest and highest share of roofs that counts, as the structure errs on one cell in twenty where it is sure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ class ClassFacts:
     height : (K,) ndarray of float64, metres
         Mean height above ground.
     roof_share : (K,) ndarray of float64
-        Share of the cells that the structure takes for roofs.
+        Share of the cells that are roofs by structure.
     """
 
     index: NDArray[np.float64]
@@ -132,9 +132,8 @@ def suggest_labels(facts: ClassFacts, threshold: float, index: str | None, param
 
     1. Vegetation: green, not as smooth as a roof, and by structure not mostly roofs. The index must exceed its
        threshold. For rough classes the threshold is lower, by up to ``leafless_share`` of the width of its bounds, for
-       bare crowns and crowns in shadow. Pictures may have roofs of the colour of crowns, or no hue at all. So a class
-       is none if the structure takes more of it for roofs than ``roof_share``, or, where its index exceeds the bounds,
-       than ``green_roof_share``.
+       bare crowns and crowns in shadow. Pictures may have roofs of the colour of crowns, or no hue at all. So the
+       share of roofs must not exceed ``roof_share``, or ``green_roof_share`` for an index above its bounds.
     2. Other: rougher than any roof.
     3. Water: smooth, with a very low NDVI.
     4. Shadow: dark, and not known to be smoother than ``rough_m``. Smooth dark classes are roofs, in shadow or dark.
@@ -171,7 +170,8 @@ def _label(
     low, high = index_bounds(index, params) if index else (0.0, 0.0)
     needed = threshold - params.leafless_share * (high - low) * float(np.nan_to_num(crown))
     roof = roofs > (params.green_roof_share if index and greenness > high else params.roof_share)
-    if (greenness > needed and not smooth and not roof) or (np.isnan(greenness) and rough >= params.rough_m):
+    leafy = (greenness > needed and not smooth) or (np.isnan(greenness) and rough >= params.rough_m)
+    if leafy and not roof:
         return "vegetation"
     if rough >= params.clutter_m:
         return "other"
@@ -265,7 +265,7 @@ class ClassModel:
     threshold : float
         Of the vegetation index; NaN for none.
     all_roofs : float
-        Share of all cells that the structure takes for roofs; NaN for unknown.
+        Share of all cells that are roofs by structure; NaN for unknown.
     """
 
     centres: Centres
@@ -326,10 +326,11 @@ class ClassModel:
         )
 
     def as_dict(self) -> dict[str, object]:
-        """Return what classifies another tile alike, as plain values: scaling, centres, and vegetation index (V21).
+        """Return what classifies another tile alike, as plain values: scaling, centres, index and roofs (V21).
 
         ``low`` and ``high`` hold the values of each of ``bands`` that become 0 and 1; ``centres`` has a row for each
-        class, from class 1 on, with a scaled value for each band.
+        class, from class 1 on, with a scaled value for each band. ``roof_share`` and ``all_roofs`` are the shares of
+        roofs by structure.
         """
         scaling = self.centres.scaling
         return {
@@ -339,6 +340,8 @@ class ClassModel:
             "centres": self.centres.values.tolist(),
             "vegetation_index": self.index,
             "vegetation_threshold": self.threshold,
+            "roof_share": list(known(self.facts.roof_share)),
+            "all_roofs": known(np.array([self.all_roofs]))[0],
         }
 
 

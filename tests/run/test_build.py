@@ -145,6 +145,9 @@ def test_what_a_run_decided_itself_is_kept(town):
     assert centres.shape == (len(colours), len(spectral["bands"]))
     assert ((centres >= 0) & (centres <= 1)).all()
     assert all(low < high for low, high in zip(spectral["low"], spectral["high"], strict=True))
+    shares = np.array(spectral["roof_share"])
+    assert shares.shape == (len(colours),)
+    assert 0 <= shares.min() < spectral["all_roofs"] < shares.max() <= 1
 
 
 def test_info_for_people_names_the_ground_filter_and_no_centres(town):

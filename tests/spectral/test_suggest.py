@@ -71,6 +71,12 @@ def test_roofs_of_the_colour_of_crowns_are_known_by_structure(index, roofs, labe
     assert _label(index, 0.3, 0.3, roofs=roofs) == label
 
 
+def test_a_rough_class_of_one_band_is_no_vegetation_where_it_is_mostly_roofs():
+    """Without an index the structure decides alone."""
+    assert _label(NAN, NAN, 0.8, roofs=0.2) == "vegetation"
+    assert _label(NAN, NAN, 0.8, roofs=0.6) == "building"
+
+
 def test_water_needs_a_near_infrared_band():
     """A red roof has a low green-red index and is no water."""
     assert _label(-0.5, 0.4, 0.02, name="green-red") == "building"
