@@ -32,20 +32,21 @@ def in_grey(ortho, path):
     return path
 
 
-def with_noise(dsm, path):
-    """Write heights again with a noise of 12 cm, as steep roofs have in coarse cells."""
+def with_rough_roofs(dsm, path):
+    """Write heights again, with 20 cm of noise on all that is high: as rough as steep roofs are in coarse cells."""
     with rasterio.open(dsm) as source:
         heights, profile = source.read(1), source.profile
-    heights += np.random.default_rng(4).normal(scale=0.12, size=heights.shape).astype(np.float32)
+    noise_m = np.random.default_rng(4).normal(scale=0.2, size=heights.shape).astype(np.float32)
+    heights += np.where(heights > np.median(heights) + 2, noise_m, np.float32(0))
     with rasterio.open(path, "w", **profile) as file:
         file.write(heights, 1)
     return path
 
 
 def test_a_picture_without_hue_takes_no_building(files, tmp_path):
-    """All houses of a town with rough roofs are there in grey, and crowns beside them are not."""
-    heights = {"dsm": with_noise(files["dsm"], tmp_path / "dsm.tif"), "dtm": files["dtm"]}
+    """All houses of a town with rough roofs are there in grey. By hue and roughness alone all are vegetation."""
     grey = in_grey(files["ortho"], tmp_path / "grey.tif")
+    heights = {"dsm": with_rough_roofs(files["dsm"], tmp_path / "dsm.tif"), "dtm": files["dtm"]}
     msbdb.build(**heights, ortho=grey, db=tmp_path / "town.sqlite", survey="town")
     with msbdb.open(tmp_path / "town.sqlite") as opened:
         found = opened.buildings()
