@@ -8,11 +8,12 @@ from pathlib import Path
 import laspy
 import numpy as np
 from numpy.typing import NDArray
+from simulated.files import write_image
 
 from cases.copies import with_class_alone
 from cases.labelled import Objects, Reference
 from cases.othergrounds import OTHER_GROUNDS
-from cases.rasters import as_orthophoto, as_rasters
+from cases.rasters import as_rasters
 from msbdb.detect.scene import Scene
 from msbdb.grid import GridSpec
 from msbdb.params import DETECTORS, POINT_DETECTORS, Params, profile, with_values
@@ -49,8 +50,8 @@ class Case:
     """Cells of the rasters that are made of the points, metres; 0 builds from the points."""
     ortho: tuple[Path, ...] = ()
     """Orthophotos beside the rasters."""
-    picture: tuple[NDArray[np.uint8], GridSpec] | None = None
-    """A picture that is written as such: (3, H, W) red, green and blue, and its lattice."""
+    picture: tuple[NDArray[np.floating], GridSpec] | None = None
+    """A picture in place of orthophotos: red, green and blue, (3, H, W) from 0 to 255, and its lattice."""
 
 
 def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
@@ -106,7 +107,7 @@ def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params
             inputs, methods = as_rasters(files, case.crs, case.raster_m, folder), RASTER_DETECTORS
             ortho = case.ortho
             if case.picture is not None:
-                ortho = (as_orthophoto(*case.picture, case.crs, folder / "ortho.tif"),)
+                ortho = (write_image(folder / "ortho.tif", *case.picture, ("red", "green", "blue")),)
             inputs = replace(inputs, ortho=ortho, ortho_crs=case.crs if ortho else None)
         stages = Stages(None)
         scene, params, _ = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))

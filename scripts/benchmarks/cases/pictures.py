@@ -15,6 +15,7 @@ from cases.kinds import THINNED, as_they_are
 from cases.labelled import NAMED, Reference, reference_of
 from cases.measures import Case
 from msbdb.grid import GridSpec, lattice
+from msbdb.points.cloud import NOISE_CLASSES
 
 PICTURE_M = 0.5
 """Cells of the rasters and of the pictures, metres."""
@@ -31,10 +32,10 @@ ORTHOPHOTOS = {
 COLOURED = "sevilla_plaza"
 """The place whose points have colours."""
 
+RED = (150, 85, 70)
 ROOFS = {
-    "red": [(150, 85, 70)],
-    "six colours": [(150, 85, 70), (120, 120, 120), (70, 70, 75), (200, 200, 195), (110, 100, 85), (90, 110, 95)],
-    "black and white": [(150, 85, 70), (120, 120, 120), (70, 70, 75), (200, 200, 195), (110, 100, 85), (90, 110, 95)],
+    "red": [RED],
+    "six colours": [RED, (120, 120, 120), (70, 70, 75), (200, 200, 195), (110, 100, 85), (90, 110, 95)],
 }
 """Colours of the roofs of painted pictures, one an object at random."""
 
@@ -57,16 +58,15 @@ def with_pictures(data: Path, names: set[str]) -> Iterator[Case]:
         if case.name == COLOURED:
             yield replace(base, name=f"{case.name}, RGB", picture=coloured(case.clouds[0], case.crs))
         if case.name in THINNED:
-            for kind, colours in ROOFS.items():
-                picture = painted(case.clouds, reference, colours)
-                if kind == "black and white":
-                    picture = np.broadcast_to(picture.mean(axis=0, keepdims=True), picture.shape).astype(np.uint8)
+            pictures = {kind: painted(case.clouds, reference, colours) for kind, colours in ROOFS.items()}
+            pictures["black and white"] = np.repeat(pictures["six colours"].mean(axis=0, keepdims=True), 3, axis=0)
+            for kind, picture in pictures.items():
                 yield replace(base, name=f"{case.name}, {kind}", picture=(picture, reference.spec))
 
 
 def painted(
     clouds: list[laspy.LasData], reference: Reference, colours: list[tuple[int, int, int]]
-) -> NDArray[np.uint8]:
+) -> NDArray[np.float64]:
     """Paint roofs, crowns, lawns and asphalt, (3, H, W): each with its light and shade, crowns with the strongest."""
     rng = np.random.default_rng(1)
     spec = reference.spec
@@ -75,7 +75,7 @@ def painted(
         z = np.asarray(cloud.z)
         row, col = spec.rowcol(np.asarray(cloud.x), np.asarray(cloud.y))
         kept = (row >= 0) & (row < spec.shape[0]) & (col >= 0) & (col < spec.shape[1])
-        kept &= ~np.isin(np.asarray(cloud.classification), (7, 18))
+        kept &= ~np.isin(np.asarray(cloud.classification), NOISE_CLASSES)
         np.maximum.at(top, (row[kept], col[kept]), z[kept])
         np.minimum.at(low, (row[kept], col[kept]), z[kept])
     low = np.where(np.isfinite(low), low, np.median(low[np.isfinite(low)]))
@@ -91,10 +91,10 @@ def painted(
     light /= light.std()
     picture *= np.clip(1 + np.where(crowns, 0.35, 0.1) * light, 0.3, 1.7)[..., None]
     picture += rng.normal(scale=4, size=picture.shape)
-    return np.moveaxis(np.clip(picture, 1, 255), 2, 0).astype(np.uint8)
+    return np.moveaxis(np.floor(np.clip(picture, 1, 255)), 2, 0)
 
 
-def coloured(cloud: laspy.LasData, crs: str) -> tuple[NDArray[np.uint8], GridSpec]:
+def coloured(cloud: laspy.LasData, crs: str) -> tuple[NDArray[np.float32], GridSpec]:
     """Return the colours of the first echoes as a picture, gaps filled."""
     first = np.asarray(cloud.return_number) <= 1
     x, y = np.asarray(cloud.x)[first], np.asarray(cloud.y)[first]
@@ -106,4 +106,4 @@ def coloured(cloud: laspy.LasData, crs: str) -> tuple[NDArray[np.uint8], GridSpe
         values[row, col] = np.asarray(cloud[name])[first] / 256
         seen[row, col] = True
         bands.append(fillnodata(values, seen, max_search_distance=8))
-    return np.clip(np.stack(bands), 0, 255).astype(np.uint8), spec
+    return np.stack(bands), spec

@@ -3,12 +3,11 @@
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from numpy.typing import NDArray
 from pyproj import CRS
 from rasterio.fill import fillnodata
+from simulated.files import write_heights
 
-from msbdb.grid import GridSpec, lattice
+from msbdb.grid import Grid, lattice
 from msbdb.ground.choice import terrain
 from msbdb.io.las import read_points
 from msbdb.params import GroundParams
@@ -29,37 +28,5 @@ def as_rasters(files: tuple[Path, ...], crs: str, cell_m: float, folder: Path) -
     np.maximum.at(surface, spec.rowcol(points.x[first], points.y[first]), points.z[first].astype(np.float32))
     surface = fillnodata(surface, surface != NODATA, max_search_distance=REACH_PX)
     ground, _ = terrain(points, spec, GroundParams(ground_filter="class2"))
-    for name, heights in {"dsm": surface, "dtm": np.asarray(ground.values, dtype=np.float32)}.items():
-        with rasterio.open(
-            folder / f"{name}.tif",
-            "w",
-            driver="GTiff",
-            height=spec.shape[0],
-            width=spec.shape[1],
-            count=1,
-            dtype="float32",
-            crs=crs,
-            transform=spec.transform,
-            nodata=NODATA,
-        ) as file:
-            file.write(heights, 1)
-    return Inputs(dsm=folder / "dsm.tif", dtm=folder / "dtm.tif")
-
-
-def as_orthophoto(picture: NDArray[np.uint8], spec: GridSpec, crs: str, path: Path) -> Path:
-    """Write a picture of three bands."""
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        height=spec.shape[0],
-        width=spec.shape[1],
-        count=3,
-        dtype="uint8",
-        crs=crs,
-        transform=spec.transform,
-    ) as file:
-        file.write(picture)
-        for number, name in enumerate(("red", "green", "blue"), 1):
-            file.set_band_description(number, name)
-    return path
+    found = {"dsm": Grid(surface, surface != NODATA, spec), "dtm": ground}
+    return Inputs(**{name: write_heights(folder / f"{name}.tif", grid) for name, grid in found.items()})
