@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.points.cloud import UNCLASSIFIED_CLASS, PointCloud
-from msbdb.threads import kernel
+from msbdb.threads import in_threads, kernel
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
+Bits = NDArray[np.uint64]
 
 QUANTA = 32768.0
 """Places are compared in steps of 0.03 mm: files with other offsets differ in the last digits. As it is a power of two,
@@ -57,8 +58,8 @@ def repeated(
 
     Notes
     -----
-    O(N), and less than three bytes a point where few points are repeated. First each point marks a bit of a table by
-    its hash. Then those that share a bit are compared exactly. Points that lie within a step of `QUANTA`, 0.03 mm, are
+    O(N), and less than six bytes a point where few points are repeated. First each point marks a bit of a table by
+    its hash; each half of the points has its own tables, on a core of its own. Then those that share a bit are compared exactly. Points that lie within a step of `QUANTA`, 0.03 mm, are
     at one place. Coordinates in feet may lie on the border of two steps: of files with other offsets one point in ten
     thousand may then stay twice.
 
@@ -108,24 +109,46 @@ def _hash(x: float, y: float, z: float, number: np.uint8) -> np.uint64:
     return mixed ^ (mixed >> np.uint64(32))
 
 
-@kernel
 def _share_a_bit(places: tuple[Floats, Floats, Floats], number: NDArray[np.uint8], bits: int) -> Mask:
     """Return which points share a bit of a table with another one."""
+    halves = [slice(0, number.size // 2), slice(number.size // 2, number.size)]
+    (once, twice), (also, again) = in_threads(lambda half: _mark(_part(places, half), number[half], bits), halves)
+    twice |= again | (once & also)
+    return np.concatenate(in_threads(lambda half: _marked(_part(places, half), number[half], twice, bits), halves))
+
+
+def _part(places: tuple[Floats, Floats, Floats], part: slice) -> tuple[Floats, Floats, Floats]:
+    """Return the coordinates of some points."""
+    x, y, z = places
+    return x[part], y[part], z[part]
+
+
+@kernel
+def _mark(places: tuple[Floats, Floats, Floats], number: NDArray[np.uint8], bits: int) -> tuple[Bits, Bits]:
+    """Return tables of so many bits: those that a point has, and those that several have."""
     x, y, z = places
     once, twice = np.zeros(1 << (bits - 6), dtype=np.uint64), np.zeros(1 << (bits - 6), dtype=np.uint64)
-    shared = np.zeros(number.size, dtype=np.bool_)
     away = np.uint64(64 - bits)
-    for again in (False, True):
-        for point in range(number.size):
-            bit = _hash(x[point], y[point], z[point], number[point]) >> away
-            word, mark = bit >> np.uint64(6), np.uint64(1) << (bit & np.uint64(63))
-            if again:
-                shared[point] = twice[word] & mark != 0
-            elif once[word] & mark:
-                twice[word] |= mark
-            else:
-                once[word] |= mark
-    return shared
+    for point in range(number.size):
+        bit = _hash(x[point], y[point], z[point], number[point]) >> away
+        word, mark = bit >> np.uint64(6), np.uint64(1) << (bit & np.uint64(63))
+        if once[word] & mark:
+            twice[word] |= mark
+        else:
+            once[word] |= mark
+    return once, twice
+
+
+@kernel
+def _marked(places: tuple[Floats, Floats, Floats], number: NDArray[np.uint8], table: Bits, bits: int) -> Mask:
+    """Return which points have a bit of a table of so many."""
+    x, y, z = places
+    found = np.zeros(number.size, dtype=np.bool_)
+    away = np.uint64(64 - bits)
+    for point in range(number.size):
+        bit = _hash(x[point], y[point], z[point], number[point]) >> away
+        found[point] = table[bit >> np.uint64(6)] & (np.uint64(1) << (bit & np.uint64(63))) != 0
+    return found
 
 
 @kernel
