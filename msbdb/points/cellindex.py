@@ -33,7 +33,7 @@ MARGIN = 1e-6
 """Cells larger than a distance by this share never have points nearer than it two cells apart, by rounding."""
 
 MOST_CELLS = 2
-"""Lattices of up to so many cells a point are dense: their points are sorted by counting, and each row's cells found."""
+"""Lattices of up to so many cells a point are dense: points are sorted by counting, and rows are found at once."""
 
 PARTS, LEAST_POINTS = 16, 20_000
 """Work is cut into at most so many parts, of no fewer points each."""

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +123,7 @@ class PointCloud:
     def take(self, index: NDArray[np.generic]) -> "PointCloud":
         """Return the points that a boolean or integer index selects, with all their attributes."""
         # Of rows of colours a boolean index takes ten times as long as their numbers do.
-        places = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        places = cast("NDArray[np.intp]", np.flatnonzero(index) if index.dtype == np.bool_ else index)
         arrays = self.arrays()
         taken = in_threads(lambda each: each.take(places, axis=0), arrays.values())
         return replace(self, **dict(zip(arrays, taken, strict=True)))  # type: ignore[arg-type]  # as they were

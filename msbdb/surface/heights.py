@@ -44,6 +44,8 @@ class Surface:
         First echoes, or cells of the source raster, a square metre.
     terrain_known : bool
         Whether the terrain has its level; False where the source has heights above ground.
+    relief : two (H, W) ndarrays of float32, optional
+        Roughness of the samples in the small and the wide windows, metres, where it was measured beside the terrain.
     """
 
     dsm: Grid
@@ -53,6 +55,7 @@ class Surface:
     ground_filter: str
     density: float
     terrain_known: bool = True
+    relief: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
 
 
 def normalise(dsm: Grid, dtm: Grid) -> Grid:

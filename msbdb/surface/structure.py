@@ -19,6 +19,7 @@ from msbdb.landcover import ClassMap
 from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import CoverParams, Params
 from msbdb.points.cloud import PointCloud
+from msbdb.surface.gridding import Samples
 from msbdb.surface.heights import Surface
 from msbdb.surface.noise import height_noise, without_noise
 from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, roughness, window_cells
@@ -315,6 +316,12 @@ def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
     return extreme(np.where(roof, heights, none), 3, None)
 
 
+def measure_relief(samples: Samples, params: CoverParams) -> tuple[Field, Field]:
+    """Return the roughness of samples in the small and the wide windows, noise included, metres (H, W)."""
+    small, wide = in_threads(partial(roughness, samples), (params.window_m, params.wide_window_m))
+    return small, wide
+
+
 def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
     """Separate roofs from vegetation by texture, and by echoes where the source has them.
 
@@ -334,12 +341,8 @@ def cover_from_surface(surface: Surface, points: PointCloud | None, params: Para
         window.
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
-
-    def relief(window_m: float) -> Field:
-        seen = roughness(surface.samples, window_m)
-        return without_noise(seen, height_noise(seen, surface.ndsm))
-
-    rough, wide = in_threads(relief, (small_m, wide_m))
+    relief = surface.relief or measure_relief(surface.samples, params.cover)
+    rough, wide = in_threads(lambda seen: without_noise(seen, height_noise(seen, surface.ndsm)), relief)
     found = (
         None
         if points is None
