@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from msbdb.labels import look_up
 from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cellindex import CellIndex, cell_of_each, index_cells
 from msbdb.surveyplan import PointFacts
-from msbdb.threads import in_threads
 
 UNCLASSIFIED_CLASS, GROUND_CLASS, BUILDING_CLASS = 1, 2, 6
 
@@ -123,10 +121,8 @@ class PointCloud:
     def take(self, index: NDArray[np.generic]) -> "PointCloud":
         """Return the points that a boolean or integer index selects, with all their attributes."""
         # Of rows of colours a boolean index takes ten times as long as their numbers do.
-        places = cast("NDArray[np.intp]", np.flatnonzero(index) if index.dtype == np.bool_ else index)
-        arrays = self.arrays()
-        taken = in_threads(lambda each: each.take(places, axis=0), arrays.values())
-        return replace(self, **dict(zip(arrays, taken, strict=True)))  # type: ignore[arg-type]  # as they were
+        places = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return replace(self, **{name: each.take(places, axis=0) for name, each in self.arrays().items()})  # type: ignore[arg-type]  # as they were
 
     def places(self) -> "PointCloud":
         """Return the points with their places and echoes alone, all that detectors take."""
