@@ -244,7 +244,7 @@ def _keys(plan: Plan, corner: tuple[int, int], cell_m: float, cols: int) -> NDAr
 
 @kernel
 def _counted(plan: Plan, corner: tuple[int, int], cell_m: float, shape: tuple[int, int]) -> Sorting:
-    """Sort by counting: with a number for each cell of the lattice."""
+    """Sort by counting the points of each cell of a dense lattice."""
     (x, y), limit = plan, shape[0] * shape[1]
     place = np.zeros(limit, dtype=np.int32)
     for point in range(x.size):
@@ -271,7 +271,7 @@ def _counted(plan: Plan, corner: tuple[int, int], cell_m: float, shape: tuple[in
 
 
 def _sorted(plan: Plan, corner: tuple[int, int], cell_m: float, shape: tuple[int, int]) -> Sorting:
-    """Return what is counted in a dense lattice, of any other."""
+    """Sort by the numbers of the cells, on any lattice."""
     keys = _keys(plan, corner, cell_m, shape[1])
     wide = shape[0] * shape[1] > 2**32
     order = np.argsort(keys, kind="stable").astype(np.int32) if wide else order_of(keys, descending=False)

@@ -126,8 +126,8 @@ def _look_beside(
     """Mark the chosen points of a range of cells that have others near; ``chosen`` comes as the coordinates do."""
     index, begin, x, y, z, limit_m2 = search
     for cell in range(part[0], part[1]):
-        begins, ends = index.starts[cell] - begin, index.starts[cell + 1] - begin
-        if not chosen[begins:ends].any():
+        own, after = index.starts[cell] - begin, index.starts[cell + 1] - begin
+        if not chosen[own:after].any():
             continue
         row, col = cell_place(index, cell)
         strips = [strip(index, other, col - 1, col + 1) for other in range(row - 1, row + 2)]
@@ -136,7 +136,7 @@ def _look_beside(
             for other in range(first - begin, stop - begin):
                 if not chosen[other]:
                     lowest, highest = min(lowest, z[other]), max(highest, z[other])
-        for point in range(begins, ends):
+        for point in range(own, after):
             up = max(z[point] - highest, lowest - z[point], 0.0)
             if not chosen[point] or up * up >= limit_m2:  # above or below them all
                 continue

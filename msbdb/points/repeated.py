@@ -60,9 +60,8 @@ def repeated(
     -----
     O(N), and less than six bytes a point where few points are repeated. First each point marks a bit of a table by its
     hash; each half of the points has tables of its own, on a core of its own. Then those that share a bit are compared
-    exactly. Points that lie within a step of `QUANTA`, 0.03 mm, are
-    at one place. Coordinates in feet may lie on the border of two steps: of files with other offsets one point in ten
-    thousand may then stay twice.
+    exactly. Points that lie within a step of `QUANTA`, 0.03 mm, are at one place. Coordinates in feet may lie on the
+    border of two steps: of files with other offsets one point in ten thousand may then stay twice.
 
     Examples
     --------

@@ -1,7 +1,8 @@
 """Surface, terrain and heights above ground: of the cells of a lattice, and of the points themselves."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,8 @@ class Surface:
         First echoes, or cells of the source raster, a square metre.
     terrain_known : bool
         Whether the terrain has its level; False where the source has heights above ground.
-    relief : two (H, W) ndarrays of float32, optional
-        Roughness of the samples in the small and the wide windows, metres, where it was measured beside the terrain.
+    roughness : mapping of float to (H, W) ndarray of float32
+        Roughness of the samples by the side of the window, both in metres, where it was measured beside the terrain.
     """
 
     dsm: Grid
@@ -55,7 +56,7 @@ class Surface:
     ground_filter: str
     density: float
     terrain_known: bool = True
-    relief: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+    roughness: Mapping[float, NDArray[np.float32]] = field(default_factory=dict)
 
 
 def normalise(dsm: Grid, dtm: Grid) -> Grid:

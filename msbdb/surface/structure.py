@@ -316,10 +316,10 @@ def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
     return extreme(np.where(roof, heights, none), 3, None)
 
 
-def measure_relief(samples: Samples, params: CoverParams) -> tuple[Field, Field]:
-    """Return the roughness of samples in the small and the wide windows, noise included, metres (H, W)."""
-    small, wide = in_threads(partial(roughness, samples), (params.window_m, params.wide_window_m))
-    return small, wide
+def roughness_by_window(samples: Samples, params: CoverParams) -> dict[float, Field]:
+    """Return the roughness of samples, noise included, by the sides of the small and the wide window, metres."""
+    windows_m = (params.window_m, params.wide_window_m)
+    return dict(zip(windows_m, in_threads(partial(roughness, samples), windows_m), strict=True))
 
 
 def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
@@ -341,8 +341,13 @@ def cover_from_surface(surface: Surface, points: PointCloud | None, params: Para
         window.
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
-    relief = surface.relief or measure_relief(surface.samples, params.cover)
-    rough, wide = in_threads(lambda seen: without_noise(seen, height_noise(seen, surface.ndsm)), relief)
+
+    def relief(window_m: float) -> Field:
+        known = surface.roughness.get(window_m)
+        seen = roughness(surface.samples, window_m) if known is None else known
+        return without_noise(seen, height_noise(seen, surface.ndsm))
+
+    rough, wide = in_threads(relief, (small_m, wide_m))
     found = (
         None
         if points is None

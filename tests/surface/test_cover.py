@@ -86,6 +86,19 @@ def test_the_order_of_the_points_does_not_matter():
     np.testing.assert_array_equal(a.roof_probability, b.roof_probability)
 
 
+def test_roughness_that_is_known_changes_nothing_and_counts_for_its_window_alone():
+    """The cover is that of roughness measured anew, also in other windows than those of the surface."""
+    points = scenes.under_trees().points
+    surface = build_surface(points, PARAMS)
+    wider = with_values(PARAMS, {"cover": {"window_m": 2.5}})
+    assert set(surface.roughness) == {PARAMS.cover.window_m, PARAMS.cover.wide_window_m}
+    for params in (PARAMS, wider):
+        known, anew = (cover_from_surface(each, points, params) for each in (surface, replace(surface, roughness={})))
+        np.testing.assert_array_equal(known.roughness_m, anew.roughness_m)
+        np.testing.assert_array_equal(known.cover.index, anew.cover.index)
+    assert (known.roughness_m != cover_from_surface(surface, points, PARAMS).roughness_m).any()
+
+
 def test_the_surfaces_are_those_of_the_scene():
     """Roofs stand at their height above the ground, and the ground at 0, whatever their slope."""
     scene = scenes.podium_tower()

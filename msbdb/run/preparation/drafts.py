@@ -28,13 +28,11 @@ from msbdb.spectral.kmeans import load_solver
 from msbdb.surface import Surface, cover_from_surface
 from msbdb.surface.gridding import Samples, cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
-from msbdb.surface.structure import Structure, measure_relief
+from msbdb.surface.structure import Structure, roughness_by_window
 from msbdb.surveyplan import PointFacts
 from msbdb.threads import together
 
 logger = logging.getLogger(__name__)
-
-Relief = NDArray[np.float32]
 
 WINDOW_CELLS = 3
 """Least width of a window of the texture, cells."""
@@ -138,7 +136,7 @@ def make_draft(
         with stages.stage("surface"):
             surface = make_surface(inputs, cloud, params, seen)
         with stages.stage("cover"):
-            return replace(surface, relief=None), cover_from_surface(surface, cloud, params)
+            return replace(surface, roughness={}), cover_from_surface(surface, cloud, params)
 
     def gather(spec: GridSpec) -> Bands | None:
         with stages.stage("bands"):
@@ -179,7 +177,7 @@ def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params, seen:
 
 
 def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec], Grid] | None = None) -> Surface:
-    """Grid the first echoes, detect the ground, and subtract it (V13 to V16); measure the relief meanwhile.
+    """Grid the first echoes, detect the ground, and subtract it (V13 to V16); measure the roughness meanwhile.
 
     Parameters
     ----------
@@ -203,18 +201,18 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
     spec = lattice_of_points(points, params)
     aligned = None if given is None else align_grid(given(spec), spec, role="DTM")
 
-    def measure() -> tuple[Grid, Samples, tuple[Relief, Relief]]:
+    def measure() -> tuple[Grid, Samples, dict[float, NDArray[np.float32]]]:
         dsm, samples = grid_surface(points, spec, params)
-        return dsm, samples, measure_relief(samples, params.cover)
+        return dsm, samples, roughness_by_window(samples, params.cover)
 
     if aligned is None:
-        (dsm, samples, relief), (dtm, name) = together(measure, partial(terrain, points, spec, params.ground))
+        (dsm, samples, rough), (dtm, name) = together(measure, partial(terrain, points, spec, params.ground))
     else:
-        dsm, samples, relief = measure()
+        dsm, samples, rough = measure()
         dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
     surface_is = "The surface has %d x %d cells of %s m from %.1f points/m2. The ground is by the filter '%s'"
     logger.info(surface_is, *spec.shape, spec.cell_m, points_m2, name)
-    surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2, relief=relief)
+    surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2, roughness=rough)
     if given is not None:
         note_offset([surface.ndsm])
     return surface

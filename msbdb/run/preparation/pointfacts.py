@@ -23,7 +23,6 @@ from msbdb.points.laterechoes import numbered_by_place, under_distance
 from msbdb.points.lots import kept_of, thinned
 from msbdb.surface.gridding import density
 from msbdb.surveyplan import PointFacts
-from msbdb.threads import together
 
 THINNED = (
     "Where first echoes are denser than surface.most_density, a share of the points was left out, by lot. "
@@ -82,16 +81,14 @@ def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
     """
     spacing_m, typical_m, link_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
     first = cloud.first_echo
-    points_m2, sparse_m = together(
-        lambda: density(cloud, link_m), lambda: sparse_spacing(cloud.x[first], cloud.y[first], spacing_m)
-    )
+    points_m2 = density(cloud, link_m)
     return PointFacts(
         points=len(cloud),
         density=points_m2,
         all_density=points_m2,
         spacing_m=spacing_m,
         typical_m=typical_m,
-        sparse_m=sparse_m,
+        sparse_m=sparse_spacing(cloud.x[first], cloud.y[first], spacing_m),
         link_m=link_m,
         numbered=cloud.return_number is not None,
         echoes=cloud.has_echoes,
