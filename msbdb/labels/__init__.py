@@ -4,6 +4,7 @@ A label image is an array of int32: 0 for no region, 1 to ``count`` for the regi
 but `label_zones` and `boxes` also take labelled points, as arrays of one dimension.
 """
 
+from msbdb.labels.celllist import CellList
 from msbdb.labels.colouring import colour_touching, touching_pairs
 from msbdb.labels.islands import Islands, islands_of
 from msbdb.labels.mincut import Pairs, minimum_cut, neighbours
@@ -39,6 +40,7 @@ from msbdb.labels.statistics import (
 __all__ = [
     "EIGHT",
     "Box",
+    "CellList",
     "HeightOrder",
     "Islands",
     "Labels",

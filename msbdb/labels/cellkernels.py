@@ -97,6 +97,51 @@ def label_cells(values: NDArray[Any], eight: bool) -> tuple[Labels, int]:
 
 
 @kernel
+def label_listed(values: NDArray[Any], cells: NDArray[np.intp], width: int, eight: bool) -> tuple[Labels, int]:
+    """Return what `msbdb.labels.celllist.CellList.zones` does, of cells in rows of that width; as `label_cells`.
+
+    The cells of the row above are found by a second pass through the list, a row behind.
+    """
+    labels = np.zeros((1, values.size), dtype=np.int32)
+    parent = np.zeros(1024, dtype=np.int32)
+    marks, above = 0, 0
+    for place in range(values.size):
+        value, cell = values[place], cells[place]
+        if value == 0:
+            continue
+        first, last = cell % width == 0, cell % width == width - 1
+        # The first cell of the list that is not before the one above; it is before this one, as rows have a cell.
+        while cells[above] < cell - width:
+            above += 1
+        is_listed = cells[above] == cell - width
+        after = above + 1 if is_listed else above
+        left = not first and place > 0 and cells[place - 1] == cell - 1 and values[place - 1] == value
+        corner = not first and above > 0 and cells[above - 1] == cell - width - 1 and values[above - 1] == value
+        if is_listed and values[above] == value:
+            labels[0, place] = labels[0, above]
+            if left and not corner and not eight:
+                _join(parent, labels[0, place - 1], labels[0, place])
+            continue
+        right = eight and not last and cells[after] == cell - width + 1 and values[after] == value
+        if left:
+            labels[0, place] = labels[0, place - 1]
+        elif eight and corner:
+            labels[0, place] = labels[0, above - 1]
+        elif right:
+            labels[0, place] = labels[0, after]
+            continue
+        else:
+            marks += 1
+            if marks == parent.size:
+                parent = np.concatenate((parent, np.zeros_like(parent)))
+            labels[0, place] = parent[marks] = marks
+        if right:
+            _join(parent, labels[0, place], labels[0, after])
+    count = _number(labels, parent, marks)
+    return labels[0], count
+
+
+@kernel
 def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
     """Join the zones of two marks under the smaller root, and halve the ways to it."""
     while parent[one] != one:

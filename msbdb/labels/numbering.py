@@ -69,19 +69,21 @@ def label_zones(values: NDArray[Any], *, connectivity: int = 8) -> tuple[Labels,
 
     require_image(values)
     require_connectivity(connectivity)
-    # The kernel is compiled for four dtypes only.
+    labels, count = label_cells(as_compiled(values), connectivity == 8)
+    return labels, int(count)
+
+
+def as_compiled(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values that are equal where they were, of a dtype for which the kernels of flat zones are compiled."""
     if values.dtype.kind == "f":
         # Floats without NaN are equal just where their bits are, once negative zeros are positive.
-        values = (values.astype(np.float64) + 0.0).view(np.int64)
-    elif values.dtype in (np.bool_, np.uint8):
-        values = values.astype(np.uint8, order="C", copy=False)
-    elif values.dtype == np.uint16:  # slices
-        values = np.ascontiguousarray(values)
-    else:
-        narrow = values.dtype.itemsize < 4 or values.dtype == np.int32
-        values = values.astype(np.int32 if narrow else np.int64, order="C", copy=False)
-    labels, count = label_cells(np.ascontiguousarray(values), connectivity == 8)
-    return labels, int(count)
+        return (values.astype(np.float64, order="C") + 0.0).view(np.int64)
+    if values.dtype in (np.bool_, np.uint8):
+        return values.astype(np.uint8, order="C", copy=False)
+    if values.dtype == np.uint16:  # slices
+        return np.ascontiguousarray(values)
+    narrow = values.dtype.itemsize < 4 or values.dtype == np.int32
+    return values.astype(np.int32 if narrow else np.int64, order="C", copy=False)
 
 
 def require_connectivity(connectivity: int) -> None:

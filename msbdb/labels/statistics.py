@@ -36,7 +36,17 @@ def measure(labels: Labels, count: int) -> pd.DataFrame:
     {'first': [1, 3], 'area': [3, 2], 'row_sum': [1, 2], 'col_sum': [5, 1]}
     """
     label, start, length = _runs(labels)
-    row, col = np.divmod(start, labels.shape[1])
+    return measure_runs(label, start, length, width=labels.shape[1], count=count)
+
+
+def measure_runs(
+    label: NDArray[np.int64], start: NDArray[np.int64], length: NDArray[np.int64], *, width: int, count: int
+) -> pd.DataFrame:
+    """Measure regions by runs of cells in rows of that width: region from 0, first cell and length of each, in order.
+
+    Returns what `measure` does.
+    """
+    row, col = np.divmod(start, width)
     first = np.zeros(count, dtype=np.int64)
     first[label[::-1]] = start[::-1]
     totals = {"area": length, "row_sum": length * row, "col_sum": length * col + length * (length - 1) // 2}

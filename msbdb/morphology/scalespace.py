@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.labels import label_zones, look_up, sizes
+from msbdb.labels import CellList, look_up, sizes
 from msbdb.labels.numbering import require_image
 from msbdb.morphology.area import area_open_close, require_threshold, widen
 from msbdb.morphology.smallzones import merge_small_zones
@@ -131,8 +131,9 @@ def build_scale_space(
 
 def _island_sizes(level: NDArray[Any], connectivity: int) -> NDArray[np.int32]:
     """Return for each cell above 0 the number of cells of its island; 0 elsewhere."""
-    islands, count = label_zones(level > 0, connectivity=connectivity)
-    return look_up(np.concatenate([[0], sizes(islands, count)]).astype(np.int32), islands)
+    cells = CellList.covering(level > 0)
+    islands, count = cells.zones(np.ones(cells.numbers.size, dtype=np.uint8), connectivity=connectivity)
+    return cells.image(look_up(np.concatenate([[0], sizes(islands, count)]).astype(np.int32), islands))
 
 
 def opening_areas(level: NDArray[Any]) -> NDArray[np.int64]:

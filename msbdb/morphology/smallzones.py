@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.labels import chosen_cells, label_zones, sizes
+from msbdb.labels import CellList, chosen_cells, look_up, sizes
+from msbdb.labels.numbering import require_image
 from msbdb.threads import kernel
 
 NONE = -1
@@ -47,19 +48,18 @@ def merge_small_zones(level: NDArray[Any], least_px: int, *, connectivity: int =
     >>> merge_small_zones(np.array([[0, 3, 3, 4, 6, 6]]), 2)
     array([[0, 3, 3, 3, 6, 6]])
     """
-    labels, count = label_zones(level, connectivity=connectivity)
-    cells = np.flatnonzero(labels > 0)
-    zone = labels.ravel()[cells]
+    require_image(level)
+    cells = CellList.covering(level != 0)
+    zone, count = cells.zones(cells.of(level), connectivity=connectivity)
     area = sizes(zone, count)
     small = area < least_px
     if not small.any():
         return level
     value = np.zeros(count + 1, dtype=np.int64)
-    value[zone] = level.ravel()[cells]
-    pairs = _pairs(labels, cells[chosen_cells(zone, small)], connectivity)
-    merged = level.copy()
-    merged.ravel()[cells] = _merge(pairs, value, np.concatenate([[0], area]), least_px)[zone]
-    return merged
+    value[zone] = cells.of(level)
+    pairs = _pairs(cells.image(zone), cells.numbers[chosen_cells(zone, small)], connectivity)
+    merged = _merge(pairs, value, np.concatenate([[0], area]), least_px).astype(level.dtype)
+    return cells.image(look_up(merged, zone))
 
 
 @kernel

@@ -57,13 +57,15 @@ def grow(seeds: NDArray[np.int32], domain: NDArray[Any], connectivity: int) -> N
 
 
 @kernel
-def edges(labels: NDArray[np.int32]) -> NDArray[np.uint8]:
+def edges(labels: NDArray[np.int32], cells: NDArray[np.intp]) -> NDArray[np.uint8]:
     """Mark the cells of objects that have a neighbour (of eight) outside of their object.
 
     Parameters
     ----------
     labels : (H, W) ndarray of int32
         Objects; 0 for none.
+    cells : (K,) ndarray of int
+        Flat indices of the cells to look at, those of all objects among them.
 
     Returns
     -------
@@ -73,22 +75,26 @@ def edges(labels: NDArray[np.int32]) -> NDArray[np.uint8]:
     # Each cell reads its neighbours and writes itself alone, so the order of the cells has no effect.
     rows, cols = labels.shape
     edge = np.zeros((rows, cols), dtype=np.uint8)
-    for row in range(rows):
-        for col in range(cols):
-            label = labels[row, col]
-            if label != 0:
-                for r in range(max(row - 1, 0), min(row + 2, rows)):
-                    for c in range(max(col - 1, 0), min(col + 2, cols)):
-                        if labels[r, c] != label:
-                            edge[row, col] = 1
+    for cell in cells:
+        row, col = cell // cols, cell % cols
+        label = labels[row, col]
+        if label != 0:
+            for r in range(max(row - 1, 0), min(row + 2, rows)):
+                for c in range(max(col - 1, 0), min(col + 2, cols)):
+                    if labels[r, c] != label:
+                        edge[row, col] = 1
     return edge
 
 
 @kernel
 def reaching_in(
-    labels: NDArray[np.int32], edge: NDArray[np.uint8], cells: NDArray[np.int32], starts: NDArray[np.int32], count: int
-) -> NDArray[np.bool_]:
-    """Find the cells where blobs of mark 1 lie over an object (V37).
+    labels: NDArray[np.int32],
+    edge: NDArray[np.uint8],
+    blobs: tuple[NDArray[np.int32], NDArray[np.int32]],
+    count: int,
+    reached: NDArray[np.bool_],
+) -> None:
+    """Mark the cells where blobs of mark 1 lie over an object (V37).
 
     The band of an object is the dilation of its boundary cells by 3 by 3 (A6). A blob has mark 1 for an object when
     it meets the object's band without lying in it wholly.
@@ -99,22 +105,17 @@ def reaching_in(
         Objects; 0 for none.
     edge : (H, W) ndarray of uint8
         The objects' boundary cells.
-    cells : (N,) ndarray of int32
-        Flat indices of the blobs' cells, blob by blob.
-    starts : (B + 1,) ndarray of int32
-        Where each blob's cells start in ``cells``, and N.
+    blobs : (N,) and (B + 1,) ndarray of int32
+        Flat indices of the blobs' cells, blob by blob; and where each blob's cells start among them, and N.
     count : int
         The largest label.
-
-    Returns
-    -------
-    (H, W) ndarray of bool
-        The cells of objects under their blobs of mark 1.
+    reached : (H, W) ndarray of bool
+        Changed in place: the cells of objects under their blobs of mark 1 become true.
     """
     # `inside` counts the cells of a blob in each object's band. `last` holds the latest cell counted for an object, so
     # that a cell beside several boundary cells of one object counts once.
     rows, cols = labels.shape
-    reached = np.zeros((rows, cols), dtype=np.bool_)
+    cells, starts = blobs
     inside = np.zeros(count + 1, dtype=np.int32)
     last = np.full(count + 1, -1, dtype=np.int32)
     for blob in range(starts.size - 1):
@@ -131,14 +132,14 @@ def reaching_in(
         for cell in blob_cells:
             row, col = cell // cols, cell % cols
             label = labels[row, col]
-            reached[row, col] = label != 0 and 0 < inside[label] < blob_cells.size
+            if label != 0 and 0 < inside[label] < blob_cells.size:
+                reached[row, col] = True
         # Only the counts that this blob raised go back to 0, so the time is linear in the cells of the blobs.
         for cell in blob_cells:
             row, col = cell // cols, cell % cols
             for r in range(max(row - 1, 0), min(row + 2, rows)):
                 for c in range(max(col - 1, 0), min(col + 2, cols)):
                     inside[labels[r, c]] = 0
-    return reached
 
 
 @kernel

@@ -1,20 +1,22 @@
 """Clusters: sliced heights, their flat zones on every scale as rows, and the ledger of dropped ones (V17 to V26)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from msbdb.grid import Grid
-from msbdb.labels import Labels, label_zones, measure
+from msbdb.labels import CellList, Labels, look_up
 from msbdb.ledger import Ledger
 from msbdb.morphology.levelzones import label_level_zones
 from msbdb.params import SurfaceParams
 from msbdb.tables import Reason
 from msbdb.threads import in_threads
+
+T = TypeVar("T", bound=np.generic)
 
 MAX_SLICE = 2**16 - 1
 """Slices are counted in 16 bits; higher ones are cut off."""
@@ -130,8 +132,10 @@ class Clusters:
 
     Parameters
     ----------
-    labels : tuple of (H, W) ndarray of int32
-        One image a scale, finest first: 0 for none, otherwise row number + 1 in ``rows``.
+    labels : tuple of (K,) ndarray of int32
+        For each scale, finest first, the label of each of ``cells``: 0 for none, otherwise row number + 1 in ``rows``.
+    cells : CellList
+        The cells that had a label on some scale when the clusters were made. No stage labels any other cell.
     rows : DataFrame
         One row a cluster, of all scales together:
 
@@ -144,6 +148,7 @@ class Clusters:
     """
 
     labels: tuple[Labels, ...]
+    cells: CellList
     rows: pd.DataFrame
 
     @property
@@ -160,6 +165,22 @@ class Clusters:
         wanted = np.zeros(len(self.rows) + 1, dtype=np.bool_)
         wanted[rows + 1] = True
         return wanted
+
+    def image(self, level: int) -> Labels:
+        """Return the (H, W) labels of one scale."""
+        return self.cells.image(self.labels[level])
+
+    def in_cells(self, values: NDArray[T]) -> NDArray[T]:
+        """Return (K,) the largest value of the clusters in each cell, of all scales; of (N,) values, none below 0."""
+        table = np.concatenate([np.zeros(1, dtype=values.dtype), values])
+        found = look_up(table, self.labels[0])
+        for labels in self.labels[1:]:
+            np.maximum(found, look_up(table, labels), out=found)
+        return found
+
+    def relabelled(self, labels: Mapping[int, Labels], rows: pd.DataFrame) -> "Clusters":
+        """Return the clusters with other rows, and with other labels of some scales."""
+        return Clusters(tuple(labels.get(n, own) for n, own in enumerate(self.labels)), self.cells, rows)
 
     def without(self, rows: NDArray[np.integer]) -> "Clusters":
         """Return the clusters with some rows dropped."""
@@ -210,10 +231,7 @@ class ClusterLedger(Ledger):
 
     def _lose_uncovered(self, clusters: Clusters, reason: Reason) -> None:
         """Mark the cells that no living cluster of any scale covers."""
-        covered = np.zeros(self._above.size, dtype=np.bool_)
-        living = clusters.flags(np.flatnonzero(clusters.alive))
-        for labels in clusters.labels:
-            covered |= living[labels.ravel()[self._above]]
+        covered = clusters.cells.image(clusters.in_cells(clusters.alive)).ravel()[self._above]
         if self.reasons is not None:
             self.reasons.ravel()[self._above[~covered]] = reason
             self._above = self._above[covered]
@@ -258,21 +276,27 @@ def label_clusters(levels: Sequence[NDArray[Any]], *, connectivity: int, houses:
     -----
     Rows are in order of the scale, and within it of the first cell. Linear in the cells of each scale.
     """
+    covered = np.zeros(levels[0].shape, dtype=np.bool_)
+    for image in levels:
+        covered |= image > 0
+    cells = CellList.covering(covered)
     # A value and a house in one number: slices have 16 bits.
-    apart = None if houses is None else houses.astype(np.int64) << 16
+    apart = None if houses is None else cells.of(houses).astype(np.int64) << 16
 
-    def label(values: NDArray[Any]) -> tuple[Labels, int, pd.DataFrame]:
+    def label(image: NDArray[Any]) -> tuple[Labels, pd.DataFrame]:
+        values = cells.of(image).astype(np.int64)
         zones = values if apart is None else np.where(values > 0, values + apart, 0)
-        labels, count = label_zones(zones, connectivity=connectivity)
-        return labels, count, measure(labels, count)
+        labels, count = cells.zones(zones, connectivity=connectivity)
+        table = cells.measure(labels, count)
+        return labels, table.assign(hzone=image.ravel()[table["first"]].astype(np.int64))
 
-    images, tables, offset = [], [], 0
-    for level, (values, (labels, count, table)) in enumerate(zip(levels, in_threads(label, levels), strict=True)):
+    lines, tables, offset = [], [], 0
+    for level, (labels, table) in enumerate(in_threads(label, levels)):
         table.insert(0, "level", level)
-        table.insert(1, "hzone", values.ravel()[table["first"]].astype(np.int64))
         np.add(labels, np.int32(offset), out=labels, where=labels > 0)
-        images.append(labels)
+        lines.append(labels)
         tables.append(table)
-        offset += count
+        offset += len(table)
     rows = pd.concat(tables, ignore_index=True)
-    return Clusters(tuple(images), rows.assign(origin=rows["first"], piece=0, made=rows["level"], alive=True))
+    rows = rows.assign(origin=rows["first"], piece=0, made=rows["level"], alive=True)
+    return Clusters(tuple(lines), cells, rows)

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -122,7 +123,7 @@ def spread_of_children(clusters: Clusters, father: NDArray[np.int64], cell_m: fl
     rows = clusters.rows
     count = len(rows)
     area = rows["area"].to_numpy().astype(np.float64)
-    width = clusters.labels[0].shape[1]
+    width = clusters.cells.shape[1]
     row, col = np.divmod(rows["first"].to_numpy(), width)
     down, right = offsets(rows, width)
     child = np.flatnonzero(father != NONE)
@@ -153,8 +154,8 @@ def _keep_remainders(
     for level in np.unique(clusters.rows["level"].to_numpy()[fake])[::-1].tolist():
         here = fake[clusters.rows["level"].to_numpy()[fake] == level]
         labels = clusters.labels[level]
-        zones = np.zeros(labels.shape, dtype=np.int32)
-        seeds = np.zeros(labels.shape, dtype=np.int32)
+        zones = np.zeros(clusters.cells.shape, dtype=np.int32)
+        seeds = np.zeros_like(zones)
         kept: list[NDArray[np.bool_]] = []
         count = 0
         for window, remainder, held in _remainders(clusters, level, here, father):
@@ -165,36 +166,41 @@ def _keep_remainders(
             count += found
         keep = np.concatenate([np.zeros(0, dtype=np.bool_), *kept])
         table = measure(zones, count)
-        rows = as_rows(clusters, labels.ravel()[table["first"]].astype(np.int64) - 1, table).assign(alive=True)
+        source = labels[clusters.cells.places(table["first"].to_numpy())].astype(np.int64) - 1
+        rows = as_rows(clusters, source, table).assign(alive=True)
         target = np.zeros(count + 1, dtype=np.int32)
         target[1:][keep] = len(clusters.rows) + 1 + np.arange(keep.sum())
-        own = look_up(target, zones)
-        image = np.where(own > 0, own, labels)
-        images = (*clusters.labels[:level], image, *clusters.labels[level + 1 :])
-        clusters = Clusters(images, pd.concat([clusters.rows, rows[keep]], ignore_index=True))
+        zone = clusters.cells.of(zones)
+        own = look_up(target, zone)
+        more = pd.concat([clusters.rows, rows[keep]], ignore_index=True)
+        clusters = clusters.relabelled({level: np.where(own > 0, own, labels)}, more)
         given = np.zeros(count, dtype=np.bool_)
         if supported:
-            seeds = np.where(own > 0, own, seeds)
+            seed = np.where(own > 0, own, clusters.cells.of(seeds))
             domain = np.where(look_up(clusters.flags(here), labels), labels, np.int32(0))
-            grown = np.where((zones > 0) & (seeds == 0), grow(seeds, domain, connectivity), np.int32(0))
+            image, of = clusters.cells.image, clusters.cells.of
+            grown = of(grow(image(seed), image(domain), connectivity))
+            grown[(zone == 0) | (seed > 0)] = 0
             clusters = _with_cells(clusters, grown)
-            given = ~keep & (sizes(zones[grown > 0], count) == sizes(zones, count))
+            given = ~keep & (sizes(zone[grown > 0], count) == sizes(zone, count))
         steps.append(Step(clusters, rows[~keep & ~given].assign(reason=GAP), count - int(given.sum())))
     return joined(clusters, steps)
 
 
 def _with_cells(clusters: Clusters, gained: NDArray[np.int32]) -> Clusters:
-    """Return the clusters with further cells; no other living cluster of their scale has any of these."""
-    cells = np.flatnonzero(gained > 0)
-    row = gained.ravel()[cells] - 1
-    images = list(clusters.labels)
+    """Return the clusters with further cells; no other living cluster of their scale has any of these.
+
+    The label that gains each cell is (K,) in the clusters' cells, 0 for none.
+    """
+    place = np.flatnonzero(gained > 0)
+    cells, row = clusters.cells.numbers[place], gained[place] - 1
     level = clusters.rows["level"].to_numpy()[row]
+    after = {}
     for scale in np.unique(level).tolist():
-        image = images[scale].copy()
-        image.ravel()[cells[level == scale]] = row[level == scale] + 1
-        images[scale] = image
+        after[scale] = clusters.labels[scale].copy()
+        after[scale][place[level == scale]] = row[level == scale] + 1
     count = len(clusters.rows)
-    at_row, at_col = np.divmod(cells, gained.shape[1])
+    at_row, at_col = np.divmod(cells, clusters.cells.shape[1])
     first = clusters.rows["first"].to_numpy().copy()
     np.minimum.at(first, row, cells)
     more = {"area": np.ones(cells.size), "row_sum": at_row, "col_sum": at_col}
@@ -203,24 +209,26 @@ def _with_cells(clusters: Clusters, gained: NDArray[np.int32]) -> Clusters:
         name: clusters.rows[name].to_numpy() + np.bincount(row, values, count).astype(np.int64)
         for name, values in more.items()
     }
-    return Clusters(tuple(images), clusters.rows.assign(first=first, **grown))
+    return clusters.relabelled(after, clusters.rows.assign(first=first, **grown))
 
 
 def _remainders(
     clusters: Clusters, level: int, fake: NDArray[np.int64], father: NDArray[np.int64]
 ) -> Iterator[tuple[tuple[slice, slice], NDArray[np.bool_], NDArray[np.int32]]]:
     """Yield for each fake father of a scale its window, the cells there of no child, and the children's labels."""
-    windows = boxes(clusters.labels[level])
+    images = cache(clusters.image)
+    windows = boxes(images(level))
     levels = clusters.rows["level"].to_numpy()
     for row in fake.tolist():
         window = windows[row + 1]
-        remainder = clusters.labels[level][window] == row + 1
+        remainder = images(level)[window] == row + 1
         held = np.zeros(remainder.shape, dtype=np.int32)
         children = np.flatnonzero(father == row)
         for finer in np.unique(levels[children]).tolist():
             own = children[levels[children] == finer]
-            inside = np.isin(clusters.labels[finer][window], own + 1)
-            held[inside] = clusters.labels[finer][window][inside]
+            labels = images(finer)[window]
+            inside = np.isin(labels, own + 1)
+            held[inside] = labels[inside]
         yield window, remainder & (held == 0), held
 
 

@@ -1,5 +1,6 @@
 """The forest of parts: clusters with ids, fathers and attributes, and the ledger (V22 to V26, V33)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,8 +15,6 @@ from msbdb.labels import (
     central_cells,
     centroids,
     height_statistics,
-    label_zones,
-    look_up,
     order_heights,
     reorder,
 )
@@ -48,22 +47,18 @@ class Forest:
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself), ``kept`` and ``dropped``.
     reasons : (H, W) ndarray of uint8, optional
         `msbdb.tables.Reason` of the cells above the mask that a stage dropped; 0 elsewhere.
+    root_labels : (H, W) ndarray of int32
+        Row number + 1 in ``parts`` of the root that covers a cell; 0 for none. Roots are disjoint, whatever their
+        scales.
     """
 
     labels: tuple[Labels, ...]
+    root_labels: Labels
     parts: pd.DataFrame
     scales: pd.DataFrame
     rejections: pd.DataFrame
     counts: dict[str, dict[str, int]]
     reasons: NDArray[np.uint8] | None = None
-
-    @property
-    def root_labels(self) -> Labels:
-        """(H, W) int32: row number + 1 in ``parts`` of the root that covers a cell; 0 for none.
-
-        Roots are disjoint, whatever their scales.
-        """
-        return _cover(self.labels, (self.parts["supid"] == 0).to_numpy())
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +99,10 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     has_father = father != NONE
     scale = _scale_of(rows["level"], context)
     roots = find_roots(father)
+    images = tuple(clusters.image(level) for level in range(len(clusters.labels)))
     work = (
-        partial(_places, clusters, context.ndsm.spec),
-        partial(_heights, clusters, father, context),
+        partial(_places, clusters, images, context.ndsm.spec),
+        partial(_heights, clusters, images, father, context),
         partial(_spectra, clusters, context),
     )
     places, heights, spectra = in_threads(lambda each: each(), work)
@@ -130,7 +126,8 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     parts = PART.typed(parts)
     validate_parts(parts.assign(geometry=None))
     rejections = _rejections(lost, ids[len(rows) :], context)
-    return Forest(clusters.labels, parts, context.scales, rejections, ledger.counts, ledger.reasons)
+    cover = clusters.cells.image(_root_of_cells(clusters, father))
+    return Forest(images, cover, parts, context.scales, rejections, ledger.counts, ledger.reasons)
 
 
 def compact(clusters: Clusters) -> Clusters:
@@ -138,18 +135,14 @@ def compact(clusters: Clusters) -> Clusters:
     rows = clusters.rows
     order = np.lexsort((rows["first"], rows["level"]))
     order = order[clusters.alive[order]]
-    images = tuple(reorder(labels, order, len(rows)) for labels in clusters.labels)
-    return Clusters(images, rows.iloc[order].reset_index(drop=True))
+    labels = {level: reorder(own, order, len(rows)) for level, own in enumerate(clusters.labels)}
+    return clusters.relabelled(labels, rows.iloc[order].reset_index(drop=True))
 
 
-def _cover(images: tuple[Labels, ...], chosen: NDArray[np.bool_]) -> Labels:
-    """Return one image of the chosen parts, which do not overlap."""
-    label = np.zeros(chosen.size + 1, dtype=np.int32)
-    label[1:][chosen] = np.flatnonzero(chosen) + 1
-    cover = look_up(label, images[0])
-    for image in images[1:]:
-        np.maximum(cover, look_up(label, image), out=cover)
-    return cover
+def _root_of_cells(clusters: Clusters, father: NDArray[np.int64]) -> Labels:
+    """Return (K,) the label of the root in each of the clusters' cells; roots do not overlap."""
+    is_root = father == NONE
+    return clusters.in_cells(np.where(is_root, np.arange(1, is_root.size + 1), 0).astype(np.int32))
 
 
 def _largest_roots(
@@ -164,11 +157,11 @@ def _largest_roots(
     largest = np.arange(len(ids))
     if not len(rows):
         return largest
-    cover = _cover(clusters.labels, is_root)
-    covered = cover > 0 if context.houses is None else np.where(cover > 0, context.houses, 0)
-    islands, _ = label_zones(covered, connectivity=context.connectivity)
+    root = _root_of_cells(clusters, father)
+    covered = root > 0 if context.houses is None else np.where(root > 0, clusters.cells.of(context.houses), 0)
+    islands, _ = clusters.cells.zones(covered, connectivity=context.connectivity)
     island = np.zeros(len(ids), dtype=np.int64)
-    island[cover[cover > 0] - 1] = islands[cover > 0]
+    island[root[root > 0] - 1] = islands[root > 0]
     area = clusters.rows["area"].to_numpy()[rows]
     order = rows[np.lexsort((ids[rows], -area, island[rows]))]
     first = np.searchsorted(island[order], island[order])
@@ -191,14 +184,14 @@ def _identify(rows: pd.DataFrame, context: Context) -> NDArray[np.int64]:
     return part_ids(context.survey, spec.cell_m, threshold_px=threshold, row=row, col=col, piece=rows["piece"])
 
 
-def _places(clusters: Clusters, spec: GridSpec) -> dict[str, NDArray[np.generic]]:
+def _places(clusters: Clusters, images: Sequence[Labels], spec: GridSpec) -> dict[str, NDArray[np.generic]]:
     """Return the first cell, the centroid, a cell inside, and the area of every cluster."""
     rows = clusters.rows
     sums = {name: rows[name].to_numpy().astype(np.int64) for name in ("area", "row_sum", "col_sum")}
     inner = np.zeros(len(rows), dtype=np.int64)
-    for level in range(len(clusters.labels)):
+    for level, labels in enumerate(images):
         at = _span(clusters, level)
-        inner[at] = central_cells(clusters.labels[level], at, **{name: part[at] for name, part in sums.items()})
+        inner[at] = central_cells(labels, at, **{name: part[at] for name, part in sums.items()})
     first = rows["first"].to_numpy().astype(np.int64)
     xo, yo = spec.xy(*np.divmod(first, spec.shape[1]))
     xin, yin = spec.xy(*np.divmod(inner, spec.shape[1]))
@@ -213,14 +206,16 @@ def _span(clusters: Clusters, level: int) -> slice:
     return slice(start, stop)
 
 
-def _heights(clusters: Clusters, father: NDArray[np.int64], context: Context) -> dict[str, NDArray[np.generic]]:
+def _heights(
+    clusters: Clusters, images: Sequence[Labels], father: NDArray[np.int64], context: Context
+) -> dict[str, NDArray[np.generic]]:
     """Return height statistics of every cluster, from the nDSM inside of it, and its storeys.
 
     In the paper (V30) H is the value of the flat zone. The opening lowers it where a tower is about as large as the
     podium under it, so by default the storeys come from the nDSM.
     """
-    order = order_heights(context.ndsm, _cover(clusters.labels, father == NONE) > 0)
-    tables = [height_statistics(labels, _span(clusters, level), order) for level, labels in enumerate(clusters.labels)]
+    order = order_heights(context.ndsm, clusters.cells.image(_root_of_cells(clusters, father) > 0))
+    tables = [height_statistics(labels, _span(clusters, level), order) for level, labels in enumerate(images)]
     table = pd.concat(tables, ignore_index=True)
     found = {name: table[name].to_numpy() for name in table.columns}
     zone = context.surface.storeys_from == "zone"

@@ -41,11 +41,11 @@ def link(clusters: Clusters) -> NDArray[np.int64]:
     """
     rows = clusters.rows
     level, first, alive = rows["level"].to_numpy(), rows["first"].to_numpy(), clusters.alive
-    living = np.concatenate([[False], alive])
+    living, place = np.concatenate([[False], alive]), clusters.cells.places(first)
     father = np.full(len(rows), NONE, dtype=np.int64)
     for coarser in range(1, len(clusters.labels)):
         child = np.flatnonzero(alive & (level < coarser) & (father == NONE))
-        found = clusters.labels[coarser].ravel()[first[child]]
+        found = clusters.labels[coarser][place[child]]
         holds = living[found]
         father[child[holds]] = found[holds] - 1
     return father

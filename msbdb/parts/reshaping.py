@@ -7,7 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import sparse
 
-from msbdb.labels import Labels, label_zones, look_up, measure, renumber, sizes
+from msbdb.labels import Labels, label_zones, look_up, renumber, sizes
 from msbdb.parts.adjacency import edges, reaching_in
 from msbdb.parts.clusters import Clusters, Step
 from msbdb.parts.links import NONE, link
@@ -57,53 +57,41 @@ def cut_vegetation(
     Scales go from coarse to fine. The cells cut from a father are cut from all clusters in it as well, so that children
     stay inside of their fathers.
     """
-    cells, starts = _blobs(vegetation, connectivity, over=_covered(clusters))
-    if not cells.size:
+    blobs = _blobs(vegetation, connectivity, over=clusters.cells.numbers[clusters.in_cells(clusters.alive)])
+    if not blobs[0].size:
         return joined(clusters, [])
     gone = np.zeros(vegetation.shape, dtype=np.bool_)
     steps = []
     for level in reversed(range(len(clusters.labels))):
-        living = np.setdiff1d(clusters.at(level), kept)
-        objects = np.where(look_up(clusters.flags(living), clusters.labels[level]), clusters.labels[level], np.int32(0))
-        gone |= reaching_in(objects, edges(objects), cells, starts, len(clusters.rows))
-        touched = _labels_in(objects, gone, len(clusters.rows))
+        living = clusters.flags(np.setdiff1d(clusters.at(level), kept))
+        own = np.where(look_up(living, clusters.labels[level]), clusters.labels[level], np.int32(0))
+        objects, count = clusters.cells.image(own), len(clusters.rows)
+        reaching_in(objects, edges(objects, clusters.cells.numbers), blobs, count, gone)
+        lost = clusters.cells.of(gone)
+        touched = np.flatnonzero(sizes(own[lost], count) > 0)
         if touched.size:
-            zones = np.where(look_up(clusters.flags(touched), objects) & ~gone, objects, np.int32(0))
+            own[lost | ~look_up(clusters.flags(touched), own)] = 0
             step = cut(
-                clusters, level, zones, touched, smallest_px=smallest_px, connectivity=connectivity, reason=VEGETATION
+                clusters, level, own, touched, smallest_px=smallest_px, connectivity=connectivity, reason=VEGETATION
             )
             steps.append(step)
             clusters = step.clusters
     return joined(clusters, steps)
 
 
-def _covered(clusters: Clusters) -> NDArray[np.bool_]:
-    """Return the cells of living clusters of any scale."""
-    covered = np.zeros(clusters.labels[0].shape, dtype=np.bool_)
-    for level, labels in enumerate(clusters.labels):
-        covered |= look_up(clusters.flags(clusters.at(level)), labels)
-    return covered
-
-
 def _blobs(
-    vegetation: NDArray[np.bool_], connectivity: int, *, over: NDArray[np.bool_]
+    vegetation: NDArray[np.bool_], connectivity: int, *, over: NDArray[np.intp]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """List the cells of the blobs that lie over some cells, blob by blob, and where each blob's cells start."""
-    if not (vegetation & over).any():
+    if not vegetation.ravel()[over].any():
         return np.zeros(0, dtype=np.int32), np.zeros(1, dtype=np.int32)
     labels, count = label_zones(vegetation, connectivity=connectivity)
-    meets = sizes(np.where(over, labels, np.int32(0)), count) > 0
-    labels, count = renumber(labels, meets)
+    labels, count = renumber(labels, sizes(labels.ravel()[over], count) > 0)
     cells = np.flatnonzero(labels != 0).astype(np.int32)
     member = labels.ravel()[cells] - 1
     # Turning a sparse matrix from rows to columns is a counting sort.
     table = sparse.csr_array((cells, member, np.arange(cells.size + 1)), shape=(cells.size, count)).tocsc()
     return table.data.astype(np.int32), table.indptr.astype(np.int32)
-
-
-def _labels_in(objects: Labels, cells: NDArray[np.bool_], count: int) -> NDArray[np.intp]:
-    """Return the row numbers of the objects that have some of the cells."""
-    return np.flatnonzero(sizes(np.where(cells, objects, np.int32(0)), count) > 0)
 
 
 def cut(
@@ -124,7 +112,7 @@ def cut(
         The clusters before.
     level : int
         The scale, 0 = finest.
-    zones : (H, W) ndarray of int
+    zones : (K,) ndarray of int, in the clusters' cells
         0 outside of the touched clusters and where they lose cells. Elsewhere every connected flat zone is a piece.
         A zone lies in one cluster.
     touched : (M,) ndarray of int
@@ -142,10 +130,10 @@ def cut(
         The largest piece of a cluster keeps its row and id; of equal ones the first in row order. The others get rows
         of their own. A cluster without a piece that is large enough is dropped with all of its cells.
     """
+    labels, count = clusters.cells.zones(zones, connectivity=connectivity)
+    pieces = clusters.cells.measure(labels, count)
     before = clusters.labels[level]
-    labels, count = label_zones(zones, connectivity=connectivity)
-    pieces = measure(labels, count)
-    source = before.ravel()[pieces["first"]].astype(np.int64) - 1
+    source = before[clusters.cells.places(pieces["first"].to_numpy())].astype(np.int64) - 1
     heir = _heirs(source, pieces)
     area = pieces["area"].to_numpy()
     large = (area >= smallest_px) | (area == clusters.rows["area"].to_numpy()[source])
@@ -161,11 +149,9 @@ def cut(
     target = np.zeros(count + 1, dtype=np.int32)
     target[1:][heir & large] = source[heir & large] + 1
     target[1:][~heir & large] = len(rows) + 1 + np.arange(len(new))
-    after = before.copy()
-    cells = np.flatnonzero(look_up(clusters.flags(touched), before))
-    after.ravel()[cells] = target[labels.ravel()[cells]]
-    images = (*clusters.labels[:level], after, *clusters.labels[level + 1 :])
-    return Step(Clusters(images, pd.concat([rows, new], ignore_index=True)), dropped, int((~heir).sum()))
+    own = np.where(look_up(clusters.flags(touched), before), look_up(target, labels), before)
+    after = clusters.relabelled({level: own}, pd.concat([rows, new], ignore_index=True))
+    return Step(after, dropped, int((~heir).sum()))
 
 
 def _heirs(source: NDArray[np.integer], pieces: pd.DataFrame) -> NDArray[np.bool_]:
@@ -228,24 +214,24 @@ def settle(clusters: Clusters, thresholds: list[int]) -> Step:
     moved = np.flatnonzero(clusters.alive & (reached < level))
     if not moved.size:
         return _without_crumbs(Step(clusters, rows.iloc[:0].assign(reason="")), thresholds[0])
-    images = list(clusters.labels)
+    own = clusters.labels
+    after: dict[int, Labels] = {}
     covered: list[NDArray[np.intp]] = []
     target = np.where(clusters.alive, np.minimum(reached, level), level)
     for scale in np.unique(target[moved]).tolist():
-        image = images[scale].copy()
+        line = own[scale].copy()
         arriving = moved[target[moved] == scale]
         # From fine to coarse: a cluster that comes from a coarser scale holds those that come from finer ones.
         for origin in np.unique(level[arriving]).tolist():
-            own = arriving[level[arriving] == origin]
-            cells = look_up(clusters.flags(own), clusters.labels[origin])
-            image[cells] = clusters.labels[origin][cells]
+            coming = look_up(clusters.flags(arriving[level[arriving] == origin]), own[origin])
+            line[coming] = own[origin][coming]
         here = np.flatnonzero(clusters.alive & (target == scale))
-        covered.append(here[sizes(image, len(rows))[here] == 0])
-        images[scale] = image
+        covered.append(here[sizes(line, len(rows))[here] == 0])
+        after[scale] = line
     for origin in np.unique(level[moved]).tolist():
-        gone = clusters.flags(moved[level[moved] == origin])
-        images[origin] = np.where(look_up(gone, images[origin]), np.int32(0), images[origin])
-    settled = Clusters(tuple(images), rows.assign(level=target))
+        gone, line = clusters.flags(moved[level[moved] == origin]), after.get(origin, own[origin])
+        after[origin] = np.where(look_up(gone, line), np.int32(0), line)
+    settled = clusters.relabelled(after, rows.assign(level=target))
     lost = np.sort(np.concatenate(covered))
     return _without_crumbs(Step(settled.without(lost), rows.iloc[lost].assign(reason=COVERED)), thresholds[0])
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.labels import Labels, chosen_cells, label_zones, look_up, sizes
+from msbdb.labels import Labels, chosen_cells, look_up, sizes
 from msbdb.landcover import ClassMap
 from msbdb.parts.adjacency import grow, tally
 from msbdb.parts.clusters import Clusters, Step
@@ -73,9 +73,7 @@ def _count_classes(clusters: Clusters, level: int, classes: ClassMap) -> tuple[N
     position = np.full(len(clusters.rows) + 1, -1, dtype=np.int64)
     position[rows + 1] = np.arange(len(rows))
     counts = np.zeros((len(rows), max(classes.labels, default=1) + 1), dtype=np.int64)
-    # Most cells belong to no cluster; only the others are looked at.
-    cells = np.flatnonzero(clusters.labels[level] != 0)
-    tally(clusters.labels[level].ravel()[cells], position, classes.index.ravel()[cells], counts)
+    tally(clusters.labels[level], position, clusters.cells.of(classes.index), counts)
     return rows, counts
 
 
@@ -150,7 +148,7 @@ def split_by_classes(
     """
     if split_share <= 0:
         return joined(clusters, [])
-    line = np.zeros(classes.index.shape, dtype=np.int32)
+    line = np.zeros(clusters.cells.numbers.size, dtype=np.int32)
     steps = []
     options = {"smallest_px": smallest_px, "connectivity": connectivity}
     for level in reversed(range(len(clusters.labels))):
@@ -178,36 +176,32 @@ def _seeds(
     smallest_px: int,
     connectivity: int,
 ) -> Labels:
-    """Return the large components of the two dominant classes: 2 * row + 1 and 2 * row + 2; 0 elsewhere."""
+    """Return (K,) the large components of the two dominant classes: 2 * row + 1 and 2 * row + 2; 0 elsewhere."""
     rows, first, second = (part[wanted] for part in dominant)
-    labels = clusters.labels[level]
-    seeds = np.zeros(labels.shape, dtype=np.int32)
+    label, kind = clusters.labels[level], clusters.cells.of(classes.index)
+    seed = np.zeros(label.size, dtype=np.int32)
     if not rows.size:
-        return seeds
-    cells = np.flatnonzero(look_up(clusters.flags(rows), labels))
-    label, kind = labels.ravel()[cells], classes.index.ravel()[cells]
-    seed = np.zeros(cells.size, dtype=np.int32)
+        return seed
     for number, chosen in ((1, first), (2, second)):
         class_of = np.full(len(clusters.rows) + 1, -1, dtype=np.int16)
         class_of[rows + 1] = chosen
-        here = kind == class_of[label]
+        here = kind == look_up(class_of, label)
         seed[here] = 2 * (label[here] - 1) + number
-    seeds.ravel()[cells] = seed
-    components, count = label_zones(seeds, connectivity=connectivity)
-    seed[chosen_cells(components.ravel()[cells], sizes(components, count) < smallest_px)] = 0
+    component, count = clusters.cells.zones(seed, connectivity=connectivity)
+    seed[chosen_cells(component, sizes(component, count) < smallest_px)] = 0
     has = np.zeros(2 * len(clusters.rows) + 1, dtype=np.bool_)
     has[seed] = True
     both = np.concatenate([[False], np.repeat(has[1::2] & has[2::2], 2)])
-    seeds.ravel()[cells] = np.where(both[seed], seed, np.int32(0))
-    return seeds
+    return np.where(look_up(both, seed), seed, np.int32(0))
 
 
 def _split(clusters: Clusters, level: int, seeds: Labels, line: Labels, *, smallest_px: int, connectivity: int) -> Step:
     """Split clusters by their seeds, and draw the pieces' labels into the line."""
-    labels = clusters.labels[level]
+    own, image = clusters.labels[level], clusters.cells.image
     touched = np.unique((seeds[seeds > 0] - 1) // 2)
-    split = look_up(clusters.flags(touched), labels)
-    zones = grow(seeds, np.where(split, labels, np.int32(0)), connectivity)
+    split = look_up(clusters.flags(touched), own)
+    grown = grow(image(seeds), image(np.where(split, own, np.int32(0))), connectivity)
+    zones = clusters.cells.of(grown)
     step = cut(clusters, level, zones, touched, smallest_px=smallest_px, connectivity=connectivity, reason=SPLIT)
     line[split] = step.clusters.labels[level][split]
     return step
@@ -215,13 +209,11 @@ def _split(clusters: Clusters, level: int, seeds: Labels, line: Labels, *, small
 
 def _follow(clusters: Clusters, level: int, line: Labels, *, smallest_px: int, connectivity: int) -> Step:
     """Split the clusters of a scale where their coarser ones have been split."""
-    labels = clusters.labels[level]
     rows = clusters.at(level)
-    touched = rows[line.ravel()[clusters.rows["first"].to_numpy()[rows]] > 0]
+    touched = rows[line[clusters.cells.places(clusters.rows["first"].to_numpy()[rows])] > 0]
     if not touched.size:
         return joined(clusters, [])
-    cells = np.flatnonzero(look_up(clusters.flags(touched), labels))
-    zones = np.zeros(labels.shape, dtype=np.int64)
+    own = clusters.labels[level]
     # One value for each pair of a cluster and a piece of its father.
-    zones.ravel()[cells] = labels.ravel()[cells].astype(np.int64) * (int(line.max()) + 1) + line.ravel()[cells]
+    zones = np.where(look_up(clusters.flags(touched), own), own.astype(np.int64) * (int(line.max()) + 1) + line, 0)
     return cut(clusters, level, zones, touched, smallest_px=smallest_px, connectivity=connectivity, reason=SPLIT)

@@ -138,7 +138,7 @@ class TestClusters:
     def test_labels_point_at_rows_over_all_scales(self):
         """Labels run on from scale to scale: row number + 1."""
         clusters = label_clusters([np.array([[1, 0, 2]]), np.array([[1, 0, 0]])], connectivity=8)
-        assert [labels.tolist() for labels in clusters.labels] == [[[1, 0, 2]], [[3, 0, 0]]]
+        assert [clusters.image(level).tolist() for level in range(2)] == [[[1, 0, 2]], [[3, 0, 0]]]
         assert clusters.rows["level"].tolist() == [0, 0, 1]
 
     def test_measures_equal_those_of_loops(self):
@@ -215,7 +215,7 @@ class TestPieces:
     def cut_once(self, image, gone, smallest_px):
         """Take cells away from the one cluster of an image."""
         clusters = label_clusters([image], connectivity=8)
-        zones = np.where(gone, 0, clusters.labels[0]).astype(np.int32)
+        zones = np.where(clusters.cells.of(gone), 0, clusters.labels[0]).astype(np.int32)
         return cut(clusters, 0, zones, np.array([0]), smallest_px=smallest_px, connectivity=8, reason="gone")
 
     def test_the_largest_piece_keeps_the_row(self):
@@ -224,14 +224,14 @@ class TestPieces:
         step = self.cut_once(np.ones((1, 12), dtype=np.int64), gone, 3)
         rows = living(step.clusters)
         assert rows[["first", "area", "origin", "piece"]].to_numpy().tolist() == [[6, 6, 0, 0], [2, 3, 2, 1]]
-        assert step.clusters.labels[0].tolist() == [[0, 0, 2, 2, 2, 0, 1, 1, 1, 1, 1, 1]]
+        assert step.clusters.image(0).tolist() == [[0, 0, 2, 2, 2, 0, 1, 1, 1, 1, 1, 1]]
         assert step.dropped[["area", "reason"]].to_numpy().tolist() == [[1, FRAGMENT]]
         assert step.pieces == 2
 
     def test_of_equal_pieces_the_first_keeps_the_row(self):
         """Ties are broken by row order."""
         step = self.cut_once(np.ones((1, 7), dtype=np.int64), np.arange(7)[None] == 3, 2)
-        assert step.clusters.labels[0].tolist() == [[1, 1, 1, 0, 2, 2, 2]]
+        assert step.clusters.image(0).tolist() == [[1, 1, 1, 0, 2, 2, 2]]
 
     def test_a_cluster_of_which_too_little_is_left_is_dropped_as_it_was(self):
         """The ledger shows the whole cluster, not its rest."""
@@ -254,7 +254,7 @@ class TestVegetation:
         roof = block((14, 14), (2, 2, 10, 10, 2))
         tree = block((14, 14), (4, 8, 5, 6, 1))
         step = self.reshaped(roof, tree)
-        assert ((step.clusters.labels[0] > 0) == ((roof > 0) & (tree == 0))).all()
+        assert ((step.clusters.image(0) > 0) == ((roof > 0) & (tree == 0))).all()
         assert living(step.clusters)["area"].tolist() == [100 - 5 * 4]
 
     def test_a_green_roof_stays(self):
@@ -374,7 +374,7 @@ class TestSpectrum:
         index = np.repeat([[2, 2, 2, 2, 1, 3, 3, 3, 3]], 5, axis=0)
         step = self.split([np.ones((5, 9), int)], index)
         assert living(step.clusters)["area"].tolist() == [25, 20]
-        assert step.clusters.labels[0][0].tolist() == [1, 1, 1, 1, 1, 2, 2, 2, 2]
+        assert step.clusters.image(0)[0].tolist() == [1, 1, 1, 1, 1, 2, 2, 2, 2]
 
     @pytest.mark.parametrize(("width", "parts"), [(4, 2), (3, 1)])
     def test_the_second_class_must_reach_the_share(self, width, parts):
@@ -483,7 +483,7 @@ class TestFathers:
             assert rows["area"].tolist() == expected
             assert (step.dropped["reason"] == GAP).sum() == (0 if supported else 2)
             for row, (first, area) in rows[["first", "area"]].iterrows():
-                cells = np.flatnonzero(step.clusters.labels[int(rows.loc[row, "level"])] == row + 1)
+                cells = np.flatnonzero(step.clusters.image(int(rows.loc[row, "level"])) == row + 1)
                 assert (cells[0], cells.size) == (first, area)
 
     def test_two_children_are_too_few(self):
