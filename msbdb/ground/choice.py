@@ -4,12 +4,12 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.adaptivewindows import adaptive_ground
-from msbdb.ground.interpolation import interpolate_ground, refine
+from msbdb.ground.interpolation import NearestGround, interpolate_ground, refine
 from msbdb.ground.progressive import progressive_ground
 from msbdb.ground.quadratic import quadratic_ground
 from msbdb.ground.walls import walled_ground
@@ -116,9 +116,10 @@ def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> 
     """
     found = lowest(points, spec)
     supported = _supported(found.valid)
-    filled = interpolate_ground(found.values, supported, spec, nearest=True).values
+    sources = NearestGround.of(supported)
+    filled = interpolate_ground(found.values, supported, spec, nearest=True, found=sources).values
     raised = without_pits(np.asarray(filled, dtype=np.float32), params.low_outlier_m)
-    near = distance_transform_edt(~supported) * spec.cell_m <= max(VOID_M, 2 * spec.cell_m)
+    near = sources.distance * spec.cell_m <= max(VOID_M, 2 * spec.cell_m)
     return Grid(raised, near, spec)
 
 

@@ -3,9 +3,11 @@
 The filters on cells check regions by their edges: walls rise above the ground beside them in a step, hills do not.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import distance_transform_edt, uniform_filter1d
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
@@ -13,13 +15,40 @@ from msbdb.ground.trend import known_trend
 from msbdb.labels import sizes
 from msbdb.morphology.windows import erosion
 from msbdb.params import GroundParams
+from msbdb.threads import cores, in_threads
 
 Heights = NDArray[np.float32]
 Counts = NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class NearestGround:
+    """The nearest ground of each cell.
+
+    Parameters
+    ----------
+    distance : (H, W) ndarray of float64
+        To its centre, cells; 0 on ground.
+    place : (2, H, W) ndarray of int32
+        Its row and column.
+    """
+
+    distance: NDArray[np.float64]
+    place: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, ground: NDArray[np.bool_]) -> "NearestGround":
+        """Find it for an (H, W) mask of ground, which has some."""
+        return cls(*distance_transform_edt(~ground, return_indices=True))
+
+
 def interpolate_ground(
-    values: NDArray[np.generic], ground: NDArray[np.bool_], spec: GridSpec, *, nearest: bool = False
+    values: NDArray[np.generic],
+    ground: NDArray[np.bool_],
+    spec: GridSpec,
+    *,
+    nearest: bool = False,
+    found: NearestGround | None = None,
 ) -> Grid:
     """Fill the cells that are not ground from those that are.
 
@@ -33,6 +62,8 @@ def interpolate_ground(
         Their lattice.
     nearest : bool
         Take the nearest ground cell as it is, instead of a smooth surface through all around.
+    found : NearestGround, optional
+        The nearest ground, where it is known already.
 
     Raises
     ------
@@ -61,12 +92,13 @@ def interpolate_ground(
         raise NodataError(msg)
     known = np.asarray(values, dtype=np.float32)
     if not ground.all():
-        distance, (rows, cols) = distance_transform_edt(~ground, return_indices=True)
+        found = found or NearestGround.of(ground)
+        rows, cols = found.place
         if nearest:
             known = known[rows, cols]
         else:
             trend = known_trend(known, ground, spec.origin)
-            smooth = trend + _relax((known - trend)[rows, cols], distance)
+            smooth = trend + _relax((known - trend)[rows, cols], found.distance)
             known = np.where(ground, known, np.clip(smooth, known[ground].min(), known[ground].max()))
     return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
 
@@ -77,14 +109,30 @@ def _relax(filled: NDArray[np.float32], distance: NDArray[np.float64]) -> NDArra
     A window changes only the cells at least half its radius from the ground. Nearer cells get better values from
     smaller windows; at the border, where windows are cut, large ones would pull them off a slope.
     """
-    surface = filled
+    surface = filled.copy()
     for radius in (32, 16, 8, 4, 2, 1):
         free = distance >= max(radius / 2, 1)
         if not free.any():
             continue
         for _ in range(4):
-            surface = np.where(free, uniform_filter(surface, 2 * radius + 1, mode="nearest"), surface)
+            np.copyto(surface, means_over_windows(surface, 2 * radius + 1), where=free)
     return surface
+
+
+def means_over_windows(values: NDArray[np.float32], width: int) -> NDArray[np.float32]:
+    """Return the means over windows; beyond the border the outermost cell goes on.
+
+    It is `scipy.ndimage.uniform_filter` to the bit, whose sums run along each line. So lines are shared by the cores.
+    """
+    return _along_lines(_along_lines(values, width, 0), width, 1)
+
+
+def _along_lines(values: NDArray[np.float32], width: int, axis: int) -> NDArray[np.float32]:
+    """Return the means over windows along one axis."""
+    means = np.empty_like(values)
+    shares = (np.array_split(each, cores(), axis=1 - axis) for each in (values, means))
+    in_threads(lambda share: uniform_filter1d(share[0], width, axis, share[1], "nearest"), zip(*shares, strict=True))
+    return means
 
 
 def refine(coarse: Grid, spec: GridSpec) -> Grid:

@@ -12,7 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from msbdb.grid import Grid, GridSpec
-from msbdb.ground.interpolation import interpolate_ground
+from msbdb.ground.interpolation import NearestGround, interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
 from msbdb.labels import Pairs, chosen_cells, label_zones, minimum_cut, neighbours, sizes, sums
@@ -342,8 +342,9 @@ def _rise(heights: Heights, ground: Mask, spec: GridSpec, params: GroundParams) 
 
     It may rise from that ground as towards an object in the progressive filter, by ``height_m`` and ``slope``.
     """
-    terrain = np.asarray(interpolate_ground(heights, ground, spec).values)
-    most_m = params.height_m + params.slope * spec.cell_m * distance_transform_edt(~ground)
+    nearest = NearestGround.of(ground)
+    terrain = np.asarray(interpolate_ground(heights, ground, spec, found=nearest).values)
+    most_m = params.height_m + params.slope * spec.cell_m * nearest.distance
     return np.asarray(heights - terrain - most_m)
 
 

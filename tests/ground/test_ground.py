@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter
 from support.notices import with_notices
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.choice import FILTERS, POINT_FILTERS, lowest_surface, terrain, without_pits
-from msbdb.ground.interpolation import interpolate_ground, refine
+from msbdb.ground.interpolation import NearestGround, interpolate_ground, means_over_windows, refine
 from msbdb.ground.progressive import window_radii
 from msbdb.ground.trend import known_trend, lower_trend
 from msbdb.ground.wavelet import smooth_b3, two_means
@@ -133,6 +133,26 @@ def test_pits_are_raised_as_by_the_median_of_all_cells(shape, step_m):
     for depth in (0.25, 1.0, 4.0):
         floor = median_filter(heights, size=5, mode="nearest") - np.float32(depth)
         assert without_pits(heights, depth).tobytes() == np.maximum(heights, floor).tobytes()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (33, 70), (129, 64)])
+@pytest.mark.parametrize("width", [3, 17, 65])
+def test_means_over_windows_are_those_of_scipy_to_the_bit(shape, width):
+    """Lines are shared out among the cores; windows may be wider than the lattice."""
+    values = np.random.default_rng(width).normal(0, 100, shape).astype(np.float32)
+    kept = values.copy()
+    assert means_over_windows(values, width).tobytes() == uniform_filter(values, width, mode="nearest").tobytes()
+    assert values.tobytes() == kept.tobytes()
+
+
+def test_ground_whose_nearest_cells_are_known_is_interpolated_alike():
+    """Finding them once for several purposes changes nothing."""
+    random = np.random.default_rng(4)
+    spec = lattice((0, 0.1, 49.9, 29.9), 1.0, CRS.from_epsg(2154))
+    heights, ground = random.normal(0, 1, spec.shape).astype(np.float32), random.random(spec.shape) < 0.4
+    nearest = NearestGround.of(ground)
+    expected = interpolate_ground(heights, ground, spec).values
+    np.testing.assert_array_equal(interpolate_ground(heights, ground, spec, found=nearest).values, expected)
 
 
 @pytest.mark.parametrize("name", list(FILTERS))
