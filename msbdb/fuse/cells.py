@@ -1,7 +1,6 @@
 """Which cells are building: the detectors' votes, and a minimum cut whose edges follow the steps of height."""
 
 from collections.abc import Mapping
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,8 @@ from msbdb.fuse.secondlook import (
     without_rough,
 )
 from msbdb.grid import Grid
-from msbdb.labels import Labels, Pairs, around, label_zones, minimum_cut, neighbours, small_zones
+from msbdb.labels import Labels, Pairs, around, by_three, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
-
-T = TypeVar("T", bound=np.generic)
 
 Mask = NDArray[np.bool_]
 
@@ -125,21 +122,11 @@ def _straight(decided: Mask) -> Mask:
     A corner has four of its nine cells. So what an opening by 3 by 3 cells keeps stays, and what a closing leaves empty
     stays empty: bumps and notches of a cell go.
     """
-    most = _by_three(np.add, decided.astype(np.int8)) > 4
-    opened = _by_three(np.logical_or, _by_three(np.logical_and, decided))
-    closed = _by_three(np.logical_and, _by_three(np.logical_or, decided))
+    most = by_three(np.add, decided.astype(np.int8)) > 4
+    opened = by_three(np.logical_or, by_three(np.logical_and, decided))
+    closed = by_three(np.logical_and, by_three(np.logical_or, decided))
     straight: Mask = (most | opened) & closed
     return straight
-
-
-def _by_three(combine: np.ufunc, image: NDArray[T]) -> NDArray[T]:
-    """Combine the 3 by 3 cells around each cell; beyond the lattice the outermost cells go on."""
-    for axis in range(2):
-        framed = np.pad(image, [(1, 1) if axis == side else (0, 0) for side in range(2)], mode="edge")
-        count = image.shape[axis]
-        one, two, three = (framed[n : n + count] if axis == 0 else framed[:, n : n + count] for n in range(3))
-        image = combine(combine(one, two), three)
-    return image
 
 
 def _apart(decided: Mask, high: Mask) -> Mask:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from msbdb.fuse.roofdirections import RoofDirections
-from msbdb.labels import Box, Labels, around, boxes, label_zones, sums, widened
+from msbdb.labels import Box, CellList, Labels, around, boxes, label_zones, sums, widened
 from msbdb.threads import in_threads
 
 Mask = NDArray[np.bool_]
@@ -134,7 +134,8 @@ def cut_pieces(
         found[near][own] = (between.astype(np.int64) * (int(below.max()) + 1) + below)[own]
 
     in_threads(cut, boxes(islands).items())
-    return label_zones(found, connectivity=4)[0]
+    cells = CellList.covering(built)
+    return cells.image(cells.zones(cells.of(found), connectivity=4)[0])
 
 
 def cut_bends(labels: Labels, turn_deg: NDArray[np.float32], least_deg: float) -> Labels:
@@ -160,8 +161,9 @@ def cut_bends(labels: Labels, turn_deg: NDArray[np.float32], least_deg: float) -
         return labels
     seeds, _ = label_zones(built & (turn_deg < least_deg))
     sides = _flooded(turn_deg, seeds, built)
-    both = np.where(built, labels.astype(np.int64) * (int(sides.max()) + 1) + sides, 0)
-    return label_zones(both, connectivity=4)[0]
+    cells = CellList.covering(built)
+    both = cells.of(labels).astype(np.int64) * (int(sides.max()) + 1) + cells.of(sides)
+    return cells.image(cells.zones(both, connectivity=4)[0])
 
 
 def _marks(

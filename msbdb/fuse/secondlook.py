@@ -4,13 +4,13 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening, median, uniform_filter
+from scipy.ndimage import median, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from msbdb.fuse.probability import HOUSE_M2, building_probability
 from msbdb.grid import Grid
-from msbdb.labels import Labels, chosen_cells, label_zones, neighbours, sizes, sums
+from msbdb.labels import Labels, by_three, chosen_cells, label_zones, neighbours, sizes, sums
 from msbdb.morphology.windows import dilation
 from msbdb.params import FuseParams
 from msbdb.surface.texture import NO_PLANE_M, grid_samples, scatter
@@ -270,7 +270,7 @@ def without_green(
         & (_share_of_known(labels, count, smooth, roughness_m, unknown=MOST) < MOST)
     )
     trees = chosen_cells(labels, denied)
-    parts, count = label_zones(binary_opening(trees & ~green, np.ones((3, 3), dtype=np.bool_)))
+    parts, count = label_zones(_opened(trees & ~green))
     area = sizes(parts, count)
     houses = (area * cell_m**2 >= params.piece_m2) & (sizes(parts[smooth], count) >= MOST * area)
     return decided & ~trees | chosen_cells(parts, houses)
@@ -325,8 +325,7 @@ def without_leaning_crowns(
     >>> left[1].astype(int)
     array([0, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0])
     """
-    square = np.ones((3, 3), dtype=np.bool_)
-    house = binary_opening(decided & (share >= 1), square)
+    house = _opened(decided & (share >= 1))
     values = np.asarray(heights.values)
     # A piece often reaches the cells beside the house, so that these get the height of the house.
     around = dilation(values, 3, house)
@@ -337,7 +336,7 @@ def without_leaning_crowns(
     area = sizes(labels, count)
     area_m2 = area * heights.spec.cell_area_m2
     smooth = _share_of_known(labels, count, roughness_m <= limit_m, roughness_m, unknown=1.0)
-    edge, beside, flush = _edges(labels, count, decided, np.where(near, around, values), params)
+    edge, beside, flush = measure_edges(labels, count, decided, np.where(near, around, values), params)
     crowns = (
         (area_m2 >= params.piece_m2)
         & (area_m2 <= LEANING_M2)
@@ -392,24 +391,37 @@ def with_flush_planes(decided: Mask, candidates: Mask, heights: Grid, params: Fu
     values = np.asarray(heights.values)
     flush = [np.abs(values[one] - values[other]) <= params.flush_m for one, other in neighbours(decided.shape)]
     labels, count = _flush_regions(candidates, flush)
-    edge, _, joined = _edges(labels, count, decided, values, params)
+    edge, _, joined = measure_edges(labels, count, decided, values, params)
     return decided | chosen_cells(labels, joined >= np.maximum(params.flush_share * edge, 1))
 
 
-def _edges(
+def measure_edges(
     labels: Labels, count: int, decided: Mask, values: NDArray[np.floating], params: FuseParams
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Count each region's pairs with cells outside of it, those with buildings, and those flush with buildings."""
     edge, beside, flush = (np.zeros(count, dtype=np.int64) for _ in range(3))
-    for one, other in neighbours(decided.shape):
-        level = np.abs(values[one] - values[other]) <= params.flush_m
-        for here, there in ((one, other), (other, one)):
-            rim = (labels[here] > 0) & (labels[here] != labels[there])
-            edge += sizes(labels[here][rim], count)
-            rim &= decided[there]
-            beside += sizes(labels[here][rim], count)
-            flush += sizes(labels[here][rim & level], count)
+    cells = np.flatnonzero(labels)
+    own, value, width = labels.ravel()[cells], values.ravel()[cells], labels.shape[1]
+    col = cells % width
+    steps = ((-width, cells >= width), (width, cells < labels.size - width), (-1, col > 0), (1, col < width - 1))
+    for step, inside in steps:
+        place = np.flatnonzero(inside)
+        there = cells[place] + step
+        rim = labels.ravel()[there] != own[place]
+        place, there = place[rim], there[rim]
+        edge += sizes(own[place], count)
+        built = decided.ravel()[there]
+        place, there = place[built], there[built]
+        beside += sizes(own[place], count)
+        level = np.abs(value[place] - values.ravel()[there]) <= params.flush_m
+        flush += sizes(own[place[level]], count)
     return edge, beside, flush
+
+
+def _opened(mask: Mask) -> Mask:
+    """Return the opening of a mask by 3 by 3 cells; there is none beyond the lattice."""
+    none = np.False_
+    return by_three(np.logical_or, by_three(np.logical_and, mask, beyond=none), beyond=none)
 
 
 def _flush_regions(candidates: Mask, flush: list[Mask]) -> tuple[Labels, int]:

@@ -16,7 +16,7 @@ from msbdb.fuse.roofdirections import find_directions
 from msbdb.fuse.roofmaterials import cut_rows
 from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_bends, cut_pieces, measure_pieces, measure_touches
 from msbdb.grid import Grid
-from msbdb.labels import Labels, boxes, label_zones, look_up, touching_pairs, widened
+from msbdb.labels import CellList, Labels, boxes, label_zones, look_up, touching_pairs, widened
 from msbdb.params import TouchingParams
 from msbdb.threads import together
 
@@ -124,7 +124,9 @@ def divide(
 
     Border: roofs end at the lattice. Complexity: n log n in the cells, and in the pieces.
     """
-    islands, count = label_zones(built)
+    cells = CellList.covering(built)
+    of_cells, count = cells.zones(np.ones(cells.numbers.size, dtype=np.uint8))
+    islands = cells.image(of_cells)
     if not count or not (params.divide or parcels is not None):
         return Division(islands, {})
     cell_m = heights.spec.cell_m
@@ -153,9 +155,11 @@ def divide(
     touches = measure_touches(labels, smooth, evidence, least)
     joining = Joining(pieces, touches, params, cell_m)
     into = joining.run()
-    houses, _ = label_zones(look_up(np.concatenate([[0], into + 1]), labels))
+    piece = cells.of(labels)
+    of_cells, _ = cells.zones(look_up(np.concatenate([[0], into + 1]), piece))
+    houses = cells.image(of_cells)
     house = np.zeros(len(into), dtype=np.int64)
-    house[into[labels[labels > 0] - 1]] = houses[labels > 0]
+    house[into[piece[piece > 0] - 1]] = of_cells[piece > 0]
     found = {}
     for (one, other), reason in joining.borders().items():
         pair = int(house[one]), int(house[other])
@@ -168,11 +172,13 @@ def divide(
         if parcels is not None:
             kept |= np.isin(houses, np.unique(houses[parcels > 0]))
         rows = cut_rows(np.where(kept, 0, houses), smooth, intensity, directions, params, cell_m=cell_m)
-        cut, _ = label_zones(np.where(built, houses.astype(np.int64) * (int(rows.max(initial=0)) + 1) + rows, 0))
+        both = of_cells.astype(np.int64) * (int(rows.max(initial=0)) + 1) + cells.of(rows)
+        cut = cells.image(cells.zones(both)[0])
     small = _small_and_unlike(islands, cut, smooth, params, cell_m)
     if parcels is not None:
         small &= ~np.isin(islands, np.unique(islands[parcels > 0]))
-    whole, _ = label_zones(np.where(small, islands.astype(np.int64) + int(cut.max()), cut))
+    joined = np.where(cells.of(small), cells.of(islands).astype(np.int64) + int(cut.max()), cells.of(cut))
+    whole = cells.image(cells.zones(joined)[0])
     return Division(whole, _borders_of(whole, houses, found))
 
 

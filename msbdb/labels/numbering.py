@@ -234,6 +234,33 @@ def around(framed: NDArray[T], cells: NDArray[np.intp]) -> NDArray[T]:
     return values
 
 
+def by_three(combine: np.ufunc, image: NDArray[T], *, beyond: T | None = None) -> NDArray[T]:
+    """Combine the 3 by 3 cells around each cell, by an operator of two values in any order.
+
+    Parameters
+    ----------
+    combine : ufunc
+        For instance ``np.add`` for sums, ``np.logical_and`` for an erosion of a mask, ``np.logical_or`` for a dilation.
+    image : (H, W) ndarray
+        Not modified.
+    beyond : scalar, optional
+        The value beyond the lattice; by default the outermost cells go on.
+
+    Examples
+    --------
+    >>> by_three(np.add, np.array([[1, 2], [3, 4]]), beyond=0)
+    array([[10, 10],
+           [10, 10]])
+    """
+    for axis in range(2):
+        sides = [(1, 1) if axis == side else (0, 0) for side in range(2)]
+        framed = np.pad(image, sides, mode="edge") if beyond is None else np.pad(image, sides, constant_values=beyond)
+        count = image.shape[axis]
+        one, two, three = (framed[n : n + count] if axis == 0 else framed[:, n : n + count] for n in range(3))
+        image = combine(combine(one, two), three)
+    return image
+
+
 def small_zones(mask: NDArray[np.bool_], cells: float, *, connectivity: int) -> NDArray[np.bool_]:
     """Return the cells of the connected components that have fewer than so many cells.
 

@@ -5,9 +5,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy import ndimage
 from support import oracles
 
-from msbdb.labels import boxes, chosen_cells, label_zones, renumber, reorder, shared_cells, sizes, small_zones, sums
+from msbdb.labels import (
+    EIGHT,
+    boxes,
+    by_three,
+    chosen_cells,
+    label_zones,
+    renumber,
+    reorder,
+    shared_cells,
+    sizes,
+    small_zones,
+    sums,
+)
 
 COUNT = 6
 IMAGES = hnp.arrays(np.int32, st.tuples(st.integers(1, 8), st.integers(1, 8)), elements=st.integers(0, COUNT))
@@ -110,3 +123,13 @@ def test_small_zones_are_what_an_opening_removes(connectivity, mask, cells):
     """Components of fewer cells, and no component of just so many, nor of more."""
     opened = oracles.binary_area_opening(mask, cells, connectivity)
     np.testing.assert_array_equal(small_zones(mask, cells, connectivity=connectivity), mask & ~opened)
+
+
+@given(hnp.arrays(np.bool_, st.tuples(st.integers(1, 8), st.integers(1, 8))))
+def test_three_by_three_cells_are_combined_as_by_scipy(mask):
+    """Erosion and dilation with nothing beyond the lattice, and sums where the outermost cells go on."""
+    eroded = by_three(np.logical_and, mask, beyond=np.False_)
+    np.testing.assert_array_equal(eroded, ndimage.binary_erosion(mask, EIGHT))
+    np.testing.assert_array_equal(by_three(np.logical_or, mask), ndimage.binary_dilation(mask, EIGHT))
+    numbers = mask.astype(np.int64) * 7
+    np.testing.assert_array_equal(by_three(np.add, numbers), ndimage.convolve(numbers, EIGHT, mode="nearest"))
