@@ -9,6 +9,7 @@ from pyproj import CRS
 from msbdb.detect.scene import Evidence, Regions
 from msbdb.fuse.cells import fuse_cells
 from msbdb.fuse.secondlook import (
+    measure_edges,
     with_flush_planes,
     without_crowns,
     without_green,
@@ -300,3 +301,20 @@ def test_leaning_crowns_are_the_same_when_the_survey_is_turned(seed):
     straight = left(0)
     assert not (straight & ~decided).any()
     assert np.array_equal(np.rot90(straight), left(1))
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (8, 11)])
+def test_edges_are_counted_pair_by_pair(shape):
+    """Pairs with cells outside of a region, of them those with buildings, and those whose heights are level."""
+    random = np.random.default_rng(sum(shape))
+    labels = random.integers(0, 4, shape).astype(np.int32)
+    decided = (labels > 0) | (random.random(shape) < 0.5)
+    values = random.integers(0, 3, shape) * PARAMS.flush_m
+    expected = np.zeros((3, 3), dtype=np.int64)
+    for row, col in np.ndindex(shape):
+        for r, c in ((row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1)):
+            inside = 0 <= r < shape[0] and 0 <= c < shape[1]
+            if inside and labels[row, col] > 0 and labels[r, c] != labels[row, col]:
+                level = abs(values[row, col] - values[r, c]) <= PARAMS.flush_m
+                expected[:, labels[row, col] - 1] += 1, decided[r, c], decided[r, c] and level
+    np.testing.assert_array_equal(measure_edges(labels, 3, decided, values, PARAMS), expected)
