@@ -57,8 +57,8 @@ def grow(seeds: NDArray[np.int32], domain: NDArray[Any], connectivity: int) -> N
 
 
 @kernel
-def edges(labels: NDArray[np.int32], cells: NDArray[np.intp]) -> NDArray[np.uint8]:
-    """Mark the cells of objects that have a neighbour (of eight) outside of their object.
+def mark_edges(labels: NDArray[np.int32], cells: NDArray[np.intp], edge: NDArray[np.bool_]) -> None:
+    """Mark which cells of objects have a neighbour (of eight) outside of their object.
 
     Parameters
     ----------
@@ -66,30 +66,30 @@ def edges(labels: NDArray[np.int32], cells: NDArray[np.intp]) -> NDArray[np.uint
         Objects; 0 for none.
     cells : (K,) ndarray of int
         Flat indices of the cells to look at, those of all objects among them.
+    edge : (H, W) ndarray of bool
+        Changed in place, in these cells: whether a cell is on a boundary.
 
-    Returns
-    -------
-    (H, W) ndarray of uint8
-        1 on boundary cells. Border: what lies outside of the array does not exist.
+    Notes
+    -----
+    Border: what lies outside of the array does not exist.
     """
     # Each cell reads its neighbours and writes itself alone, so the order of the cells has no effect.
     rows, cols = labels.shape
-    edge = np.zeros((rows, cols), dtype=np.uint8)
     for cell in cells:
         row, col = cell // cols, cell % cols
         label = labels[row, col]
+        edge[row, col] = False
         if label != 0:
             for r in range(max(row - 1, 0), min(row + 2, rows)):
                 for c in range(max(col - 1, 0), min(col + 2, cols)):
                     if labels[r, c] != label:
-                        edge[row, col] = 1
-    return edge
+                        edge[row, col] = True
 
 
 @kernel
 def reaching_in(
     labels: NDArray[np.int32],
-    edge: NDArray[np.uint8],
+    edge: NDArray[np.bool_],
     blobs: tuple[NDArray[np.int32], NDArray[np.int32]],
     count: int,
     reached: NDArray[np.bool_],
@@ -103,7 +103,7 @@ def reaching_in(
     ----------
     labels : (H, W) ndarray of int32
         Objects; 0 for none.
-    edge : (H, W) ndarray of uint8
+    edge : (H, W) ndarray of bool
         The objects' boundary cells.
     blobs : (N,) and (B + 1,) ndarray of int32
         Flat indices of the blobs' cells, blob by blob; and where each blob's cells start among them, and N.

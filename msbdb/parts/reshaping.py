@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from msbdb.labels import Labels, label_zones, look_up, renumber, sizes
-from msbdb.parts.adjacency import edges, reaching_in
+from msbdb.parts.adjacency import mark_edges, reaching_in
 from msbdb.parts.clusters import Clusters, Step
 from msbdb.parts.links import NONE, link
 
@@ -60,13 +60,16 @@ def cut_vegetation(
     blobs = _blobs(vegetation, connectivity, over=clusters.cells.numbers[clusters.in_cells(clusters.alive)])
     if not blobs[0].size:
         return joined(clusters, [])
-    gone = np.zeros(vegetation.shape, dtype=np.bool_)
+    gone, edge = (np.zeros(vegetation.shape, dtype=np.bool_) for _ in range(2))
+    objects, at = np.zeros(vegetation.shape, dtype=np.int32), clusters.cells.numbers
     steps = []
     for level in reversed(range(len(clusters.labels))):
         living = clusters.flags(np.setdiff1d(clusters.at(level), kept))
         own = np.where(look_up(living, clusters.labels[level]), clusters.labels[level], np.int32(0))
-        objects, count = clusters.cells.image(own), len(clusters.rows)
-        reaching_in(objects, edges(objects, clusters.cells.numbers), blobs, count, gone)
+        objects.ravel()[at] = own
+        mark_edges(objects, at, edge)
+        count = len(clusters.rows)
+        reaching_in(objects, edge, blobs, count, gone)
         lost = clusters.cells.of(gone)
         touched = np.flatnonzero(sizes(own[lost], count) > 0)
         if touched.size:
