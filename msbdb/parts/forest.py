@@ -37,6 +37,9 @@ class Forest:
     labels : tuple of (H, W) ndarray of int32
         One image a scale, finest first: 0 for none, otherwise row number + 1 in ``parts``. The parts of one scale
         are disjoint and numbered without a gap, in row order of their first cells.
+    root_labels : (H, W) ndarray of int32
+        Row number + 1 in ``parts`` of the root that covers a cell; 0 for none. Roots are disjoint, whatever their
+        scales.
     parts : DataFrame
         The columns of ``tables.PART``, without geometry; in order of scale, finest first.
     scales : DataFrame
@@ -47,9 +50,6 @@ class Forest:
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself), ``kept`` and ``dropped``.
     reasons : (H, W) ndarray of uint8, optional
         `msbdb.tables.Reason` of the cells above the mask that a stage dropped; 0 elsewhere.
-    root_labels : (H, W) ndarray of int32
-        Row number + 1 in ``parts`` of the root that covers a cell; 0 for none. Roots are disjoint, whatever their
-        scales.
     """
 
     labels: tuple[Labels, ...]
