@@ -1,5 +1,6 @@
 """The nearest points of each point in space, by cells in plan."""
 
+import math
 from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from msbdb.errors import ParameterError
-from msbdb.labels import look_up
+from msbdb.labels import by_three, look_up
 from msbdb.points.cellindex import CellIndex, cell_place, index_cells, parts_of, require_coordinates, strip
 from msbdb.threads import cores, in_threads, kernel
 
@@ -100,10 +101,12 @@ def nearest_in_plan(
 ) -> Iterator[tuple[NDArray[np.integer], Floats, NDArray[np.intp]]]:
     """Yield for batches of the asking points which they are, and distances and numbers of their nearest in a tree.
 
+    Those that have none within the distance are left out as far as cells show it.
+
     Parameters
     ----------
     tree : cKDTree
-        Of other points in plan.
+        Of other points in plan, one at least.
     plan : two (N,) ndarrays of float64, metres
         x and y of all points.
     asking : (M,) ndarray of int
@@ -116,16 +119,49 @@ def nearest_in_plan(
 
     Examples
     --------
-    >>> plan = np.array([0.0, 1.0, 5.0]), np.zeros(3)
-    >>> for some, distance, number in nearest_in_plan(cKDTree([[0, 0], [4, 0]]), plan, np.array([1, 2]), 1, 2.0):
+    >>> plan = np.array([0.0, 1.0, 5.0, 90.0]), np.zeros(4)
+    >>> for some, distance, number in nearest_in_plan(cKDTree([[0, 0], [4, 0]]), plan, np.array([1, 2, 3]), 1, 2.0):
     ...     print(some, distance.ravel(), number.ravel())
     [1 2] [1. 1.] [0 1]
     """
+    asking = asking[_may_be_near(tree, plan, asking, within_m)]
     for start in range(0, len(asking), ASKING):
         some = asking[start : start + ASKING]
         place = np.column_stack([axis[some] for axis in plan])
         distance, number = tree.query(place, k=np.arange(1, count + 1), distance_upper_bound=within_m, workers=cores())
         yield some, distance, number
+
+
+def _may_be_near(
+    tree: cKDTree, plan: tuple[Floats, Floats], asking: NDArray[np.integer], within_m: float
+) -> NDArray[np.bool_]:
+    """Return which asking points lie in the cell of a point of the tree, or beside one; cells are so wide at least."""
+    extent = tree.maxes - tree.mins
+    # Two cells an asking point at most: those of a wide survey are larger.
+    enough_m = float(np.sqrt((extent + within_m).prod() / (2 * len(asking) + 1)))
+    cell_m = max(within_m * (1 + SLACK), enough_m)
+    held = np.zeros([int(side / cell_m) + 3 for side in extent], dtype=np.bool_)
+    held[tuple((np.asarray((tree.data - tree.mins) / cell_m, dtype=np.int64) + 1).T)] = True
+    near = by_three(np.logical_or, held, beyond=np.False_)
+    return _in_cells(plan, asking, near, (float(tree.mins[0]), float(tree.mins[1])), cell_m)
+
+
+@kernel
+def _in_cells(
+    plan: tuple[Floats, Floats],
+    asking: NDArray[np.integer],
+    cells: NDArray[np.bool_],
+    corner: tuple[float, float],
+    cell_m: float,
+) -> NDArray[np.bool_]:
+    """Return (M,) which asking points lie in cells that are true; the corner is that of the cell (1, 1)."""
+    x, y = plan
+    found = np.zeros(asking.size, dtype=np.bool_)
+    for number in range(asking.size):
+        point = asking[number]
+        col, row = math.floor((x[point] - corner[0]) / cell_m) + 1, math.floor((y[point] - corner[1]) / cell_m) + 1
+        found[number] = 0 <= col < cells.shape[0] and 0 <= row < cells.shape[1] and cells[col, row]
+    return found
 
 
 def nearest_of(known: tuple[Floats, Floats, Floats], asking: tuple[Floats, Floats, Floats]) -> NDArray[np.int64]:
