@@ -167,16 +167,16 @@ def prepare(
         )
         return cover if label.classes is None else keep_labels(cover, label.classes), settled(params, chosen), chosen
 
-    def keep() -> tuple[Evidence, Elevations, NDArray[np.uint8] | None]:
+    def keep() -> tuple[Survey, Evidence, Elevations, NDArray[np.uint8] | None]:
+        record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
         evidence = Evidence.of(structure)
         # What is too low for a building, or is no roof, has no intensity that is read.
         high = np.asarray(surface.ndsm.values, dtype=np.float32) >= params.surface.mask_m
         intensity = kept_intensity(bands, high & (evidence.roof_probability >= CAN_BE_ROOF))
-        return evidence, Elevations.of(surface, cloud), intensity
+        return record, evidence, Elevations.of(surface, cloud), intensity
 
     with stages.stage("classes"):
-        (cover, known, planned), (evidence, elevations, intensity) = together(classify, keep)
-    record = record_survey(inputs, name=label.name, date=label.date, surface=surface, cloud=cloud)
+        (cover, known, planned), (record, evidence, elevations, intensity) = together(classify, keep)
     parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec, everywhere=own is None)
     points, above = (None, None) if draft.cloud is None else evenly_dense(draft.cloud.places(), draft.above)
     scene = Scene(
