@@ -50,7 +50,8 @@ class Candidates:
     regions : DataFrame
         ``tables.CANDIDATE_REGION`` without geometry, in order of the ids. Regions share no point.
     rejections : DataFrame
-        ``tables.REJECTION`` without geometry: a row for each region that a stage dropped.
+        ``tables.REJECTION`` without geometry: a row for each region that a stage dropped; the id is 0 of those that
+        are smaller than ``fuse.piece_m2`` and are only counted.
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut
         itself, less those it joined), ``kept`` and ``dropped``.
@@ -207,20 +208,25 @@ class PlacedPoints:
             region_means(self.y, labels, count) + self.origin[1],
         )
 
-    def ids(self, labels: Labels, count: int, *, stage: int = 0) -> NDArray[np.int64]:
+    def ids(
+        self, labels: Labels, count: int, *, stage: int = 0, wanted: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.int64]:
         """Return ids of regions from their first cells; rejected regions, of a stage from 1 on, have their own.
 
         Every label from 1 to ``count`` has a point. Regions that share their first cell are numbered in the order of
-        their labels.
+        their labels. What is not wanted has the id 0.
         """
         first = _first_places(labels, self.place, count)[1:]
         order = np.argsort(first, kind="stable")
         begins = np.diff(first[order], prepend=-1) != 0
         piece = np.empty(count, dtype=np.int64)
         piece[order] = np.arange(count) - np.maximum.accumulate(np.where(begins, np.arange(count), 0))
-        row, col = np.divmod(first, PLACES)
+        chosen = np.flatnonzero(np.ones(count, dtype=np.bool_) if wanted is None else wanted)
+        row, col = np.divmod(first[chosen], PLACES)
         row, col = row - PLACES // 2 + self.spec.origin[0], col - PLACES // 2 + self.spec.origin[1]
-        return part_ids(self.key, self.spec.cell_m, threshold_px=stage, row=row, col=col, piece=piece)
+        found = np.zeros(count, dtype=np.int64)
+        found[chosen] = part_ids(self.key, self.spec.cell_m, threshold_px=stage, row=row, col=col, piece=piece[chosen])
+        return found
 
 
 def places(spec: GridSpec, easting: Floats, northing: Floats) -> NDArray[np.int64]:
@@ -270,11 +276,14 @@ def _first_places(labels: Labels, place: NDArray[np.int64], count: int) -> NDArr
 
 
 class PointLedger(Ledger):
-    """The ledger of a detector on points: labelled regions become ``tables.REJECTION``, and their cells are marked."""
+    """The ledger of a detector on points: labelled regions become ``tables.REJECTION``, and their cells are marked.
 
-    def __init__(self, method: str, points: PlacedPoints) -> None:
+    Regions of less than ``least_m2`` get no row in a database, so that they have the id 0.
+    """
+
+    def __init__(self, method: str, points: PlacedPoints, least_m2: float) -> None:
         super().__init__(method)
-        self.points = points
+        self.points, self.least_m2 = points, least_m2
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, number: int, *, scale: int = 0) -> int:
         """Write labelled regions into the ledger; return how many.
@@ -298,12 +307,13 @@ class PointLedger(Ledger):
             inside = np.flatnonzero(labels)
             points, labels = points.take(inside), labels[inside]
         xcen, ycen = points.centroids(labels, count)
+        area_m2 = points.areas(labels, count)
         rows = pd.DataFrame(
             {
-                "region_id": points.ids(labels, count, stage=number),
+                "region_id": points.ids(labels, count, stage=number, wanted=area_m2 >= self.least_m2),
                 "reason": reasons,
                 "scale": scale,
-                "area_m2": points.areas(labels, count),
+                "area_m2": area_m2,
                 "xcen": xcen,
                 "ycen": ycen,
             }

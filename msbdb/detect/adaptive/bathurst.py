@@ -145,7 +145,7 @@ def extract_adaptive(
     del ndvi
     let_go()
     placed = points.placed(spec, survey)
-    ledger = PointLedger(METHOD, placed)
+    ledger = PointLedger(METHOD, placed, params.fuse.piece_m2)
     found = structure(points, own)
     steps = ladder(own, points.spacing_m, points.step_m)
     labels, count = _without_vegetation(points, found, own, steps[0], ledger)

@@ -117,7 +117,7 @@ def extract_area3d(
     del ndvi
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
-    ledger = PointLedger(METHOD, placed)
+    ledger = PointLedger(METHOD, placed, params.fuse.piece_m2)
     accepted = fuse_over_scales(scenes, scales, ledger)
     shape = {
         "rule": np.array(["", "rule 1", "rule 2"], dtype=object)[accepted.rule],

@@ -222,7 +222,7 @@ def extract_flat_regions(
         msg = "The surface has no valid cell in which flat regions could lie. Check its extent and nodata value."
         raise NodataError(msg)
     own, mask_m = params.flatregions, params.surface.mask_m
-    ledger = FlatRegionLedger(g.spec, survey)
+    ledger = FlatRegionLedger(g.spec, survey, params.fuse.piece_m2)
     denoised = denoise(g, own)
     _record_outliers(denoised, ledger)
     if own.on == "ndsm":

@@ -27,23 +27,29 @@ STAGES = ("denoising", "ratio", "leaves", "opening", "compactness")
 
 
 class FlatRegionLedger(Ledger):
-    """The ledger of the flat regions: lost regions of cells become ``tables.REJECTION``, and their cells are marked."""
+    """The ledger of the flat regions: lost regions of cells become ``tables.REJECTION``, and their cells are marked.
 
-    def __init__(self, spec: GridSpec, survey: str) -> None:
+    Regions of less than ``least_m2`` get no row in a database, so that they have the id 0.
+    """
+
+    def __init__(self, spec: GridSpec, survey: str, least_m2: float) -> None:
         super().__init__(METHOD)
-        self.spec, self.survey = spec, survey
+        self.spec, self.survey, self.least_m2 = spec, survey, least_m2
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
         """Write the 8-connected regions of a mask, or those of labels, into the ledger, a row each; return how many."""
         labels, count = label_zones(regions)
         table = measure(labels, count)
         xcen, ycen = centroids(table, self.spec)
+        area_m2 = table["area"].to_numpy() * self.spec.cell_area_m2
+        ids, wanted = np.zeros(count, dtype=np.int64), area_m2 >= self.least_m2
+        ids[wanted] = region_ids(table[wanted], self.spec, self.survey, stage=1 + STAGES.index(stage))
         rows = pd.DataFrame(
             {
-                "region_id": region_ids(table, self.spec, self.survey, stage=1 + STAGES.index(stage)),
+                "region_id": ids,
                 "reason": reason,
                 "scale": 0,
-                "area_m2": table["area"] * self.spec.cell_area_m2,
+                "area_m2": area_m2,
                 "xcen": xcen,
                 "ycen": ycen,
             }

@@ -97,7 +97,9 @@ def check(cloud, found):
     assert (np.bincount(found.labels, minlength=len(regions) + 1)[1:] == regions["points"]).all()
     assert regions["candidate_id"].is_unique
     assert regions["candidate_id"].is_monotonic_increasing
-    assert found.rejections["region_id"].is_unique
+    large = found.rejections["area_m2"] >= Params().fuse.piece_m2
+    assert found.rejections["region_id"][large].is_unique
+    assert ((found.rejections["region_id"] > 0) == large).all()
     counts = list(found.counts.values())
     assert set(found.rejections["method"]) <= {"adaptive"}
     assert all(count["in"] == count["kept"] + count["dropped"] for count in counts)

@@ -284,10 +284,11 @@ def test_the_ledger_balances(scene):
     for before, after in pairwise(stages):
         assert found.counts[before]["kept"] == found.counts[after]["in"] - found.counts[after]["pieces"]
     assert found.counts["rules"]["kept"] == len(found.regions)
-    ids = np.concatenate([found.regions["candidate_id"], found.rejections["region_id"]])
-    assert (ids > 0).all()
+    large = found.rejections["area_m2"] >= Params().fuse.piece_m2
+    assert (found.regions["candidate_id"] > 0).all()
+    assert ((found.rejections["region_id"] > 0) == large).all()
     assert not found.regions["candidate_id"].duplicated().any()
-    assert not found.rejections.duplicated(["region_id", "stage", "reason"]).any()
+    assert not found.rejections[large].duplicated(["region_id", "stage", "reason"]).any()
 
 
 @pytest.mark.parametrize(("scene", "least"), [(city, 0.97), (under_trees, 0.9), (podium_tower, 0.97)])

@@ -121,9 +121,12 @@ def test_nothing_vanishes_in_silence():
     assert found.rejections["stage"].value_counts().to_dict() == dropped
     assert (found.rejections["area_m2"] < 1).any(), "single cells have rows of their own"
     assert {"denoising", "ratio"} <= set(dropped)
-    ids = [*found.regions["region_id"], *found.rejections["region_id"]]
+    large = found.rejections["area_m2"] >= Params().fuse.piece_m2
+    ids = [*found.regions["region_id"], *found.rejections["region_id"][large]]
     assert len(set(ids)) == len(ids)
     assert min(ids) > 0
+    assert large.any()
+    assert not found.rejections["region_id"][~large].any()
 
 
 @pytest.mark.parametrize(

@@ -393,7 +393,7 @@ def test_the_zone_of_a_region_is_that_of_most_of_its_cells():
 
 def test_ledgers_must_balance():
     """A stage whose numbers do not add up, or that dropped a region without a row, is an error of ours."""
-    ledger = FlatRegionLedger(spec_of((3, 3)), "test")
+    ledger = FlatRegionLedger(spec_of((3, 3)), "test", 2.0)
     assert ledger.reject("ratio", "rough", np.eye(3, dtype=bool)) == 1
     ledger.count("ratio", 3, 2, 1)
     with pytest.raises(TableError, match="does not balance"):
