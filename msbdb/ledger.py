@@ -22,6 +22,8 @@ class Ledger:
     ----------
     method : str
         Name of the detector.
+    least_m2 : float
+        Smaller regions get no row in a database, so that they need no id: theirs is 0.
 
     Attributes
     ----------
@@ -30,8 +32,8 @@ class Ledger:
         ``dropped``.
     """
 
-    def __init__(self, method: str) -> None:
-        self.method = method
+    def __init__(self, method: str, least_m2: float = 0.0) -> None:
+        self.method, self.least_m2 = method, least_m2
         self.counts: dict[str, dict[str, int]] = {}
         self._lost: list[pd.DataFrame] = []
         self._rows: dict[str, int] = {}

@@ -50,8 +50,8 @@ class Candidates:
     regions : DataFrame
         ``tables.CANDIDATE_REGION`` without geometry, in order of the ids. Regions share no point.
     rejections : DataFrame
-        ``tables.REJECTION`` without geometry: a row for each region that a stage dropped; the id is 0 of those that
-        are smaller than ``fuse.piece_m2`` and are only counted.
+        ``tables.REJECTION`` without geometry: a row for each region that a stage dropped. Regions smaller than
+        ``fuse.piece_m2`` are only counted later, and have the id 0.
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut
         itself, less those it joined), ``kept`` and ``dropped``.
@@ -214,7 +214,7 @@ class PlacedPoints:
         """Return ids of regions from their first cells; rejected regions, of a stage from 1 on, have their own.
 
         Every label from 1 to ``count`` has a point. Regions that share their first cell are numbered in the order of
-        their labels. What is not wanted has the id 0.
+        their labels. Regions that are not ``wanted``, (M,) bool, have the id 0.
         """
         first = _first_places(labels, self.place, count)[1:]
         order = np.argsort(first, kind="stable")
@@ -276,14 +276,11 @@ def _first_places(labels: Labels, place: NDArray[np.int64], count: int) -> NDArr
 
 
 class PointLedger(Ledger):
-    """The ledger of a detector on points: labelled regions become ``tables.REJECTION``, and their cells are marked.
-
-    Regions of less than ``least_m2`` get no row in a database, so that they have the id 0.
-    """
+    """The ledger of a detector on points: labelled regions become ``tables.REJECTION``, and their cells are marked."""
 
     def __init__(self, method: str, points: PlacedPoints, least_m2: float) -> None:
-        super().__init__(method)
-        self.points, self.least_m2 = points, least_m2
+        super().__init__(method, least_m2)
+        self.points = points
 
     def reject(self, stage: str, reasons: NDArray[np.object_], labels: Labels, number: int, *, scale: int = 0) -> int:
         """Write labelled regions into the ledger; return how many.

@@ -177,8 +177,8 @@ class Regions:
         ``tables.FLAT_REGION``, ``tables.CANDIDATE_REGION`` or, of the multi-scale detector, the roots of
         ``tables.PART``; in order of the ids, except for the roots.
     ledger : DataFrame
-        ``tables.REJECTION`` without geometry: a row for each region that a stage dropped. Those of less than
-        ``fuse.piece_m2``, which are only counted, may have the id 0.
+        ``tables.REJECTION`` without geometry: a row for each region that a stage dropped. Regions smaller than
+        ``fuse.piece_m2`` are only counted later, and have the id 0.
     counts : dict
         By stage: regions ``in`` (with the ``pieces`` that the stage cut itself, less those it joined), ``kept`` and
         ``dropped``.

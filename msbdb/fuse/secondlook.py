@@ -398,7 +398,27 @@ def with_flush_planes(decided: Mask, candidates: Mask, heights: Grid, params: Fu
 def measure_edges(
     labels: Labels, count: int, decided: Mask, values: NDArray[np.floating], params: FuseParams
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Count each region's pairs with cells outside of it, those with buildings, and those flush with buildings."""
+    """Count the pairs of neighbours on the edge of each region.
+
+    Parameters
+    ----------
+    labels : (H, W) ndarray of int32
+        Regions 1 to ``count``; 0 for none.
+    count : int
+        Number of regions.
+    decided : (H, W) ndarray of bool
+        Cells of buildings.
+    values : (H, W) ndarray of float, metres
+        Heights.
+    params : FuseParams
+        ``flush_m``.
+
+    Returns
+    -------
+    edge, beside, flush : (count,) ndarray of int64
+        Pairs of a cell of the region and one of four neighbours outside of it; those with a building; and of these
+        those whose heights differ by ``flush_m`` at most. Border: pairs end at the lattice.
+    """
     edge, beside, flush = (np.zeros(count, dtype=np.int64) for _ in range(3))
     cells = np.flatnonzero(labels)
     own, value, width = labels.ravel()[cells], values.ravel()[cells], labels.shape[1]
@@ -419,7 +439,7 @@ def measure_edges(
 
 
 def _opened(mask: Mask) -> Mask:
-    """Return the opening of a mask by 3 by 3 cells; there is none beyond the lattice."""
+    """Return the opening of a mask by 3 by 3 cells; beyond the lattice nothing is in the mask."""
     none = np.False_
     return by_three(np.logical_or, by_three(np.logical_and, mask, beyond=none), beyond=none)
 

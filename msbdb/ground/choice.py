@@ -117,7 +117,7 @@ def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> 
     found = lowest(points, spec)
     supported = _supported(found.valid)
     sources = NearestGround.of(supported)
-    filled = interpolate_ground(found.values, supported, spec, nearest=True, found=sources).values
+    filled = interpolate_ground(found.values, supported, spec, nearest=True, sources=sources).values
     raised = without_pits(np.asarray(filled, dtype=np.float32), params.low_outlier_m)
     near = sources.distance * spec.cell_m <= max(VOID_M, 2 * spec.cell_m)
     return Grid(raised, near, spec)

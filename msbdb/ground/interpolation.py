@@ -23,7 +23,7 @@ Counts = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearestGround:
-    """The nearest ground of each cell.
+    """The nearest cell of ground, or of any other mask, of each cell.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class NearestGround:
 
     @classmethod
     def of(cls, ground: NDArray[np.bool_]) -> "NearestGround":
-        """Find it for an (H, W) mask of ground, which has some."""
+        """Find it for an (H, W) mask; without any cell in the mask the result has no meaning."""
         return cls(*distance_transform_edt(~ground, return_indices=True))
 
 
@@ -48,7 +48,7 @@ def interpolate_ground(
     spec: GridSpec,
     *,
     nearest: bool = False,
-    found: NearestGround | None = None,
+    sources: NearestGround | None = None,
 ) -> Grid:
     """Fill the cells that are not ground from those that are.
 
@@ -62,8 +62,8 @@ def interpolate_ground(
         Their lattice.
     nearest : bool
         Take the nearest ground cell as it is, instead of a smooth surface through all around.
-    found : NearestGround, optional
-        The nearest ground, where it is known already.
+    sources : NearestGround, optional
+        The nearest ground of each cell, where it is known already.
 
     Raises
     ------
@@ -92,13 +92,13 @@ def interpolate_ground(
         raise NodataError(msg)
     known = np.asarray(values, dtype=np.float32)
     if not ground.all():
-        found = found or NearestGround.of(ground)
-        rows, cols = found.place
+        sources = sources or NearestGround.of(ground)
+        rows, cols = sources.place
         if nearest:
             known = known[rows, cols]
         else:
             trend = known_trend(known, ground, spec.origin)
-            smooth = trend + _relax((known - trend)[rows, cols], found.distance)
+            smooth = trend + _relax((known - trend)[rows, cols], sources.distance)
             known = np.where(ground, known, np.clip(smooth, known[ground].min(), known[ground].max()))
     return Grid(known, np.ones(spec.shape, dtype=np.bool_), spec)
 
@@ -120,9 +120,9 @@ def _relax(filled: NDArray[np.float32], distance: NDArray[np.float64]) -> NDArra
 
 
 def means_over_windows(values: NDArray[np.float32], width: int) -> NDArray[np.float32]:
-    """Return the means over windows; beyond the border the outermost cell goes on.
+    """Return the means of (H, W) float32 values over squares of so many cells; the outermost cell goes on beyond.
 
-    It is `scipy.ndimage.uniform_filter` to the bit, whose sums run along each line. So lines are shared by the cores.
+    The result is that of `scipy.ndimage.uniform_filter` to the bit. Its sums run along lines, so the cores share these.
     """
     return _along_lines(_along_lines(values, width, 0), width, 1)
 

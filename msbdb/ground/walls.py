@@ -343,7 +343,7 @@ def _rise(heights: Heights, ground: Mask, spec: GridSpec, params: GroundParams) 
     It may rise from that ground as towards an object in the progressive filter, by ``height_m`` and ``slope``.
     """
     nearest = NearestGround.of(ground)
-    terrain = np.asarray(interpolate_ground(heights, ground, spec, found=nearest).values)
+    terrain = np.asarray(interpolate_ground(heights, ground, spec, sources=nearest).values)
     most_m = params.height_m + params.slope * spec.cell_m * nearest.distance
     return np.asarray(heights - terrain - most_m)
 

@@ -98,9 +98,10 @@ def label_cells(values: NDArray[Any], eight: bool) -> tuple[Labels, int]:
 
 @kernel
 def label_listed(values: NDArray[Any], cells: NDArray[np.intp], width: int, eight: bool) -> tuple[Labels, int]:
-    """Return what `msbdb.labels.celllist.CellList.zones` does, of cells in rows of that width; as `label_cells`.
+    """Return the flat zones of listed cells and their number, as `msbdb.labels.CellList.zones` does.
 
-    The cells of the row above are found by a second pass through the list, a row behind.
+    The rules are those of `label_cells`. ``cells`` are flat indices in rows of the given width.
+    ``above`` follows them through the list, one row behind.
     """
     labels = np.zeros((1, values.size), dtype=np.int32)
     parent = np.zeros(1024, dtype=np.int32)
@@ -110,7 +111,7 @@ def label_listed(values: NDArray[Any], cells: NDArray[np.intp], width: int, eigh
         if value == 0:
             continue
         first, last = cell % width == 0, cell % width == width - 1
-        # The first cell of the list that is not before the one above; it is before this one, as rows have a cell.
+        # The first listed cell at or after the place above this one. It never passes this one, which is in the list.
         while cells[above] < cell - width:
             above += 1
         is_listed = cells[above] == cell - width

@@ -1,4 +1,4 @@
-"""Some cells of a lattice: images that are 0 everywhere else, worked on by these cells alone."""
+"""A list of cells of a lattice: work on images that are 0 in all other cells passes these over."""
 
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -15,7 +15,7 @@ T = TypeVar("T", bound=np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellList:
-    """Cells of a lattice, of which few are of buildings.
+    """A list of cells of a lattice. Most cells of a survey belong to no building, and need no work.
 
     Parameters
     ----------
@@ -57,11 +57,11 @@ class CellList:
         return image
 
     def places(self, numbers: NDArray[np.integer]) -> NDArray[np.intp]:
-        """Return the places in the list of cells that are listed, by their flat indices."""
+        """Return the places in the list, (N,), of flat indices that are all in it."""
         return np.searchsorted(self.numbers, numbers)
 
     def zones(self, values: NDArray[Any], *, connectivity: int = 8) -> tuple[Labels, int]:
-        """Label the flat zones of (K,) whole numbers or booleans as `msbdb.labels.label_zones` does those of the image.
+        """Label the flat zones of (K,) values as `msbdb.labels.label_zones` does those of the image.
 
         Returns
         -------

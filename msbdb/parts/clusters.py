@@ -205,6 +205,8 @@ class ClusterLedger(Ledger):
     ----------
     method : str
         Name of the detector.
+    least_m2 : float
+        Smaller regions have the id 0.
 
     Attributes
     ----------
@@ -212,8 +214,8 @@ class ClusterLedger(Ledger):
         `msbdb.tables.Reason` of the cells above the mask that a stage dropped; 0 elsewhere. None before `begin`.
     """
 
-    def __init__(self, method: str) -> None:
-        super().__init__(method)
+    def __init__(self, method: str, least_m2: float = 0.0) -> None:
+        super().__init__(method, least_m2)
         self.reasons: NDArray[np.uint8] | None = None
         self._above = np.zeros(0, dtype=np.intp)
 

@@ -94,7 +94,10 @@ def grow_forest(clusters: Clusters, context: Context, ledger: ClusterLedger) -> 
     """
     clusters = compact(clusters)
     rows, lost = clusters.rows, ledger.lost(clusters.rows)
-    ids = _identify(pd.concat([rows, lost], ignore_index=True), context)
+    every = pd.concat([rows, lost], ignore_index=True)
+    wanted = (every.index < len(rows)) | (every["area"] * context.ndsm.spec.cell_area_m2 >= ledger.least_m2).to_numpy()
+    ids = np.zeros(len(every), dtype=np.int64)
+    ids[wanted] = _identify(every[wanted], context)
     father = link(clusters)
     has_father = father != NONE
     scale = _scale_of(rows["level"], context)

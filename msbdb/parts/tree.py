@@ -52,7 +52,7 @@ def extract_parts(
     survey : str
         Name of the survey; part of the ids.
     params : Params
-        Sections ``surface``, ``scale``, ``granulometry`` and ``spectral``.
+        Sections ``surface``, ``scale``, ``granulometry`` and ``spectral``; of ``fuse`` the least area of a row.
     houses : (H, W) ndarray of int32, optional
         The house of each cell that several detectors take for building, 0 for none. Those of them below the mask, where
         an echo beside the wall hit the ground, belong to the highest slice beside them; all others have no such
@@ -86,7 +86,7 @@ def extract_parts(
             f"{ndsm.spec.shape} at {ndsm.spec.bounds}. Classify on the nDSM's lattice."
         )
         raise GridMismatchError(msg)
-    ledger = ClusterLedger("multiscale")
+    ledger = ClusterLedger("multiscale", params.fuse.piece_m2)
     params = choose_scales(ndsm, classes, params)
     heights = ndsm
     ledger.begin(ndsm.valid & (np.asarray(ndsm.values) >= params.surface.mask_m))

@@ -101,7 +101,7 @@ def nearest_in_plan(
 ) -> Iterator[tuple[NDArray[np.integer], Floats, NDArray[np.intp]]]:
     """Yield for batches of the asking points which they are, and distances and numbers of their nearest in a tree.
 
-    Those that have none within the distance are left out as far as cells show it.
+    Points are left out where cells show that they have none within the distance.
 
     Parameters
     ----------
@@ -135,9 +135,12 @@ def nearest_in_plan(
 def _may_be_near(
     tree: cKDTree, plan: tuple[Floats, Floats], asking: NDArray[np.integer], within_m: float
 ) -> NDArray[np.bool_]:
-    """Return which asking points lie in the cell of a point of the tree, or beside one; cells are so wide at least."""
+    """Return which asking points lie in a cell that holds points of the tree, or beside such a cell.
+
+    Cells are at least as wide as the distance, so that all others have no point of the tree within it.
+    """
     extent = tree.maxes - tree.mins
-    # Two cells an asking point at most: those of a wide survey are larger.
+    # About two cells for each asking point at most, so that few points in a wide survey need little memory.
     enough_m = float(np.sqrt((extent + within_m).prod() / (2 * len(asking) + 1)))
     cell_m = max(within_m * (1 + SLACK), enough_m)
     held = np.zeros([int(side / cell_m) + 3 for side in extent], dtype=np.bool_)

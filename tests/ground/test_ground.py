@@ -152,7 +152,7 @@ def test_ground_whose_nearest_cells_are_known_is_interpolated_alike():
     heights, ground = random.normal(0, 1, spec.shape).astype(np.float32), random.random(spec.shape) < 0.4
     nearest = NearestGround.of(ground)
     expected = interpolate_ground(heights, ground, spec).values
-    np.testing.assert_array_equal(interpolate_ground(heights, ground, spec, found=nearest).values, expected)
+    np.testing.assert_array_equal(interpolate_ground(heights, ground, spec, sources=nearest).values, expected)
 
 
 @pytest.mark.parametrize("name", list(FILTERS))

@@ -352,7 +352,9 @@ def test_the_forest_holds_its_invariants(scene, chosen):
     stages = [count for stage, count in forest.counts.items() if stage not in ("opening", "vegetation mask")]
     assert all(b["in"] - b["pieces"] == a["kept"] for a, b in pairwise(stages))
     assert stages[-1]["kept"] == len(forest.parts)
-    assert forest.rejections["region_id"].is_unique
+    large = forest.rejections["area_m2"] >= Params().fuse.piece_m2
+    assert forest.rejections["region_id"][large].is_unique
+    assert ((forest.rejections["region_id"] > 0) == large).all()
     if chosen["merge_slivers"]:
         least = forest.scales.set_index("scale")["threshold_px"]
         assert (forest.parts["area_px"] >= forest.parts["scale"].map(least)).all()

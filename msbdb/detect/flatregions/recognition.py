@@ -27,14 +27,11 @@ STAGES = ("denoising", "ratio", "leaves", "opening", "compactness")
 
 
 class FlatRegionLedger(Ledger):
-    """The ledger of the flat regions: lost regions of cells become ``tables.REJECTION``, and their cells are marked.
-
-    Regions of less than ``least_m2`` get no row in a database, so that they have the id 0.
-    """
+    """The ledger of the flat regions: lost regions of cells become ``tables.REJECTION``, and their cells are marked."""
 
     def __init__(self, spec: GridSpec, survey: str, least_m2: float) -> None:
-        super().__init__(METHOD)
-        self.spec, self.survey, self.least_m2 = spec, survey, least_m2
+        super().__init__(METHOD, least_m2)
+        self.spec, self.survey = spec, survey
 
     def reject(self, stage: str, reason: str, regions: NDArray[np.bool_] | Labels) -> int:
         """Write the 8-connected regions of a mask, or those of labels, into the ledger, a row each; return how many."""
