@@ -2,8 +2,11 @@
 
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import laspy
 import numpy as np
@@ -49,7 +52,7 @@ class Case:
     raster_m: float = 0.0
     """Cells of the rasters that are made of the points, metres; 0 builds from the points."""
     ortho: tuple[Path, ...] = ()
-    """Orthophotos beside the rasters."""
+    """Orthophotos beside the points or the rasters."""
     picture: tuple[NDArray[np.floating], GridSpec] | None = None
     """A picture in place of orthophotos: red, green and blue, (3, H, W) from 0 to 255, and its lattice."""
 
@@ -86,8 +89,10 @@ def build(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Forest]:
         return scene, regions, fuse_and_decompose(scene, regions, params, Stages(None)).forest
 
 
-def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params]:
-    """Run the detectors on a case by the default values, and return the values for the later steps.
+def detected(
+    case: Case, ground: str, values: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[Scene, dict[str, Regions], Params]:
+    """Run the detectors on a case by the default values, or by some others, and return the values for the later steps.
 
     The ground is that of a filter of ours, of the given classes, or of another method, whose points count as class 2.
     """
@@ -96,7 +101,7 @@ def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params
         for cloud, mask in zip(clouds, OTHER_GROUNDS[ground](clouds), strict=True):
             cloud.classification = np.where(mask, GROUND_CLASS, UNCLASSIFIED_CLASS).astype(np.uint8)
     own = "class2" if ground == GIVEN or ground in OTHER_GROUNDS else ground
-    params = with_values(profile(), {"ground": {"ground_filter": own}})
+    params = with_values(with_values(profile(), values), {"ground": {"ground_filter": own}})
     with tempfile.TemporaryDirectory() as name, collect_notices(Notices()):
         folder = Path(name)
         files = tuple(folder / f"{number}.las" for number in range(len(clouds)))
@@ -105,10 +110,10 @@ def detected(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Params
         inputs, methods = Inputs(points=files, crs=case.crs), DETECTORS
         if case.raster_m:
             inputs, methods = as_rasters(files, case.crs, case.raster_m, folder), RASTER_DETECTORS
-            ortho = case.ortho
-            if case.picture is not None:
-                ortho = (write_image(folder / "ortho.tif", *case.picture, ("red", "green", "blue")),)
-            inputs = replace(inputs, ortho=ortho, ortho_crs=case.crs if ortho else None)
+        ortho = case.ortho
+        if case.picture is not None:
+            ortho = (write_image(folder / "ortho.tif", *case.picture, ("red", "green", "blue")),)
+        inputs = replace(inputs, ortho=ortho, ortho_crs=case.crs if ortho else None)
         stages = Stages(None)
         scene, params, _ = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
         return scene, detect(scene, methods, params, stages), params
