@@ -149,7 +149,7 @@ class Plan:
     scales_m2 : tuple of float
         Area thresholds of the scale-space, ascending, square metres.
     heights_m : tuple of float
-        Height scales of ``area3d``, metres; empty without points.
+        Height scales of ``area3d``, metres; empty where nothing is above ground.
     ndvi_threshold : float or None
         NDVI above which points are green in ``adaptive``; None where no point has an NDVI.
     classes : ClassPlan or None

@@ -145,7 +145,7 @@ def build(
         sources = [db, *(path for path, _ in inputs.files())]
         require_output(denoising_figure, overwrite=overwrite, endings=PICTURES, sources=sources)
     with collect_notices(notices):
-        methods = choose_detectors(extract, inputs)
+        methods = choose_detectors(extract)
     inputs.require_files()
     label = Label(survey or inputs.default_survey(), date or "")
     check_target(db)

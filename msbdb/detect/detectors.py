@@ -53,20 +53,17 @@ class Detector:
         Its name on the command line and in the database.
     detect : callable
         From a scene and parameters to regions.
-    takes_points : bool
-        Whether it needs the points; the others take rasters.
     """
 
     name: str
     detect: Callable[[Scene, Params], Regions]
-    takes_points: bool = False
 
 
 DETECTORS = {
     detector.name: detector
     for detector in (
-        Detector("adaptive", detect_adaptive, takes_points=True),
-        Detector("area3d", detect_area3d, takes_points=True),
+        Detector("adaptive", detect_adaptive),
+        Detector("area3d", detect_area3d),
         Detector("flatregions", detect_flat_regions),
         Detector("multiscale", detect_multiscale),
     )

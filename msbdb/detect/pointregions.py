@@ -24,7 +24,7 @@ from msbdb.params import Params
 from msbdb.points.aside import let_go
 from msbdb.points.cellindex import number_along
 from msbdb.points.cloud import PointCloud
-from msbdb.surface import Surface, heights_above
+from msbdb.surface import Surface, heights_above, heights_of_cells, points_of_cells
 from msbdb.tables import CANDIDATE_REGION, REJECTION
 from msbdb.threads import kernel
 
@@ -75,7 +75,7 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
     extract : callable
         `extract_area3d` or `extract_adaptive`: from points and their heights to candidate regions.
     scene : Scene
-        With points and a surface.
+        With a surface; where it has no points, the cells of the surface stand for them.
     params : Params
         The detector's own section, ``surface``, ``ground`` and ``vector``.
 
@@ -84,7 +84,8 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
     Regions
         The table has the columns of ``tables.CANDIDATE_REGION`` and outlines; the labels are the cells within these.
     """
-    cloud, surface, spec = scene.require_cloud(), scene.require_surface(), scene.heights.spec
+    surface, spec = scene.require_surface(), scene.heights.spec
+    cloud = points_of_cells(surface).aside() if scene.cloud is None else scene.cloud
     # Heights and NDVI have no name here, so that a detector can free them.
     found = extract(
         cloud,
@@ -119,7 +120,8 @@ def point_heights(scene: Scene, params: Params) -> Floats:
     """Return the points' heights above ground, metres: those of the scene, or computed where it has none."""
     if scene.above is not None:
         return scene.above
-    return heights_of_points(scene.require_surface(), scene.require_cloud(), params)
+    surface = scene.require_surface()
+    return heights_of_cells(surface) if scene.cloud is None else heights_of_points(surface, scene.cloud, params)
 
 
 def heights_of_points(surface: Surface, cloud: PointCloud, params: Params) -> Floats:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import CERTAIN, Regions, Scene
+from msbdb.fuse.cells import count_votes
 from msbdb.labels import chosen_cells, label_zones, sizes
 from msbdb.params import DETECTORS, Params
 from msbdb.parts.forest import Forest
@@ -82,11 +83,11 @@ def _by_detectors(
 ) -> Cells:
     """Return the reasons of cells at or above the mask that are no building."""
     shape = scene.heights.spec.shape
-    votes = np.zeros(shape, dtype=np.int8)
-    for region in regions.values():
-        votes += region.labels > 0
+    votes, needed = np.zeros(shape, dtype=np.int8), 0
+    if regions:
+        votes, _, needed = count_votes(regions, of_points=scene.elevations.of_points)
     if built is not None:
-        enough = np.where(2 * votes >= len(regions), np.uint8(Reason.OUTVOTED), np.uint8(Reason.HARDLY_SUPPORTED))
+        enough = np.where(votes >= needed, np.uint8(Reason.OUTVOTED), np.uint8(Reason.HARDLY_SUPPORTED))
     else:
         enough = np.full(shape, Reason.NO_PARTS if "multiscale" not in regions else Reason.HARDLY_SUPPORTED, np.uint8)
     found = np.where(votes > 0, enough, np.uint8(Reason.UNSUPPORTED))

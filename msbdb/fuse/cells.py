@@ -20,6 +20,9 @@ from msbdb.params import FuseParams
 
 Mask = NDArray[np.bool_]
 
+RASTER_VOTES = {"multiscale": 2, "flatregions": 0}
+"""Ours: votes on rasters of heights, others have one. Flat regions look at the surface as ``multiscale`` does there."""
+
 
 def fuse_cells(
     heights: Grid,
@@ -27,16 +30,18 @@ def fuse_cells(
     params: FuseParams,
     *,
     mask_m: float,
+    of_points: bool = True,
     evidence: Evidence | None = None,
     green: Mask | None = None,
 ) -> Mask:
     """Decide for each cell whether it is building, from the regions of all detectors that were run.
 
-    Each detector has one vote, and half of the votes are enough. A cell costs the votes that its kind lacks. A pair of
-    neighbours of different kinds costs λ exp(-d/τ), with d their difference in height: edges of buildings are cheap
-    along steps. The cheapest division of all cells is taken (`msbdb.labels.minimum_cut`). Holes and pieces smaller than
-    ``piece_m2`` are filled and dropped, and bumps and notches of a cell at the edges go. Cells below the mask stay
-    where they are the edge of one building; those that would join two buildings do not. A second look
+    Each detector has one vote, and half of the votes are enough; of rasters of heights see `count_votes`. A cell
+    costs the votes that its kind lacks. A pair of neighbours of different kinds costs λ exp(-d/τ), with d their
+    difference in height: edges of buildings are cheap along steps. The cheapest division of all cells is taken
+    (`msbdb.labels.minimum_cut`). Holes and pieces smaller than ``piece_m2`` are filled and dropped, and bumps and
+    notches of a cell at the edges go. Cells below the mask stay where they are the edge of one building; those that
+    would join two buildings do not. A second look
     (`msbdb.fuse.secondlook`) drops hedges, rough objects that hardly enough detectors support or that are green, and
     crowns that lean on a house. It adds smooth regions that lie flush with a building.
 
@@ -50,6 +55,8 @@ def fuse_cells(
         ``edge_cost`` λ, ``edge_height_m`` τ, ``piece_m2``; ``smooth_m``, ``flush_m`` and ``flush_share``.
     mask_m : float
         Height of the mask (V17), metres.
+    of_points : bool
+        Whether the source has points, and not only heights.
     evidence : Evidence, optional
         The cells' roughness, for the second look; without it no second look is taken.
     green : (H, W) ndarray of bool, optional
@@ -78,17 +85,15 @@ def fuse_cells(
     >>> fuse_cells(heights, votes, FuseParams(piece_m2=0), mask_m=2.0).astype(int)
     array([[0, 1, 1, 0, 0, 0, 0]])
     """
-    votes = np.zeros(heights.spec.shape, dtype=np.int8)
-    for found in regions.values():
-        votes += found.labels > 0
+    votes, every, enough = count_votes(regions, of_points=of_points)
     votes[~heights.valid] = 0
-    needed = (len(regions) + 1) // 2 - 0.5
+    needed = enough - 0.5
     decided = _tidy(_cut(votes, needed, heights, params), heights, params, mask_m)
     if evidence is None:
         return decided
     roughness_m = evidence.roughness_mm.astype(np.float32) / np.float32(1000)
     limit_m = smooth_limit(params, heights.spec.cell_m)
-    share, clear = np.asarray(votes / len(regions), dtype=np.float32), (needed + 1) / len(regions)
+    share, clear = np.asarray(votes / every, dtype=np.float32), (needed + 1) / every
     decided = without_crowns(decided, share, roughness_m, params, clear=clear, cell_m=heights.spec.cell_m)
     decided = without_rough(decided, roughness_m, heights, params)
     if green is not None and "multiscale" in regions:
@@ -97,6 +102,33 @@ def fuse_cells(
     decided = without_leaning_crowns(decided, share, roughness_m, heights, params, limit_m=limit_m)
     smooth = (votes > 0) & (roughness_m <= limit_m) & (np.asarray(heights.values) >= mask_m)
     return _tidy(with_flush_planes(decided, smooth, heights, params), heights, params, mask_m)
+
+
+def count_votes(regions: Mapping[str, Regions], *, of_points: bool) -> tuple[NDArray[np.int8], int, int]:
+    """Return the votes of each cell, all votes that there are, and how many are enough.
+
+    Each detector has one vote, and half of the votes are enough. Without points no detector sees echoes, and they err
+    together on crowns: then more than half are needed, and the votes are `RASTER_VOTES`. Of all four, a cell is
+    building where ``multiscale`` takes it and ``area3d`` or ``adaptive`` does so, too.
+
+    Parameters
+    ----------
+    regions : mapping of str to Regions
+        By detector, at least one.
+    of_points : bool
+        Whether the source has points, and not only heights.
+
+    Returns
+    -------
+    votes : (H, W) ndarray of int8
+    every, enough : int
+    """
+    worth = {name: 1 if of_points else RASTER_VOTES.get(name, 1) for name in regions}
+    votes = np.zeros(next(iter(regions.values())).labels.shape, dtype=np.int8)
+    for name, found in regions.items():
+        votes += np.int8(worth[name]) * (found.labels > 0)
+    every = sum(worth.values())
+    return votes, every, (every + 1) // 2 if of_points else every // 2 + 1
 
 
 def _tidy(decided: Mask, heights: Grid, params: FuseParams, mask_m: float) -> Mask:

@@ -1,8 +1,10 @@
 """Parameters from parts to inventory: scale-space, granulometry, fusion, outlines, change, and evaluation."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from msbdb.params.declare import checked_value, param
+
+RASTERS = "fitted to objects of six places, in cells of 0.5 to 2 m"
 
 # A table, in which a parameter takes a line or two: the formatter would give every argument a line of its own.
 # fmt: off
@@ -85,9 +87,20 @@ class FuseParams:
         ours="fitted to 2405 objects of seven places; 9.0 to 10.3 with any of them left out", low=0, high=1000)
     area_slope: float = param(0.74, "1", "a: log-odds of a building by a factor e of its area beyond 50 m².",
         ours="fitted to 2405 objects of seven places; 0.48 to 1.05 with any of them left out", low=0, high=100)
+    raster_even: float = param(0.72, "1", "s₀ of rasters of heights.",
+        ours=RASTERS + "; 0.59 to 0.78 with any of them left out", low=0, high=1)
+    raster_slope: float = param(6.0, "1", "k of rasters of heights.",
+        ours=RASTERS + "; 5.7 to 7.6 with any of them left out", low=0, high=1000)
+    raster_area_slope: float = param(0.82, "1", "a of rasters of heights.",
+        ours=RASTERS + "; 0.49 to 1.11 with any of them left out", low=0, high=100)
     sure: float = param(0.95, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",
         ours="98 of 100 confirmed objects are true, and 98 of 100 refuted ones false, on places left out of the fit",
         low=0.5, high=1)
+
+    def of_rasters(self) -> "FuseParams":
+        """Return the values for a source without points."""
+        even, slope, area_slope = self.raster_even, self.raster_slope, self.raster_area_slope
+        return replace(self, support_even=even, support_slope=slope, area_slope=area_slope)
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,7 @@ def classify_points(
     require_input(source)
     check_output(source, out, overwrite=overwrite)
     with collect_notices(notices):
-        methods = choose_detectors(extract, inputs)
+        methods = choose_detectors(extract)
         inputs.require_files()
         inputs.require_one_place()
         with stages.stage("read"):

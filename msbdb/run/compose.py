@@ -18,7 +18,7 @@ from msbdb.detect.detectors import DETECTORS
 from msbdb.detect.flatregions.initialisation import denoise
 from msbdb.detect.flatregions.mongus2013 import lowest_surface
 from msbdb.detect.scene import Regions, Scene
-from msbdb.errors import ParameterError, give_notice
+from msbdb.errors import ParameterError
 from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.fuse.touching import Division, divide
 from msbdb.grid import Bounds, Grid
@@ -37,11 +37,6 @@ from msbdb.surveyplan import Plan
 from msbdb.tables import Counts, Run
 from msbdb.threads import in_threads, memory_reused, together
 from msbdb.version import __version__
-
-NO_POINTS = (
-    "The source is a raster without points. The detectors that need points were not run: {names}. "
-    "Give LAS or LAZ files by --points to run them."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,6 +296,8 @@ def fuse_and_decompose(
     Where the detectors do not decide together, nothing is divided, and the multi-scale one alone makes the parts. Where
     a run will be written as a whole, it ``packs`` the rasters beside the first steps, which use one core.
     """
+    if not scene.elevations.of_points:
+        params = replace(params, fuse=params.fuse.of_rasters())
     rasters = describe_rasters(scene, regions) if packs else None
 
     def decide_cells() -> tuple[NDArray[np.bool_] | None, Division | None]:
@@ -320,8 +317,15 @@ def fuse(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: S
         if not is_fused(regions, params.fuse):
             return None
         green = scene.cover.colours.labelled("vegetation")
-        mask_m, evidence = params.surface.mask_m, scene.evidence
-        return fuse_cells(scene.heights, regions, params.fuse, mask_m=mask_m, evidence=evidence, green=green)
+        return fuse_cells(
+            scene.heights,
+            regions,
+            params.fuse,
+            mask_m=params.surface.mask_m,
+            of_points=scene.elevations.of_points,
+            evidence=scene.evidence,
+            green=green,
+        )
 
 
 def divide_houses(scene: Scene, built: NDArray[np.bool_] | None, params: Params, stages: Stages) -> Division | None:
@@ -386,34 +390,20 @@ def decompose(
     )
 
 
-def choose_detectors(names: str | Sequence[str], inputs: Inputs) -> tuple[str, ...]:
+def choose_detectors(names: str | Sequence[str]) -> tuple[str, ...]:
     """Return the detectors to run, in order of their names.
-
-    Those that take the points themselves are left out, with a notice, where the source is a raster.
 
     Raises
     ------
     ParameterError
-        When one does not exist, none is named, or none of them can be run.
+        When one does not exist, or none is named.
     """
     names = (names,) if isinstance(names, str) else names
     unknown = sorted(set(names) - set(DETECTORS))
     if unknown or not names:
         msg = f"The detectors are {', '.join(DETECTORS)}; got {', '.join(unknown) or 'none'}."
         raise ParameterError(msg)
-    chosen = tuple(sorted(set(names)))
-    if inputs.points:
-        return chosen
-    without = [name for name in chosen if DETECTORS[name].takes_points]
-    left = tuple(name for name in chosen if name not in without)
-    if not without:
-        return left
-    notice = NO_POINTS.format(names=", ".join(without))
-    if not left:
-        msg = f"{notice} Or ask for multiscale or flatregions, which work on rasters."
-        raise ParameterError(msg)
-    give_notice(notice)
-    return left
+    return tuple(sorted(set(names)))
 
 
 def _draw_denoising(scene: Scene, params: Params, figure: Path) -> None:

@@ -1,7 +1,15 @@
 """Surfaces on the lattice: gridding, gaps, heights above ground, texture, and land cover by structure."""
 
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
-from msbdb.surface.heights import Surface, grid_surface, heights_above, normalise, surface_from_rasters
+from msbdb.surface.heights import (
+    Surface,
+    grid_surface,
+    heights_above,
+    heights_of_cells,
+    normalise,
+    points_of_cells,
+    surface_from_rasters,
+)
 from msbdb.surface.structure import (
     Structure,
     cover_from_surface,
@@ -24,7 +32,9 @@ __all__ = [
     "echoes",
     "grid_surface",
     "heights_above",
+    "heights_of_cells",
     "normalise",
+    "points_of_cells",
     "roughness",
     "sample_nearest",
     "structural_cover",

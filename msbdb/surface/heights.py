@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,10 @@ from msbdb.grid import Frame, Grid, GridSpec
 from msbdb.kept import PER_METRE
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
+from msbdb.points.lots import lots
 from msbdb.surface.gridding import Samples, fill_gaps, sample_nearest
 from msbdb.surface.texture import grid_samples
+from msbdb.surveyplan import PointFacts
 from msbdb.threads import in_threads, kernel
 
 LEAST_GAP_CELLS = 2.0
@@ -24,6 +26,9 @@ PART = 1_000_000
 
 WIDEST_M = 1.0
 """Ours: in windows of larger cells roofs are no planes, and the limits of roughness allow for it."""
+
+ASIDE = 0.01
+"""Ours: points that stand for cells lie up to half of this share of a cell beside its centre."""
 
 GIVEN_GROUND = "given"
 """Name instead of a ground filter's, where the terrain was given as a raster."""
@@ -146,6 +151,65 @@ def _subtract(
         level = terrain[above, left] * north_share * west_share + terrain[above, beside] * north_share * east_share
         level = level + terrain[below, left] * south_share * west_share
         heights[i] = z[i] - (level + terrain[below, beside] * south_share * east_share)
+
+
+def points_of_cells(surface: Surface) -> PointCloud:
+    """Return the cells of a surface as points, for detectors on points where the source is a raster of heights.
+
+    Parameters
+    ----------
+    surface : Surface
+        N of its cells have a height above ground.
+
+    Returns
+    -------
+    PointCloud
+        N points in row order, one in the middle of each such cell, at the height of the DSM: single echoes.
+
+    Notes
+    -----
+    Distances on an exact lattice tie, and rounding would decide. So each point lies a little beside the centre of its
+    cell, by a hash of its place: in any window of a survey alike.
+
+    Examples
+    --------
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec, valid = lattice((0, 0.1, 1.9, 0.9), 1.0, CRS.from_epsg(2154)), np.ones((1, 2), dtype=bool)
+    >>> dsm, dtm = (Grid(np.full((1, 2), level, dtype=np.float32), valid, spec) for level in (57, 51))
+    >>> points = points_of_cells(surface_from_rasters(dsm, dtm))
+    >>> points.x.round(1), points.z, points.facts.spacing_m
+    (array([0.5, 1.5]), array([57., 57.]), 1.0)
+    """
+    ndsm, spec = surface.ndsm, surface.ndsm.spec
+    cell_m, density = spec.cell_m, 1 / spec.cell_area_m2
+    x, y = spec.xy(*np.nonzero(ndsm.valid))
+    facts = PointFacts(
+        points=len(x),
+        density=density,
+        all_density=density,
+        spacing_m=cell_m,
+        typical_m=cell_m,
+        sparse_m=cell_m,
+        link_m=cell_m,
+        numbered=False,
+        echoes=False,
+        under_m=0.0,
+        ground_share=0.0,
+        colours=(),
+        intensity=False,
+        levels_m=(),
+    )
+    cells = PointCloud(x, y, np.asarray(surface.dsm.values, dtype=np.float64)[ndsm.valid], spec.crs, facts=facts)
+    bits = lots(cells)
+    beside = ((bits >> np.uint64(shift) & np.uint64(2**16 - 1)) / 2**16 - 0.5 for shift in (48, 32))
+    x, y = (place + ASIDE * cell_m * each for place, each in zip((x, y), beside, strict=True))
+    return replace(cells, x=x, y=y)
+
+
+def heights_of_cells(surface: Surface) -> NDArray[np.float64]:
+    """Return the heights of `points_of_cells` above ground, metres."""
+    return np.asarray(surface.ndsm.values, dtype=np.float64)[surface.ndsm.valid]
 
 
 def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Grid, Samples]:

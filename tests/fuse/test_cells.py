@@ -7,10 +7,10 @@ from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from msbdb.detect.scene import Regions
 from msbdb.fuse import cells
-from msbdb.fuse.cells import fuse_cells, is_fused
+from msbdb.fuse.cells import count_votes, fuse_cells, is_fused
 from msbdb.grid import Grid, lattice
 from msbdb.labels import label_zones
-from msbdb.params import FuseParams
+from msbdb.params import DETECTORS, FuseParams
 
 PARAMS = FuseParams()
 SHAPE = (40, 60)
@@ -47,6 +47,40 @@ def test_half_of_the_votes_make_a_building(votes, of, kept):
     """Two of four and two of three are enough, one is not."""
     found = fused(HEIGHTS, [HOUSE] * votes + [NONE] * (of - votes))
     np.testing.assert_array_equal(found, HOUSE if kept else NONE)
+
+
+@pytest.mark.parametrize(
+    ("names", "kept"),
+    [
+        ("multiscale", False),
+        ("multiscale flatregions", False),
+        ("multiscale area3d", True),
+        ("multiscale adaptive", True),
+        ("flatregions area3d adaptive", False),
+        ("multiscale flatregions area3d adaptive", True),
+    ],
+)
+def test_on_rasters_a_detector_on_points_confirms_the_multiscale_one(names, kept):
+    """More than half of the four votes that there are; flat regions have none."""
+    votes = {
+        name: Regions(name, (HOUSE if name in names.split() else NONE).astype(np.int32), None, None, {})
+        for name in DETECTORS
+    }
+    found = fuse_cells(grid(HEIGHTS), votes, PARAMS, mask_m=2.0, of_points=False)
+    np.testing.assert_array_equal(found, HOUSE if kept else NONE)
+    cast, every, enough = count_votes(votes, of_points=False)
+    assert (every, enough) == (4, 3)
+    assert ((cast >= enough) == (HOUSE if kept else NONE)).all()
+
+
+def test_on_rasters_the_multiscale_detector_decides_without_one_of_the_others():
+    """Of it, the flat regions and one detector on points it has two votes of three."""
+    votes = {
+        name: Regions(name, (HOUSE if name == "multiscale" else NONE).astype(np.int32), None, None, {})
+        for name in ("multiscale", "flatregions", "area3d")
+    }
+    np.testing.assert_array_equal(fuse_cells(grid(HEIGHTS), votes, PARAMS, mask_m=2.0, of_points=False), HOUSE)
+    np.testing.assert_array_equal(fuse_cells(grid(HEIGHTS), votes, PARAMS, mask_m=2.0), NONE)
 
 
 def test_the_edge_follows_the_step_of_height():

@@ -21,11 +21,12 @@ import msbdb
 from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, open_database, read_build, read_candidates
 from msbdb.errors import DatabaseError, InputError
+from msbdb.fuse.probability import building_probability
 from msbdb.grid import Grid, lattice
 from msbdb.outline.polygons import rasterise
-from msbdb.params import Params, profile, with_values
+from msbdb.params import FuseParams, Params, profile, with_values
 from msbdb.run.reports import STAGES
-from msbdb.tables import validate_parts
+from msbdb.tables import DETECTOR_SHARES, validate_parts
 
 FOOT = 0.3048
 OREGON_METRES, OREGON_FEET = CRS.from_epsg(2993), CRS.from_epsg(2994)
@@ -321,11 +322,18 @@ def test_rasters_serve_instead_of_points(tower, tmp_path, kind):
         given = {"dsm": tmp_path / "dsm.tif", "dtm": tmp_path / "dtm.tif"}
     report = msbdb.build(**given, db=tmp_path / "raster.sqlite")
     assert report.buildings == 1
+    assert sorted(report.candidate_regions) == ["adaptive", "area3d"]
+    assert min(report.candidate_regions.values()) > 0
     assert any("height texture alone" in notice for notice in report.notices)
     with msbdb.open(tmp_path / "raster.sqlite") as opened:
         parts = opened.parts().sort_values("area_m2")
-        footprint = rasterise(opened.buildings().geometry, tower.spec) > 0
+        buildings = opened.buildings()
+    footprint = rasterise(buildings.geometry, tower.spec) > 0
     assert (footprint == (tower.buildings > 0)).mean() > 0.99
+    shares = buildings.loc[0, list(DETECTOR_SHARES.values())].to_numpy(dtype=float)
+    odds = building_probability(shares.mean()[None], buildings["area_m2"].to_numpy(), FuseParams().of_rasters())
+    assert buildings["probability"].tolist() == pytest.approx(odds.tolist())
+    assert buildings["state"].tolist() == ["confirmed"]
     assert parts["area_m2"].tolist() == pytest.approx([36, 300, 1200], rel=0.02)
     assert parts["h_max"].tolist() == pytest.approx([36.5, 36.5, 36.5], abs=0.01)
 

@@ -14,6 +14,7 @@ from simulated.files import write_heights, write_points
 import msbdb
 from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, open_database
+from msbdb.detect.area3d.heightscales import height_scales
 from msbdb.errors import FileError, InputError, ParameterError
 from msbdb.grid import Grid
 from msbdb.params import Params, with_values
@@ -251,9 +252,12 @@ def test_a_plan_of_another_kind_of_survey_is_refused(files, city, tmp_path, chan
 
 
 def test_rasters_have_a_plan_without_points(tmp_path):
-    """It holds what their cells give."""
+    """It holds what their cells give, also the heights at which area3d looks at them."""
     scene = scenes.podium_tower()
     file = write_heights(tmp_path / "ndsm.tif", Grid(scene.heights, np.ones(scene.spec.shape, bool), scene.spec))
     found = msbdb.plan(ndsm=file)
-    assert (found.points, found.heights_m, found.classes, found.ground_filter) == (None, (), None, "given")
+    assert (found.points, found.classes, found.ground_filter) == (None, None, "given")
     assert found.cell_m == scene.spec.cell_m
+    heights = height_scales(scene.heights.ravel(), Params().area3d, mask_m=Params().surface.mask_m)
+    assert found.heights_m == pytest.approx(heights)
+    assert len(found.heights_m) > 1

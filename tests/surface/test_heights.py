@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from affine import Affine
 from pyproj import CRS
 
 from msbdb.errors import GridMismatchError
-from msbdb.grid import Grid, lattice
+from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.points.cloud import PointCloud
-from msbdb.surface import heights_above, normalise
+from msbdb.surface import heights_above, heights_of_cells, normalise, points_of_cells, surface_from_rasters
 
 UTM = CRS.from_epsg(32631)
 SPEC = lattice((500_000.0, 4_000_000.0, 500_020.0, 4_000_030.0), 2.0, UTM)
@@ -47,3 +48,53 @@ def test_grids_of_other_lattices_are_refused() -> None:
     dsm = Grid(np.zeros(other.shape, dtype=np.float32), np.ones(other.shape, dtype=np.bool_), other)
     with pytest.raises(GridMismatchError, match="share one lattice"):
         normalise(dsm, sloping())
+
+
+def raster_surface(side_m, shape=(41, 37)):
+    """Return a surface of a raster beside the absolute lattice, whose terrain has a gap, with random heights."""
+    random = np.random.default_rng(5)
+    spec = GridSpec(shape, Affine(side_m, 0, 450_001.3, 0, -side_m, 5_400_000.7), CRS.from_epsg(32633))
+    valid = random.random(shape) > 0.1
+    dsm = Grid(random.uniform(90, 110, shape).astype(np.float32), valid, spec)
+    ground = np.ones(shape, dtype=bool)
+    ground[:3] = False
+    return surface_from_rasters(dsm, Grid(np.full(shape, 88.0, dtype=np.float32), ground, spec))
+
+
+@pytest.mark.parametrize("side_m", [0.1, 0.25, 0.7, 2.0])
+def test_cells_stand_for_points(side_m):
+    """One in the middle of each cell with a height above ground, in row order, at the height of the surface."""
+    surface = raster_surface(side_m)
+    points, spec, valid = points_of_cells(surface), surface.ndsm.spec, surface.ndsm.valid
+    assert not valid[:3].any()
+    rows, cols = np.nonzero(valid)
+    np.testing.assert_array_equal(spec.rowcol(points.x, points.y), (rows, cols))
+    east, north = spec.xy(rows, cols)
+    aside = np.concatenate((points.x - east, points.y - north)) / side_m
+    assert 0.004 < np.abs(aside).max() <= 0.00501
+    assert abs(aside.mean()) < 0.0005
+    assert abs(np.corrcoef(points.x - east, points.y - north)[0, 1]) < 0.1
+    np.testing.assert_array_equal(points.z, surface.dsm.values[valid].astype(np.float64))
+    np.testing.assert_array_equal(heights_of_cells(surface), surface.ndsm.values[valid].astype(np.float64))
+    assert points.first_echo.all()
+    assert not points.has_echoes
+    assert points.facts.spacing_m == points.facts.link_m == side_m
+
+
+def test_windows_see_the_same_points():
+    """To the bit, where they share cells; and no two distances between neighbours are equal."""
+    surface = raster_surface(0.2)
+    rows, cols = slice(5, 30), slice(11, 37)
+    spec = surface.ndsm.spec.crop(rows, cols)
+
+    def cut(grid):
+        return Grid(grid.values[rows, cols], grid.valid[rows, cols], spec)
+
+    window = points_of_cells(surface_from_rasters(cut(surface.dsm), cut(surface.dtm)))
+    whole = points_of_cells(surface)
+    row, col = np.nonzero(surface.ndsm.valid)
+    inside = (row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop)
+    for axis in ("x", "y", "z"):
+        np.testing.assert_array_equal(getattr(window, axis), getattr(whole, axis)[inside])
+    beside = np.hypot(np.diff(window.x), np.diff(window.y))
+    assert len(np.unique(beside.round(8))) == len(beside)

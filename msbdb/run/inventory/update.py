@@ -85,7 +85,7 @@ def is_built(
     """
     with collect_notices(Notices()):
         inputs = Inputs.of(points, ortho, **given)
-        methods = choose_detectors(extract, inputs)
+        methods = choose_detectors(extract)
     inputs.require_files()
     try:
         engine = open_database(db)

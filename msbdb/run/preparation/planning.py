@@ -28,7 +28,7 @@ from msbdb.run.reports import Stages
 from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
 from msbdb.spectral.kmeans import pooled
 from msbdb.spectral.model import ClassModel, fit_model
-from msbdb.surface import Surface
+from msbdb.surface import Surface, heights_of_cells, points_of_cells
 from msbdb.surface.heights import GIVEN_GROUND
 from msbdb.surveyplan import Plan, PointFacts, basis_of
 from msbdb.threads import together
@@ -198,23 +198,25 @@ def _fit(drafts: Sequence[Draft], params: Params) -> list[Fitted | None]:
 
 
 def _heights(drafts: Sequence[Draft], params: Params) -> tuple[float, ...]:
-    """Return the height scales of area3d; none without points."""
-    above = [each.above for each in drafts if each.above is not None and len(each.above)]
+    """Return the height scales of area3d; none where no point, or cell of a raster, has a height above ground."""
+    every = (heights_of_cells(each.surface) if each.cloud is None else each.above for each in drafts)
+    above = [heights for heights in every if heights is not None and len(heights)]
     if not above:
         return ()
-    every = above[0] if len(above) == 1 else np.concatenate(above)
-    return height_scales(every, params.area3d, mask_m=params.surface.mask_m)
+    joined = above[0] if len(above) == 1 else np.concatenate(above)
+    return height_scales(joined, params.area3d, mask_m=params.surface.mask_m)
 
 
 def _ndvi(drafts: Sequence[Draft], params: Params) -> float | None:
-    """Return the threshold of the points' NDVI; None where no point above the mask has one."""
+    """Return the threshold of the points' NDVI; None where no point, or cell of a raster, above the mask has one."""
     found = []
     for each in drafts:
-        if each.cloud is None or each.above is None:
-            continue
-        ndvi = point_ndvi(each.bands, each.cloud)
-        if ndvi is not None:
-            found.append(ndvi[(each.above >= params.surface.mask_m) & np.isfinite(ndvi)])
+        cloud, above = each.cloud, each.above
+        if cloud is None:
+            cloud, above = points_of_cells(each.surface), heights_of_cells(each.surface)
+        ndvi = point_ndvi(each.bands, cloud)
+        if ndvi is not None and above is not None:
+            found.append(ndvi[(above >= params.surface.mask_m) & np.isfinite(ndvi)])
     known = np.concatenate(found) if found else np.zeros(0, dtype=np.float32)
     return ndvi_threshold(known, params.adaptive) if len(known) else None
 

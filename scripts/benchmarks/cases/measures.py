@@ -19,7 +19,7 @@ from cases.othergrounds import OTHER_GROUNDS
 from cases.rasters import as_rasters
 from msbdb.detect.scene import Scene
 from msbdb.grid import GridSpec
-from msbdb.params import DETECTORS, POINT_DETECTORS, Params, profile, with_values
+from msbdb.params import DETECTORS, Params, profile, with_values
 from msbdb.parts.forest import Forest
 from msbdb.points.cloud import GROUND_CLASS, UNCLASSIFIED_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
@@ -33,8 +33,6 @@ GIVEN = "class 2"
 
 OWN = "walls"
 """The ground of the default values."""
-
-RASTER_DETECTORS = tuple(name for name in DETECTORS if name not in POINT_DETECTORS)
 
 Value = float | str | Objects | None
 
@@ -64,7 +62,7 @@ def measure(case: Case, grounds: tuple[str, ...]) -> dict[str, Value]:
     -------
     dict
         Density; quality by area, per cent, of each detector and of the buildings on the ground of the default values,
-        and of the buildings on each other ground; objects found and true; seconds. Rasters have two detectors.
+        and of the buildings on each other ground; objects found and true; seconds.
     """
     begun = time.perf_counter()
     row: dict[str, Value] = {"case": case.name, **case.known}
@@ -107,13 +105,13 @@ def detected(
         files = tuple(folder / f"{number}.las" for number in range(len(clouds)))
         for file, cloud in zip(files, case.clouds if case.raster_m else clouds, strict=True):
             cloud.write(file)
-        inputs, methods = Inputs(points=files, crs=case.crs), DETECTORS
+        inputs = Inputs(points=files, crs=case.crs)
         if case.raster_m:
-            inputs, methods = as_rasters(files, case.crs, case.raster_m, folder), RASTER_DETECTORS
+            inputs = as_rasters(files, case.crs, case.raster_m, folder)
         ortho = case.ortho
         if case.picture is not None:
             ortho = (write_image(folder / "ortho.tif", *case.picture, ("red", "green", "blue")),)
         inputs = replace(inputs, ortho=ortho, ortho_crs=case.crs if ortho else None)
         stages = Stages(None)
         scene, params, _ = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
-        return scene, detect(scene, methods, params, stages), params
+        return scene, detect(scene, DETECTORS, params, stages), params
