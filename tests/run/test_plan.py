@@ -9,11 +9,12 @@ import pytest
 import shapely
 from click.testing import CliRunner
 from simulated import scenes
-from simulated.files import write_heights, write_points
+from simulated.files import write_heights, write_image, write_points
 
 import msbdb
 from msbdb.cli.main import cli
 from msbdb.database import canonical_dump, open_database
+from msbdb.detect.adaptive.offground import ndvi_threshold
 from msbdb.detect.area3d.heightscales import height_scales
 from msbdb.errors import FileError, InputError, ParameterError
 from msbdb.grid import Grid
@@ -261,3 +262,22 @@ def test_rasters_have_a_plan_without_points(tmp_path):
     heights = height_scales(scene.heights.ravel(), Params().area3d, mask_m=Params().surface.mask_m)
     assert found.heights_m == pytest.approx(heights)
     assert len(found.heights_m) > 1
+
+
+@pytest.mark.parametrize("names", [("nir", "red", "green"), ("red", "green", "blue")])
+def test_rasters_with_near_infrared_have_its_threshold(tmp_path, names):
+    """That of the cells above the mask, as of points; without near infrared there is none."""
+    scene = scenes.podium_tower()
+    file = write_heights(tmp_path / "ndsm.tif", Grid(scene.heights, np.ones(scene.spec.shape, bool), scene.spec))
+    picture = np.random.default_rng(1).integers(100, 200, (3, *scene.spec.shape)).astype(np.uint8)
+    picture[0] += 40
+    ortho = write_image(tmp_path / "picture.tif", picture, scene.spec, names)
+    found = msbdb.plan(ndsm=file, ortho=ortho)
+    if "nir" not in names:
+        assert found.ndvi_threshold is None
+        return
+    nir, red = picture[:2].astype(np.float64)
+    high = scene.heights >= Params().surface.mask_m
+    expected = ndvi_threshold(((nir - red) / (nir + red))[high], Params().adaptive)
+    assert found.ndvi_threshold == pytest.approx(expected, abs=1e-3)
+    assert 0 < expected < 0.2

@@ -211,6 +211,8 @@ def _ndvi(drafts: Sequence[Draft], params: Params) -> float | None:
     """Return the threshold of the points' NDVI; None where no point, or cell of a raster, above the mask has one."""
     found = []
     for each in drafts:
+        if each.bands is None or each.bands.band("nir") is None:
+            continue  # before cells become points
         cloud, above = each.cloud, each.above
         if cloud is None:
             cloud, above = points_of_cells(each.surface), heights_of_cells(each.surface)
