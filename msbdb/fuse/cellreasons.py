@@ -85,7 +85,8 @@ def _by_detectors(
     shape = scene.heights.spec.shape
     votes, needed = np.zeros(shape, dtype=np.int8), 0
     if regions:
-        votes, _, needed = count_votes(regions, of_points=scene.elevations.of_points)
+        coloured = scene.cover.spectral is not None
+        votes, _, needed = count_votes(regions, of_points=scene.elevations.of_points, coloured=coloured)
     if built is not None:
         enough = np.where(votes >= needed, np.uint8(Reason.OUTVOTED), np.uint8(Reason.HARDLY_SUPPORTED))
     else:

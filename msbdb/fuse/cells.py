@@ -31,6 +31,7 @@ def fuse_cells(
     *,
     mask_m: float,
     of_points: bool = True,
+    coloured: bool = False,
     evidence: Evidence | None = None,
     green: Mask | None = None,
 ) -> Mask:
@@ -55,8 +56,8 @@ def fuse_cells(
         ``edge_cost`` λ, ``edge_height_m`` τ, ``piece_m2``; ``smooth_m``, ``flush_m`` and ``flush_share``.
     mask_m : float
         Height of the mask (V17), metres.
-    of_points : bool
-        Whether the source has points, and not only heights.
+    of_points, coloured : bool
+        Whether the source has points, and not only heights; and whether there is imagery.
     evidence : Evidence, optional
         The cells' roughness, for the second look; without it no second look is taken.
     green : (H, W) ndarray of bool, optional
@@ -85,7 +86,7 @@ def fuse_cells(
     >>> fuse_cells(heights, votes, FuseParams(piece_m2=0), mask_m=2.0).astype(int)
     array([[0, 1, 1, 0, 0, 0, 0]])
     """
-    votes, every, enough = count_votes(regions, of_points=of_points)
+    votes, every, enough = count_votes(regions, of_points=of_points, coloured=coloured)
     votes[~heights.valid] = 0
     needed = enough - 0.5
     decided = _tidy(_cut(votes, needed, heights, params), heights, params, mask_m)
@@ -104,19 +105,22 @@ def fuse_cells(
     return _tidy(with_flush_planes(decided, smooth, heights, params), heights, params, mask_m)
 
 
-def count_votes(regions: Mapping[str, Regions], *, of_points: bool) -> tuple[NDArray[np.int8], int, int]:
+def count_votes(
+    regions: Mapping[str, Regions], *, of_points: bool, coloured: bool
+) -> tuple[NDArray[np.int8], int, int]:
     """Return the votes of each cell, all votes that there are, and how many are enough.
 
     Each detector has one vote, and half of the votes are enough. Without points no detector sees echoes, and they err
     together on crowns: then more than half are needed, and the votes are `RASTER_VOTES`. Of all four, a cell is
-    building where ``multiscale`` takes it and ``area3d`` or ``adaptive`` does so, too.
+    building where ``multiscale`` takes it and ``area3d`` or ``adaptive`` does so, too. Where there is imagery,
+    ``multiscale`` alone sees it, and decides by itself.
 
     Parameters
     ----------
     regions : mapping of str to Regions
         By detector, at least one.
-    of_points : bool
-        Whether the source has points, and not only heights.
+    of_points, coloured : bool
+        Whether the source has points, and not only heights; and whether there is imagery.
 
     Returns
     -------
@@ -124,6 +128,8 @@ def count_votes(regions: Mapping[str, Regions], *, of_points: bool) -> tuple[NDA
     every, enough : int
     """
     worth = {name: 1 if of_points else RASTER_VOTES.get(name, 1) for name in regions}
+    if coloured and not of_points and "multiscale" in worth:
+        worth["multiscale"] += 1
     votes = np.zeros(next(iter(regions.values())).labels.shape, dtype=np.int8)
     for name, found in regions.items():
         votes += np.int8(worth[name]) * (found.labels > 0)

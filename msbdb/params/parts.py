@@ -90,9 +90,9 @@ class FuseParams:
     raster_even: float = param(0.72, "1", "s₀ of rasters of heights.",
         ours=RASTERS + "; 0.59 to 0.78 with any of them left out", low=0, high=1)
     raster_slope: float = param(6.0, "1", "k of rasters of heights.",
-        ours=RASTERS + "; 5.7 to 7.6 with any of them left out", low=0, high=1000)
+        ours=RASTERS + "; 5.6 to 7.5 with any of them left out", low=0, high=1000)
     raster_area_slope: float = param(0.82, "1", "a of rasters of heights.",
-        ours=RASTERS + "; 0.49 to 1.11 with any of them left out", low=0, high=100)
+        ours=RASTERS + "; 0.52 to 1.14 with any of them left out", low=0, high=100)
     sure: float = param(0.95, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",
         ours="98 of 100 confirmed objects are true, and 98 of 100 refuted ones false, on places left out of the fit",
         low=0.5, high=1)

@@ -323,6 +323,7 @@ def fuse(scene: Scene, regions: Mapping[str, Regions], params: Params, stages: S
             params.fuse,
             mask_m=params.surface.mask_m,
             of_points=scene.elevations.of_points,
+            coloured=scene.cover.spectral is not None,
             evidence=scene.evidence,
             green=green,
         )

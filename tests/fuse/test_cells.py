@@ -50,27 +50,29 @@ def test_half_of_the_votes_make_a_building(votes, of, kept):
 
 
 @pytest.mark.parametrize(
-    ("names", "kept"),
+    ("names", "kept", "with_imagery"),
     [
-        ("multiscale", False),
-        ("multiscale flatregions", False),
-        ("multiscale area3d", True),
-        ("multiscale adaptive", True),
-        ("flatregions area3d adaptive", False),
-        ("multiscale flatregions area3d adaptive", True),
+        ("multiscale", False, True),
+        ("multiscale flatregions", False, True),
+        ("multiscale area3d", True, True),
+        ("multiscale adaptive", True, True),
+        ("flatregions area3d adaptive", False, False),
+        ("multiscale flatregions area3d adaptive", True, True),
     ],
 )
-def test_on_rasters_a_detector_on_points_confirms_the_multiscale_one(names, kept):
-    """More than half of the four votes that there are; flat regions have none."""
+def test_on_rasters_a_detector_on_points_confirms_the_multiscale_one(names, kept, with_imagery):
+    """More than half of the four votes that there are; flat regions have none. With imagery it has three of five."""
     votes = {
         name: Regions(name, (HOUSE if name in names.split() else NONE).astype(np.int32), None, None, {})
         for name in DETECTORS
     }
-    found = fuse_cells(grid(HEIGHTS), votes, PARAMS, mask_m=2.0, of_points=False)
-    np.testing.assert_array_equal(found, HOUSE if kept else NONE)
-    cast, every, enough = count_votes(votes, of_points=False)
-    assert (every, enough) == (4, 3)
-    assert ((cast >= enough) == (HOUSE if kept else NONE)).all()
+    for coloured, is_kept, number in ((False, kept, 4), (True, with_imagery, 5)):
+        found = fuse_cells(grid(HEIGHTS), votes, PARAMS, mask_m=2.0, of_points=False, coloured=coloured)
+        np.testing.assert_array_equal(found, HOUSE if is_kept else NONE)
+        cast, every, enough = count_votes(votes, of_points=False, coloured=coloured)
+        assert (every, enough) == (number, 3)
+        assert ((cast >= enough) == (HOUSE if is_kept else NONE)).all()
+    assert count_votes(votes, of_points=True, coloured=True)[1:] == (4, 2)
 
 
 def test_on_rasters_the_multiscale_detector_decides_without_one_of_the_others():
