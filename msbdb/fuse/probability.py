@@ -27,7 +27,7 @@ STAGE = "fusion"
 
 
 def building_probability(support: Floats, area_m2: Floats, params: FuseParams) -> Floats:
-    """Return the probability that objects are buildings: the log-odds are k (s - s₀) + a ln(A / 50 m²).
+    """Return the probability that objects are buildings: the log-odds are k (s - s₀) + a s^q ln(A / 50 m²).
 
     Detectors err together on small things: lorries, containers and crowns have the size and the smooth top of a shed.
     A large object on which they agree is hardly ever anything else.
@@ -39,7 +39,7 @@ def building_probability(support: Floats, area_m2: Floats, params: FuseParams) -
     area_m2 : (N,) ndarray of float64
         Area A, above 0.
     params : FuseParams
-        ``support_slope`` k, ``support_even`` s₀ and ``area_slope`` a.
+        ``support_slope`` k, ``support_even`` s₀, ``area_slope`` a and ``area_power`` q.
 
     Returns
     -------
@@ -51,8 +51,9 @@ def building_probability(support: Floats, area_m2: Floats, params: FuseParams) -
     >>> building_probability(np.array([0.9, 0.9, 0.25]), np.array([500, 15, 15.0]), FuseParams()).round(2)
     array([1.  , 0.95, 0.03])
     """
-    share = np.asarray(support, dtype=np.float64) - params.support_even
-    return np.asarray(expit(params.support_slope * share + params.area_slope * np.log(area_m2 / HOUSE_M2)))
+    share = np.asarray(support, dtype=np.float64)
+    size = params.area_slope * share**params.area_power * np.log(area_m2 / HOUSE_M2)
+    return np.asarray(expit(params.support_slope * (share - params.support_even) + size))
 
 
 def states_of(probability: Floats, params: FuseParams) -> NDArray[np.str_]:

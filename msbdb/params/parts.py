@@ -1,10 +1,11 @@
 """Parameters from parts to inventory: scale-space, granulometry, fusion, outlines, change, and evaluation."""
 
+import math
 from dataclasses import dataclass, fields, replace
 
 from msbdb.params.declare import checked_value, param
 
-RASTERS = "fitted to objects of six places, in cells of 0.5 to 2 m"
+RASTERS = "fitted to 2741 objects of six places, in cells of 0.5 to 2 m"
 
 # A table, in which a parameter takes a line or two: the formatter would give every argument a line of its own.
 # fmt: off
@@ -87,20 +88,31 @@ class FuseParams:
         ours="fitted to 2405 objects of seven places; 9.0 to 10.3 with any of them left out", low=0, high=1000)
     area_slope: float = param(0.74, "1", "a: log-odds of a building by a factor e of its area beyond 50 m².",
         ours="fitted to 2405 objects of seven places; 0.48 to 1.05 with any of them left out", low=0, high=100)
-    raster_even: float = param(0.72, "1", "s₀ of rasters of heights.",
-        ours=RASTERS + "; 0.59 to 0.78 with any of them left out", low=0, high=1)
-    raster_slope: float = param(6.0, "1", "k of rasters of heights.",
-        ours=RASTERS + "; 5.6 to 7.5 with any of them left out", low=0, high=1000)
-    raster_area_slope: float = param(0.82, "1", "a of rasters of heights.",
-        ours=RASTERS + "; 0.52 to 1.14 with any of them left out", low=0, high=100)
+    area_power: float = param(0.0, "1", "q: the area counts as the mean share to this power.",
+        ours="0: with points large objects that few detectors take are seldom refused wrongly", low=0, high=10)
+    raster_even: float = param(0.66, "1", "s₀ of rasters of heights in cells of 0.5 m.",
+        ours=RASTERS + "; 0.53 to 0.71 with any of them left out", low=0, high=1)
+    raster_slope: float = param(6.3, "1", "k of rasters of heights.",
+        ours=RASTERS + "; 5.9 to 8.1 with any of them left out", low=0, high=1000)
+    raster_area_slope: float = param(2.4, "1", "a of rasters of heights.",
+        ours=RASTERS + "; 2.0 to 3.0 with any of them left out", low=0, high=100)
+    raster_area_power: float = param(2.0, "1", "q of rasters of heights.",
+        ours="stands of trees are large, too, but few detectors take them; 0 and 1 decide fewer objects", low=0, high=10)
+    raster_cell: float = param(0.16, "1", "s₀ rises so much each time that the cells of a raster are twice as wide.",
+        ours=RASTERS + "; 0.13 to 0.19 with any of them left out", low=0, high=1)
     sure: float = param(0.95, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",
         ours="98 of 100 confirmed objects are true, and 98 of 100 refuted ones false, on places left out of the fit",
         low=0.5, high=1)
 
-    def of_rasters(self) -> "FuseParams":
-        """Return the values for a source without points."""
-        even, slope, area_slope = self.raster_even, self.raster_slope, self.raster_area_slope
-        return replace(self, support_even=even, support_slope=slope, area_slope=area_slope)
+    def of_rasters(self, cell_m: float) -> "FuseParams":
+        """Return the values for a source without points, in cells of this side, metres."""
+        return replace(
+            self,
+            support_even=self.raster_even + self.raster_cell * math.log2(cell_m / 0.5),
+            support_slope=self.raster_slope,
+            area_slope=self.raster_area_slope,
+            area_power=self.raster_area_power,
+        )
 
 
 @dataclass(frozen=True, slots=True)

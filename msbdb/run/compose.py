@@ -297,7 +297,7 @@ def fuse_and_decompose(
     a run will be written as a whole, it ``packs`` the rasters beside the first steps, which use one core.
     """
     if not scene.elevations.of_points:
-        params = replace(params, fuse=params.fuse.of_rasters())
+        params = replace(params, fuse=params.fuse.of_rasters(scene.heights.spec.cell_m))
     rasters = describe_rasters(scene, regions) if packs else None
 
     def decide_cells() -> tuple[NDArray[np.bool_] | None, Division | None]:

@@ -331,7 +331,9 @@ def test_rasters_serve_instead_of_points(tower, tmp_path, kind):
     footprint = rasterise(buildings.geometry, tower.spec) > 0
     assert (footprint == (tower.buildings > 0)).mean() > 0.99
     shares = buildings.loc[0, list(DETECTOR_SHARES.values())].to_numpy(dtype=float)
-    odds = building_probability(shares.mean()[None], buildings["area_m2"].to_numpy(), FuseParams().of_rasters())
+    odds = building_probability(
+        shares.mean()[None], buildings["area_m2"].to_numpy(), FuseParams().of_rasters(tower.spec.cell_m)
+    )
     assert buildings["probability"].tolist() == pytest.approx(odds.tolist())
     assert buildings["state"].tolist() == ["confirmed"]
     assert parts["area_m2"].tolist() == pytest.approx([36, 300, 1200], rel=0.02)
