@@ -89,7 +89,7 @@ class FuseParams:
     area_slope: float = param(0.74, "1", "a: log-odds of a building by a factor e of its area beyond 50 m².",
         ours="fitted to 2405 objects of seven places; 0.48 to 1.05 with any of them left out", low=0, high=100)
     area_power: float = param(0.0, "1", "q: the area counts as the mean share to this power.",
-        ours="0: with points large objects that few detectors take are seldom refused wrongly", low=0, high=10)
+        ours="0: of points the area counts in full, as it was fitted", low=0, high=10)
     raster_even: float = param(0.66, "1", "s₀ of rasters of heights in cells of 0.5 m.",
         ours=RASTERS + "; 0.53 to 0.71 with any of them left out", low=0, high=1)
     raster_slope: float = param(6.3, "1", "k of rasters of heights.",
@@ -97,7 +97,8 @@ class FuseParams:
     raster_area_slope: float = param(2.4, "1", "a of rasters of heights.",
         ours=RASTERS + "; 2.0 to 3.0 with any of them left out", low=0, high=100)
     raster_area_power: float = param(2.0, "1", "q of rasters of heights.",
-        ours="stands of trees are large, too, but few detectors take them; 0 and 1 decide fewer objects", low=0, high=10)
+        ours="stands of trees are large, too, but few detectors take them; 0 and 1 decide fewer objects",
+        low=0, high=10)
     raster_cell: float = param(0.16, "1", "s₀ rises so much each time that the cells of a raster are twice as wide.",
         ours=RASTERS + "; 0.13 to 0.19 with any of them left out", low=0, high=1)
     sure: float = param(0.95, "1", "p₁: probability from which a building is confirmed; up to 1 - p₁ it is refuted.",

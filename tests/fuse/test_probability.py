@@ -1,10 +1,12 @@
 """Objects that the detectors refuse together: which they are, and their rows in the ledger."""
 
 import numpy as np
+import pytest
 from pyproj import CRS
+from scipy.special import logit
 
 from msbdb.detect.scene import Regions
-from msbdb.fuse.probability import refuse, refused_objects
+from msbdb.fuse.probability import building_probability, refuse, refused_objects
 from msbdb.grid import Grid, lattice
 from msbdb.params import FuseParams
 
@@ -77,3 +79,18 @@ def test_a_scene_without_objects_has_no_rows():
     rows, counts = refuse(level, seen(built, ("multiscale",)), built, FuseParams(), mask_m=2.0, survey="here")
     assert rows.empty
     assert counts["fusion"] == {"in": 1, "pieces": 0, "kept": 1, "dropped": 0}
+
+
+def test_on_rasters_the_area_counts_as_far_as_detectors_take_an_object():
+    """A large stand that one of four takes is refuted, a house that all take is confirmed; in wider cells it is not."""
+    fine, coarse = (FuseParams().of_rasters(cell_m) for cell_m in (0.5, 2.0))
+    support, area_m2 = np.array([0.25, 0.25, 0.95]), np.array([50.0, 5000.0, 100.0])
+    small, large, house = building_probability(support, area_m2, fine)
+    assert small < 0.08
+    assert large < 2 * small + 0.05
+    assert house > 0.95
+    assert building_probability(support, area_m2, coarse)[2] < 0.85
+    # Of points the area counts alike, whatever the share.
+    odds = [logit(building_probability(np.array([s, s]), np.array([50.0, 500.0]), FuseParams())) for s in (0.3, 0.8)]
+    assert np.ptp(np.diff(odds)) == pytest.approx(0, abs=1e-9)
+    assert fine.support_even == pytest.approx(FuseParams().raster_even)
