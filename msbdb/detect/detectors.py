@@ -1,7 +1,6 @@
 """The detectors: the list of them, and the multi-scale one, whose work is the tree of parts."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,29 +42,10 @@ def detect_multiscale(scene: Scene, params: Params) -> Regions:
     return Regions("multiscale", number[forest.root_labels], roots, forest.rejections, forest.counts, forest=forest)
 
 
-@dataclass(frozen=True, slots=True)
-class Detector:
-    """A way to detect buildings, independent of the others.
-
-    Parameters
-    ----------
-    name : str
-        Its name on the command line and in the database.
-    detect : callable
-        From a scene and parameters to regions.
-    """
-
-    name: str
-    detect: Callable[[Scene, Params], Regions]
-
-
-DETECTORS = {
-    detector.name: detector
-    for detector in (
-        Detector("adaptive", detect_adaptive),
-        Detector("area3d", detect_area3d),
-        Detector("flatregions", detect_flat_regions),
-        Detector("multiscale", detect_multiscale),
-    )
+DETECTORS: dict[str, Callable[[Scene, Params], Regions]] = {
+    "adaptive": detect_adaptive,
+    "area3d": detect_area3d,
+    "flatregions": detect_flat_regions,
+    "multiscale": detect_multiscale,
 }
-"""By name, in alphabetical order."""
+"""From a scene and parameters to regions: each by its name on the command line and in the database, in that order."""

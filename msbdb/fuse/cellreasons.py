@@ -83,15 +83,16 @@ def _by_detectors(
 ) -> Cells:
     """Return the reasons of cells at or above the mask that are no building."""
     shape = scene.heights.spec.shape
-    votes, needed = np.zeros(shape, dtype=np.int8), 0
-    if regions:
+    taken = np.zeros(shape, dtype=np.bool_)
+    for region in regions.values():
+        taken |= region.labels > 0
+    if built is not None:
         coloured = scene.cover.spectral is not None
         votes, _, needed = count_votes(regions, of_points=scene.elevations.of_points, coloured=coloured)
-    if built is not None:
         enough = np.where(votes >= needed, np.uint8(Reason.OUTVOTED), np.uint8(Reason.HARDLY_SUPPORTED))
     else:
         enough = np.full(shape, Reason.NO_PARTS if "multiscale" not in regions else Reason.HARDLY_SUPPORTED, np.uint8)
-    found = np.where(votes > 0, enough, np.uint8(Reason.UNSUPPORTED))
+    found = np.where(taken, enough, np.uint8(Reason.UNSUPPORTED))
     _overlay_objects(found, scene, params, open_=found != Reason.OUTVOTED)
     _overlay_parts(found, scene, built, forest, params)
     return found

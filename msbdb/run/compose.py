@@ -279,7 +279,7 @@ def detect(
 
     def find(method: str) -> Regions:
         with stages.stage(method):
-            found = DETECTORS[method].detect(scene, params)
+            found = DETECTORS[method](scene, params)
             let_go()
         return replace(found, of_points=None) if frugal else found
 

@@ -104,7 +104,7 @@ REASONS = {
     Reason.VEGETATION_BY_COLOUR: "vegetation by colour",
     Reason.OTHER_CLASS: "the class of land cover is labelled as no building",
     Reason.UNSUPPORTED: "no detector takes it for a building",
-    Reason.HARDLY_SUPPORTED: "fewer than half of the detectors take it for a building",
+    Reason.HARDLY_SUPPORTED: "too few detectors take it for a building",
     Reason.OUTVOTED: "enough detectors take it for a building, but it is rough, small, or beyond a building's edge",
     Reason.SMALL_PART: "a part of a building smaller than the finest scale",
     Reason.UNLIKE_PART: "a part with too few cells of building classes",

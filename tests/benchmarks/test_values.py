@@ -1,7 +1,6 @@
 """Values that are chosen on all places but one, and judged on that one: on a simulated place."""
 
 from dataclasses import replace
-from functools import partial
 
 import laspy
 import numpy as np
@@ -82,11 +81,11 @@ def test_the_page_has_all_cases_and_is_built_once(values, case, monkeypatch, tmp
         calls.append((each.name, wanted))
         return [90.0 if value and each.name.startswith("b") else 80.0 for value in wanted]
 
-    def table(_data, names, *, worth=""):
-        return iter(replace(case, name=f"{name}{worth}") for name in sorted(names))
+    def table(_data, names):
+        return iter(replace(case, name=name) for name in sorted(names))
 
     steps = {"ground": {"wall_low_m": (0.6,)}}
-    group = values.Group("Walls", "Some.", {"all": table}, steps, {"all": partial(table, worth="")})
+    group = values.Group("Walls", "Some.", {"all": table}, steps, {"all": table})
     monkeypatch.setattr(values, "GROUPS", {"walls": group})
     monkeypatch.setattr(values, "WORKERS", 1)
     monkeypatch.setattr(values, "judge", judge)

@@ -82,7 +82,7 @@ def test_a_scene_without_objects_has_no_rows():
 
 
 def test_on_rasters_the_area_counts_as_far_as_detectors_take_an_object():
-    """A large stand that one of four takes is refuted, a house that all take is confirmed; in wider cells it is not."""
+    """A large stand that one of four takes stays improbable. A house that all take is confirmed in fine cells alone."""
     fine, coarse = (FuseParams().of_rasters(cell_m) for cell_m in (0.5, 2.0))
     support, area_m2 = np.array([0.25, 0.25, 0.95]), np.array([50.0, 5000.0, 100.0])
     small, large, house = building_probability(support, area_m2, fine)

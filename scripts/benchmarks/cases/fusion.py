@@ -29,6 +29,10 @@ class Seen:
     covered: Mapping[str, Mask]
     """By detector: the cells that it takes."""
     mask_m: float
+    green: Mask
+    """Cells of the colour of vegetation."""
+    of_points: bool = True
+    coloured: bool = False
 
     def fused(self, params: FuseParams, without: str = "") -> Mask:
         """Return the cells that the detectors decide together, or all but one of them."""
@@ -37,7 +41,16 @@ class Seen:
             for name, cells in self.covered.items()
             if name != without
         }
-        return fuse_cells(self.heights, regions, params, mask_m=self.mask_m, evidence=self.evidence)
+        return fuse_cells(
+            self.heights,
+            regions,
+            params,
+            mask_m=self.mask_m,
+            of_points=self.of_points,
+            coloured=self.coloured,
+            evidence=self.evidence,
+            green=self.green,
+        )
 
 
 @dataclass(frozen=True)
@@ -70,7 +83,10 @@ def seen(case: Case, ground: str, folder: Path | None) -> Seen:
         return found
     scene, regions, params = detected(case, ground)
     covered = {name: one.labels > 0 for name, one in regions.items()}
-    found = Seen(scene.heights, scene.evidence, covered, params.surface.mask_m)
+    green, coloured = scene.cover.colours.labelled("vegetation"), scene.cover.spectral is not None
+    found = Seen(
+        scene.heights, scene.evidence, covered, params.surface.mask_m, green, scene.elevations.of_points, coloured
+    )
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_bytes(pickle.dumps(found))
