@@ -1,4 +1,4 @@
-"""Settings for all tests: their two sizes, the random examples, no network, and that Ctrl-C reaches what they start."""
+"""Settings for all tests: their sizes, the random examples, no network, and that Ctrl-C reaches what they start."""
 
 import os
 import signal
@@ -13,6 +13,7 @@ from hypothesis import settings
 
 # The examples are the same each time, so that a failure is the change's; MSBDB_TEST_EXAMPLES=random looks for new ones.
 settings.register_profile("default", max_examples=15, deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("ci", max_examples=40, deadline=None, derandomize=True, print_blob=True)
 settings.register_profile("long", max_examples=100, deadline=None, derandomize=True, print_blob=True)
 settings.register_profile("random", max_examples=100, deadline=None, print_blob=True)
 
@@ -22,31 +23,43 @@ if threading.current_thread() is threading.main_thread() and signal.getsignal(si
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the switch between the two sizes."""
-    parser.addoption("--long", action="store_true", help="run the tests marked long as well, with more random examples")
+    """Add the switches between the sizes."""
+    sizes = parser.getgroup("sizes")
+    sizes.addoption("--ci", action="store_true", help="run the tests marked long as well, with more random examples")
+    sizes.addoption("--long", action="store_true", help="the same, with campaigns and on both kinds of database")
+    sizes.addoption("--first", action="store_true", help="run the first test of each file alone")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Choose the random examples, before any test module is read."""
-    size = "long" if config.getoption("--long") else "default"
+    size = next((name for name in ("long", "ci") if config.getoption(f"--{name}")), "default")
     settings.load_profile(os.environ.get("MSBDB_TEST_EXAMPLES", size))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave the tests marked long out, unless they are asked for by ``--long`` or named by ``-m``."""
-    mark_twins(items)
-    if config.getoption("--long") or "long" in config.getoption("-m"):
-        return
-    left_out = [item for item in items if item.get_closest_marker("long")]
+    """Leave out what is beyond the size asked for; ``-m`` names tests of any size."""
+    ci, every = config.getoption("--ci"), config.getoption("--long")
+    beyond = {"campaign"} if ci else {"campaign", "long"}
+    mark_twins(items, 2 if ci else 6)
+    named = every or any(mark in config.getoption("-m") for mark in beyond)
+    kept: list[pytest.Item] = []
+    left_out: list[pytest.Item] = []
+    seen: set[Path] = set()
+    for item in items:
+        is_beyond = not named and any(item.get_closest_marker(mark) for mark in beyond)
+        is_later = config.getoption("--first") and item.path in seen
+        (left_out if is_beyond or is_later else kept).append(item)
+        if not is_beyond:
+            seen.add(item.path)
     config.hook.pytest_deselected(items=left_out)
-    items[:] = [item for item in items if not item.get_closest_marker("long")]
+    items[:] = kept
 
 
-def mark_twins(items: list[pytest.Item]) -> None:
-    """Mark as long one of two twins, of which one runs on SpatiaLite and the other on PostGIS.
+def mark_twins(items: list[pytest.Item], every: int) -> None:
+    """Mark as campaign one of two twins, of which one runs on SpatiaLite and the other on PostGIS.
 
-    Of each file the first such test, and each sixth one after it, runs on PostGIS, where a test takes thrice as long;
-    the others run on SpatiaLite, and all do without a server.
+    Of each file the first such test, and each so-many-th one after it, runs on PostGIS, where a test takes longer; the
+    others run on SpatiaLite, and all do without a server.
     """
     has_server = bool(os.environ.get("MSBDB_TEST_POSTGIS"))
     by_id = {item.nodeid: item for item in items}
@@ -57,10 +70,10 @@ def mark_twins(items: list[pytest.Item]) -> None:
             continue
         function, _, values = item.nodeid.partition("[")
         twin = by_id.get(f"{function}[{values.replace('postgis', 'spatialite')}")
-        if seen[item.path] % 6:
-            item.add_marker(pytest.mark.long)
+        if seen[item.path] % every:
+            item.add_marker(pytest.mark.campaign)
         elif has_server and twin is not None:
-            twin.add_marker(pytest.mark.long)
+            twin.add_marker(pytest.mark.campaign)
         seen[item.path] += 1
 
 

@@ -1,7 +1,10 @@
 """Rules that the tests and scripts themselves keep."""
 
 import re
+import shutil
 import socket
+import subprocess
+import sys
 
 import pytest
 from support.processes import ROOT
@@ -32,3 +35,30 @@ def test_a_sample_keeps_all_cases():
         (("b", 2), ["long"]),
         (("c", 3), ["long"]),
     ]
+    assert [case.marks[0].name for case in sample(range(8), 8, 3)[1:]] == ["campaign", "campaign", "long"] * 2 + [
+        "campaign"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("size", "left"),
+    [
+        ([], ["short", "later"]),
+        (["--first"], ["short"]),
+        (["--ci"], ["hour", "short", "later"]),
+        (["--ci", "--first"], ["hour"]),
+        (["--long"], ["day", "hour", "short", "later"]),
+        (["-m", "campaign"], ["day"]),
+    ],
+)
+def test_each_size_has_its_tests(tmp_path, size, left):
+    """Long tests from --ci on, campaigns with --long alone; the first of what is left is the first of the size."""
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path)
+    names = [("day", "@pytest.mark.campaign\n"), ("hour", "@pytest.mark.long\n"), ("short", ""), ("later", "")]
+    code = "\n\n".join(f"{mark}def test_{name}():\n    pass" for name, mark in names)
+    (tmp_path / "test_some.py").write_text(f"import pytest\n\n{code}\n")
+    words = ["-q", "--collect-only", "-p", "no:cacheprovider", "-W", "ignore", *size, "test_some.py"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert re.findall(r"::test_(\w+)", done.stdout) == left, done.stdout + done.stderr

@@ -10,7 +10,7 @@ from support.processes import BENCHMARKS, run_script
 SCRIPT = BENCHMARKS / "detectors"
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 def test_every_method_is_timed_at_the_size_asked_for(tmp_path):
     """Copies make up the size, and rates follow from the seconds."""
     cloud = scenes.row_houses(density=2.0).points

@@ -14,7 +14,7 @@ HAS_SERVER = bool(list(Path("/usr/lib/postgresql").glob("*/lib/postgis-3.so")))
 BOTH = ["spatialite", "postgis"]
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "dialects",
     [

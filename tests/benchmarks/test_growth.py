@@ -13,7 +13,7 @@ def told(script, *options):
     return json.loads(done.stdout)
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 def test_towns_have_their_area_and_are_built():
     """A larger town has more points in proportion, and buildings."""
     one, two = told("growth", "--areas", "0.02", "0.08", "--density", "1")

@@ -75,7 +75,7 @@ def test_loads_in_turn_have_one_line_for_each_number_of_buildings(script):
     assert script.with_line(page, line) == page.replace("| 20 040 | old |", line)
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 @pytest.mark.postgis
 @pytest.mark.skipif(not shutil.which("ogr2ogr"), reason="ogr2ogr is not installed")
 def test_two_thousand_buildings(tile, tmp_path):

@@ -155,7 +155,7 @@ def check_and_complete(tile, place, *, written=False):
     assert {path.name for path in db.parent.iterdir()} - own == {db.name}
 
 
-@pytest.mark.parametrize(("stage", "done", "start"), sample(STAGE_EDGES, 14))
+@pytest.mark.parametrize(("stage", "done", "start"), sample(STAGE_EDGES, 14, 3))
 def test_ctrl_c_at_any_stage_ends_in_one_line(tile, place, monkeypatch, stage, done):
     """Exit code 130, no file beside the database, no database where there was none."""
     monkeypatch.setattr(build_module, "progress_bar", build_module.progress_bar)
@@ -171,7 +171,7 @@ def test_ctrl_c_at_any_stage_ends_in_one_line(tile, place, monkeypatch, stage, d
     check_and_complete(tile, place, written=done == 1)
 
 
-@pytest.mark.parametrize(("stage", "done", "start"), sample(STAGE_EDGES, len(STAGE_EDGES)))
+@pytest.mark.parametrize(("stage", "done", "start"), sample(STAGE_EDGES, len(STAGE_EDGES), 3))
 def test_a_kill_at_any_stage_loses_nothing(killer, tile, place, stage, done):
     """The database stays as it was, or absent."""
     code, told = killer.run(*build(tile, place[0]), stage=stage, done=done)
@@ -179,7 +179,7 @@ def test_a_kill_at_any_stage_loses_nothing(killer, tile, place, stage, done):
     check_and_complete(tile, place, written=done == 1)
 
 
-@pytest.mark.parametrize(("moment", "start"), sample([(moment, how[-1]) for moment, how in MOMENTS.items()], 7))
+@pytest.mark.parametrize(("moment", "start"), sample([(moment, how[-1]) for moment, how in MOMENTS.items()], 7, 3))
 def test_a_kill_within_the_writing_loses_nothing(killer, tile, place, moment):
     """At each step of it, from the empty file to the log taken in."""
     name, nth, after, _ = MOMENTS[moment]
@@ -188,7 +188,7 @@ def test_a_kill_within_the_writing_loses_nothing(killer, tile, place, moment):
     check_and_complete(tile, place, written=moment in COMMITTED)
 
 
-@pytest.mark.parametrize(("moment", "start"), sample([(moment, MOMENTS[moment][-1]) for moment in INTERRUPTED], 4))
+@pytest.mark.parametrize(("moment", "start"), sample([(moment, MOMENTS[moment][-1]) for moment in INTERRUPTED], 4, 3))
 def test_ctrl_c_within_the_writing_leaves_nothing(killer, tile, place, moment):
     """What was begun is rolled back and removed at once."""
     name, nth, after, _ = MOMENTS[moment]

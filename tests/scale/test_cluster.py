@@ -189,7 +189,7 @@ def test_a_killed_worker_changes_nothing(files, alone, tmp_path):
     assert dump(db) == alone
 
 
-@pytest.mark.long
+@pytest.mark.campaign
 @pytest.mark.parametrize("of", ["points", "rasters"])
 def test_disturbed_builds_in_tiles_end_as_undisturbed_ones(of):
     """Kills, files that vanish or may not grow, and a broken tile: scripts/benchmarks/tilefaults in short."""

@@ -1,4 +1,4 @@
-"""How much of a campaign belongs to the default size of the tests: cases of a long list, random examples."""
+"""How much of a campaign belongs to each size of the tests: cases of a long list, random examples."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,19 +7,26 @@ import pytest
 from hypothesis import settings
 
 
-def sample(cases: Iterable[Any], every: int) -> list[Any]:
-    """Return cases for ``parametrize``: the first and each so-many-th later one as they are, the others marked long."""
-    return [case if number % every == 0 else _long(case) for number, case in enumerate(cases)]
+def sample(cases: Iterable[Any], every: int, every_long: int = 1) -> list[Any]:
+    """Return cases for ``parametrize``: the first and each so-many-th later one as they are, the others marked.
+
+    Of the others each ``every_long``-th of all is marked long, the rest campaign.
+    """
+    marks = (pytest.mark.long, pytest.mark.campaign)
+    return [
+        case if number % every == 0 else _marked(case, marks[number % every_long > 0])
+        for number, case in enumerate(cases)
+    ]
 
 
 def examples(most: int) -> settings:
-    """Return settings for so many random examples in the long size, and for a quarter of them by default.
+    """Return settings for so many random examples in the long size, and for fewer in the others.
 
     It is in proportion to the profile, which ``conftest.py`` chooses before any test module is read.
     """
     return settings(max_examples=most * settings().max_examples // 100, deadline=None)
 
 
-def _long(case: Any) -> Any:
+def _marked(case: Any, mark: pytest.MarkDecorator) -> Any:
     values = case if isinstance(case, tuple) else (case,)
-    return pytest.param(*values, marks=pytest.mark.long)
+    return pytest.param(*values, marks=mark)
