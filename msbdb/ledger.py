@@ -179,7 +179,7 @@ def sum_up(rows: pd.DataFrame, counted: pd.DataFrame, least_m2: float) -> tuple[
     old = counted[["method", *KIND, "small", "small_m2"]].assign(regions=counted["small"], large_m2=0.0)
     both = pd.concat([frame for frame in (one, old) if len(frame)] or [one])
     # Sorted by area, as sums of floating-point numbers depend on their order.
-    both = both.sort_values(["large_m2", "small_m2"], kind="stable")
+    both = both.iloc[np.lexsort((both["small_m2"], both["large_m2"]))]
     sums = ["regions", "large_m2", "small", "small_m2"]
     found = both.groupby(["method", *KIND], as_index=False)[sums].sum()
     found = found.assign(area_m2=found["large_m2"] + found["small_m2"], number=np.arange(1, len(found) + 1))

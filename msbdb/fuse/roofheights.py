@@ -20,6 +20,7 @@ from msbdb.kept import PER_METRE
 from msbdb.labels import Labels, boxes, label_zones, neighbours, quantiles, sizes, sums, widened
 from msbdb.params import HeightParams, SurfaceParams
 from msbdb.parts.clusters import storeys
+from msbdb.surface.gridding import nearest_cells
 from msbdb.threads import together
 
 Floats = NDArray[np.float64]
@@ -371,20 +372,28 @@ def _around(
         none = np.zeros(0)
         return (none, none, none), none
     near_m = max(params.ring_m, 2 * ndsm.spec.cell_m)
-    reach = int(np.ceil(near_m / ndsm.spec.cell_m))
+    far_m = max(near_m, params.far_ring_m)
+    reach, far = (int(np.ceil(one / ndsm.spec.cell_m)) for one in (near_m, far_m))
     # What lies beyond the lattice has no height, like any other cell without data.
     wide, level, height, valid = (np.pad(one, reach) for one in (labels, terrain, np.asarray(ndsm.values), ndsm.valid))
-    distance, (rows, cols) = distance_transform_edt(wide == 0, return_indices=True)
-    owner, distance_m = wide[rows, cols], distance * ndsm.spec.cell_m
+    is_built = wide > 0
+    square = maximum_filter1d(maximum_filter1d(is_built.view(np.uint8), 2 * far + 1, axis=0), 2 * far + 1, axis=1)
+    cells = np.flatnonzero(square)
+    nearest = nearest_cells(is_built, cells, far + 1)
+    cells, nearest = cells[nearest >= 0], nearest[nearest >= 0]
+    (rows, cols), (its_rows, its_cols) = (np.divmod(one, wide.shape[1]) for one in (cells, nearest))
+    distance_m = np.sqrt((rows - its_rows) ** 2 + (cols - its_cols) ** 2) * ndsm.spec.cell_m
+    owner, built = wide.ravel()[nearest], is_built.ravel()[cells]
+    level, height, valid = (values.ravel()[cells] for values in (level, height, valid))
     near = distance_m <= near_m
     nodata = sizes(owner[near & ~valid], count) / sizes(owner[near], count)
-    bare = (wide == 0) & valid & (np.abs(height) <= params.bare_m)
+    bare = ~built & valid & (np.abs(height) <= params.bare_m)
     shares = (0.5, params.ground_tail, 1 - params.ground_tail)
     levels = np.full((3, count), np.nan)
     for chosen, least in (
         (bare & near, params.ground_cells),
-        (bare & (distance_m <= params.far_ring_m), params.ground_cells),
-        (wide > 0, 1),
+        (bare & (distance_m <= far_m), params.ground_cells),
+        (built, 1),
     ):
         missing = np.isnan(levels[0]) & (sizes(owner[chosen], count) >= least)
         chosen &= np.append(False, missing)[owner]

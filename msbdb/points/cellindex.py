@@ -128,6 +128,30 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
     >>> count_near(index_cells(x, y, 1.0), x, y, 1.0)
     array([2, 3, 1, 2])
     """
+    (west, cols), (south, rows) = _lattice(x, y, cell_m)
+    x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
+    dense = rows * cols <= MOST_CELLS * x.size
+    sort = _counted if dense else _sorted
+    order, starts, keys = sort((x, y), (west, south), float(cell_m), (rows, cols))
+    begins = np.arange(rows + 1) * cols if dense else np.zeros(0, dtype=np.int64)
+    at_rows = np.searchsorted(keys, begins).astype(np.int32)
+    return CellIndex(order, starts, keys, at_rows, (rows, cols), west * cell_m, south * cell_m, float(cell_m))
+
+
+def most_in_a_cell(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> int:
+    """Return how many points the fullest cell holds, without sorting them where the lattice is dense.
+
+    Parameters and errors are those of `index_cells`; without any points 0.
+    """
+    (west, cols), (south, rows) = _lattice(x, y, cell_m)
+    if rows * cols > MOST_CELLS * len(x):
+        return int(np.diff(index_cells(x, y, cell_m).starts).max(initial=0))
+    x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
+    return int(_counts((x, y), (west, south), float(cell_m), (rows, cols)).max(initial=0))
+
+
+def _lattice(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the absolute number of the first column and row, and the count of columns and rows."""
     _require_plan(x, y, cell_m)
     (west, cols), (south, rows) = (_numbers(each, float(cell_m)) for each in (x, y))
     if rows * cols > MAX_LATTICE or max(map(abs, (west, west + cols, south, south + rows))) > MAX_NUMBER:
@@ -136,13 +160,7 @@ def index_cells(x: NDArray[np.float64], y: NDArray[np.float64], cell_m: float) -
             "Take larger cells, or drop the points that lie far from the others."
         )
         raise ParameterError(msg)
-    x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
-    dense = rows * cols <= MOST_CELLS * x.size
-    sort = _counted if dense else _sorted
-    order, starts, keys = sort((x, y), (west, south), float(cell_m), (rows, cols))
-    begins = np.arange(rows + 1) * cols if dense else np.zeros(0, dtype=np.int64)
-    at_rows = np.searchsorted(keys, begins).astype(np.int32)
-    return CellIndex(order, starts, keys, at_rows, (rows, cols), west * cell_m, south * cell_m, float(cell_m))
+    return (west, cols), (south, rows)
 
 
 def parts_of(index: CellIndex) -> list[tuple[int, int]]:
@@ -243,12 +261,20 @@ def _keys(plan: Plan, corner: tuple[int, int], cell_m: float, cols: int) -> NDAr
 
 
 @kernel
+def _counts(plan: Plan, corner: tuple[int, int], cell_m: float, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Count the points of each cell of a dense lattice."""
+    x, y = plan
+    count = np.zeros(shape[0] * shape[1], dtype=np.int32)
+    for point in range(x.size):
+        count[_key(x[point], y[point], corner, cell_m, shape[1])] += 1
+    return count
+
+
+@kernel
 def _counted(plan: Plan, corner: tuple[int, int], cell_m: float, shape: tuple[int, int]) -> Sorting:
     """Sort by counting the points of each cell of a dense lattice."""
     (x, y), limit = plan, shape[0] * shape[1]
-    place = np.zeros(limit, dtype=np.int32)
-    for point in range(x.size):
-        place[_key(x[point], y[point], corner, cell_m, shape[1])] += 1
+    place = _counts(plan, corner, cell_m, shape)
     cells = 0
     for key in range(limit):
         cells += place[key] > 0

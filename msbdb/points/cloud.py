@@ -232,15 +232,29 @@ def measure_spacing(
     x: NDArray[np.float64], y: NDArray[np.float64], first_echo: NDArray[np.bool_]
 ) -> tuple[float, float, float]:
     """Return mean and median spacing of the first echoes, and their least link, metres; see `Density`."""
-    if not len(x):
-        return 1.0, 1.0, 1.0
     chosen = first_echo if first_echo.any() else np.ones(len(x), dtype=np.bool_)
-    east, north = x[chosen], y[chosen]
-    cells = _covered(east, north)
-    link_m = least_link(east, north, _spacing(cells))
+    return measure_spacings(x[chosen], y[chosen])[:3]
+
+
+def measure_spacings(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Return mean and median spacing of first echoes, their least link, and the spacing of sparser parts, metres.
+
+    Of no points all are 1 m. See `Density` and `sparse_spacing`.
+    """
+    if not len(x):
+        return 1.0, 1.0, 1.0, 1.0
+    cells = _covered(x, y)
+    squares = _squares(x, y, _spacing(cells))
+    link_m = _link(x, y, squares, _spacing(cells))
     if cells.cell_m < link_m:
-        cells = _covered(east, north, link_m)
-    return _spacing(cells), _typical_spacing(cells), link_m
+        cells = _covered(x, y, link_m)
+        squares = _squares(x, y, _spacing(cells))
+    return _spacing(cells), _typical_spacing(cells), link_m, _sparse(x, y, squares, _spacing(cells))
+
+
+def _squares(x: NDArray[np.float64], y: NDArray[np.float64], spacing_m: float) -> CellIndex:
+    """Return the squares in which links and sparser parts are measured."""
+    return index_cells(x, y, SQUARE_SPACINGS * spacing_m)
 
 
 def least_link(x: NDArray[np.float64], y: NDArray[np.float64], spacing_m: float = 0.0) -> float:
@@ -279,7 +293,11 @@ def least_link(x: NDArray[np.float64], y: NDArray[np.float64], spacing_m: float 
     1.1
     """
     spacing_m = spacing_m or _spacing(_covered(x, y))
-    squares = index_cells(x, y, SQUARE_SPACINGS * spacing_m)
+    return _link(x, y, _squares(x, y, spacing_m), spacing_m)
+
+
+def _link(x: NDArray[np.float64], y: NDArray[np.float64], squares: CellIndex, spacing_m: float) -> float:
+    """Return the least link of points in squares."""
     count = np.diff(squares.starts)
     full = np.flatnonzero((count >= SQUARE_SPACINGS**2 / 2) & (count <= 4 * SQUARE_SPACINGS**2))
     if not len(full):
@@ -323,7 +341,11 @@ def sparse_spacing(x: NDArray[np.float64], y: NDArray[np.float64], spacing_m: fl
     >>> round(sparse_spacing(x, y, 0.63), 1)
     1.1
     """
-    squares = index_cells(x, y, SQUARE_SPACINGS * spacing_m)
+    return _sparse(x, y, _squares(x, y, spacing_m), spacing_m)
+
+
+def _sparse(x: NDArray[np.float64], y: NDArray[np.float64], squares: CellIndex, spacing_m: float) -> float:
+    """Return the spacing of the sparser parts of points in squares."""
     full = np.flatnonzero(np.diff(squares.starts) >= 2 * NEIGHBOURS)
     if not len(full):
         return spacing_m

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.points.cellindex import CellIndex, index_cells
+from msbdb.points.cellindex import CellIndex, index_cells, most_in_a_cell
 from msbdb.points.cloud import PointCloud
 from msbdb.threads import kernel
 
@@ -78,9 +78,9 @@ def kept_of(cloud: PointCloud, most_density: float) -> Mask:
     kept = np.ones(len(cloud), dtype=np.bool_)
     if not most_density or not len(cloud):
         return kept
-    index = index_cells(cloud.x, cloud.y, CELL_M)
     most = most_density * CELL_M**2
-    if np.diff(index.starts).max() > most:
+    if most_in_a_cell(cloud.x, cloud.y, CELL_M) > most:
+        index = index_cells(cloud.x, cloud.y, CELL_M)
         dense, limits = _in_dense_cells(index, cloud.first_echo, most)
         kept[dense] = _hashed(cloud.x[dense], cloud.y[dense], cloud.z[dense]) < limits
     return kept

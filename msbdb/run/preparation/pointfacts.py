@@ -16,8 +16,7 @@ from msbdb.points.cloud import (
     SPARSE_SHARE,
     PointCloud,
     levels_of,
-    measure_spacing,
-    sparse_spacing,
+    measure_spacings,
 )
 from msbdb.points.laterechoes import numbered_by_place, under_distance
 from msbdb.points.lots import kept_of, thinned
@@ -79,8 +78,8 @@ def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
     NodataError
         When there is no first echo.
     """
-    spacing_m, typical_m, link_m = measure_spacing(cloud.x, cloud.y, cloud.first_echo)
     first = cloud.first_echo
+    spacing_m, typical_m, link_m, sparse_m = measure_spacings(cloud.x[first], cloud.y[first])
     points_m2 = density(cloud, link_m)
     return PointFacts(
         points=len(cloud),
@@ -88,7 +87,7 @@ def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
         all_density=points_m2,
         spacing_m=spacing_m,
         typical_m=typical_m,
-        sparse_m=sparse_spacing(cloud.x[first], cloud.y[first], spacing_m),
+        sparse_m=sparse_m,
         link_m=link_m,
         numbered=cloud.return_number is not None,
         echoes=cloud.has_echoes,
