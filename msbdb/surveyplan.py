@@ -50,9 +50,9 @@ class PointFacts:
     all_density : float
         The same before what is denser than ``surface.most_density`` was thinned.
     spacing_m, typical_m, link_m : float
-        Mean and median spacing of the first echoes, and their least link, metres (`msbdb.points.cloud.Density`).
+        Mean and median spacing of the first echoes, and their least link, metres (`msbdb.points.spacing.Density`).
     sparse_m : float
-        Spacing of the sparser parts, metres (`msbdb.points.cloud.sparse_spacing`).
+        Spacing of the sparser parts, metres (`msbdb.points.spacing.sparse_spacing`).
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
     under_m : float

@@ -27,7 +27,7 @@ def test_the_network_is_closed():
 
 
 def test_a_sample_keeps_all_cases():
-    """The first and each third later one as they are, the others marked long."""
+    """The first and each third later one have no mark; the others are marked long, or some of them campaign."""
     cases = sample([("a", 1), ("b", 2), ("c", 3), ("d", 4)], 3)
     assert cases[0] == ("a", 1)
     assert cases[3] == ("d", 4)

@@ -377,12 +377,13 @@ def _around(
     # What lies beyond the lattice has no height, like any other cell without data.
     wide, level, height, valid = (np.pad(one, reach) for one in (labels, terrain, np.asarray(ndsm.values), ndsm.valid))
     is_built = wide > 0
-    square = maximum_filter1d(maximum_filter1d(is_built.view(np.uint8), 2 * far + 1, axis=0), 2 * far + 1, axis=1)
-    cells = np.flatnonzero(square)
+    # Only cells in a square around a building look for the nearest one, as most of a survey lies farther away.
+    rows = maximum_filter1d(is_built.view(np.uint8), 2 * far + 1, axis=0)
+    cells = np.flatnonzero(maximum_filter1d(rows, 2 * far + 1, axis=1))
     nearest = nearest_cells(is_built, cells, far + 1)
     cells, nearest = cells[nearest >= 0], nearest[nearest >= 0]
-    (rows, cols), (its_rows, its_cols) = (np.divmod(one, wide.shape[1]) for one in (cells, nearest))
-    distance_m = np.sqrt((rows - its_rows) ** 2 + (cols - its_cols) ** 2) * ndsm.spec.cell_m
+    (row, col), (its_row, its_col) = (np.divmod(one, wide.shape[1]) for one in (cells, nearest))
+    distance_m = np.sqrt((row - its_row) ** 2 + (col - its_col) ** 2) * ndsm.spec.cell_m
     owner, built = wide.ravel()[nearest], is_built.ravel()[cells]
     level, height, valid = (values.ravel()[cells] for values in (level, height, valid))
     near = distance_m <= near_m

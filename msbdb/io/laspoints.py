@@ -19,7 +19,8 @@ from msbdb.grid import Bounds
 from msbdb.io.crs import Reference
 from msbdb.io.files import open_input, shown, url_of
 from msbdb.io.lasheader import COPC, LAZ_RECORD, LasInfo, count_layers, decoding, is_whole
-from msbdb.points.cloud import PointCloud, lone_points
+from msbdb.points.cloud import PointCloud
+from msbdb.points.lonepoints import lone_points
 from msbdb.points.repeated import repeated
 from msbdb.surveyplan import PointFacts
 

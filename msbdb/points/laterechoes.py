@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.points.cellindex import MARGIN, CellIndex, cell_place, index_cells, parts_of, strip
-from msbdb.points.cloud import PointCloud, measure_spacing
+from msbdb.points.cloud import PointCloud
 from msbdb.points.lots import drawn
+from msbdb.points.spacing import measure_spacing
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]

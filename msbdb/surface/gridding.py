@@ -62,7 +62,7 @@ def density(points: PointCloud, link_m: float = 0.0) -> float:
     Covered are the 2 m cells that hold a first echo. Sparse points would cover less than their share, and islands far
     apart would need many empty cells. Cells grow where the bounding box has less than one echo a cell, or the covered
     cells less than four. They then hold four on average, or are `LARGEST_OCCUPANCY_M` wide. They also grow up to the
-    least link between points (`msbdb.points.cloud.least_link`), as no cell between two scan lines is open ground.
+    least link between points (`msbdb.points.spacing.least_link`), as no cell between two scan lines is open ground.
 
     Raises
     ------

@@ -325,3 +325,33 @@ def test_the_windows_around_islands_change_nothing(monkeypatch: pytest.MonkeyPat
     for name in ("building", "area_m2", "eaves", "ridge"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
     assert found.labels.max() > 20
+
+
+@pytest.mark.parametrize("cell_m", [0.5, 3.0])
+def test_the_ground_is_that_of_the_cells_whose_nearest_building_it_is(cell_m: float) -> None:
+    """All distances between cells, one by one, give the same ground, in the ring, far from it, and beneath."""
+    random = np.random.default_rng(3)
+    shape, params = (42, 50), HeightParams()
+    labels = np.zeros(shape, dtype=np.int32)
+    for number, (row, col) in enumerate(((2, 3), (2, 11), (20, 20), (31, 40)), start=1):
+        labels[row : row + 7, col : col + 7] = number
+    surface = np.where(labels > 0, 6.0, np.where(random.random(shape) < 0.3, 2.0, 0.0))
+    surface[14:33, 14:33] = np.maximum(surface[14:33, 14:33], 2.0)  # shrubs: no ground in the ring of the third
+    terrain = random.integers(0, 500, shape) / 100
+    found = heights_of(surface, labels, terrain=terrain, cell_m=cell_m)
+
+    built = np.argwhere(labels > 0)
+    cells = np.argwhere(labels == 0)
+    apart = np.sqrt(((cells[:, None] - built) ** 2).sum(axis=2))
+    # Of cells equally near, the western counts, then the northern.
+    rank = np.lexsort((built[:, 0], built[:, 1]))
+    nearest = rank[apart[:, rank].argmin(axis=1)]
+    owner, distance_m = labels[tuple(built[nearest].T)], apart.min(axis=1) * cell_m
+    bare = surface[labels == 0] <= params.bare_m
+    for number in range(1, 5):
+        own = [
+            bare & (owner == number) & (distance_m <= most) for most in (max(2.0, 2 * cell_m), max(10.0, 2 * cell_m))
+        ]
+        levels = [terrain[labels == 0][chosen] for chosen in own if np.count_nonzero(chosen) >= params.ground_cells]
+        expected = np.median((levels or [terrain[labels == number]])[0])
+        assert found["z_ground"][number - 1] == pytest.approx(expected, abs=0.0051)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from support.strategies import clouds
 
 from msbdb.errors import InputError, ParameterError
-from msbdb.points.cellindex import CellIndex, cell_place, index_cells, places_around, strip
+from msbdb.points.cellindex import CellIndex, cell_place, index_cells, most_in_a_cell, places_around, strip
 from msbdb.threads import kernel
 
 SIZES = st.sampled_from([0.3, 1.0, 2.5, 100.0])
@@ -159,3 +159,12 @@ def test_points_around_a_range_of_cells_are_one_slice(cloud, cell_m, data):
     apart = np.maximum(abs(row[:, None] - row[first:stop]), abs(col[:, None] - col[first:stop]))
     for cell in np.flatnonzero((apart <= 1).any(axis=1)):
         assert begin <= index.starts[cell] <= index.starts[cell + 1] <= end
+
+
+@pytest.mark.parametrize("side_m", [4.0, 1e5])
+def test_the_fullest_cell_is_found_without_sorting(side_m):
+    """On a dense lattice, and on one of which most cells are empty."""
+    x, y = np.random.default_rng(2).uniform(-side_m, side_m, (2, 500))
+    x[:7], y[:7] = x[0], y[0]
+    assert most_in_a_cell(x, y, 1.0) == np.diff(index_cells(x, y, 1.0).starts).max() >= 7
+    assert most_in_a_cell(x[:0], y[:0], 1.0) == 0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msbdb.points.cloud import lone_values
+from msbdb.points.lonepoints import lone_values
 
 
 def test_loneness_depends_on_values_alone():

@@ -10,8 +10,8 @@ from simulated.files import write_points
 import msbdb
 from msbdb.database import canonical_dump, open_database
 from msbdb.errors import collected_notices
-from msbdb.points.cloud import sparse_spacing
 from msbdb.points.lots import drawn
+from msbdb.points.spacing import index_squares, sparse_spacing
 from msbdb.run.preparation.pointfacts import DENSER, UNEVEN, evenly_dense, with_facts
 from msbdb.surveyplan import EVEN, Plan
 
@@ -46,16 +46,20 @@ def shown(cloud):
 
 def test_the_sparser_parts_decide_where_they_are_a_fifth_of_the_ground():
     """Neither water without points nor the border makes a survey sparse, and a smaller part decides nothing."""
+
+    def sparse(x, y, spacing_m):
+        return sparse_spacing(x, y, index_squares(x, y, spacing_m))
+
     random = np.random.default_rng(1)
     x, y = random.uniform(0, 100, (2, 40_000))
     for sparse_m, expected in ((0, 0.5), (10, 0.5), (30, 1.5)):
         kept = (x >= sparse_m) | (random.random(len(x)) < 1 / 9)
-        found = sparse_spacing(x[kept], y[kept], (1e4 / kept.sum()) ** 0.5)
+        found = sparse(x[kept], y[kept], (1e4 / kept.sum()) ** 0.5)
         assert found == pytest.approx(expected, rel=0.12)
     dry = np.abs(x - 50) > 15
-    assert sparse_spacing(x[dry], y[dry], 0.5) == pytest.approx(0.5, rel=0.1)
+    assert sparse(x[dry], y[dry], 0.5) == pytest.approx(0.5, rel=0.1)
     few = np.arange(5.0)
-    assert sparse_spacing(few, few, 1.3) == 1.3
+    assert sparse(few, few, 1.3) == 1.3
 
 
 def test_an_even_survey_stays_as_it_is(even):

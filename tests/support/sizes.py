@@ -8,9 +8,10 @@ from hypothesis import settings
 
 
 def sample(cases: Iterable[Any], every: int, every_long: int = 1) -> list[Any]:
-    """Return cases for ``parametrize``: the first and each so-many-th later one as they are, the others marked.
+    """Return cases for ``parametrize``, each for one size of the tests.
 
-    Of the others each ``every_long``-th of all is marked long, the rest campaign.
+    Case 0 and each later one whose number ``every`` divides have no mark. Of the others those whose number
+    ``every_long`` divides are marked long, the rest campaign.
     """
     marks = (pytest.mark.long, pytest.mark.campaign)
     return [

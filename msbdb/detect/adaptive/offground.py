@@ -17,7 +17,8 @@ from msbdb.grid import GridSpec
 from msbdb.order import order_of_points
 from msbdb.params import AdaptiveParams
 from msbdb.points.aside import let_go, set_aside
-from msbdb.points.cloud import PointCloud, measure_density
+from msbdb.points.cloud import PointCloud
+from msbdb.points.spacing import measure_density
 
 Floats = NDArray[np.float64]
 

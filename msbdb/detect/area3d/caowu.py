@@ -24,9 +24,10 @@ from msbdb.order import order_of_points
 from msbdb.params import Area3dParams, Params
 from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cellindex import cell_of_each, index_cells
-from msbdb.points.cloud import PointCloud, measure_density
+from msbdb.points.cloud import PointCloud
 from msbdb.points.graph import PointGraph, components, connect
 from msbdb.points.pointarea import build_point_scale_space, open_close_linked, open_close_on_sets
+from msbdb.points.spacing import measure_density
 
 logger = logging.getLogger(__name__)
 

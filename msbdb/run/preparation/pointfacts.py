@@ -10,16 +10,11 @@ from numpy.typing import NDArray
 
 from msbdb.errors import give_notice
 from msbdb.params import Params
-from msbdb.points.cloud import (
-    GROUND_CLASS,
-    LONE_GAP_Z_M,
-    SPARSE_SHARE,
-    PointCloud,
-    levels_of,
-    measure_spacings,
-)
+from msbdb.points.cloud import GROUND_CLASS, PointCloud
 from msbdb.points.laterechoes import numbered_by_place, under_distance
+from msbdb.points.lonepoints import LONE_GAP_Z_M, levels_of
 from msbdb.points.lots import kept_of, thinned
+from msbdb.points.spacing import SPARSE_SHARE, measure_spacings
 from msbdb.surface.gridding import density
 from msbdb.surveyplan import PointFacts
 

@@ -20,7 +20,7 @@ from msbdb.detect.area3d.regionshape import (
     reasons_against,
 )
 from msbdb.params import Area3dParams, profile
-from msbdb.points.cloud import measure_density
+from msbdb.points.spacing import measure_density
 
 OURS = Area3dParams()
 PAPER = profile("cao-wu").area3d
