@@ -4,6 +4,7 @@ The progressive filter is sure of some ground. What else is ground follows from 
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,9 @@ HOUSE_M2 = 500.0
 CUT, SIDE = 0.55, 1 / 3
 """Ours: largest shares of the border in the edge of such a hall: two sides of a square and a little more; one side."""
 
+SEEN = 0.4
+"""Ours, in sample: least share of a plateau's edge beside ground; 0.3 loses more roofs, 0.5 takes knolls for roofs."""
+
 STEPS = 4
 """Ours: a hall of up to so many levels is found, the highest level first."""
 
@@ -80,6 +84,9 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        - ``terrace_cost`` times f where both are ground: a retaining wall;
        - nothing where both are above ground.
 
+       So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
+       all regions of a place are decided together: terraces one above the other, roofs beside higher roofs. Of a
+       plateau larger than a house, under trees and houses that hide how it falls, the edge that is seen decides.
     4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
        one too large for the windows of the progressive filter. Of a region that the border cuts the rest of the edge
        decides, if it is high and bare.
@@ -91,9 +98,6 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        where a level roof touches the terrain; nor is the rear of such a roof its beginning, which may count as ground.
     7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. Without a cell that is
        sure it is a well in a roof, unless it lies on the terrain of the other ground.
-
-    So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
-    all regions of a place are decided together: terraces one above the other, roofs beside higher roofs.
 
     Parameters
     ----------
@@ -187,9 +191,7 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
         for low, high in ((one, other), (other, one)):
             rise = heights[high] - heights[low]
             chosen = ((rise > 0) | ((rise == 0) & (low is one))) & measured[low] & measured[high]
-            wall = np.clip(
-                (rise / max(cell_m, 1.0) - params.wall_low_m) / (params.wall_high_m - params.wall_low_m), 0, 1
-            )
+            wall = _wall_share(rise, cell_m, params)
             terrace, smooth = params.terrace_cost * wall, 1 - wall
             below, above = node[low], node[high]
             both = chosen & (below >= 0) & (above >= 0)
@@ -203,8 +205,31 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
     cut = minimum_cut(costs, Pairs(first, second, terrace, smooth, np.ones_like(terrace), np.zeros_like(terrace)))
     ground = sure.copy()
     ground[free] = ~cut
+    ground |= _plateaus(heights, ground, measured, cell_m, params)
     ground &= ~_podiums(heights, ground, measured, cell_m, params)
     return ground & ~_cut_halls(heights, ground, measured, cell_m, params)
+
+
+def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
+    """Return the plateaus above ground whose edge is a wall too seldom where it is seen: wooded knolls and terraces.
+
+    A plateau is connected by steps that are no wall, and larger than a house. Its edge is seen where it borders on
+    ground, which must be `SEEN` of it at least. The cut counts the walls of crowns on its flanks as its own; here they
+    decide nothing. Of the rest of the edge no more may fall than rises: trees and houses stand on it, but a roof stands
+    above its annexes.
+    """
+    above = measured & ~ground
+    regions, count = _joined(heights, above, _wall_m(cell_m, params))
+    large = np.bincount(regions[above], minlength=count) * cell_m**2 >= HOUSE_M2
+    own, beside, fall = _edges(heights, regions, large)
+    seen, hidden = ground.ravel()[beside], above.ravel()[beside]
+    wall = seen * _wall_share(fall, cell_m, params)
+    edges, of_ground, walls, falls, rises = (
+        np.bincount(own, weights=each, minlength=count)
+        for each in (seen | hidden, seen, wall, hidden & (fall > 0), hidden & (fall < 0))
+    )
+    terrain = large & (of_ground >= SEEN * edges) & (walls * (1 + params.terrace_cost) < of_ground) & (rises >= falls)
+    return above & terrain[regions]
 
 
 def _podiums(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
@@ -240,12 +265,7 @@ def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, pa
     wall_m, found = _wall_m(cell_m, params), np.zeros_like(ground)
     regions, count = _joined(heights, measured, wall_m)
     possible = np.bincount(regions[ground], minlength=count) > 0
-    node, edge = np.arange(heights.size, dtype=np.int32).reshape(heights.shape), []
-    for one, other in neighbours(heights.shape):
-        for here, there in ((one, other), (other, one)):
-            at = possible[regions[here]] & (regions[here] != regions[there])
-            edge.append((regions[here][at], node[there][at], heights[here][at] - heights[there][at]))
-    own, beside, fall = (np.concatenate(parts) for parts in zip(*edge, strict=True))
+    own, beside, fall = _edges(heights, regions, possible)
     seen = measured.ravel()[beside]
     # What is next to a void goes on into it, as over the border.
     sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
@@ -362,6 +382,25 @@ def _joined(heights: Heights, among: Mask, step_m: float) -> tuple[NDArray[np.in
     graph = coo_matrix((np.ones(first.size, dtype=np.bool_), (first, second)), shape=(heights.size, heights.size))
     count, numbers = connected_components(graph, directed=False)
     return numbers.reshape(heights.shape), count
+
+
+def _edges(
+    heights: Heights, regions: NDArray[np.int32], chosen: Mask
+) -> tuple[NDArray[np.int32], NDArray[np.int32], Heights]:
+    """Return the edges of chosen regions: the region, the cell on the other side, and how far that lies below."""
+    node, edges = np.arange(heights.size, dtype=np.int32).reshape(heights.shape), []
+    for one, other in neighbours(heights.shape):
+        for here, there in ((one, other), (other, one)):
+            at = chosen[regions[here]] & (regions[here] != regions[there])
+            edges.append((regions[here][at], node[there][at], heights[here][at] - heights[there][at]))
+    own, beside, fall = (np.concatenate(parts) for parts in zip(*edges, strict=True))
+    return own, beside, fall
+
+
+def _wall_share(rise: Heights, cell_m: float, params: GroundParams) -> NDArray[Any]:
+    """Return the share of a wall that steps between neighbours are, from 0 to 1."""
+    above_low = rise / max(cell_m, 1.0) - params.wall_low_m
+    return np.asarray(np.clip(above_low / (params.wall_high_m - params.wall_low_m), 0, 1))
 
 
 def _wall_m(cell_m: float, params: GroundParams) -> float:

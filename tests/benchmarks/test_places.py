@@ -121,11 +121,11 @@ def test_a_town_over_hills_keeps_its_roofs_level_and_lays_its_ground_on_the_reli
     house = (x >= 20) & (x < 30) & (y >= 10) & (y < 22)
     classes = np.where(house, 6, 2).astype(np.uint8)
     z = np.where(house, 5.0, 0.0)
-    for relief in hills.RELIEFS.values():
+    for relief in (*hills.RELIEFS.values(), *hills.STEEPER.values()):
         laid = hills.lifted(x, y, z, classes, relief)
         np.testing.assert_allclose(laid[~house], relief(x, y)[~house])
         np.testing.assert_allclose(laid[house], 5.0 + relief(x, y)[house].mean())
-    assert hills.terraces(x, y).max() > 10
+    assert hills.TERRACES(x, y).max() > 10
     # A block beyond the largest size goes up the slope in steps.
     block = np.where((x > 5) & (y > 2), 6, 2).astype(np.uint8)
     assert len(np.unique(hills.lifted(x, y, z * 0, block, hills.slope)[block == 6].round(6))) > 2

@@ -80,6 +80,37 @@ def test_a_steep_knoll_that_two_sides_lead_up_to_is_ground():
     assert not ground[40:90, 130:180].any()
 
 
+def plateau_among_trees(*, knoll):
+    """Return a plateau of 50 m and 5 m high with trees along a side, a part of them lower than itself, and these.
+
+    All of its edge is a wall; of a ``knoll`` one side is a slope.
+    """
+    heights = np.zeros((150, 150))
+    heights[50:100, 50:100] = 5
+    if knoll:
+        heights[50:100, 100:110] = np.linspace(5, 0, 10)
+    trees = np.zeros(heights.shape, dtype=bool)
+    trees[100:110, 50:100] = True
+    heights[100:110, 50:80], heights[100:110, 80:100] = 9, 2.5
+    return heights, trees
+
+
+def test_a_knoll_whose_flank_hides_under_trees_is_ground():
+    """Walls are two thirds of what is seen of its edge; to stand above lower trees would speak for a roof."""
+    heights, trees = plateau_among_trees(knoll=True)
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[trees].any()
+    assert ground[~trees].mean() > 0.98
+
+
+def test_a_hall_among_trees_is_a_building():
+    """All that is seen of its edge is a wall."""
+    heights, _ = plateau_among_trees(knoll=False)
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[50:100, 50:100].any()
+    assert ground[heights == 0].mean() > 0.98
+
+
 def test_a_court_below_the_street_does_not_lift_the_street():
     """A court of 40 m lies 5 m below a street that surrounds it; a building stands beside both."""
     heights = np.full((320, 320), 5.0)

@@ -1,12 +1,17 @@
 """Copies of a cloud as another sensor would have recorded it: fewer pulses, more of them, first echoes only, or no classes."""
 
 import itertools
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
 
 import laspy
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.points.cloud import UNCLASSIFIED_CLASS
+from msbdb.io.crs import CrsLike
+from msbdb.io.las import read_points
+from msbdb.points.cloud import UNCLASSIFIED_CLASS, PointCloud
 
 SEED = 1
 SHAKE_M = 0.02
@@ -96,3 +101,12 @@ def with_class_alone(cloud: laspy.LasData, kept: int | None) -> laspy.LasData:
 def taken(cloud: laspy.LasData, chosen: NDArray[np.generic]) -> laspy.LasData:
     """Return a copy of the chosen points, by mask or number."""
     return laspy.LasData(cloud.header, cloud.points[chosen].copy())
+
+
+def as_cloud(clouds: Sequence[laspy.LasData], crs: CrsLike | None) -> PointCloud:
+    """Return the points of files as one cloud, with their classes, as msbdb reads them."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / f"{number}.las" for number in range(len(clouds))]
+        for cloud, file in zip(clouds, files, strict=True):
+            cloud.write(file)
+        return read_points(files, crs=crs)

@@ -3,6 +3,11 @@
 Both run with the values that their authors publish for towns, untuned, and see no classes.
 """
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import laspy
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +65,8 @@ def cloth(clouds: list[laspy.LasData]) -> list[Mask]:
     xyz = np.concatenate([np.column_stack([cloud.x, cloud.y, cloud.z]) for cloud in clouds])
     filtering.setPointCloud(xyz - xyz.min(axis=0))
     ground, others = CSF.VecInt(), CSF.VecInt()
-    filtering.do_filtering(ground, others, False)
+    with _silent():
+        filtering.do_filtering(ground, others, False)
     near = np.zeros(len(xyz), dtype=np.bool_)
     near[np.fromiter(ground, dtype=np.int64, count=len(ground))] = True
     return _split(near, clouds)
@@ -68,6 +74,20 @@ def cloth(clouds: list[laspy.LasData]) -> list[Mask]:
 
 OTHER_GROUNDS = {"smrf": smrf, "cloth": cloth}
 """Methods by the name of their column."""
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Send what a library of another language prints to nowhere while the block runs: tables go to standard output."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _nearest(values: NDArray[np.float64], known: Mask) -> NDArray[np.float64]:

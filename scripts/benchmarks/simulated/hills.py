@@ -23,21 +23,37 @@ BLOCK_M2 = 600.0
 PIECE_M = 18.0
 """Side of the pieces."""
 
-TREAD_M, WALL_M, WALL_SHARE = 14.0, 3.5, 0.07
-"""Terraces: depth of a tread, height of a wall, and the share of the depth in which it rises."""
-
 
 def slope(east: Array, north: Array) -> Array:
     """Rise evenly by 30 % towards the east-north-east."""
     return 0.3 * (0.8 * east + 0.6 * north)
 
 
-def terraces(east: Array, north: Array) -> Array:
-    """Rise by 25 % in level treads, between walls that bend along the slope."""
-    along = (0.9 * east + 0.3 * north + 6 * np.sin(north / 35)) / TREAD_M
-    tread = np.floor(along)
-    rise = np.clip((along - tread - (1 - WALL_SHARE)) / WALL_SHARE, 0, 1)
-    return np.asarray(WALL_M * (tread + rise))
+def steep_slope(east: Array, north: Array) -> Array:
+    """Rise twice as much."""
+    return 2 * slope(east, north)
+
+
+def treads(tread_m: float, wall_m: float, wall_share: float, *, fading: bool = False) -> Relief:
+    """Return level treads between walls that bend along the slope.
+
+    Parameters
+    ----------
+    tread_m, wall_m : float
+        Depth of a tread and height of a wall, metres.
+    wall_share : float
+        Share of the depth in which a wall rises.
+    fading : bool
+        Walls fade into slopes along the hillside, and back into walls.
+    """
+
+    def relief(east: Array, north: Array) -> Array:
+        along = (0.9 * east + 0.3 * north + 6 * np.sin(north / 35)) / tread_m
+        share = wall_share + (1 - wall_share) * np.clip(np.sin(north / 60), 0, 1) * fading
+        tread = np.floor(along)
+        return np.asarray(wall_m * (tread + np.clip((along - tread - (1 - share)) / share, 0, 1)))
+
+    return relief
 
 
 def waves(east: Array, north: Array) -> Array:
@@ -72,7 +88,25 @@ def _mirrored(number: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     return np.asarray(np.where(number < size, number, 2 * size - 1 - number))
 
 
-RELIEFS: Mapping[str, Relief] = {"terraces": terraces, "slope": slope, "waves": waves}
+TERRACES = treads(14.0, 3.5, 0.07)
+"""They rise by 25 %."""
+
+RELIEFS: Mapping[str, Relief] = {"terraces": TERRACES, "slope": slope, "waves": waves}
+
+STEEPER: Mapping[str, Relief] = {
+    "treads of 8 m, walls of 2 m": treads(8, 2, 0.1),
+    "treads of 14 m, walls of 3.5 m": TERRACES,
+    "treads of 25 m, walls of 3 m": treads(25, 3, 0.04),
+    "treads of 35 m, walls of 5 m": treads(35, 5, 0.03),
+    "treads of 60 m, walls of 6 m": treads(60, 6, 0.02),
+    "treads of 25 m, walls of 7 m": treads(25, 7, 0.04),
+    "walls of 4 m that fade into slopes": treads(25, 4, 0.04, fading=True),
+    "walls of 5 m that fade into slopes": treads(40, 5, 0.03, fading=True),
+    "slope of 30 %": slope,
+    "slope of 60 %": steep_slope,
+    "waves": waves,
+}
+"""Reliefs on which ground filters fail."""
 
 
 def lifted(x: Array, y: Array, z: Array, classes: NDArray[np.uint8], relief: Relief) -> Array:
