@@ -111,6 +111,16 @@ def test_a_hall_among_trees_is_a_building():
     assert ground[heights == 0].mean() > 0.98
 
 
+def test_treads_of_a_hillside_that_rows_of_houses_part_are_ground():
+    """Six treads of 25 m behind walls of 5 m, with houses of 4 m against each wall and gaps of 6 m between them."""
+    row, col = np.indices((160, 220))
+    step = np.clip((col - 30) // 25 + 1, 0, 6)
+    houses = (row % 26 < 20) & (col >= 30) & (col < 180) & ((col - 30) % 25 >= 15)
+    ground = walled_ground(grid(step * 5.0 + 4 * houses), PARAMS)
+    assert not ground[houses].any()
+    assert ground[~houses].mean() > 0.98
+
+
 def test_a_court_below_the_street_does_not_lift_the_street():
     """A court of 40 m lies 5 m below a street that surrounds it; a building stands beside both."""
     heights = np.full((320, 320), 5.0)
