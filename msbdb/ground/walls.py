@@ -48,8 +48,8 @@ SEEN = 0.4
 """Ours, in sample: least share of a plateau's edge beside ground; 0.3 loses more roofs, 0.5 takes knolls for roofs."""
 
 WIDE_M, STAYS = 20.0, 0.3
-"""Ours, in sample: half-width of an opening that removes houses, and the share of a tread that it leaves as it is. With
-30 m fewer treads are found; with 0.5 of a tread fewer, too, and hardly fewer roofs are lost."""
+"""Ours, in sample: half-width of an opening that removes houses, and the least share of a tread that it does not lower.
+With 30 m, or with 0.5, fewer treads are found, and hardly fewer roofs are lost."""
 
 STEPS = 4
 """Ours: a hall of up to so many levels is found, the highest level first, and so many treads of a hillside."""
@@ -91,7 +91,7 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
        all regions of a place are decided together: terraces one above the other, roofs beside higher roofs. Of a
        plateau larger than a house, under trees and houses that hide how it falls, the edge that is seen decides. The
-       treads of a hillside are terrain, too: an opening wider than a house does not lower them.
+       treads of a hillside are terrain, too: an opening wider than a house does not lower them (`_plateaus`).
     4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
        one too large for the windows of the progressive filter. Of a region that the border cuts the rest of the edge
        decides, if it is high and bare.
@@ -219,13 +219,14 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
     """Return the cells of plateaus above ground that are terrain: wooded knolls and terraces.
 
     A plateau is connected by steps that are no wall, and larger than a house. Its edge is seen where it borders on
-    ground. It is terrain by either of two signs.
+    ground. The rest borders on what is above ground. Voids and the border of the lattice are no edge. A plateau is
+    terrain by one of two signs.
 
-    - Its edge is a wall too seldom where it is seen, and `SEEN` of it is. The cut counts the walls of trees on its
-      flanks as its own; here they decide nothing. Of the rest of the edge no more may fall than rises: trees and houses
-      stand on a plateau, but a roof stands above its annexes.
-    - It is a tread of a hillside: what is as high goes on beyond it, so that an opening wider than a house leaves
-      `STAYS` of it as it is. That part is terrain, and the rest stands on it; halls have walls all around.
+    - Walls are too small a share of the edge that is seen, and `SEEN` of the edge is. The cut also counts where the
+      plateau is higher than trees on its slopes; here trees decide nothing. Of the rest of the edge no more may fall
+      than rises: trees and houses stand on a plateau, but a roof is higher than its annexes.
+    - It is a tread of a hillside: higher treads lie beside it, so that an opening wider than a house does not lower
+      `STAYS` of it. Only that part is terrain, as the rest is houses. Halls are none, as walls bound them all around.
     """
     wall_m = _wall_m(cell_m, params)
     width = 2 * round(WIDE_M / cell_m) + 1

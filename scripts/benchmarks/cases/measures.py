@@ -2,7 +2,7 @@
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -87,6 +87,15 @@ def build(case: Case, ground: str) -> tuple[Scene, dict[str, Regions], Forest]:
         return scene, regions, fuse_and_decompose(scene, regions, params, Stages(None)).forest
 
 
+def on_ground(clouds: Sequence[laspy.LasData], ground: str) -> tuple[list[laspy.LasData], str]:
+    """Return copies with no other class than that of a given ground or of another method's, and the filter to use."""
+    copies = [with_class_alone(cloud, GROUND_CLASS if ground == GIVEN else None) for cloud in clouds]
+    if ground in OTHER_GROUNDS:
+        for cloud, mask in zip(copies, OTHER_GROUNDS[ground](copies), strict=True):
+            cloud.classification = np.where(mask, GROUND_CLASS, UNCLASSIFIED_CLASS).astype(np.uint8)
+    return copies, "class2" if ground == GIVEN or ground in OTHER_GROUNDS else ground
+
+
 def detected(
     case: Case, ground: str, values: Mapping[str, Any] = MappingProxyType({})
 ) -> tuple[Scene, dict[str, Regions], Params]:
@@ -94,11 +103,7 @@ def detected(
 
     The ground is that of a filter of ours, of the given classes, or of another method, whose points count as class 2.
     """
-    clouds = [with_class_alone(cloud, GROUND_CLASS if ground == GIVEN else None) for cloud in case.clouds]
-    if ground in OTHER_GROUNDS:
-        for cloud, mask in zip(clouds, OTHER_GROUNDS[ground](clouds), strict=True):
-            cloud.classification = np.where(mask, GROUND_CLASS, UNCLASSIFIED_CLASS).astype(np.uint8)
-    own = "class2" if ground == GIVEN or ground in OTHER_GROUNDS else ground
+    clouds, own = on_ground(case.clouds, ground)
     params = with_values(with_values(profile(), values), {"ground": {"ground_filter": own}})
     with tempfile.TemporaryDirectory() as name, collect_notices(Notices()):
         folder = Path(name)
