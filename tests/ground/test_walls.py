@@ -307,6 +307,18 @@ def gardens(shed):
     return grid(np.maximum(heights, 0))
 
 
+@pytest.mark.parametrize("side", [1, 3, 5])
+def test_a_light_well_is_no_ground_though_the_border_hides_that_roofs_are_high(side):
+    """The trend follows the roof of a block at the corner of the tile, so that a well in it looks like terrain."""
+    heights = np.zeros((160, 160))
+    block = np.s_[90:, 90:]
+    heights[block] = 14
+    heights[125 : 125 + side, 130 : 130 + side] = 9
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[block].any()
+    assert ground[:85].all()
+
+
 def test_a_shed_behind_shrubs_is_no_ground_where_echoes_are_few():
     """Steps of 0.8 m are no walls, so that the shed counts as a knoll. Few echoes do not tell knolls from sheds."""
     surface, shed = gardens(2.8), np.s_[40:45, 40:45]
