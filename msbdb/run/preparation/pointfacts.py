@@ -17,6 +17,7 @@ from msbdb.points.lots import kept_of, thinned
 from msbdb.points.spacing import SPARSE_SHARE, measure_spacings
 from msbdb.surface.gridding import density
 from msbdb.surveyplan import PointFacts
+from msbdb.threads import together
 
 THINNED = (
     "Where first echoes are denser than surface.most_density, a share of the points was left out, by lot. "
@@ -51,9 +52,16 @@ def with_facts(cloud: PointCloud, most_density: float) -> PointCloud:
 
 
 def sparse_enough(cloud: PointCloud, under_m: float, most_density: float) -> tuple[PointCloud, PointFacts]:
-    """Return a cloud that is nowhere denser than asked, and what holds for all its points (`facts_of`)."""
-    fewer = thinned(cloud, most_density)
-    facts = facts_of(fewer, under_m)
+    """Return a cloud that is nowhere denser than asked, and what holds for all its points."""
+    kept = kept_of(cloud, most_density)
+    all_kept = bool(kept.all())
+
+    def measure() -> tuple[float, float, float, float]:
+        first = cloud.first_echo if all_kept else cloud.first_echo & kept
+        return measure_spacings(cloud.x[first], cloud.y[first])
+
+    fewer, spacings = together(lambda: cloud if all_kept else cloud.take(kept), measure)
+    facts = _facts_of(fewer, spacings, under_m)
     if fewer is not cloud:
         facts = replace(facts, all_density=density(cloud, facts.link_m))
     return fewer, facts
@@ -65,16 +73,15 @@ def with_later_echoes(cloud: PointCloud) -> tuple[PointCloud, float]:
     return (numbered_by_place(cloud, under_m) if under_m else cloud), under_m
 
 
-def facts_of(cloud: PointCloud, under_m: float = 0.0) -> PointFacts:
-    """Return what holds for all points of a cloud; ``under_m`` was found before.
+def _facts_of(cloud: PointCloud, spacings: tuple[float, float, float, float], under_m: float) -> PointFacts:
+    """Return what holds for all points of a cloud; the spacings and ``under_m`` were found before.
 
     Raises
     ------
     NodataError
         When there is no first echo.
     """
-    first = cloud.first_echo
-    spacing_m, typical_m, link_m, sparse_m = measure_spacings(cloud.x[first], cloud.y[first])
+    spacing_m, typical_m, link_m, sparse_m = spacings
     points_m2 = density(cloud, link_m)
     return PointFacts(
         points=len(cloud),
