@@ -88,6 +88,36 @@ def order_of_points(
     return order
 
 
+def order_in_groups(
+    groups: tuple[NDArray[np.int32], NDArray[np.integer]],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    ties: Sequence[NDArray[Any]] = (),
+) -> NDArray[np.int32]:
+    """Return what `order_of_points` does for points that are sorted by small groups already, in half of the time.
+
+    Parameters
+    ----------
+    groups : (N,) ndarray of int32, (G + 1,) ndarray of int
+        The points of the groups one after the other, and where each group begins; the last number is N.
+    x, y, ties
+        As for `order_of_points`.
+
+    Examples
+    --------
+    >>> groups = np.array([0, 2, 1, 3], dtype=np.int32), np.array([0, 2, 4])
+    >>> order_in_groups(groups, np.array([2.0, 1.0, 1.0, 0.0]), np.zeros(4))
+    array([2, 0, 3, 1], dtype=int32)
+    """
+    points, starts = groups
+    bits = KEY_BITS // 2
+    order, some = _sorted_groups(points, starts, (x, *_scale(x, bits)), (y, *_scale(y, bits)), np.uint64(bits))
+    places = np.flatnonzero(some)
+    few, group = order[places], np.searchsorted(starts, places, side="right")
+    order[places] = few[np.lexsort((few, *(values[few] for values in (*reversed(ties), y, x)), group))]
+    return order
+
+
 def ranks(numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the numbers that occur, ascending, and the place of each in them; without sorting where few can occur.
 
@@ -151,6 +181,28 @@ def _undecided(
                 undecided[place] = undecided[place - 1] = True
         first = stop
     return undecided
+
+
+@kernel
+def _sorted_groups(
+    points: NDArray[np.int32],
+    starts: NDArray[np.integer],
+    columns: tuple[NDArray[np.float64], float, float],
+    rows: tuple[NDArray[np.float64], float, float],
+    bits: np.uint64,
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Return the points of each group by their keys, and which of them the keys do not separate."""
+    (x, west, across), (y, south, along) = columns, rows
+    order, undecided = np.empty_like(points), np.zeros(points.size, dtype=np.bool_)
+    for group in range(starts.size - 1):
+        begin, end = starts[group], starts[group + 1]
+        own = points[begin:end]
+        here = x[own]
+        key = _packed(np.zeros(own.size, dtype=np.uint8), (here, west, across), (y[own], south, along), bits)
+        places = np.argsort(key)
+        order[begin:end] = own[places]
+        undecided[begin:end] = _undecided(key, places, here, bits)
+    return order, undecided
 
 
 def sort_keys(values: NDArray[Any]) -> NDArray[np.uint32] | None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from support.sizes import examples
 
-from msbdb.order import order_of, order_of_points, ranks
+from msbdb.order import order_in_groups, order_of, order_of_points, ranks
 
 DTYPES = ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "f2", "f4", "f8"]
 
@@ -62,7 +62,13 @@ def test_order_of_points_is_that_of_a_sort_by_all_keys(seed, count, lattice, off
     z, echo = random.integers(0, 2, (2, count))
     group = None if groups is None else random.integers(0, groups, count)
     keys = (echo, z, y, x) if group is None else (echo, z, y, x, group)
-    np.testing.assert_array_equal(order_of_points(x, y, [z, echo], group=group), np.lexsort(keys))
+    expected = np.lexsort(keys)
+    np.testing.assert_array_equal(order_of_points(x, y, [z, echo], group=group), expected)
+    grouped = np.zeros(count, dtype=np.int64) if group is None else group
+    points = random.permutation(count)
+    points = points[np.argsort(grouped[points], kind="stable")].astype(np.int32)
+    starts = np.append(0, np.cumsum(np.unique(grouped, return_counts=True)[1]))
+    np.testing.assert_array_equal(order_in_groups((points, starts), x, y, [z, echo]), expected)
 
 
 @given(hnp.arrays(np.int64, st.integers(1, 30), elements=st.integers(-5, 5) | st.integers(-(2**40), 2**40)))

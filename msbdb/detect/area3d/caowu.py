@@ -20,10 +20,10 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.errors import InputError, NodataError
 from msbdb.grid import GridSpec
 from msbdb.labels import chosen_cells, sums
-from msbdb.order import order_of_points
+from msbdb.order import order_in_groups
 from msbdb.params import Area3dParams, Params
 from msbdb.points.aside import let_go, set_aside
-from msbdb.points.cellindex import cell_of_each, index_cells
+from msbdb.points.cellindex import index_cells
 from msbdb.points.cloud import PointCloud
 from msbdb.points.graph import PointGraph, components, connect
 from msbdb.points.pointarea import build_point_scale_space, open_close_linked, open_close_on_sets
@@ -156,9 +156,9 @@ def _canonical_order(
 
     Blocks come first: points near each other in plan lie near each other in memory, for the graph and neighbours.
     """
-    block = cell_of_each(index_cells(cloud.x, cloud.y, BLOCK_M))
+    blocks = index_cells(cloud.x, cloud.y, BLOCK_M)
     echoes = [values for values in (ndvi, cloud.number_of_returns, cloud.return_number) if values is not None]
-    return order_of_points(cloud.x, cloud.y, [cloud.z, heights, *echoes], group=block).astype(np.int32)
+    return order_in_groups((blocks.order, blocks.starts), cloud.x, cloud.y, [cloud.z, heights, *echoes])
 
 
 def _prepare(
