@@ -9,8 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager, nullcontext, suppress
-from functools import partial
-from threading import Lock, get_native_id, local
+from threading import Lock, local
 from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 from msbdb.errors import MsbdbWarning, collected_notices, give_notice
@@ -21,9 +20,6 @@ R = TypeVar("R")
 
 MOST = 4
 """Most threads at a time: each holds temporary arrays of the whole lattice, and the memory's speed is shared."""
-
-BEHIND = 5
-"""Niceness of threads that can wait: they get a third of what others get, so that no busy machine stops them."""
 
 PATIENCE_S = 0.2
 """Seconds after which a thread that waits for others looks for an interruption: a signal may reach another thread."""
@@ -95,25 +91,13 @@ def in_threads(work: Callable[[T], R], items: Iterable[T]) -> list[R]:
 def together(one: Callable[[], T], other: Callable[[], R]) -> tuple[T, R]:
     """Return what two functions return, worked on side by side as by `in_threads`.
 
-    Where cores are short the one goes first: it should be what takes longer.
-
     Examples
     --------
     >>> together(lambda: 1, lambda: "one")
     (1, 'one')
     """
-    works: tuple[Callable[[], object], ...] = (one, partial(_behind, other))
-    first, second = in_threads(lambda work: work(), works)
+    first, second = in_threads(lambda work: work(), (one, other))
     return cast("T", first), cast("R", second)
-
-
-def _behind(work: Callable[[], R]) -> R:
-    """Work behind other threads, with all threads that are started meanwhile; only Linux has priorities of threads."""
-    # A thread cannot raise its priority again: one of a pool ends with its work, another may not.
-    if sys.platform == "linux" and getattr(_OF_THREAD, "in_pool", False):
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, get_native_id(), BEHIND)
-    return work()
 
 
 def _with_notices(work: Callable[[T], R], item: T) -> tuple[R, list[MsbdbWarning]]:

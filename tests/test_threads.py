@@ -1,7 +1,6 @@
 """Work in threads."""
 
 import ctypes
-import os
 import resource
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import pytest
 from msbdb import threads
 from msbdb.errors import MsbdbWarning, PassingNotice, collected_notices, give_notice
 from msbdb.run.reports import Stages
-from msbdb.threads import BEHIND, alone_on, in_threads, memory_reused, together
+from msbdb.threads import alone_on, in_threads, memory_reused
 
 
 @pytest.mark.parametrize("cores", [1, 3])
@@ -62,26 +61,10 @@ def test_who_works_for_others_does_one_thing_at_a_time(monkeypatch):
 def test_work_is_shared_by_the_cores_and_no_more(monkeypatch):
     """Two tasks that wait for each other end only if both run; one core needs no further thread."""
     monkeypatch.setattr(threads, "cores", lambda: 2)
-    both = threading.Barrier(2, timeout=10)
-    in_threads(lambda _: both.wait(), range(2))
+    together = threading.Barrier(2, timeout=10)
+    in_threads(lambda _: together.wait(), range(2))
     monkeypatch.setattr(threads, "cores", lambda: 1)
     assert set(in_threads(lambda _: threading.get_ident(), range(3))) == {threading.get_ident()}
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has priorities of threads")
-def test_of_two_the_first_goes_first_and_nobody_else_waits(monkeypatch):
-    """The second yields with the threads that it starts; the caller keeps its priority, and so does the next work."""
-    own = os.getpriority(os.PRIO_PROCESS, 0)
-
-    def priority(_=None):
-        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) - own
-
-    monkeypatch.setattr(threads, "cores", lambda: 2)
-    assert together(priority, lambda: (priority(), in_threads(priority, range(2)))) == (0, (BEHIND, [BEHIND] * 2))
-    assert in_threads(priority, range(2)) == [0, 0]
-    monkeypatch.setattr(threads, "cores", lambda: 1)
-    assert together(priority, priority) == (0, 0)
-    assert priority() == 0
 
 
 def test_the_first_error_is_told(monkeypatch):

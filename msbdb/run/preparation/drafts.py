@@ -206,7 +206,7 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
         return dsm, samples, roughness_by_window(samples, params.cover)
 
     if aligned is None:
-        (dtm, name), (dsm, samples, rough) = together(partial(terrain, points, spec, params.ground), measure)
+        (dsm, samples, rough), (dtm, name) = together(measure, partial(terrain, points, spec, params.ground))
     else:
         dsm, samples, rough = measure()
         dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
