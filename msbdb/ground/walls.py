@@ -69,8 +69,8 @@ LEVEL_M, LEVEL_SHARE = 0.3, 0.25
 NEAR_M = 3.0
 """Ours: beside is within so many metres, the width of a path."""
 
-WELL_M2 = 25.0
-"""Ours: a court with at most so many sure cells is doubtful; those of a light well may be taken for terrain."""
+WELL_M2 = 10.0
+"""As ``vector.court_m2``: smaller courts are light wells, doubtful also where a cell of them is sure."""
 
 HOLLOW_M = 180.0
 """Side of the square in which hollows are compared with what stands: as wide as the trend looks, nine blocks."""
@@ -104,8 +104,8 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        to ``reached_share`` of it. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell.
        Where the trend rises by more, it may follow the trend. It begins on even ground, so not on a slope
        where a level roof touches the terrain; nor is the rear of such a roof its beginning, which may count as ground.
-    7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. If few of its cells
-       are sure it is a well in a roof, unless it lies on the terrain of the other ground.
+    7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. Without a cell that is
+       sure, or if it is small, it is a well in a roof, unless it lies on the terrain of the other ground.
 
     Parameters
     ----------
@@ -373,12 +373,13 @@ def _blurred(opened: Grid, ground: Mask, sure: Mask, params: GroundParams, point
 
 
 def _wells(surface: Grid, ground: Mask, sure: Mask, params: GroundParams) -> Mask:
-    """Return the regions of ground with few sure cells that lie above the terrain of the other ground.
+    """Return the regions of ground, small or without a sure cell, that lie above the terrain of the other ground.
 
     Beside the border of the lattice the trend follows the roofs of a block, so that a well in it seems sure ground.
     """
     regions, count = label_zones(ground)
-    doubtful = sizes(regions[sure], count) * surface.spec.cell_area_m2 <= WELL_M2
+    small = sizes(regions, count) * surface.spec.cell_area_m2 <= WELL_M2
+    doubtful = small | (sizes(regions[sure], count) == 0)
     others = ground & ~chosen_cells(regions, doubtful)
     if not doubtful.any() or not others.any():
         return np.zeros_like(ground)
