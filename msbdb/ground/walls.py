@@ -383,7 +383,8 @@ def _wells(surface: Grid, ground: Mask, sure: Mask, params: GroundParams) -> Mas
     others = ground & ~chosen_cells(regions, doubtful)
     if not doubtful.any() or not others.any():
         return np.zeros_like(ground)
-    rise = _rise(np.asarray(surface.values), others, surface.spec, params)
+    # Sure cells must rise by more.
+    rise = _rise(np.asarray(surface.values), others, surface.spec, params) - RISE_M * sure
     return chosen_cells(regions, doubtful & (sums(regions, rise, count) > 0))
 
 
