@@ -383,7 +383,7 @@ def _wells(surface: Grid, ground: Mask, sure: Mask, params: GroundParams) -> Mas
     others = ground & ~chosen_cells(regions, doubtful)
     if not doubtful.any() or not others.any():
         return np.zeros_like(ground)
-    # Sure cells must rise by more.
+    # Against a cell that is sure it takes a rise that terrain and kerbs do not make.
     rise = _rise(np.asarray(surface.values), others, surface.spec, params) - RISE_M * sure
     return chosen_cells(regions, doubtful & (sums(regions, rise, count) > 0))
 
