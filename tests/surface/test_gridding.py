@@ -164,7 +164,7 @@ def test_without_first_echoes_there_is_no_surface():
 
 
 @pytest.mark.parametrize(
-    ("points_m2", "cell_m"), [(1.0, 1.0), (4.0, 0.5), (11.0, 0.3), (0.25, 2.0), (400, 0.25), (1e-4, 5)]
+    ("points_m2", "cell_m"), [(1.0, 1.0), (4.0, 0.5), (11.0, 0.3), (0.25, 2.0), (400, 0.3), (1e-4, 5)]
 )
 def test_the_cell_is_the_mean_spacing_on_the_ladder(points_m2, cell_m):
     """1/sqrt(density), snapped to the nearest round value (V14)."""
