@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter1d
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
-from msbdb.ground.trend import known_trend
+from msbdb.ground.trend import bilinear, known_trend
 from msbdb.labels import sizes
 from msbdb.morphology.windows import erosion
 from msbdb.params import GroundParams
@@ -146,19 +146,8 @@ def refine(coarse: Grid, spec: GridSpec) -> Grid:
     row = (own.north_m - north) / own.cell_m - own.row - 0.5
     col = (east - own.east_m) / own.cell_m - own.col - 0.5
     source = np.asarray(coarse.values, dtype=np.float32)
-    values = _bilinear(source, np.clip(row, 0, source.shape[0] - 1), np.clip(col, 0, source.shape[1] - 1))
+    values = bilinear(source, np.clip(row, 0, source.shape[0] - 1), np.clip(col, 0, source.shape[1] - 1))
     return Grid(values, np.ones(spec.shape, dtype=np.bool_), spec)
-
-
-def _bilinear(source: NDArray[np.float32], row: NDArray[np.float64], col: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Bilinear values at the crossings of rows and columns, one axis after the other."""
-    r0 = np.minimum(row.astype(np.int64), max(source.shape[0] - 2, 0))
-    c0 = np.minimum(col.astype(np.int64), max(source.shape[1] - 2, 0))
-    r1, c1 = np.minimum(r0 + 1, source.shape[0] - 1), np.minimum(c0 + 1, source.shape[1] - 1)
-    fr, fc = (row - r0).astype(np.float32)[:, None], (col - c0).astype(np.float32)[None, :]
-    by_row = source[r0] * (1 - fr) + source[r1] * fr
-    values: NDArray[np.float32] = by_row[:, c0] * (1 - fc) + by_row[:, c1] * fc
-    return values
 
 
 def edge_step(params: GroundParams, cell_m: float) -> float:

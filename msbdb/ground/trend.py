@@ -5,16 +5,18 @@ the parts of a survey have the trend of the whole.
 """
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_cdt, map_coordinates, uniform_filter
+from scipy.ndimage import distance_transform_cdt, uniform_filter
 
 from msbdb.grid import Grid
 from msbdb.params import GroundParams
 
 Floats = NDArray[np.float64]
+Height = TypeVar("Height", np.float32, np.float64)
 
 REACH = 4
 """Blocks on each side of a block that its plane is fitted to; they weigh by a Gaussian of half of this."""
@@ -194,9 +196,24 @@ def _between_centres(planes: Floats, size: int, shape: tuple[int, ...], begin: t
     else:
         framed = np.pad(planes, 1, mode="edge")
     row, col = ((np.arange(side) + first + 0.5) / size + 0.5 for side, first in zip(shape, begin, strict=True))
-    places = np.meshgrid(row, col, indexing="ij")
-    trend: NDArray[np.float32] = map_coordinates(framed, places, order=1, mode="nearest").astype(np.float32)
-    return trend
+    return bilinear(framed, row, col).astype(np.float32)
+
+
+def bilinear(source: NDArray[Height], row: Floats, col: Floats) -> NDArray[Height]:
+    """Return bilinear values at the crossings of rows and columns inside a grid, one axis after the other.
+
+    Examples
+    --------
+    >>> bilinear(np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.5]), np.array([0.0, 0.25]))
+    array([[1.  , 1.25]])
+    """
+    r0 = np.minimum(row.astype(np.int64), max(source.shape[0] - 2, 0))
+    c0 = np.minimum(col.astype(np.int64), max(source.shape[1] - 2, 0))
+    r1, c1 = np.minimum(r0 + 1, source.shape[0] - 1), np.minimum(c0 + 1, source.shape[1] - 1)
+    fr, fc = (row - r0).astype(source.dtype)[:, None], (col - c0).astype(source.dtype)[None, :]
+    by_row = source[r0] * (1 - fr) + source[r1] * fr
+    values: NDArray[Height] = by_row[:, c0] * (1 - fc) + by_row[:, c1] * fc
+    return values
 
 
 def _lowest_of_blocks(heights: Floats, size: int, begin: tuple[int, int]) -> tuple[Floats, Floats, Floats]:

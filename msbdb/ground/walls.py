@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from msbdb.grid import Grid, GridSpec
 from msbdb.ground.interpolation import NearestGround, interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
-from msbdb.labels import Pairs, chosen_cells, label_zones, minimum_cut, neighbours, sizes, sums
+from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
 from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import GroundParams
 
@@ -239,7 +237,7 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
     for _ in range(STEPS):
         around = ground | found
         above = measured & ~around
-        regions, count = _joined(heights, above, wall_m)
+        regions, count = join_cells(heights, above, wall_m)
         cells, left = (np.bincount(regions[each], minlength=count) for each in (above, above & stays))
         large = cells * cell_m**2 >= HOUSE_M2
         own, beside, fall = _edges(heights, regions, large)
@@ -265,7 +263,7 @@ def _podiums(heights: Heights, ground: Mask, measured: Mask, cell_m: float, para
     counts as an edge without a wall.
     """
     wall_m = _wall_m(cell_m, params)
-    regions, count = _joined(heights, ground, wall_m)
+    regions, count = join_cells(heights, ground, wall_m)
     around, falls = (np.zeros(heights.shape, dtype=np.int32) for _ in range(2))
     for one, other in neighbours(heights.shape):
         for here, there in ((one, other), (other, one)):
@@ -289,7 +287,7 @@ def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, pa
     `SIDE`, the region is the smaller part of the place, too.
     """
     wall_m, found = _wall_m(cell_m, params), np.zeros_like(ground)
-    regions, count = _joined(heights, measured, wall_m)
+    regions, count = join_cells(heights, measured, wall_m)
     possible = np.bincount(regions[ground], minlength=count) > 0
     own, beside, fall = _edges(heights, regions, possible)
     seen = measured.ravel()[beside]
@@ -341,7 +339,7 @@ def _reached(surface: Grid, trend: Heights, ground: Mask, params: GroundParams) 
         begun = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
         on_ways |= chosen_cells(ways, begun | (of_ground * cell_m**2 >= BEGINNING_M2))
     reached = dilation((on_ways & ~ground).astype(np.float32), WAY_PX, None) > 0
-    regions, count = _joined(heights, measured & ~ground, _wall_m(cell_m, params))
+    regions, count = join_cells(heights, measured & ~ground, _wall_m(cell_m, params))
     cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))
     mostly, large = of_them >= params.reached_share * cells, cells * cell_m**2 >= LEAST_M2
     terrain: Mask = measured & ~ground & large[regions] & (reached | mostly[regions])
@@ -397,22 +395,6 @@ def _rise(heights: Heights, ground: Mask, spec: GridSpec, params: GroundParams) 
     terrain = np.asarray(interpolate_ground(heights, ground, spec, sources=nearest).values)
     most_m = params.height_m + params.slope * spec.cell_m * nearest.distance
     return np.asarray(heights - terrain - most_m)
-
-
-def _joined(heights: Heights, among: Mask, step_m: float) -> tuple[NDArray[np.int32], int]:
-    """Return the (H, W) numbers of the regions of cells that are joined by smaller steps than this, and their count.
-
-    Cells that are not among them are regions of their own.
-    """
-    node = np.arange(heights.size, dtype=np.int32).reshape(heights.shape)
-    links = []
-    for one, other in neighbours(heights.shape):
-        joined = (np.abs(heights[other] - heights[one]) < step_m) & among[one] & among[other]
-        links.append((node[one][joined], node[other][joined]))
-    first, second = (np.concatenate(parts) for parts in zip(*links, strict=True))
-    graph = coo_matrix((np.ones(first.size, dtype=np.bool_), (first, second)), shape=(heights.size, heights.size))
-    count, numbers = connected_components(graph, directed=False)
-    return numbers.reshape(heights.shape), count
 
 
 def _edges(

@@ -143,6 +143,33 @@ def label_listed(values: NDArray[Any], cells: NDArray[np.intp], width: int, eigh
 
 
 @kernel
+def number_joined(heights: NDArray[Any], among: NDArray[np.bool_], step: Any) -> tuple[Labels, int]:  # noqa: ANN401  (of the heights' type)
+    """Return the regions of cells that smaller steps join, from 0 in the order of their first cells, and their number.
+
+    Neighbours share an edge. Cells that are not among those given are regions of their own.
+    """
+    rows, cols = heights.shape
+    parent = np.arange(rows * cols, dtype=np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            if among[row, col]:
+                cell = row * cols + col
+                if col > 0 and among[row, col - 1] and abs(heights[row, col - 1] - heights[row, col]) < step:
+                    _join(parent, cell, cell - 1)
+                if row > 0 and among[row - 1, col] and abs(heights[row - 1, col] - heights[row, col]) < step:
+                    _join(parent, cell, cell - cols)
+    # A parent comes before its cells, so that it has its number already.
+    count = 0
+    for cell in range(rows * cols):
+        if parent[cell] == cell:
+            parent[cell] = count
+            count += 1
+        else:
+            parent[cell] = parent[parent[cell]]
+    return parent.reshape(rows, cols), count
+
+
+@kernel
 def _join(parent: NDArray[np.int32], one: int, other: int) -> None:
     """Join the zones of two marks under the smaller root, and halve the ways to it."""
     while parent[one] != one:

@@ -126,6 +126,38 @@ def widened(window: Box, margin: int) -> Box:
     return rows, cols
 
 
+def join_cells(heights: NDArray[np.floating], among: NDArray[np.bool_], step: float) -> tuple[Labels, int]:
+    """Return the regions of cells that steps below a limit join across shared edges, each with its number.
+
+    Parameters
+    ----------
+    heights : (H, W) ndarray of float32 or float64
+        A step to or from NaN joins nothing.
+    among : (H, W) ndarray of bool
+        The cells that may be joined; each other cell is a region of its own.
+    step : float
+        The limit, in the unit and the precision of the heights.
+
+    Returns
+    -------
+    regions : (H, W) ndarray of int32
+        0 to ``count`` - 1, in row-major order of the regions' first cells.
+    count : int
+        Number of regions.
+
+    Examples
+    --------
+    A step of 2 between the second and the third cell, and a cell that is left out:
+
+    >>> join_cells(np.array([[1.0, 1.5, 3.5, 3.0, 3.0]]), np.array([[True, True, True, True, False]]), 1.0)
+    (array([[0, 0, 1, 1, 2]], dtype=int32), 3)
+    """
+    from msbdb.labels.cellkernels import number_joined
+
+    regions, count = number_joined(heights, among, heights.dtype.type(step))
+    return regions, int(count)
+
+
 def sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     """Return the number of cells or points of each label from 1 to ``count``, int64.
 

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from msbdb.grid import Bands
 from msbdb.spectral.colours import Scaling, fit_scaling
-from msbdb.threads import kernel
+from msbdb.threads import in_threads, kernel
 
 STARTS = 4
 """Fits from different first centres; the tightest one is kept."""
@@ -192,9 +192,12 @@ def predict(filtered: Bands, centres: Centres) -> NDArray[np.uint8]:
     """Return the (H, W) classes of the valid cells, from 1; 0 elsewhere."""
     index = np.zeros(filtered.spec.shape, dtype=np.uint8)
     row, col = np.nonzero(filtered.valid)
-    for start in range(0, row.size, CHUNK):
+
+    def of_part(start: int) -> None:
         part = slice(start, start + CHUNK)
         index[row[part], col[part]] = nearest_class(filtered.values[:, row[part], col[part]].T, centres)
+
+    in_threads(of_part, range(0, row.size, CHUNK))
     return index
 
 

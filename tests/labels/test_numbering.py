@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from support import oracles
 
 from msbdb.labels import (
@@ -13,7 +15,9 @@ from msbdb.labels import (
     boxes,
     by_three,
     chosen_cells,
+    join_cells,
     label_zones,
+    neighbours,
     renumber,
     reorder,
     shared_cells,
@@ -112,6 +116,30 @@ def test_zones_of_zones_are_the_same_zones(connectivity, labels):
     mask = labels > 0
     of_mask, of_numbers = (label_zones(image, connectivity=connectivity)[0] for image in (mask, mask.astype("f4") * -2))
     np.testing.assert_array_equal(of_mask, of_numbers)
+
+
+@given(
+    st.integers(1, 7).flatmap(
+        lambda side: st.tuples(
+            hnp.arrays(np.float32, (side, 9), elements=st.sampled_from([0.0, 0.1, 0.5, 0.75, 2.0, np.nan])),
+            hnp.arrays(np.bool_, (side, 9)),
+        )
+    ),
+    st.sampled_from([0.1, 0.4, 0.5, 1.25, 9.0]),
+)
+def test_joined_cells_are_the_components_of_the_small_steps(scene, step):
+    """SciPy finds the same regions, in the same order; a step of just so much joins nothing."""
+    heights, among = scene
+    node, ends = np.arange(heights.size).reshape(heights.shape), []
+    for one, other in neighbours(heights.shape):
+        small = (np.abs(heights[other] - heights[one]) < np.float32(step)) & among[one] & among[other]
+        ends.append((node[one][small], node[other][small]))
+    first, second = (np.concatenate(each) for each in zip(*ends, strict=True))
+    graph = coo_array((np.ones(first.size), (first, second)), shape=(heights.size, heights.size))
+    expected, numbers = connected_components(graph, directed=False)
+    regions, count = join_cells(heights, among, step)
+    assert count == expected
+    np.testing.assert_array_equal(regions, numbers.reshape(heights.shape))
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
