@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import Any, Self
 
@@ -91,24 +92,38 @@ def store_build(
     url = database_url(target)
     dialect = dialect_of(url)
     with guarded(url):
-        is_new = not dialect.exists(url, timeout_s)
-        rows, rasters = together(lambda: _Rows.of(build, check_build(build)), lambda: _packed(build) if is_new else [])
-        if is_new:
-            srid = srid_of(survey.epsg, survey.crs_wkt)
-
-            def fill(connection: Connection) -> None:
-                upgrade.initialise(connection, dialect, srid, survey.crs_wkt)
-                _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
-
-            if dialect.create(url, timeout_s, fill):
-                logger.info("Created the database %s with the SRID %d", shown(url), srid)
-                return _report(build, rows, "created")
+        if not dialect.exists(url, timeout_s) and (report := _created(url, dialect, build, timeout_s)):
+            return report
+        rows = _Rows.of(build, check_build(build))
     crs: dict[str, Any] = {"srid": survey.epsg, "crs_wkt": survey.crs_wkt}
     engine = open_database(url, create=True, **crs, timeout_s=timeout_s, keep_open=True)
     try:
         return _write(engine, build, rows, basis)
     finally:
         engine.dispose()
+
+
+def _created(url: URL, dialect: Dialect, build: KeptRun, timeout_s: float) -> WriteReport | None:
+    """Write a build into a new database; return None when another process created one meanwhile.
+
+    The rows are made while the schema is written.
+    """
+    survey, made = build.survey, list[_Rows]()
+    srid = srid_of(survey.epsg, survey.crs_wkt)
+
+    def contents() -> tuple[_Rows, list[dict[str, Any]]]:
+        return together(lambda: _Rows.of(build, check_build(build)), lambda: _packed(build))
+
+    def fill(connection: Connection) -> None:
+        schema = partial(upgrade.initialise, connection, dialect, srid, survey.crs_wkt)
+        (rows, rasters), _ = together(contents, schema)
+        _fill(connection, dialect, build, rows, rasters=rasters, srid=srid)
+        made.append(rows)
+
+    if not dialect.create(url, timeout_s, fill):
+        return None
+    logger.info("Created the database %s with the SRID %d", shown(url), srid)
+    return _report(build, made[0], "created")
 
 
 def write_build(engine: Engine, build: KeptRun, *, basis: BuildBasis | None = None) -> WriteReport:
