@@ -118,18 +118,13 @@ def test_zones_of_zones_are_the_same_zones(connectivity, labels):
     np.testing.assert_array_equal(of_mask, of_numbers)
 
 
-@given(
-    st.integers(1, 7).flatmap(
-        lambda side: st.tuples(
-            hnp.arrays(np.float32, (side, 9), elements=st.sampled_from([0.0, 0.1, 0.5, 0.75, 2.0, np.nan])),
-            hnp.arrays(np.bool_, (side, 9)),
-        )
-    ),
-    st.sampled_from([0.1, 0.4, 0.5, 1.25, 9.0]),
-)
-def test_joined_cells_are_the_components_of_the_small_steps(scene, step):
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.25, 0.5, 1.25, 9.0]))
+def test_joined_cells_are_the_components_of_the_small_steps(seed, step):
     """SciPy finds the same regions, in the same order; a step of just so much joins nothing."""
-    heights, among = scene
+    rng = np.random.default_rng(seed)
+    shape = (int(rng.integers(1, 12)), 12)
+    heights = rng.choice(np.float32([0.0, 0.1, 0.25, 0.5, 0.75, 2.0, np.nan]), shape)
+    among = rng.random(shape) < 0.8
     node, ends = np.arange(heights.size).reshape(heights.shape), []
     for one, other in neighbours(heights.shape):
         small = (np.abs(heights[other] - heights[one]) < np.float32(step)) & among[one] & among[other]
