@@ -200,7 +200,19 @@ def _between_centres(planes: Floats, size: int, shape: tuple[int, ...], begin: t
 
 
 def bilinear(source: NDArray[Height], row: Floats, col: Floats) -> NDArray[Height]:
-    """Return bilinear values at the crossings of rows and columns inside a grid, one axis after the other.
+    """Return bilinear values at the crossings of rows and columns, one axis after the other.
+
+    Parameters
+    ----------
+    source : (H, W) ndarray of float32 or float64
+        Values at whole rows and columns, without NaN.
+    row, col : (M,) and (N,) ndarray of float64
+        From 0 to H - 1 and W - 1: nothing lies beyond the border.
+
+    Returns
+    -------
+    (M, N) ndarray
+        Of the type of the source, in which all is computed.
 
     Examples
     --------

@@ -143,7 +143,7 @@ def label_listed(values: NDArray[Any], cells: NDArray[np.intp], width: int, eigh
 
 
 @kernel
-def number_joined(heights: NDArray[Any], among: NDArray[np.bool_], step: Any) -> tuple[Labels, int]:  # noqa: ANN401  (of the heights' type)
+def number_joined(heights: NDArray[Any], among: NDArray[np.bool_], step: np.floating) -> tuple[Labels, int]:
     """Return the regions of cells that smaller steps join, from 0 in the order of their first cells, and their number.
 
     Neighbours share an edge. Cells that are not among those given are regions of their own.

@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 CELL_LADDER_M = (0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Round cell sizes, so that surveys of like density, and tiles of one survey, share a lattice.
 
-No cell is smaller than 0.3 m: windows have odd numbers of cells, and one of 0.9 m would be five cells of 0.25 m.
+No cell is smaller than 0.3 m: dense surveys come out worse on cells of 0.25 m, where a window of 0.9 m has five cells.
 """
 
 OCCUPANCY_CELL_M = 2.0
