@@ -44,6 +44,9 @@ LEAST_M = 0.001
 NOISE = 3.0
 """Ours, in sample: a cell that is rougher than so many times the bare cells around it is no even surface."""
 
+NEARLY = ((0.5, 2.0), (0.75, 4.0))
+"""Ours, in sample: an object is nearly smooth where one of these shares of it is within so many times the limit."""
+
 AVERAGED = 0.85
 """Ours, in sample: it is noise where means of 3 by 3 cells scatter by less than this share of the roughness."""
 
@@ -143,8 +146,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     Rough is what exceeds both the noise of a scanner and that of the bare cells around it. So a noisy survey, or two
     strips that do not fit, make no roof rough. An object stays where half of it is within twice that limit, as roofs of
     many small planes are. Nor does an object go that is even but for noise: where strips do not fit in plan, echoes of
-    steep roofs scatter, and those of level ground do not. Means of 3 by 3 cells have a third of such noise, and all of
-    a crown's relief. On cells larger than `FINE_M` nothing is dropped.
+    steep roofs scatter, and those of level ground do not. Such noise is much the same all over a roof, so that three
+    quarters of it are within four times the limit; a crown has leaps. And means of 3 by 3 cells have a third of the
+    noise, and all of a crown's relief. On cells larger than `FINE_M` nothing is dropped.
 
     Parameters
     ----------
@@ -192,10 +196,10 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     even_m = np.where(weight * side**2 > 0.5, np.exp(log / np.maximum(weight, 1 / side**2)), 0.0)
     limit_m = np.maximum(params.smooth_m, NOISE * even_m)
     own, own_m = labels[decided], roughness_m[decided]
-    smooth, nearly = (
-        _share_of_known(own, count, own_m <= limit, own_m, unknown=1.0) for limit in (limit_m, 2 * limit_m)
-    )
-    rough = chosen_cells(labels, (smooth < HARDLY) & (nearly < MOST))
+    rough = np.ones(count, dtype=np.bool_)
+    for share, times in ((HARDLY, 1.0), *NEARLY):
+        rough &= _share_of_known(own, count, own_m <= times * limit_m, own_m, unknown=1.0) < share
+    rough = chosen_cells(labels, rough)
     return decided & ~(rough & ~_only_noisy(rough, roughness_m, heights))
 
 

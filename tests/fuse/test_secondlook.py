@@ -141,7 +141,22 @@ def test_a_roof_that_noise_alone_makes_rough_stays(noise_m):
     for top, kept in ((5 + 0.4 * np.indices(shape)[0], True), (crowns(shape), False)):
         heights = grid(np.where(decided, top + noise, 0.0), 0.5)
         rough = np.where(decided, roughness(grid_samples(heights), 1.5), np.float32(0.02))
-        assert without_rough(decided, np.maximum(rough, 0.2 * decided), heights, PARAMS).any() == kept
+        assert without_rough(decided, np.maximum(rough, 0.25 * decided), heights, PARAMS).any() == kept
+
+
+@pytest.mark.parametrize(
+    ("leaps", "leap_m", "kept"),
+    [(0.2, 0.5, True), (0.3, 0.5, False), (0.6, 0.23, True)],
+    ids=["a fifth leaps", "three tenths leap", "no leap"],
+)
+def test_what_is_as_rough_all_over_as_noise_makes_a_steep_roof_stays(leaps, leap_m, kept):
+    """Half of it is beyond twice the limit, three quarters are within four times the limit, or not."""
+    shape = (60, 60)
+    decided = block(shape, (20, 40), (20, 40))
+    rough = np.full(shape, 0.02, dtype=np.float32)
+    rough[decided] = np.where(np.arange(400) < 400 * leaps, leap_m, 0.17)
+    found = without_rough(decided, rough, grid(np.where(decided, crowns(shape), 0.0), 0.5), PARAMS)
+    np.testing.assert_array_equal(found, decided & kept)
 
 
 def test_an_object_whose_roughness_is_not_known_stays():

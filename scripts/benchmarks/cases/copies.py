@@ -1,4 +1,4 @@
-"""Copies of a cloud as another sensor would have recorded it: fewer pulses, more of them, first echoes only, or no classes."""
+"""Copies of a cloud as another sensor would have recorded it: fewer pulses or more, noise, first echoes only, or no classes."""
 
 import itertools
 import tempfile
@@ -64,6 +64,30 @@ def thickened(cloud: laspy.LasData, target: float, density: float) -> laspy.LasD
 def on_lines(cloud: laspy.LasData, ratio: float, spacing_m: float) -> laspy.LasData:
     """Return the echoes of bands one spacing wide and ``ratio`` spacings apart, as scan lines from west to east."""
     return taken(cloud, np.asarray(cloud.y) / (ratio * spacing_m) % 1 < 1 / ratio)
+
+
+def shaken(cloud: laspy.LasData, *, plan_m: float = 0.0, height_m: float = 0.0) -> laspy.LasData:
+    """Return a copy whose echoes are off, each by itself: along each axis of the plan and in height, by so much (sigma)."""
+    copy, random = taken(cloud, np.arange(len(cloud.points))), np.random.default_rng(SEED)
+    for axis, sigma in (("x", plan_m), ("y", plan_m), ("z", height_m)):
+        copy[axis] = np.asarray(cloud[axis]) + random.normal(0, sigma, len(cloud.points))
+    return copy
+
+
+def of_two_strips(cloud: laspy.LasData, *, aside_m: float, up_m: float) -> laspy.LasData:
+    """Return a copy in which half of the pulses lie higher and to the east, as where two strips do not fit."""
+    copy = taken(cloud, np.arange(len(cloud.points)))
+    other = _drawn(cloud, 0.5)
+    copy.x, copy.z = np.asarray(cloud.x) + aside_m * other, np.asarray(cloud.z) + up_m * other
+    return copy
+
+
+def with_outliers(cloud: laspy.LasData, share: float, low_m: float, high_m: float) -> laspy.LasData:
+    """Return a copy in which a share of the echoes lies anywhere from so far below its place to so far above."""
+    copy, random = taken(cloud, np.arange(len(cloud.points))), np.random.default_rng(SEED)
+    chosen = random.random(len(cloud.points)) < share
+    copy.z = np.asarray(cloud.z) + chosen * random.uniform(-low_m, high_m, len(cloud.points))
+    return copy
 
 
 def mirrored(cloud: laspy.LasData, times: int) -> laspy.LasData:

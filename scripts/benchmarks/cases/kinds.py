@@ -1,6 +1,7 @@
 """The kinds of cases: the places as they are, and copies of another density, other echoes, over hills or under trees."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import laspy
@@ -9,7 +10,18 @@ from pyproj import CRS
 from simulated.hills import RELIEFS, Relief, lifted, relief_of
 from simulated.trees import crowns_of, planted
 
-from cases.copies import first_only, mirrored, on_lines, taken, thickened, thinned, thinned_east_of
+from cases.copies import (
+    first_only,
+    mirrored,
+    of_two_strips,
+    on_lines,
+    shaken,
+    taken,
+    thickened,
+    thinned,
+    thinned_east_of,
+    with_outliers,
+)
 from cases.labelled import NAMED, PLACES, Place, cell_for, first_density, reference_of
 from cases.measures import Case
 from msbdb.grid import lattice
@@ -31,6 +43,14 @@ LINES = (3.0, 5.0, 8.0)
 
 UNEVEN = (3.0, 5.0, 8.0)
 """How many times denser the western half of an uneven copy is."""
+
+NOISE = {
+    "height": partial(shaken, height_m=0.1),
+    "plan": partial(shaken, plan_m=0.2),
+    "strips": partial(of_two_strips, aside_m=0.3, up_m=0.1),
+    "outliers": partial(with_outliers, share=0.005, low_m=10, high_m=50),
+}
+"""What the echoes of noisy copies have."""
 
 THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
 
@@ -104,6 +124,14 @@ def with_sparse_halves(data: Path, names: set[str]) -> Iterator[Case]:
         for times in UNEVEN:
             copies = [thinned_east_of(cloud, float(x_m), 1 / times) for cloud in case.clouds]
             yield Case(f"{case.name}, {times:g}", case.crs, copies, case.reference, {})
+
+
+def with_noise(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places as worse sensors would record them; the reference is that of the echoes as they are."""
+    for case in as_they_are(data, names & set(THINNED)):
+        for kind, noisy in NOISE.items():
+            copies = [noisy(cloud) for cloud in case.clouds]
+            yield Case(f"{case.name}, {kind}", case.crs, copies, case.reference, {})
 
 
 def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
