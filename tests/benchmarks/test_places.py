@@ -3,7 +3,18 @@
 import laspy
 import numpy as np
 import pytest
-from cases.copies import first_only, mirrored, pulses, taken, thinned, thinned_east_of, with_class_alone
+from cases.copies import (
+    first_only,
+    mirrored,
+    of_two_strips,
+    pulses,
+    shaken,
+    taken,
+    thinned,
+    thinned_east_of,
+    with_class_alone,
+    with_outliers,
+)
 from cases.labelled import Objects, Place, cell_for, first_density, reference_of
 from cases.measures import GIVEN, OWN, Case, measure
 from cases.othergrounds import smrf
@@ -94,6 +105,45 @@ def test_a_copy_that_is_sparser_in_the_east_keeps_all_of_the_west(town):
     east, few_x = np.asarray(copy.x), np.asarray(few.x)
     np.testing.assert_array_equal(east[east < line], x[x < line])
     np.testing.assert_array_equal(east[east >= line], few_x[few_x >= line])
+
+
+def moved(cloud, copy):
+    """How far the echoes of a copy lie from their places, (3, N), metres."""
+    return np.stack([np.asarray(copy[axis]) - np.asarray(cloud[axis]) for axis in "xyz"])
+
+
+def test_shaken_echoes_are_off_by_so_much(town):
+    """In plan, in height, or both; the same at each call, and not the given points themselves."""
+    _, (cloud,), _ = town
+    before = np.asarray(cloud.z).copy()
+    for plan_m, height_m in ((0.2, 0.0), (0.0, 0.1), (0.2, 0.1)):
+        off = moved(cloud, shaken(cloud, plan_m=plan_m, height_m=height_m))
+        np.testing.assert_allclose(off.std(axis=1), [plan_m, plan_m, height_m], rtol=0.1, atol=1e-6)
+        np.testing.assert_array_equal(off, moved(cloud, shaken(cloud, plan_m=plan_m, height_m=height_m)))
+    np.testing.assert_array_equal(cloud.z, before)
+
+
+def test_of_two_strips_half_of_the_pulses_lie_elsewhere(town):
+    """With all echoes of a pulse."""
+    _, (cloud,), _ = town
+    x, y, z = moved(cloud, of_two_strips(cloud, aside_m=0.3, up_m=0.1))
+    other = z > 0.05
+    assert 0.4 < other.mean() < 0.6
+    np.testing.assert_allclose([x, y, z], [0.3 * other, 0 * other, 0.1 * other], atol=0.002)
+    _, pulse = np.unique(pulses(cloud), return_inverse=True)
+    share = np.bincount(pulse, weights=other) / np.bincount(pulse)
+    assert set(share) == {0.0, 1.0}
+
+
+def test_outliers_lie_below_and_above(town):
+    """So many of them as asked, and all others stay."""
+    _, (cloud,), _ = town
+    x, y, z = moved(cloud, with_outliers(cloud, 0.1, low_m=10, high_m=50))
+    assert not x.any()
+    assert not y.any()
+    assert 0.08 < np.mean(z != 0) < 0.12
+    assert -10 <= z.min() < -5
+    assert 45 < z.max() <= 50
 
 
 def test_without_times_each_echo_is_a_pulse(town):
