@@ -146,9 +146,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     Rough is what exceeds both the noise of a scanner and that of the bare cells around it. So a noisy survey, or two
     strips that do not fit, make no roof rough. An object stays where half of it is within twice that limit, as roofs of
     many small planes are. Nor does an object go that is even but for noise: where strips do not fit in plan, echoes of
-    steep roofs scatter, and those of level ground do not. Such noise is much the same all over a roof, so that three
-    quarters of it are within four times the limit; a crown has leaps. And means of 3 by 3 cells have a third of the
-    noise, and all of a crown's relief. On cells larger than `FINE_M` nothing is dropped.
+    steep roofs scatter, and those of level ground do not. Such noise is much the same all over a roof, and
+    three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
+    of such noise, and all of a crown's relief. On cells larger than `FINE_M` nothing is dropped.
 
     Parameters
     ----------

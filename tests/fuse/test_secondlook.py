@@ -145,16 +145,16 @@ def test_a_roof_that_noise_alone_makes_rough_stays(noise_m):
 
 
 @pytest.mark.parametrize(
-    ("leaps", "leap_m", "kept"),
+    ("share", "rougher_m", "kept"),
     [(0.2, 0.5, True), (0.3, 0.5, False), (0.6, 0.23, True)],
-    ids=["a fifth leaps", "three tenths leap", "no leap"],
+    ids=["a fifth is rougher", "three tenths are rougher", "most is rougher than twice, all within four times"],
 )
-def test_what_is_as_rough_all_over_as_noise_makes_a_steep_roof_stays(leaps, leap_m, kept):
+def test_what_is_as_rough_all_over_as_noise_makes_a_steep_roof_stays(share, rougher_m, kept):
     """Half of it is beyond twice the limit, three quarters are within four times the limit, or not."""
     shape = (60, 60)
     decided = block(shape, (20, 40), (20, 40))
     rough = np.full(shape, 0.02, dtype=np.float32)
-    rough[decided] = np.where(np.arange(400) < 400 * leaps, leap_m, 0.17)
+    rough[decided] = np.where(np.arange(400) < 400 * share, rougher_m, 0.17)
     found = without_rough(decided, rough, grid(np.where(decided, crowns(shape), 0.0), 0.5), PARAMS)
     np.testing.assert_array_equal(found, decided & kept)
 

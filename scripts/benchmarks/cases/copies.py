@@ -67,8 +67,8 @@ def on_lines(cloud: laspy.LasData, ratio: float, spacing_m: float) -> laspy.LasD
 
 
 def shaken(cloud: laspy.LasData, *, plan_m: float = 0.0, height_m: float = 0.0) -> laspy.LasData:
-    """Return a copy whose echoes are off, each by itself: along each axis of the plan and in height, by so much (sigma)."""
-    copy, random = taken(cloud, np.arange(len(cloud.points))), np.random.default_rng(SEED)
+    """Return a copy whose echoes each lie beside their places, along each axis in plan and in height, by normal noise."""
+    copy, random = copied(cloud), np.random.default_rng(SEED)
     for axis, sigma in (("x", plan_m), ("y", plan_m), ("z", height_m)):
         copy[axis] = np.asarray(cloud[axis]) + random.normal(0, sigma, len(cloud.points))
     return copy
@@ -76,7 +76,7 @@ def shaken(cloud: laspy.LasData, *, plan_m: float = 0.0, height_m: float = 0.0) 
 
 def of_two_strips(cloud: laspy.LasData, *, aside_m: float, up_m: float) -> laspy.LasData:
     """Return a copy in which half of the pulses lie higher and to the east, as where two strips do not fit."""
-    copy = taken(cloud, np.arange(len(cloud.points)))
+    copy = copied(cloud)
     other = _drawn(cloud, 0.5)
     copy.x, copy.z = np.asarray(cloud.x) + aside_m * other, np.asarray(cloud.z) + up_m * other
     return copy
@@ -84,7 +84,7 @@ def of_two_strips(cloud: laspy.LasData, *, aside_m: float, up_m: float) -> laspy
 
 def with_outliers(cloud: laspy.LasData, share: float, low_m: float, high_m: float) -> laspy.LasData:
     """Return a copy in which a share of the echoes lies anywhere from so far below its place to so far above."""
-    copy, random = taken(cloud, np.arange(len(cloud.points))), np.random.default_rng(SEED)
+    copy, random = copied(cloud), np.random.default_rng(SEED)
     chosen = random.random(len(cloud.points)) < share
     copy.z = np.asarray(cloud.z) + chosen * random.uniform(-low_m, high_m, len(cloud.points))
     return copy
@@ -94,7 +94,7 @@ def mirrored(cloud: laspy.LasData, times: int) -> laspy.LasData:
     """Return a cloud side by side ``times`` times along both axes; every second copy is mirrored, so that edges meet."""
     parts = []
     for column, row in itertools.product(range(times), repeat=2):
-        copy = taken(cloud, np.ones(len(cloud.points), dtype=np.bool_))
+        copy = copied(cloud)
         for name, number in (("X", column), ("Y", row)):
             axis = np.asarray(cloud[name], dtype=np.int64)
             side, place = axis.max() - axis.min() + 1, axis - axis.min()
@@ -116,10 +116,15 @@ def first_only(cloud: laspy.LasData) -> laspy.LasData:
 
 def with_class_alone(cloud: laspy.LasData, kept: int | None) -> laspy.LasData:
     """Return a copy in which all points are unclassified, but for those of one class."""
-    copy = taken(cloud, np.ones(len(cloud.points), dtype=np.bool_))
+    copy = copied(cloud)
     classes = np.asarray(cloud.classification)
     copy.classification = np.where(classes == kept, classes, UNCLASSIFIED_CLASS).astype(np.uint8)
     return copy
+
+
+def copied(cloud: laspy.LasData) -> laspy.LasData:
+    """Return a copy of all points."""
+    return laspy.LasData(cloud.header, cloud.points.copy())
 
 
 def taken(cloud: laspy.LasData, chosen: NDArray[np.generic]) -> laspy.LasData:

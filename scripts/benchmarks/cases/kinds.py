@@ -1,4 +1,4 @@
-"""The kinds of cases: the places as they are, and copies of another density, other echoes, over hills or under trees."""
+"""The kinds of cases: the places as they are, and copies of another density, with noise, other echoes, over hills or under trees."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -11,6 +11,7 @@ from simulated.hills import RELIEFS, Relief, lifted, relief_of
 from simulated.trees import crowns_of, planted
 
 from cases.copies import (
+    copied,
     first_only,
     mirrored,
     of_two_strips,
@@ -50,7 +51,7 @@ NOISE = {
     "strips": partial(of_two_strips, aside_m=0.3, up_m=0.1),
     "outliers": partial(with_outliers, share=0.005, low_m=10, high_m=50),
 }
-"""What the echoes of noisy copies have."""
+"""The kinds of noisy copies: standard deviations in metres, a shift of half of the pulses, and a share of outliers."""
 
 THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
 
@@ -213,7 +214,7 @@ def south_west(cloud: laspy.LasData, side_m: float) -> laspy.LasData:
 
 def laid_over(cloud: laspy.LasData, relief: Relief) -> laspy.LasData:
     """Return a copy whose points are lifted onto a relief."""
-    copy = taken(cloud, np.ones(len(cloud.points), dtype=np.bool_))
+    copy = copied(cloud)
     x, y, z = (np.asarray(cloud[axis], dtype=np.float64) for axis in "xyz")
     copy.z = lifted(x, y, z, np.asarray(cloud.classification), relief)
     return copy
