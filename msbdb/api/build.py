@@ -125,6 +125,7 @@ def build(
         database is then unchanged.
     """
     from msbdb.database import check_target, read_fallback, read_labelled_classes
+    from msbdb.io.crs import parse_crs
     from msbdb.io.files import PICTURES, require_output
     from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.inputs import Inputs
@@ -149,7 +150,8 @@ def build(
     inputs.require_files()
     label = Label(survey or inputs.default_survey(), date or "")
     check_target(db)
-    inputs = dataclasses.replace(inputs, fallback=read_fallback(db))
+    target = None if known is None else parse_crs(known.crs)
+    inputs = dataclasses.replace(inputs, fallback=read_fallback(db), target=target)
     inputs.require_one_place()
     former = require_replaceable(db, label.name, inputs, methods, replace=replace)
     labelled = read_labelled_classes(db, label.name)

@@ -1,8 +1,9 @@
 """The CRS policy: from what a file states and what the user states to one metric CRS.
 
 Coordinates leave this room in a projected CRS in metres. A CRS in feet is scaled exactly to its metric twin: EPSG's CRS
-of the same datum, method and projection parameters. Without a twin it is reprojected to its UTM zone. Heights in feet
-are scaled. A geographic CRS is refused, because reprojecting is the user's decision.
+of the same datum, method and projection parameters. Without a twin it is reprojected to its UTM zone. So is a CRS whose
+metres are none on the ground, as that of web maps. Heights in feet are scaled. A geographic CRS is refused, because
+reprojecting is the user's decision.
 """
 
 import copy
@@ -15,9 +16,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS, Transformer
+from pyproj import CRS, Proj, Transformer
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
+from pyproj.enums import TransformDirection
 from pyproj.exceptions import CRSError as ProjError
 
 from msbdb.errors import CRSError, give_notice
@@ -28,6 +30,13 @@ Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": 1200 / 3937}
 
 PARAMETER_TOLERANCE = 1e-6
 """Largest misfit, in metres or degrees, at which two projection parameters still count as the same."""
+
+MOST_STRETCH = 0.01
+"""Ours: lengths on the map may differ by 1 % from those on the ground. CRSs for surveys stay below 0.3 %, equal-area
+ones of a continent below 1 %; Pseudo-Mercator has 41 % at 45°."""
+
+CORNERS = 21
+"""Points on each side of a rectangle that is reprojected: its sides become curves."""
 
 AREA_MARGIN_DEG = 1.0
 """How far beyond a CRS's area of use data may lie without a notice."""
@@ -81,6 +90,21 @@ class Reference:
         elif self.xy_factor != 1.0:
             x, y = x * self.xy_factor, y * self.xy_factor
         return x, y, z if self.z_factor == 1.0 else z * self.z_factor
+
+    def box_in_metres(self, box: Bounds) -> Bounds:
+        """Return west, south, east and north of a rectangle in the file's units; infinite where it leaves the CRS."""
+        return self._box(box, self.xy_factor, TransformDirection.FORWARD)
+
+    def box_in_units(self, box: Bounds) -> Bounds:
+        """Return those of a metric rectangle in the file's units."""
+        return self._box(box, 1 / self.xy_factor, TransformDirection.INVERSE)
+
+    def _box(self, box: Bounds, factor: float, direction: TransformDirection) -> Bounds:
+        """Return the rectangle around another one."""
+        if self.transformer is not None and np.isfinite(box).all():
+            box = self.transformer.transform_bounds(*box, densify_pts=CORNERS, direction=direction)
+        west, south, east, north = (value * factor for value in box)
+        return west, south, east, north
 
 
 def parse_crs(value: CrsLike) -> CRS:
@@ -209,7 +233,14 @@ def settle(found: CRS | None, stated: CrsLike | None, where: str) -> CRS:
 
 
 def reference(
-    crs: CRS, *, bounds: Bounds, where: str, z_unit: str = "auto", z_hint: str | None = None, what: str = "points"
+    crs: CRS,
+    *,
+    bounds: Bounds,
+    where: str,
+    z_unit: str = "auto",
+    z_hint: str | None = None,
+    what: str = "points",
+    target: CRS | None = None,
 ) -> Reference:
     """Return how coordinates in a settled CRS become metric ones (see the module's head for the rules).
 
@@ -225,6 +256,8 @@ def reference(
         Unit of the heights. 'auto' takes the vertical CRS's, else ``z_hint``, else that of a CRS in feet, else metres.
     z_hint : {'m', 'ft', 'us-ft'}, optional
         Unit that the file states apart from its CRS.
+    target : CRS, optional
+        A metric CRS for coordinates that must be reprojected, such as the database's; by default their UTM zone.
 
     Raises
     ------
@@ -245,9 +278,9 @@ def reference(
     factor = float(horizontal.axis_info[0].unit_conversion_factor)
     notices: list[str] = []
     z_factor = _height_factor(vertical, factor, z_unit, z_hint, notices)
-    target, transformer = _metric_target(horizontal, bounds, notices)
+    metric, transformer = _metric_crs(horizontal, bounds, target, notices)
     return Reference(
-        crs=target,
+        crs=metric,
         vertical_crs=None if vertical is None else metric_vertical(vertical),
         source=horizontal,
         xy_factor=factor if transformer is None else 1.0,
@@ -257,21 +290,45 @@ def reference(
     )
 
 
-def _metric_target(crs: CRS, bounds: Bounds, notices: list[str]) -> tuple[CRS, Transformer | None]:
+def _metric_crs(crs: CRS, bounds: Bounds, target: CRS | None, notices: list[str]) -> tuple[CRS, Transformer | None]:
     """Return the metric CRS for a projected one, and the transformer where scaling is not enough."""
-    axis = crs.axis_info[0]
-    if axis.unit_conversion_factor == 1.0:
+    axis, place = crs.axis_info[0], next(_centres(crs, bounds), None)
+    # Where the data lie beyond the area of use, the CRS is rather wrong than unfit.
+    off = 0.0 if place is None or misplaced(crs, bounds) is not None else stretch(crs, *place)
+    if off > MOST_STRETCH:
+        why = f"in which lengths are {100 * off:.0f} % off here"
+    elif axis.unit_conversion_factor == 1.0:
         return crs, None
-    twin = metric_twin(crs)
-    if twin is not None:
-        notices.append(f"coordinates in {axis.unit_name}, {name_of(crs)}, were scaled to metres, {name_of(twin)}.")
-        return twin, None
-    zone = utm_zone(crs, bounds)
-    notices.append(
-        f"coordinates in {axis.unit_name}, {name_of(crs)}, were reprojected to {name_of(zone)}, "
-        "as EPSG has no metric CRS of the same projection."
-    )
-    return zone, Transformer.from_crs(crs, zone, always_xy=True)
+    else:
+        twin = metric_twin(crs)
+        if twin is not None:
+            notices.append(f"coordinates in {axis.unit_name}, {name_of(crs)}, were scaled to metres, {name_of(twin)}.")
+            return twin, None
+        why = f"in {axis.unit_name}, for which EPSG has no metric CRS of the same projection"
+    fits = target is not None and place is not None and stretch(target, *place) <= MOST_STRETCH
+    metric = target if fits and target is not None else utm_zone(crs, bounds)
+    notices.append(f"coordinates of {name_of(crs)}, {why}, were reprojected to {name_of(metric)}.")
+    return metric, Transformer.from_crs(crs, metric, always_xy=True)
+
+
+def stretch(crs: CRS, longitude: float, latitude: float) -> float:
+    """Return by how much lengths on a map differ from those on the ground at a place, as a share: the largest one.
+
+    0 where the projection is not defined.
+
+    Examples
+    --------
+    Pseudo-Mercator and Lambert-93 in the south of France:
+
+    >>> [round(stretch(CRS.from_epsg(code), 4.0, 45.0), 3) for code in (3857, 2154)]
+    [0.414, 0.001]
+    """
+    try:
+        factors = Proj(crs).get_factors(longitude, latitude, errcheck=True)
+    except ProjError:
+        return 0.0
+    scales = np.array([factors.meridional_scale, factors.parallel_scale])
+    return float(np.abs(scales - 1).max()) if np.isfinite(scales).all() else 0.0
 
 
 def _height_factor(
@@ -390,7 +447,9 @@ def misplaced(crs: CRS, bounds: Bounds) -> str | None:
         return None
     x, y = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
     longitude, latitude = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
-    across = (longitude - area.west + AREA_MARGIN_DEG) % 360 <= (area.east - area.west) % 360 + 2 * AREA_MARGIN_DEG
+    # From 180° west to 180° east is all around, not nothing.
+    wide = (area.east - area.west) % 360 or 360
+    across = (longitude - area.west + AREA_MARGIN_DEG) % 360 <= wide + 2 * AREA_MARGIN_DEG
     if (area.south - AREA_MARGIN_DEG <= latitude <= area.north + AREA_MARGIN_DEG) and across:
         return None
     return f"the data lie outside of the area of use of {name_of(crs)}, {area.name}; check the CRS."

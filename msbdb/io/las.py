@@ -16,6 +16,7 @@ import numpy as np
 import shapely
 from laspy import DecompressionSelection as Fields
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from msbdb.errors import CRSError, InputError, NodataError, give_notice
 from msbdb.grid import Bounds
@@ -70,6 +71,7 @@ def read_points(
     *,
     crs: CrsLike | None = None,
     z_unit: str = "auto",
+    target: CRS | None = None,
     facts: PointFacts | None = None,
     area: Area | None = None,
     progress: Progress | None = None,
@@ -84,6 +86,8 @@ def read_points(
         The CRS of files whose headers have none; where a header has one, it must be the same.
     z_unit : {'auto', 'm', 'ft', 'us-ft'}
         Unit of the heights; see ``msbdb.io.crs.reference``.
+    target : CRS, optional
+        A metric CRS for coordinates that must be reprojected; by default their UTM zone.
     facts : PointFacts, optional
         What holds for the whole survey, where the files are a part of it.
     area : Area, optional
@@ -114,7 +118,7 @@ def read_points(
     MsbdbWarning
         What was dropped, converted or assumed, with counts; each kind once, after all files are read.
     """
-    wanted = Wanted(indexed=False, noise=False, facts=facts, area=area)
+    wanted = Wanted(indexed=False, noise=False, target=target, facts=facts, area=area)
     return _read(paths, wanted, crs=crs, z_unit=z_unit, progress=progress)[0]
 
 
@@ -161,6 +165,7 @@ class Wanted:
 
     indexed: bool
     noise: bool
+    target: CRS | None = None
     facts: PointFacts | None = None
     area: Area | None = None
 
@@ -179,7 +184,7 @@ def _read(
         msg = "No point files were given; name at least one LAS, LAZ or COPC file."
         raise InputError(msg)
     files = [read_las_header(path) for path in chosen]
-    references = _references(files, crs, z_unit)
+    references = _references(files, crs, z_unit, wanted.target)
     if wanted.area is not None:
         files, references = _meeting(wanted.area, files, references)
     colours = [set(_colour_fields(info)) for info in files]
@@ -233,7 +238,7 @@ def _fill(
     return any(echoes)
 
 
-def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str) -> list[Reference]:
+def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str, target: CRS | None) -> list[Reference]:
     """Return how each file's coordinates become metric, checking that all files have one CRS."""
     bounds = _union([info.bounds for info in files])
     found = []
@@ -241,7 +246,7 @@ def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str) -> l
         where = file_name(info.path)
         own = settle(header_crs(info.projection), crs, where)
         hint = vertical_unit(info.projection)
-        found.append(reference(own, bounds=bounds, where=where, z_unit=z_unit, z_hint=hint))
+        found.append(reference(own, bounds=bounds, where=where, z_unit=z_unit, z_hint=hint, target=target))
     for info, each in zip(files, found, strict=True):
         if not same_crs(each.source, found[0].source):
             msg = (
@@ -271,10 +276,9 @@ def _meeting(
     shapely.prepare(shape)
     found = []
     for info, each in zip(files, references, strict=True):
-        xs, ys, _ = each.to_metres(np.array(info.bounds[::2]), np.array(info.bounds[1::2]), np.zeros(2))
-        apart = np.isfinite([*xs, *ys]).all() and not shapely.intersects(shape, shapely.box(xs[0], ys[0], xs[1], ys[1]))
-        # A rectangle that is reprojected is none, so only a scaled one can be compared.
-        if not apart or each.transformer is not None or not is_believed(info):
+        box = each.box_in_metres(info.bounds)
+        apart = np.isfinite(box).all() and not shapely.intersects(shape, shapely.box(*box))
+        if not apart or not is_believed(info):
             found.append((info, each))
     if not found:
         msg = f"No point file lies in {area.what}. Check the area, its CRS, and that of the points."
@@ -286,11 +290,10 @@ def _expected(area: Area, files: Sequence[LasInfo], references: Sequence[Referen
     """Return about how many points lie in an area, as far as headers tell that; room for more is made if needed."""
     shape, found = area.shape_in(references[0].crs), 0.0
     for info, each in zip(files, references, strict=True):
-        if each.transformer is None:
-            xs, ys, _ = each.to_metres(np.array(info.bounds[::2]), np.array(info.bounds[1::2]), np.zeros(2))
-            ground = shapely.box(xs[0], ys[0], xs[1], ys[1])
-            if shapely.is_valid(ground) and ground.area > 0:
-                found += info.points * shapely.intersection(ground, shape).area / ground.area
+        box = each.box_in_metres(info.bounds)
+        ground = shapely.box(*box)
+        if np.isfinite(box).all() and shapely.is_valid(ground) and ground.area > 0:
+            found += info.points * shapely.intersection(ground, shape).area / ground.area
     return max(round(MORE * found), CHUNK_POINTS)
 
 
@@ -324,11 +327,12 @@ def _fill_from(info: LasInfo, how: Reference, columns: Columns) -> Iterator[int]
 
 
 def _box(shape: shapely.Geometry | None, how: Reference) -> Bounds | None:
-    """Return the bounds of an area in a file's own units; None where they are no rectangle there."""
-    if shape is None or how.transformer is not None:
+    """Return the bounds of an area in a file's own units; None for all."""
+    if shape is None:
         return None
-    west, south, east, north = (float(value) / how.xy_factor for value in shapely.bounds(shape))
-    return (west, south, east, north)
+    west, south, east, north = shapely.bounds(shape).tolist()
+    box = how.box_in_units((west, south, east, north))
+    return box if np.isfinite(box).all() else None
 
 
 def _append(
@@ -361,10 +365,7 @@ def _append(
 
 def _leaves_bounds(info: LasInfo, how: Reference, own: Mapping[str, NDArray[Any]]) -> bool:
     """Return whether a file's points lie more than a metre outside of the bounds that its header states."""
-    if how.transformer is not None:
-        return False
-    west, south, east, north = info.bounds
-    xs, ys, _ = how.to_metres(np.array([west, east]), np.array([south, north]), np.zeros(2))
+    west, south, east, north = how.box_in_metres(info.bounds)
     # Bounds that are no numbers fail the comparison, and count as wrong.
-    inside = (xs[0] - 1 <= own["x"].min(), own["x"].max() <= xs[1] + 1)
-    return not all((*inside, ys[0] - 1 <= own["y"].min(), own["y"].max() <= ys[1] + 1))
+    inside = (west - 1 <= own["x"].min(), own["x"].max() <= east + 1)
+    return not all((*inside, south - 1 <= own["y"].min(), own["y"].max() <= north + 1))

@@ -23,7 +23,7 @@ from rasterio.windows import Window
 
 from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, NodataError, give_notice
 from msbdb.grid import LATTICE_TOLERANCE, Bounds, Grid, GridSpec
-from msbdb.io.crs import CrsLike, Reference, reference, same_crs, settle, split_crs
+from msbdb.io.crs import CrsLike, Reference, name_of, reference, same_crs, settle, split_crs
 
 logger = logging.getLogger(__name__)
 
@@ -81,7 +81,7 @@ def read_grid(
     InputError
         If it has several bands, is rotated, or its cells are not square.
     CRSError
-        If the CRS is missing, in conflict with ``crs``, geographic, or in feet without a metric twin.
+        If the CRS is missing, in conflict with ``crs``, geographic, or one that scaling does not make metric.
     GridMismatchError
         If the raster lies beside the lattice.
     NodataError
@@ -142,8 +142,8 @@ def _described(
     how = reference(own, bounds=bounds, where=name, z_unit=z_unit, z_hint=unit, what=f"cells of the {role}")
     if how.transformer is not None:
         msg = (
-            f"The {role} {name} is in feet, '{how.source.name}', for which EPSG has no metric CRS of the same "
-            f"projection. Warp it first: gdalwarp -t_srs EPSG:{how.crs.to_epsg()} -r bilinear {name} metric.tif"
+            f"The {role} {name} is in {name_of(how.source)}, which no scaling makes metric. "
+            f"Warp it first: gdalwarp -t_srs EPSG:{how.crs.to_epsg()} -r bilinear {name} metric.tif"
         )
         raise CRSError(msg)
     side = (transform.a - transform.e) / 2 * how.xy_factor

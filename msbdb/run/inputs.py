@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from msbdb.errors import CRSError, InputError, NodataError, collected_notices
 from msbdb.grid import GridSpec
-from msbdb.io.crs import CrsLike, Fallback, name_of, reference, same_crs
+from msbdb.io.crs import CrsLike, Fallback, Reference, name_of, reference, same_crs
 from msbdb.io.extents import (
     Extent,
     extent_of_points,
@@ -25,6 +25,9 @@ from msbdb.io.pointfiles import point_files, sound_files
 from msbdb.io.raster import lattice_of_raster, open_raster, raster_pieces, states_crs
 from msbdb.io.vector import Area, read_polygons
 from msbdb.tables import Source
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -43,6 +46,7 @@ ANYWHERE = re.compile(
 class Inputs:
     """The files of a build, and what the user states about them; ``fallback`` is the CRS where nothing states one.
 
+    Points that must be reprojected go to the CRS ``target``, by default to that of ``fallback``, or to their UTM zone.
     ``known`` describes the files of a whole survey; these are a part of them.
     """
 
@@ -57,6 +61,7 @@ class Inputs:
     parcels: Path | None = None
     aoi: Path | None = None
     fallback: Fallback | None = None
+    target: "CRS | None" = None
     known: tuple[Source, ...] | None = None
 
     @classmethod
@@ -138,7 +143,8 @@ class Inputs:
         if first is None:
             return
         if self.fallback is not None:
-            metric = reference(first.crs, bounds=first.bounds, where=next(self.files())[0].name).crs
+            where = next(self.files())[0].name
+            metric = reference(first.crs, bounds=first.bounds, where=where, target=self.any_target).crs
             if not same_crs(metric, self.fallback.crs):
                 msg = (
                     f"{self.fallback.whose.capitalize()} is in the CRS {name_of(self.fallback.crs)}, the survey in "
@@ -152,6 +158,15 @@ class Inputs:
         for polygons in (self.parcels, self.aoi):
             extent = None if polygons is None else extent_of_polygons(polygons)
             require_common_place(first, [] if extent is None else [extent])
+
+    def reference_of_points(self) -> Reference | None:
+        """Return how the points' coordinates become metric, by all headers; None where one of these is wrong."""
+        with collected_notices():
+            extent = extent_of_points(self.points, self.any_crs)
+            if extent is None:
+                return None
+            where = file_name(self.points[0])
+            return reference(extent.crs, bounds=extent.bounds, where=where, target=self.any_target)
 
     def extent(self) -> Extent | None:
         """Return what the heights cover by their headers; None where these are wrong."""
@@ -207,6 +222,11 @@ class Inputs:
         """Return what the user stated about the files, where it is not the default."""
         words = {"crs": self.crs, "ortho_crs": self.ortho_crs, "z_unit": self.z_unit if self.z_unit != "auto" else None}
         return {name: str(word) for name, word in words.items() if word is not None}
+
+    @property
+    def any_target(self) -> "CRS | None":
+        """The CRS to which points go that must be reprojected; None for their UTM zone."""
+        return self.fallback.crs if self.target is None and self.fallback is not None else self.target
 
     @property
     def any_crs(self) -> CrsLike | None:

@@ -32,8 +32,6 @@ from msbdb.database.dialects.dialect import database_url
 from msbdb.errors import DatabaseError, InputError, TilesError, counted
 from msbdb.grid import Bounds, GridSpec
 from msbdb.identity import plain, to_json
-from msbdb.io.crs import reference
-from msbdb.io.extents import extent_of_points
 from msbdb.io.lasheader import read_las_header
 from msbdb.params import as_dict
 from msbdb.run.compose import Job
@@ -155,7 +153,7 @@ class TiledBuild:
             for path, box in zip(inputs.points, self.boxes, strict=self.cells is None)
             if box[0] <= east and box[2] >= west and box[1] <= north and box[3] >= south
         )
-        job = replace(self.job, inputs=replace(inputs, points=near), plan=self.plan)
+        job = replace(self.job, inputs=replace(inputs, points=near, target=plan_crs(self.plan)), plan=self.plan)
         wide, status = (HALO_M, MOST_HALO_M), self.queued(tile)
         return TileTask(tile, job, self.plan, self.survey, *wide, status, self.place, self.build)
 
@@ -211,20 +209,14 @@ def _boxes(job: Job) -> tuple[Bounds, ...]:
     cells = inputs.cells()
     if cells is not None:
         return (cells.bounds,)
-    extent = extent_of_points(inputs.points, inputs.any_crs)
-    with collect_notices(Notices()):
-        how = None if extent is None else reference(extent.crs, bounds=extent.bounds, where=inputs.points[0].name)
-    if how is None or how.transformer is not None:
+    how = inputs.reference_of_points()
+    if how is None:
         msg = (
-            "A build in tiles needs the bounds of each point file in a metric CRS, and some header is wrong or in "
-            "another CRS. Write the files again, for instance with 'pdal translate' and filters.reprojection."
+            "A build in tiles needs the bounds of each point file, and some header is wrong or in another CRS than the "
+            "others. Write the files again, for instance with 'pdal translate' and filters.reprojection."
         )
         raise InputError(msg)
-    boxes = (read_las_header(path).bounds for path in inputs.points)
-    return tuple(
-        (west * how.xy_factor, south * how.xy_factor, east * how.xy_factor, north * how.xy_factor)
-        for west, south, east, north in boxes
-    )
+    return tuple(how.box_in_metres(read_las_header(path).bounds) for path in inputs.points)
 
 
 def build_with(

@@ -48,6 +48,74 @@ def test_a_crs_in_feet_without_a_twin_is_reprojected_to_its_utm_zone():
     assert height[0] == pytest.approx(100 * 1200 / 3937)
 
 
+def mercator_box(longitude, latitude, side_m=500.0):
+    """Return a square of Pseudo-Mercator around a place."""
+    x, y = Transformer.from_crs(4326, 3857, always_xy=True).transform(longitude, latitude)
+    return (x - side_m, y - side_m, x + side_m, y + side_m)
+
+
+def test_a_web_map_has_no_metres_and_is_reprojected():
+    """Pseudo-Mercator stretches lengths by 62 % in Delft: it goes to the UTM zone, to a millimetre, and says so."""
+    source = CRS.from_epsg(3857)
+    how = policy.reference(source, bounds=mercator_box(4.36, 52.01), where="tile.laz")
+    assert how.crs == CRS.from_epsg(32631)
+    assert any("62 % off" in notice and "EPSG:32631" in notice for notice in how.notices)
+    x, y = Transformer.from_crs(4326, source, always_xy=True).transform(4.36, 52.01)
+    east, north, height = how.to_metres(np.array([x]), np.array([y]), np.array([7.0]))
+    truth = Transformer.from_crs(4326, 32631, always_xy=True).transform(4.36, 52.01)
+    assert (east[0], north[0], height[0]) == pytest.approx((*truth, 7.0), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("epsg", "longitude", "latitude"),
+    [(3857, 36.8, -1.3), (2154, -4.5, 48.4), (3035, -9.1, 38.7), (5070, -81.0, 26.0), (3067, 20.0, 60.0)],
+)
+def test_metres_that_hold_within_a_hundredth_stay(epsg, longitude, latitude):
+    """At the edges of countries, in equal-area CRSs of continents, and on a web map at the equator."""
+    source = CRS.from_epsg(epsg)
+    x, y = Transformer.from_crs(source.geodetic_crs, source, always_xy=True).transform(longitude, latitude)
+    how = policy.reference(source, bounds=(x, y, x + 100, y + 100), where="tile.laz")
+    assert (how.crs, how.transformer, how.notices) == (source, None, ())
+
+
+def test_coordinates_beyond_the_area_of_use_are_left_alone():
+    """Local coordinates under the name of a CRS are no reason to reproject: the CRS is rather wrong."""
+    source = CRS.from_epsg(2154)
+    assert policy.stretch(source, -1.36, -5.98) > policy.MOST_STRETCH
+    assert policy.reference(source, bounds=(0, 0, 100, 100), where="tile.laz").transformer is None
+
+
+def test_what_is_reprojected_goes_to_the_target_where_that_fits():
+    """A second survey beyond the border of the UTM zone gets the first one's; one of another country does not."""
+    zone = CRS.from_epsg(32632)
+    beside = policy.reference(CRS.from_epsg(3857), bounds=mercator_box(12.01, 50.0), where="t", target=zone)
+    assert beside.crs == zone
+    far = policy.reference(CRS.from_epsg(3857), bounds=mercator_box(40.0, 50.0), where="t", target=zone)
+    assert far.crs == CRS.from_epsg(32637)
+    scaled = policy.reference(CRS.from_epsg(2994), bounds=OREGON_BOUNDS, where="t", target=zone)
+    assert scaled.crs == CRS.from_epsg(2993)
+
+
+@pytest.mark.parametrize(("epsg", "box"), [(2994, OREGON_BOUNDS), (3857, mercator_box(4.36, 52.01, 40_000.0))])
+def test_the_box_of_a_file_holds_all_of_it(epsg, box):
+    """Sides that become curves lie in it, too, to a metre over 80 km; and the way back."""
+    how = policy.reference(CRS.from_epsg(epsg), bounds=box, where="tile.laz")
+    share = np.linspace(0, 1, 999)
+    x, y = box[0] + share * (box[2] - box[0]), box[1] + share * (box[3] - box[1])
+    sides = [(x, np.full_like(x, box[1])), (x, np.full_like(x, box[3]))]
+    sides += [(np.full_like(y, box[0]), y), (np.full_like(y, box[2]), y)]
+    west, south, east, north = how.box_in_metres(box)
+    for side in sides:
+        xs, ys, _ = how.to_metres(*side, np.zeros(999))
+        assert west - 1 <= xs.min() <= xs.max() <= east + 1
+        assert south - 1 <= ys.min() <= ys.max() <= north + 1
+    back = how.box_in_units((west, south, east, north))
+    assert back[0] <= box[0] + 1
+    assert back[1] <= box[1] + 1
+    assert back[2] >= box[2] - 1
+    assert back[3] >= box[3] - 1
+
+
 def test_feet_are_scaled_exactly_and_announced():
     """International feet become 0.3048 m in x, y and z, and each conversion is a notice."""
     how = policy.reference(CRS.from_epsg(2994), bounds=OREGON_BOUNDS, where="tile.laz")
@@ -149,6 +217,8 @@ def test_data_far_from_the_area_of_use_are_noticed():
     assert policy.misplaced(CRS.from_epsg(2993), OREGON_BOUNDS) is not None
     assert policy.misplaced(CRS.from_epsg(2993), tuple(0.3048 * b for b in OREGON_BOUNDS)) is None
     assert policy.misplaced(CRS.from_epsg(32760), (5e5, 5.5e6, 5.1e5, 5.6e6)) is None
+    assert policy.misplaced(CRS.from_epsg(3857), mercator_box(4.36, 52.01)) is None
+    assert policy.misplaced(CRS.from_epsg(3857), mercator_box(-179.0, -89.0)) is not None
 
 
 def _directory(*keys):

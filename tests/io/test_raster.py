@@ -106,6 +106,14 @@ def test_feet_are_converted_to_the_metric_twin(tmp_path):
         read_grid(other)
 
 
+def test_heights_on_a_web_map_are_refused(tmp_path):
+    """Their cells are 62 % too wide in Delft; the command that warps them names the UTM zone."""
+    web = Affine(1.0, 0, 485_400.0, 0, -1.0, 6_801_200.0)
+    path = write(tmp_path / "dsm.tif", slope(), transform=web, crs=CRS.from_epsg(3857))
+    with pytest.raises(CRSError, match=r"Pseudo-Mercator.*gdalwarp -t_srs EPSG:32631 -r bilinear dsm.tif"):
+        read_grid(path)
+
+
 def test_a_band_in_feet_on_a_metric_lattice_is_scaled(tmp_path):
     """The band's unit tag is believed; a stated unit goes before it."""
     path = write(tmp_path / "dsm.tif", slope(), units="US survey foot")

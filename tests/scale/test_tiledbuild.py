@@ -14,6 +14,7 @@ import pytest
 import shapely
 from affine import Affine
 from click.testing import CliRunner
+from pyproj import CRS, Transformer
 from simulated.files import write_heights, write_points
 from simulated.scenes import DATUM_M
 from support.processes import environment
@@ -75,6 +76,12 @@ def lines(db):
     return found
 
 
+def buildings_of(db):
+    """Return the buildings of a database of one survey."""
+    with opened(db) as engine:
+        return read_buildings(engine)
+
+
 def counts(db):
     """Return what the run of a database counts."""
     with opened(db) as engine:
@@ -109,6 +116,29 @@ def test_tiles_that_see_enough_give_the_content_of_the_whole(files, whole, tmp_p
             assert numbers["dropped"] == one.regions[method][stage]["dropped"], (method, stage)
     assert not (tmp_path / f"town.sqlite{FOLDER}").exists()
     assert msbdb.why(db, 389_088.0, 5_821_080.0).building is not None
+
+
+def test_points_of_a_web_map_are_reprojected_also_in_tiles(quick, tmp_path):
+    """Files in Pseudo-Mercator give the buildings of the same points in UTM, in one piece as in tiles."""
+    points, files = town().points, []
+    x, y = Transformer.from_crs(points.crs, 3857, always_xy=True).transform(points.x, points.y)
+    mercator = replace(points, x=np.asarray(x), y=np.asarray(y))
+    for name, own in (("w", points.x < 389_090.0), ("e", points.x >= 389_090.0)):
+        files.append(write_points(tmp_path / f"{name}.laz", mercator.take(own), crs=CRS.from_epsg(3857)))
+    found = []
+    for name, tile in (("one", None), ("four", TILE_M)):
+        db = tmp_path / f"{name}.sqlite"
+        report = msbdb.build(files, db=db, survey="town", extract="multiscale", tile=tile)
+        [notice] = [each for each in report.notices if "reprojected" in each]
+        assert notice.startswith("w.laz (and 1 more): coordinates of 'WGS 84 / Pseudo-Mercator' (EPSG:3857)")
+        assert notice.endswith("off here, were reprojected to 'WGS 84 / UTM zone 33N' (EPSG:32633).")
+        found.append(db)
+    assert without_counts(lines(found[0])) == without_counts(lines(found[1]))
+    truth, ours = (buildings_of(db) for db in (quick, found[0]))
+    assert ours.crs == truth.crs
+    assert len(ours) == len(truth) == 5
+    both = shapely.intersection(ours.union_all(), truth.union_all()).area
+    assert both > 0.97 * max(ours.area.sum(), truth.area.sum())
 
 
 @pytest.mark.parametrize("tile", [None, TILE_M])

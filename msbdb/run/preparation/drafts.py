@@ -112,7 +112,13 @@ def read_cloud(
         return None
     area = inputs.area() if area is None else area
     return read_points(
-        inputs.points, crs=inputs.any_crs, z_unit=inputs.z_unit, facts=facts, area=area, progress=progress
+        inputs.points,
+        crs=inputs.any_crs,
+        z_unit=inputs.z_unit,
+        target=inputs.any_target,
+        facts=facts,
+        area=area,
+        progress=progress,
     )
 
 

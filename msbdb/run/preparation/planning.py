@@ -48,7 +48,7 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     if cells is not None and is_large_raster(cells):
         return _plan_of_cells(inputs, cells, params, stages)
     interest = inputs.area()
-    blocks = blocks_to_sample(inputs.points, inputs.any_crs, params, interest)
+    blocks = blocks_to_sample(inputs, params, interest)
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, area=None if blocks is None else blocks.area_in(interest))
     if cloud is None or blocks is None:
@@ -82,7 +82,7 @@ def is_large(inputs: Inputs, params: Params) -> bool:
     cells = inputs.cells()
     if cells is not None:
         return is_large_raster(cells)
-    return blocks_to_sample(inputs.points, inputs.any_crs, params, inputs.area()) is not None
+    return blocks_to_sample(inputs, params, inputs.area()) is not None
 
 
 def is_small_cloud(cloud: PointCloud, params: Params) -> bool:

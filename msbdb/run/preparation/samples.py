@@ -1,23 +1,20 @@
 """The sample of a large cloud that its plan looks at: blocks of points, drawn by a seeded hash of their places."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import geopandas as gpd
 import numpy as np
 import shapely
 
-from msbdb.errors import collected_notices
 from msbdb.grid import Bounds
-from msbdb.io.crs import CrsLike, reference
-from msbdb.io.extents import extent_of_points
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.vector import Area
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
+from msbdb.run.inputs import Inputs
 from msbdb.spectral.kmeans import lattice_keys
 from msbdb.surface.gridding import CELL_LADDER_M, cell_size
 
@@ -122,21 +119,17 @@ class SampledBlocks:
                 yield (west, south), own
 
 
-def blocks_to_sample(
-    paths: Sequence[Path], crs: CrsLike | None, params: Params, interest: Area | None = None
-) -> SampledBlocks | None:
+def blocks_to_sample(inputs: Inputs, params: Params, interest: Area | None = None) -> SampledBlocks | None:
     """Draw the blocks of a sample by what the headers of points say; None where a plan can read all points.
 
     How large the cells of a block will be follows from the points a square metre of the files' boxes. Files whose
     boxes cannot be right draw no blocks.
     """
-    infos = [read_las_header(path) for path in paths]
-    with collected_notices():
-        extent = extent_of_points(paths, crs) if infos else None
-        how = None if extent is None else reference(extent.crs, bounds=extent.bounds, where=paths[0].name)
-    if how is None or how.transformer is not None:
+    infos = [read_las_header(path) for path in inputs.points]
+    how = inputs.reference_of_points() if infos else None
+    if how is None:
         return None
-    boxes = shapely.box(*(np.array([info.bounds for info in infos]) * how.xy_factor).T)
+    boxes = shapely.box(*np.array([how.box_in_metres(info.bounds) for info in infos]).T)
     counts = np.array([info.points for info in infos])
     # A stray point widens the box of its file: by such a box the points are too far apart for any building.
     sound = counts >= shapely.area(boxes) / CELL_LADDER_M[-1] ** 2
