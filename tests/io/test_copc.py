@@ -10,7 +10,8 @@ from pyproj import CRS
 from support.copcfile import write_copc
 from support.rangeserver import serving
 
-from msbdb.errors import FileError
+from msbdb.errors import FileError, MsbdbWarning
+from msbdb.io.crs import reference
 from msbdb.io.files import describe_source, open_input
 from msbdb.io.las import read_points
 from msbdb.io.lasheader import read_las_header
@@ -52,6 +53,32 @@ def test_the_nodes_hold_all_points_of_a_box(copc):
     assert np.array_equal(content(read_points(copc, area=Area.of_box(BOX, LAMBERT))), whole[inside])
     read = sum(map(len, read_chunks(read_las_header(copc), 10, None, BOX)))
     assert inside.sum() <= read < len(whole) / 2
+
+
+def test_the_nodes_of_a_web_map_are_found_too(tmp_path):
+    """Of a file in Pseudo-Mercator the nodes that meet a box in UTM hold all points of it, and others are not read."""
+    dice, count = np.random.default_rng(2), 20_000
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.offsets, header.scales = [485_000, 6_801_000, 0], [0.01] * 3
+    header.add_crs(CRS.from_epsg(3857))
+    las = laspy.LasData(header)
+    las.x, las.y = 485_000 + dice.uniform(0, 200, count), 6_801_000 + dice.uniform(0, 160, count)
+    las.z, las.intensity = dice.uniform(0, 20, count), dice.integers(0, 900, count)
+    las.return_number = las.number_of_returns = np.ones(count, dtype=np.uint8)
+    path = tmp_path / "town.copc.laz"
+    write_copc(path, las)
+    with pytest.warns(MsbdbWarning, match="were reprojected to 'WGS 84 / UTM zone 31N'"):
+        cloud = read_points(path)
+    assert np.ptp(cloud.x) == pytest.approx(200 * np.cos(np.radians(52)), rel=0.02), "metres on the ground"
+    west, south = cloud.x.min() + 20, cloud.y.min() + 20
+    box = (west, south, west + 25, south + 20)
+    inside = (cloud.x >= box[0]) & (cloud.x <= box[2]) & (cloud.y >= box[1]) & (cloud.y <= box[3])
+    with pytest.warns(MsbdbWarning, match="reprojected"):
+        near = read_points(path, area=Area.of_box(box, cloud.crs))
+    assert np.array_equal(content(near), content(cloud)[inside])
+    how = reference(CRS.from_epsg(3857), bounds=read_las_header(path).bounds, where="town")
+    read = sum(map(len, read_chunks(read_las_header(path), 10, None, how.box_in_units(box))))
+    assert inside.sum() <= read < count / 2
 
 
 def test_laspy_finds_the_same(copc):
