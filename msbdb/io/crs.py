@@ -241,6 +241,7 @@ def reference(
     z_hint: str | None = None,
     what: str = "points",
     target: CRS | None = None,
+    resampled: bool = False,
 ) -> Reference:
     """Return how coordinates in a settled CRS become metric ones (see the module's head for the rules).
 
@@ -258,6 +259,8 @@ def reference(
         Unit that the file states apart from its CRS.
     target : CRS, optional
         A metric CRS for coordinates that must be reprojected, such as the database's; by default their UTM zone.
+    resampled : bool
+        The data will be brought onto the lattice of others, so that no length is measured in their own CRS.
 
     Raises
     ------
@@ -278,7 +281,7 @@ def reference(
     factor = float(horizontal.axis_info[0].unit_conversion_factor)
     notices: list[str] = []
     z_factor = _height_factor(vertical, factor, z_unit, z_hint, notices)
-    metric, transformer = _metric_crs(horizontal, bounds, target, notices)
+    metric, transformer = _metric_crs(horizontal, bounds, target, notices, resampled=resampled)
     return Reference(
         crs=metric,
         vertical_crs=None if vertical is None else metric_vertical(vertical),
@@ -290,11 +293,14 @@ def reference(
     )
 
 
-def _metric_crs(crs: CRS, bounds: Bounds, target: CRS | None, notices: list[str]) -> tuple[CRS, Transformer | None]:
+def _metric_crs(
+    crs: CRS, bounds: Bounds, target: CRS | None, notices: list[str], *, resampled: bool
+) -> tuple[CRS, Transformer | None]:
     """Return the metric CRS for a projected one, and the transformer where scaling is not enough."""
     axis, place = crs.axis_info[0], next(_centres(crs, bounds), None)
     # Where the data lie beyond the area of use, the CRS is rather wrong than unfit.
-    off = 0.0 if place is None or misplaced(crs, bounds) is not None else stretch(crs, *place)
+    measured = not resampled and misplaced(crs, bounds) is None
+    off = stretch(crs, *place) if measured and place is not None else 0.0
     if off > MOST_STRETCH:
         why = f"in which lengths are {100 * off:.0f} % off here"
     elif axis.unit_conversion_factor == 1.0:

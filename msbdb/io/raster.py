@@ -64,7 +64,8 @@ def read_grid(
         Unit of the heights. 'auto' takes that of the vertical CRS, else of the band, else that of a CRS in feet,
         else metres.
     over : GridSpec, optional
-        Only the part of the raster around this lattice is read, with what it takes to interpolate.
+        Only the part of the raster around this lattice is read, with what it takes to interpolate. As it will be
+        resampled, lengths may be wrong in its CRS.
     within : tuple of float, optional
         West, south, east and north, metres: only cells with their centre in these bounds are read.
 
@@ -94,7 +95,7 @@ def read_grid(
     """
     name = Path(path).name
     with open_raster(path) as dataset:
-        whole, own, how = _described(dataset, crs=crs, role=role, z_unit=z_unit)
+        whole, own, how = _described(dataset, crs=crs, role=role, z_unit=z_unit, resampled=over is not None)
         window = None if over is None else window_over(dataset, over, own)
         if over is not None and window is None:
             raise _apart(role, whole, over)
@@ -125,7 +126,7 @@ def lattice_of_raster(
 
 
 def _described(
-    dataset: rasterio.DatasetReader, *, crs: CrsLike | None, role: str, z_unit: str
+    dataset: rasterio.DatasetReader, *, crs: CrsLike | None, role: str, z_unit: str, resampled: bool = False
 ) -> tuple[GridSpec, CRS, Reference]:
     """Return the lattice of a raster of heights in metres, its own horizontal CRS, and what leads to metres."""
     name = Path(dataset.name).name
@@ -139,7 +140,8 @@ def _described(
     transform, shape, bounds = dataset.transform, dataset.shape, raster_bounds(dataset)
     _require_square(transform, f"The {role} {name}")
     unit = BAND_UNITS.get((dataset.units[0] or "").strip().lower())
-    how = reference(own, bounds=bounds, where=name, z_unit=z_unit, z_hint=unit, what=f"cells of the {role}")
+    what = f"cells of the {role}"
+    how = reference(own, bounds=bounds, where=name, z_unit=z_unit, z_hint=unit, what=what, resampled=resampled)
     if how.transformer is not None:
         msg = (
             f"The {role} {name} is in {name_of(how.source)}, which no scaling makes metric. "

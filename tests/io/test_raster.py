@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from rasterio.enums import ColorInterp
 from support.notices import with_notices
 
 from msbdb.errors import CRSError, FileError, GridMismatchError, InputError, MsbdbWarning, NodataError
-from msbdb.grid import Grid, GridSpec
+from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.io.raster import align_grid, read_grid
@@ -112,6 +112,19 @@ def test_heights_on_a_web_map_are_refused(tmp_path):
     path = write(tmp_path / "dsm.tif", slope(), transform=web, crs=CRS.from_epsg(3857))
     with pytest.raises(CRSError, match=r"Pseudo-Mercator.*gdalwarp -t_srs EPSG:32631 -r bilinear dsm.tif"):
         read_grid(path)
+
+
+def test_a_terrain_on_a_web_map_is_resampled(tmp_path):
+    """It comes onto the lattice of others in any case: a plane that rises eastwards keeps its heights."""
+    web = CRS.from_epsg(3857)
+    plane = np.broadcast_to(np.arange(60, dtype=np.float32), (50, 60))
+    path = write(tmp_path / "dtm.tif", plane, transform=Affine(5.0, 0, 485_400.0, 0, -5.0, 6_801_200.0), crs=web)
+    east, north = Transformer.from_crs(web, 32631, always_xy=True).transform(485_550.0, 6_801_075.0)
+    onto = lattice((east, north, east + 20, north + 20), 1.0, CRS.from_epsg(32631))
+    grid = align_grid(read_grid(path, role="DTM", over=onto), onto)
+    x, y = onto.xy(np.arange(21), np.arange(21))
+    there = Transformer.from_crs(32631, web, always_xy=True).transform(x, y)[0]
+    np.testing.assert_allclose(np.diagonal(grid.values), (there - 485_400.0) / 5 - 0.5, atol=0.05)
 
 
 def test_a_band_in_feet_on_a_metric_lattice_is_scaled(tmp_path):
