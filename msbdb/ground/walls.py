@@ -45,6 +45,10 @@ CUT, SIDE = 0.55, 1 / 3
 SEEN = 0.4
 """Ours, in sample: least share of a plateau's edge beside ground; 0.3 loses more roofs, 0.5 takes knolls for roofs."""
 
+FLANKS_M2, MASK_M, STOREY_M = 1000.0, 2.0, 3.0
+"""Ours, in sample: least area of a knoll with steep flanks; half of its edge falls by less than the lowest building is
+high, and three quarters by less than a storey."""
+
 WIDE_M, STAYS = 20.0, 0.3
 """Ours, in sample: half-width of an opening that removes houses, and the least share of a tread that it does not lower.
 With 30 m, or with 0.5, fewer treads are found, and hardly fewer roofs are lost."""
@@ -221,11 +225,13 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
 
     A plateau is connected by steps that are no wall, and larger than a house. Its edge is seen where it borders on
     ground. The rest borders on what is above ground. Voids and the border of the lattice are no edge. A plateau is
-    terrain by one of two signs.
+    terrain by one of three signs.
 
     - Walls are too small a share of the edge that is seen, and `SEEN` of the edge is. The cut also counts where the
       plateau is higher than trees on its slopes; here trees decide nothing. Of the rest of the edge no more may fall
       than rises: trees and houses stand on a plateau, but a roof is higher than its annexes.
+    - It is a larger knoll, and its flanks are too steep for the first sign: `SEEN` of the edge is seen, and it falls in
+      low steps, cell by cell. Halls fall by a storey at once.
     - It is a tread of a hillside: higher treads lie beside it, so that an opening wider than a house does not lower
       `STAYS` of it. Only that part is terrain, as the rest is houses. Halls are none, as walls bound them all around.
     """
@@ -243,11 +249,15 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
         own, beside, fall = _edges(heights, regions, large)
         seen, hidden = around.ravel()[beside], above.ravel()[beside]
         wall = seen * _wall_share(fall, cell_m, params)
-        edges, of_ground, walls, falls, rises = (
+        high, higher = (seen & (fall >= step_m * max(cell_m, 1.0)) for step_m in (MASK_M, STOREY_M))
+        edges, of_ground, walls, falls, rises, high_walls, higher_walls = (
             np.bincount(own, weights=each, minlength=count)
-            for each in (seen | hidden, seen, wall, hidden & (fall > 0), hidden & (fall < 0))
+            for each in (seen | hidden, seen, wall, hidden & (fall > 0), hidden & (fall < 0), high, higher)
         )
-        knolls = (of_ground >= SEEN * edges) & (walls * (1 + params.terrace_cost) < of_ground) & (rises >= falls)
+        is_seen = of_ground >= SEEN * edges
+        knolls = is_seen & (walls * (1 + params.terrace_cost) < of_ground) & (rises >= falls)
+        steep = is_seen & (2 * high_walls < of_ground) & (4 * higher_walls < of_ground)
+        knolls |= steep & (cells * cell_m**2 >= FLANKS_M2)
         treads = (left >= STAYS * cells) & (walls < params.podium_share * of_ground)
         more = above & ((large & knolls)[regions] | (stays & (large & treads)[regions]))
         if not more.any():
