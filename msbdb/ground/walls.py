@@ -96,8 +96,8 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        So a region is above ground if walls bound more than 1 / (1 + ``terrace_cost``) of its edge, 70 % by default, and
        all regions of a place are decided together: terraces one above the other, roofs beside higher roofs. Of a
        plateau larger than a house, under trees and houses that hide how it falls, the edge that is seen decides. Knolls
-       whose edge falls in low steps are terrain, too, and so are treads of a hillside: an opening wider than a house does
-       not lower them (`_plateaus`).
+       whose edge falls in low steps are terrain, too, and so are treads of a hillside: an opening wider than a house
+       does not lower them (`_plateaus`).
     4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
        one too large for the windows of the progressive filter. Of a region that the border cuts the rest of the edge
        decides, if it is high and bare.
