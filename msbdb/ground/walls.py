@@ -45,9 +45,9 @@ CUT, SIDE = 0.55, 1 / 3
 SEEN = 0.4
 """Ours, in sample: least share of a plateau's edge beside ground; 0.3 loses more roofs, 0.5 takes knolls for roofs."""
 
-FLANKS_M2, MASK_M, STOREY_M = 1000.0, 2.0, 3.0
-"""Ours, in sample: least area of a knoll with steep flanks; half of its edge falls by less than the lowest building is
-high, and three quarters by less than a storey."""
+FLANKS_M2, STEP_M = 2000.0, 2.0
+"""Ours, in sample: least area of a knoll with steep flanks, most of whose edge falls by less than this, as high as the
+mask. From 1,000 m² on, low halls among few echoes would go, too."""
 
 WIDE_M, STAYS = 20.0, 0.3
 """Ours, in sample: half-width of an opening that removes houses, and the least share of a tread that it does not lower.
@@ -232,7 +232,7 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
       plateau is higher than trees on its slopes; here trees decide nothing. Of the rest of the edge no more may fall
       than rises: trees and houses stand on a plateau, but a roof is higher than its annexes.
     - It is a larger knoll, and its flanks are too steep for the first sign: `SEEN` of the edge is seen, and it falls in
-      low steps, cell by cell. Halls fall by a storey at once.
+      low steps, cell by cell. Halls fall by all of their height at once.
     - It is a tread of a hillside: higher treads lie beside it, so that an opening wider than a house does not lower
       `STAYS` of it. Only that part is terrain, as the rest is houses. Halls are none, as walls bound them all around.
     """
@@ -250,15 +250,14 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
         own, beside, fall = _edges(heights, regions, large)
         seen, hidden = around.ravel()[beside], above.ravel()[beside]
         wall = seen * _wall_share(fall, cell_m, params)
-        high, higher = (seen & (fall >= step_m * max(cell_m, 1.0)) for step_m in (MASK_M, STOREY_M))
-        edges, of_ground, walls, falls, rises, high_walls, higher_walls = (
+        high = seen & (fall >= STEP_M * max(cell_m, 1.0))
+        edges, of_ground, walls, falls, rises, high_steps = (
             np.bincount(own, weights=each, minlength=count)
-            for each in (seen | hidden, seen, wall, hidden & (fall > 0), hidden & (fall < 0), high, higher)
+            for each in (seen | hidden, seen, wall, hidden & (fall > 0), hidden & (fall < 0), high)
         )
         is_seen = of_ground >= SEEN * edges
         knolls = is_seen & (walls * (1 + params.terrace_cost) < of_ground) & (rises >= falls)
-        steep = is_seen & (2 * high_walls < of_ground) & (4 * higher_walls < of_ground)
-        knolls |= steep & (cells * cell_m**2 >= FLANKS_M2)
+        knolls |= is_seen & (2 * high_steps < of_ground) & (cells * cell_m**2 >= FLANKS_M2)
         treads = (left >= STAYS * cells) & (walls < params.podium_share * of_ground)
         more = above & ((large & knolls)[regions] | (stays & (large & treads)[regions]))
         if not more.any():

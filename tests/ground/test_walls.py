@@ -105,10 +105,10 @@ def test_a_knoll_whose_flank_hides_under_trees_is_ground():
 
 
 def test_a_knoll_whose_flanks_are_steep_all_around_is_ground():
-    """A rock of 44 m and 6 m high whose flanks rise by 1.8 m a metre; a hall of that size, 2.4 m high, is none."""
+    """A rock of 60 m and 6 m high whose flanks rise by 1.8 m a metre; a hall of that size, 2.4 m high, is none."""
     row, col = np.indices((160, 220))
-    rock = np.clip(1.8 * (22 - np.hypot(row - 80, col - 60)), 0, 6)
-    hall = 2.4 * ((abs(row - 80) < 20) & (abs(col - 160) < 20))
+    rock = np.clip(1.8 * (30 - np.hypot(row - 80, col - 60)), 0, 6)
+    hall = 2.4 * ((abs(row - 80) < 28) & (abs(col - 160) < 28))
     ground = walled_ground(grid(rock + hall), PARAMS)
     assert ground[rock == 6].all()
     assert ground[rock > 0].mean() > 0.9
