@@ -447,7 +447,7 @@ def _centres(crs: CRS, bounds: Bounds) -> Iterator[tuple[float, float]]:
 
 
 def misplaced(crs: CRS, bounds: Bounds) -> str | None:
-    """Return a notice if metric bounds lie where their CRS is not meant to be used, which hints at a wrong CRS."""
+    """Return a notice if bounds in the CRS's unit lie where it is not meant to be used, which hints at a wrong CRS."""
     area = crs.area_of_use
     if area is None or crs.geodetic_crs is None:
         return None

@@ -72,6 +72,7 @@ def read_points(
     crs: CrsLike | None = None,
     z_unit: str = "auto",
     target: CRS | None = None,
+    bounds: Bounds | None = None,
     facts: PointFacts | None = None,
     area: Area | None = None,
     progress: Progress | None = None,
@@ -88,6 +89,8 @@ def read_points(
         Unit of the heights; see ``msbdb.io.crs.reference``.
     target : CRS, optional
         A metric CRS for coordinates that must be reprojected; by default their UTM zone.
+    bounds : tuple of float, optional
+        Those of the whole survey in its own unit, where the files are a part of it: the CRS follows from its centre.
     facts : PointFacts, optional
         What holds for the whole survey, where the files are a part of it.
     area : Area, optional
@@ -118,7 +121,7 @@ def read_points(
     MsbdbWarning
         What was dropped, converted or assumed, with counts; each kind once, after all files are read.
     """
-    wanted = Wanted(indexed=False, noise=False, target=target, facts=facts, area=area)
+    wanted = Wanted(indexed=False, noise=False, target=target, bounds=bounds, facts=facts, area=area)
     return _read(paths, wanted, crs=crs, z_unit=z_unit, progress=progress)[0]
 
 
@@ -166,6 +169,7 @@ class Wanted:
     indexed: bool
     noise: bool
     target: CRS | None = None
+    bounds: Bounds | None = None
     facts: PointFacts | None = None
     area: Area | None = None
 
@@ -184,7 +188,7 @@ def _read(
         msg = "No point files were given; name at least one LAS, LAZ or COPC file."
         raise InputError(msg)
     files = [read_las_header(path) for path in chosen]
-    references = _references(files, crs, z_unit, wanted.target)
+    references = _references(files, crs, z_unit, wanted)
     if wanted.area is not None:
         files, references = _meeting(wanted.area, files, references)
     colours = [set(_colour_fields(info)) for info in files]
@@ -238,15 +242,15 @@ def _fill(
     return any(echoes)
 
 
-def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str, target: CRS | None) -> list[Reference]:
+def _references(files: Sequence[LasInfo], crs: CrsLike | None, z_unit: str, wanted: Wanted) -> list[Reference]:
     """Return how each file's coordinates become metric, checking that all files have one CRS."""
-    bounds = _union([info.bounds for info in files])
+    bounds = wanted.bounds or _union([info.bounds for info in files])
     found = []
     for info in files:
         where = file_name(info.path)
         own = settle(header_crs(info.projection), crs, where)
         hint = vertical_unit(info.projection)
-        found.append(reference(own, bounds=bounds, where=where, z_unit=z_unit, z_hint=hint, target=target))
+        found.append(reference(own, bounds=bounds, where=where, z_unit=z_unit, z_hint=hint, target=wanted.target))
     for info, each in zip(files, found, strict=True):
         if not same_crs(each.source, found[0].source):
             msg = (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from msbdb.errors import CRSError, InputError, NodataError, collected_notices
-from msbdb.grid import GridSpec
+from msbdb.grid import Bounds, GridSpec
 from msbdb.io.crs import CrsLike, Fallback, Reference, name_of, reference, same_crs
 from msbdb.io.extents import (
     Extent,
@@ -47,7 +47,8 @@ class Inputs:
     """The files of a build, and what the user states about them; ``fallback`` is the CRS where nothing states one.
 
     Points that must be reprojected go to the CRS ``target``, by default to that of ``fallback``, or to their UTM zone.
-    ``known`` describes the files of a whole survey; these are a part of them.
+    ``known`` describes the files of a whole survey, and ``bounds`` are those of all its points in their own unit; these
+    files are a part of them.
     """
 
     points: tuple[Path, ...] = ()
@@ -63,6 +64,7 @@ class Inputs:
     fallback: Fallback | None = None
     target: "CRS | None" = None
     known: tuple[Source, ...] | None = None
+    bounds: Bounds | None = None
 
     @classmethod
     def of(

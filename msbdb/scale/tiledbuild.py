@@ -99,7 +99,9 @@ class TiledBuild:
         InputError, ParameterError
             For what cannot be built in tiles, and for tiles that are too small.
         """
-        inputs = replace(job.inputs, known=job.inputs.sources())
+        extent = job.inputs.extent()
+        # In which CRS a tile is read follows from the centre of all files, not from that of its own.
+        inputs = replace(job.inputs, known=job.inputs.sources(), bounds=None if extent is None else extent.bounds)
         job = replace(job, inputs=inputs)
         cells, boxes = inputs.cells(), _boxes(job)
         plan = make_plan(inputs, job.params, stages) if job.plan is None else job.plan
@@ -153,7 +155,7 @@ class TiledBuild:
             for path, box in zip(inputs.points, self.boxes, strict=self.cells is None)
             if box[0] <= east and box[2] >= west and box[1] <= north and box[3] >= south
         )
-        job = replace(self.job, inputs=replace(inputs, points=near, target=plan_crs(self.plan)), plan=self.plan)
+        job = replace(self.job, inputs=replace(inputs, points=near), plan=self.plan)
         wide, status = (HALO_M, MOST_HALO_M), self.queued(tile)
         return TileTask(tile, job, self.plan, self.survey, *wide, status, self.place, self.build)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from support.notices import with_notices
 
 from msbdb.errors import CRSError, InputError, NodataError
@@ -217,6 +217,20 @@ def test_feet_become_metres(tmp_path):
     assert any("scaled to metres, 'NAD83 / Kentucky Single Zone' (EPSG:3088)" in notice for notice in notices)
     metric, _ = with_notices(read_points, path, z_unit="m")
     np.testing.assert_array_equal(metric.z, np.asarray(expected.z))
+
+
+@pytest.mark.parametrize(
+    ("place", "centre", "alone", "together"),
+    [((12.01, 50.0), (11.9, 50.0), 32633, 32632), ((5.0, 8.3), (5.0, 7.0), 32631, 3857)],
+)
+def test_a_part_of_a_survey_is_read_in_the_crs_of_the_whole(tmp_path, place, centre, alone, together):
+    """Files of one survey beyond the border of a UTM zone, or where a web map is just good enough, get one CRS."""
+    to_web = Transformer.from_crs(4326, 3857, always_xy=True)
+    path = write(tmp_path / "tile.laz", crs=CRS.from_epsg(3857), origin=to_web.transform(*place))
+    x, y = to_web.transform(*centre)
+    assert with_notices(read_points, path)[0].crs == CRS.from_epsg(alone)
+    part, _ = with_notices(read_points, path, bounds=(x - 1e5, y - 1e5, x + 1e5, y + 1e5))
+    assert part.crs == CRS.from_epsg(together)
 
 
 def test_a_stated_crs_serves_files_without_one(tmp_path):

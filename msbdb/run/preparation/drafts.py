@@ -116,6 +116,7 @@ def read_cloud(
         crs=inputs.any_crs,
         z_unit=inputs.z_unit,
         target=inputs.any_target,
+        bounds=inputs.bounds,
         facts=facts,
         area=area,
         progress=progress,
