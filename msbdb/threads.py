@@ -213,7 +213,7 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """
     import numba
 
-    return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True))
+    return cast("Callable[P, R]", numba.njit(function, cache=True, nogil=True, error_model="numpy"))
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, uniform_filter1d
+from scipy.ndimage import distance_transform_edt
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec
@@ -15,7 +15,7 @@ from msbdb.ground.trend import bilinear, known_trend
 from msbdb.labels import sizes
 from msbdb.morphology.windows import erosion
 from msbdb.params import GroundParams
-from msbdb.threads import cores, in_threads
+from msbdb.threads import kernel
 
 Heights = NDArray[np.float32]
 Counts = NDArray[np.int64]
@@ -109,30 +109,47 @@ def _relax(filled: NDArray[np.float32], distance: NDArray[np.float64]) -> NDArra
     A window changes only the cells at least half its radius from the ground. Nearer cells get better values from
     smaller windows; at the border, where windows are cut, large ones would pull them off a slope.
     """
-    surface = filled.copy()
+    surface = np.ascontiguousarray(filled)
     for radius in (32, 16, 8, 4, 2, 1):
         free = distance >= max(radius / 2, 1)
         if not free.any():
             continue
         for _ in range(4):
-            np.copyto(surface, means_over_windows(surface, 2 * radius + 1), where=free)
+            surface = means_over_windows(surface, free, radius)
     return surface
 
 
-def means_over_windows(values: NDArray[np.float32], width: int) -> NDArray[np.float32]:
-    """Return the means of (H, W) float32 values over squares of so many cells; the outermost cell goes on beyond.
+@kernel
+def means_over_windows(values: Heights, chosen: NDArray[np.bool_], radius: int) -> Heights:
+    """Return heights in which each chosen cell has the mean of the square around it, 2·radius + 1 cells wide.
 
-    The result is that of `scipy.ndimage.uniform_filter` to the bit. Its sums run along lines, so the cores share these.
+    The outermost cell is repeated beyond the border. The means are those of `scipy.ndimage.uniform_filter` to the bit:
+    sums run down the columns, then along the rows. That function takes three times as long, and knows no mask.
     """
-    return _along_lines(_along_lines(values, width, 0), width, 1)
-
-
-def _along_lines(values: NDArray[np.float32], width: int, axis: int) -> NDArray[np.float32]:
-    """Return the means over windows along one axis."""
-    means = np.empty_like(values)
-    shares = (np.array_split(each, cores(), axis=1 - axis) for each in (values, means))
-    in_threads(lambda share: uniform_filter1d(share[0], width, axis, share[1], "nearest"), zip(*shares, strict=True))
-    return means
+    (rows, cols), width = values.shape, 2 * radius + 1
+    result = values.copy()
+    column, framed = np.zeros(cols), np.empty(cols + 2 * radius)
+    for row in range(-radius, radius + 1):
+        line = values[min(max(row, 0), rows - 1)]
+        for col in range(cols):
+            column[col] += line[col]
+    for row in range(rows):
+        if row > 0:
+            after, before = values[min(row + radius, rows - 1)], values[max(row - radius - 1, 0)]
+            for col in range(cols):
+                column[col] += np.float64(after[col]) - np.float64(before[col])
+        if not chosen[row].any():
+            continue
+        for col in range(cols):
+            framed[radius + col] = np.float32(column[col] / width)
+        framed[:radius], framed[radius + cols :] = framed[radius], framed[radius + cols - 1]
+        total = framed[:width].sum()
+        for col in range(cols):
+            if col > 0:
+                total += framed[col + width - 1] - framed[col - 1]
+            if chosen[row, col]:
+                result[row, col] = total / width
+    return result
 
 
 def refine(coarse: Grid, spec: GridSpec) -> Grid:

@@ -211,42 +211,50 @@ def _plane_residual(z: Floats, places: tuple[Field, Field, float], origin: float
     for row in range(height):
         columns = _column_moments(z, (east, north), (origin, cell), row, half)
         sums = np.zeros((10, width))
-        # The columns around a cell one by one, each for all cells of the row: the processor takes several at once.
         for right in range(-half, half + 1):
-            # Sums from columns whose eastings count from their own centre: e becomes e + shift, so that
-            # sum(e z) becomes sum(e z) + shift sum(z), and sum(e e) gains shift (2 sum(e) + n shift).
-            shift = right * cell
-            for col in range(max(-right, 0), min(width - right, width)):
-                c = col + right
-                sums[0, col] += columns[0, c]
-                sums[1, col] += columns[1, c] + columns[0, c] * shift
-                sums[2, col] += columns[2, c]
-                sums[3, col] += columns[3, c]
-                sums[4, col] += columns[4, c] + shift * (2 * columns[1, c] + columns[0, c] * shift)
-                sums[5, col] += columns[5, c] + shift * columns[2, c]
-                sums[6, col] += columns[6, c]
-                sums[7, col] += columns[7, c] + shift * columns[3, c]
-                sums[8, col] += columns[8, c]
-                sums[9, col] += columns[9, c]
+            _add_columns(sums, columns, right, cell)
         for col in range(width):
             n, se, sn, sz, see = sums[0, col], sums[1, col], sums[2, col], sums[3, col], sums[4, col]
             sen, snn, sez, snz, szz = sums[5, col], sums[6, col], sums[7, col], sums[8, col], sums[9, col]
-            if n < LEAST_SAMPLES:
-                continue
+            enough = n >= LEAST_SAMPLES
+            n = n if enough else 1.0
             cee, cen, cnn = see - se * se / n, sen - se * sn / n, snn - sn * sn / n
             cez, cnz, czz = sez - se * sz / n, snz - sn * sz / n, szz - sz * sz / n
             # Central moments; their determinant is near 0 where the samples lie on a line.
             det = cee * cnn - cen * cen
-            if det <= 1e-4 * (n * cell * cell) ** 2:
-                continue
+            plane = enough & (det > 1e-4 * (n * cell * cell) ** 2)
+            det = det if plane else 1.0
             slope_e, slope_n = (cnn * cez - cen * cnz) / det, (cee * cnz - cen * cez) / det
             # Over n - 3, as the plane takes three degrees of freedom: the mean does not depend on the samples' number.
             residual = max(czz - slope_e * cez - slope_n * cnz, 0.0) / (n - 3)
             steep = slope_e * slope_e + slope_n * slope_n
-            if steep <= STEEPEST:
-                residual = max(residual - unknown_m2 * steep, 0.0)
-            out[row, col] = min(np.sqrt(residual), NO_PLANE_M)
+            less = max(residual - unknown_m2 * steep, 0.0) if steep <= STEEPEST else residual
+            out[row, col] = min(np.sqrt(less), NO_PLANE_M) if plane else NO_PLANE_M
     return out
+
+
+@kernel
+def _add_columns(sums: Floats, columns: Floats, right: int, cell: float) -> None:
+    """Add the moments of the columns so many cells to the right of each cell, as seen from the cell's centre.
+
+    Eastings count from the centre of their own column: e becomes e + shift, so that sum(e z) becomes sum(e z) + shift
+    sum(z), and sum(e e) gains shift (2 sum(e) + n shift). A loop has few arrays, so that the processor takes several
+    cells at once.
+    """
+    shift, first = right * cell, max(-right, 0)
+    last = max(sums.shape[1] - max(right, 0), first)
+    moved = slice(first + right, last + right)
+    for moment in (0, 2, 3, 6, 8, 9):
+        into, each = sums[moment, first:last], columns[moment, moved]
+        for col in range(into.size):
+            into[col] += each[col]
+    for moment, of in ((1, 0), (5, 2), (7, 3)):
+        into, each, base = sums[moment, first:last], columns[moment, moved], columns[of, moved]
+        for col in range(into.size):
+            into[col] += each[col] + shift * base[col]
+    into, each, east, number = sums[4, first:last], columns[4, moved], columns[1, moved], columns[0, moved]
+    for col in range(into.size):
+        into[col] += each[col] + shift * (2 * east[col] + number[col] * shift)
 
 
 @kernel
@@ -257,11 +265,11 @@ def _column_moments(z: Floats, offsets: tuple[Field, Field], scale: tuple[float,
     columns = np.zeros((10, z.shape[1]))
     for r in range(max(row - half, 0), min(row + half + 1, z.shape[0])):
         for col in range(z.shape[1]):
-            h = z[r, col] - origin
-            if np.isnan(h):
-                continue
-            e, n = float(east[r, col]), (row - r) * cell + north[r, col]
-            columns[0, col] += 1.0
+            # Without a branch, so that the processor takes several columns at once; what is not seen adds 0.
+            h, e, n = z[r, col] - origin, east[r, col], (row - r) * cell + north[r, col]
+            seen = 0.0 if np.isnan(h) else 1.0
+            h, e, n = (0.0, np.float32(0.0), 0.0) if np.isnan(h) else (h, e, n)
+            columns[0, col] += seen
             columns[1, col] += e
             columns[2, col] += n
             columns[3, col] += h

@@ -136,12 +136,15 @@ def test_pits_are_raised_as_by_the_median_of_all_cells(shape, step_m):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (33, 70), (129, 64)])
-@pytest.mark.parametrize("width", [3, 17, 65])
-def test_means_over_windows_are_those_of_scipy_to_the_bit(shape, width):
-    """Lines are shared out among the cores; windows may be wider than the lattice."""
-    values = np.random.default_rng(width).normal(0, 100, shape).astype(np.float32)
+@pytest.mark.parametrize("radius", [1, 8, 32])
+def test_means_over_windows_are_those_of_scipy_to_the_bit(shape, radius):
+    """Windows may be wider than the lattice; cells that are not chosen keep their values."""
+    random = np.random.default_rng(radius)
+    values, chosen = random.normal(0, 100, shape).astype(np.float32), random.random(shape) < 0.3
     kept = values.copy()
-    assert means_over_windows(values, width).tobytes() == uniform_filter(values, width, mode="nearest").tobytes()
+    for asked in (chosen, np.ones_like(chosen), np.zeros_like(chosen)):
+        means = np.where(asked, uniform_filter(values, 2 * radius + 1, mode="nearest"), values)
+        assert means_over_windows(values, asked, radius).tobytes() == means.tobytes()
     assert values.tobytes() == kept.tobytes()
 
 
