@@ -3,13 +3,14 @@
 import atexit
 import ctypes
 import gc
+import mmap
 import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager, nullcontext, suppress
-from threading import Lock, local
+from threading import Lock, Thread, local
 from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 from msbdb.errors import MsbdbWarning, collected_notices, give_notice
@@ -38,6 +39,12 @@ BOUNDED = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**24), (TRIM_THRESHOLD, 2**26),
 
 RETURNING = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**25), (TRIM_THRESHOLD, 2**26))
 """The allocator's own values, once a large array has been freed."""
+
+AT_ONCE = 2**24
+"""Bytes that are fetched in one step, between which other threads get the interpreter's lock."""
+
+FETCHING = "msbdb fetches memory"
+"""Name of the thread that does."""
 
 RARELY = (100_000, 50, 50)
 """Python looks for garbage after so many new objects: of outlines there are millions, and no cycles among them."""
@@ -128,28 +135,60 @@ def end_now(code: int) -> NoReturn:
 
 
 @contextmanager
-def memory_reused(*, bounded: bool = False) -> Iterator[None]:
+def memory_reused(*, bounded: bool = False, ahead: int = 0) -> Iterator[None]:
     """Let freed memory serve the next array while the block runs; then give it back to the system.
 
     With ``bounded``, large arrays go back at once, and what is not needed for a while waits in files
-    (`msbdb.points.aside`).
+    (`msbdb.points.aside`). A block within another one changes nothing.
+
+    So many bytes ``ahead`` are fetched by a thread, at most half of what is free: while Python loads libraries, which
+    takes one core, the system clears on another one what the arrays will take.
 
     By default glibc takes each large array from the system, page by page, and gives it back when it is freed. In a
     build of ten million points a quarter of the processor's time went there. Other allocators are left as they are.
     It saves more after `own_process`. Python's own search for garbage leaves out what was there before the block.
     """
+    if _IS_BOUNDED:
+        yield
+        return
+    fetching = None
     try:
         _set_allocator(BOUNDED if bounded else REUSING)
         _IS_BOUNDED[:] = [bounded]
         gc.freeze()
+        fetching = _fetching(ahead)
         yield
     finally:
+        if fetching is not None:
+            fetching.join()
         gc.unfreeze()
         _IS_BOUNDED.clear()
         _set_allocator(RETURNING)
         library = _glibc()
         if library is not None:
             library.malloc_trim(0)
+
+
+def _fetching(size: int) -> Thread | None:
+    """Return a thread that touches each page of a block of memory, and then frees it; None where that is no use."""
+    import numpy as np
+
+    if not size or _glibc() is None:
+        return None
+    blocks = []
+    with suppress(MemoryError):
+        # Not by the thread itself: glibc may give it a heap of its own, from which other threads take nothing.
+        blocks.append(np.empty(min(size, os.sysconf("SC_AVPHYS_PAGES") * mmap.PAGESIZE // 2), dtype=np.uint8))
+
+    def fetch() -> None:
+        while blocks:
+            block = blocks.pop()
+            for begin in range(0, block.size, AT_ONCE):
+                block[begin : begin + AT_ONCE : mmap.PAGESIZE] = 0  # numpy does this without the interpreter's lock
+
+    fetching = Thread(target=fetch, name=FETCHING, daemon=True)
+    fetching.start()
+    return fetching
 
 
 def memory_is_bounded() -> bool:

@@ -15,7 +15,7 @@ import pytest
 from msbdb import threads
 from msbdb.errors import MsbdbWarning, PassingNotice, collected_notices, give_notice
 from msbdb.run.reports import Stages
-from msbdb.threads import alone_on, in_threads, memory_reused
+from msbdb.threads import FETCHING, alone_on, in_threads, memory_reused
 
 
 @pytest.mark.parametrize("cores", [1, 3])
@@ -170,6 +170,28 @@ def test_freed_memory_serves_the_next_array():
         held = Path("/proc/self/statm").read_text().split()[1]
     assert second < first / 10
     assert int(Path("/proc/self/statm").read_text().split()[1]) < int(held) - size / page / 2
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the allocator is not glibc's")
+def test_memory_is_fetched_ahead_and_kept_until_the_outer_block_ends():
+    """An array touches few new pages then; a block within the block gives nothing back."""
+    size, page = 1 << 27, resource.getpagesize()
+
+    def held() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * page
+
+    before = held()
+    with memory_reused(ahead=size):
+        for thread in threading.enumerate():
+            if thread.name == FETCHING:
+                thread.join()
+        assert held() > before + size / 2
+        faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        with memory_reused():
+            np.empty(size // 2, dtype=np.uint8)[::page] = 1
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_minflt < faults + size / page / 20
+        assert held() > before + size / 2
+    assert held() < before + size / 2
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the allocator is not glibc's")

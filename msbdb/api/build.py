@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msbdb.params import DETECTORS, Params, as_dict
+from msbdb.params import DETECTORS, Params, as_dict, choose_detectors
 from msbdb.params import profile as named_profile
 from msbdb.run.reports import BuildReport, ClassifyReport, Notices, Progress, Stages
 
@@ -127,11 +128,9 @@ def build(
     from msbdb.database import check_target, read_fallback, read_labelled_classes
     from msbdb.io.crs import parse_crs
     from msbdb.io.files import PICTURES, require_output
-    from msbdb.run.compose import Job, choose_detectors, run_survey
     from msbdb.run.inputs import Inputs
-    from msbdb.run.preparation.prepare import Label
     from msbdb.run.reports import collect_notices
-    from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
+    from msbdb.threads import memory_reused
 
     values = params or named_profile(profile)
     known = read_plan(plan) if isinstance(plan, str | Path) else plan
@@ -145,29 +144,34 @@ def build(
     if denoising_figure is not None:
         sources = [db, *(path for path, _ in inputs.files())]
         require_output(denoising_figure, overwrite=overwrite, endings=PICTURES, sources=sources)
-    with collect_notices(notices):
-        methods = choose_detectors(extract)
+    methods = choose_detectors(extract)
     inputs.require_files()
-    label = Label(survey or inputs.default_survey(), date or "")
     check_target(db)
     target = None if known is None else parse_crs(known.crs)
     inputs = dataclasses.replace(inputs, fallback=read_fallback(db), target=target)
     inputs.require_one_place()
-    former = require_replaceable(db, label.name, inputs, methods, replace=replace)
-    labelled = read_labelled_classes(db, label.name)
-    label = dataclasses.replace(label, classes=labelled)
-    job = Job(inputs, values, profile, label, methods, denoising_figure, known)
-    if tile is not None or workers is not None or scheduler is not None or resume:
-        from msbdb.database import BuildBasis
-        from msbdb.scale.tiledbuild import build_with
+    tiled = tile is not None or workers is not None or scheduler is not None or resume
+    with nullcontext() if tiled else memory_reused(ahead=inputs.bytes_to_build()):
+        from msbdb.run.compose import Job, run_survey
+        from msbdb.run.preparation.prepare import Label
+        from msbdb.run.store import replaced, report_of, require_replaceable, store_survey
 
-        basis = BuildBasis(labelled=labelled, replace=replace)
-        return build_with(
-            job, str(db), tile, stages, notices, basis=basis, resume=resume, workers=workers, scheduler=scheduler
-        )
-    kept = run_survey(job, stages, notices)
-    with stages.stage("write"):
-        changed = store_survey(kept, db, labelled, replace=replace)
+        label = Label(survey or inputs.default_survey(), date or "")
+        former = require_replaceable(db, label.name, inputs, methods, replace=replace)
+        labelled = read_labelled_classes(db, label.name)
+        label = dataclasses.replace(label, classes=labelled)
+        job = Job(inputs, values, profile, label, methods, denoising_figure, known)
+        if tiled:
+            from msbdb.database import BuildBasis
+            from msbdb.scale.tiledbuild import build_with
+
+            basis = BuildBasis(labelled=labelled, replace=replace)
+            return build_with(
+                job, str(db), tile, stages, notices, basis=basis, resume=resume, workers=workers, scheduler=scheduler
+            )
+        kept = run_survey(job, stages, notices)
+        with stages.stage("write"):
+            changed = store_survey(kept, db, labelled, replace=replace)
     passing = (*notices.passing, *(replaced(former, kept) if changed else ()))
     return report_of(kept, stages, db, changed=changed, passing=passing)
 

@@ -1,6 +1,6 @@
 """All parameters of a build in sections, the detectors that use them, and the named profiles of values."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import Field, asdict, dataclass, field, fields
 from typing import Any
 
@@ -26,6 +26,22 @@ REGION_DETECTORS = ("flatregions", *POINT_DETECTORS)
 
 DETECTORS = ("multiscale", *REGION_DETECTORS)
 """The names of all detectors; the first finds buildings as trees of parts."""
+
+
+def choose_detectors(names: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the detectors to run, in order of their names.
+
+    Raises
+    ------
+    ParameterError
+        When one does not exist, or none is named.
+    """
+    names = (names,) if isinstance(names, str) else names
+    unknown = sorted(set(names) - set(DETECTORS))
+    if unknown or not names:
+        msg = f"The detectors are {', '.join(sorted(DETECTORS))}; got {', '.join(unknown) or 'none'}."
+        raise ParameterError(msg)
+    return tuple(sorted(set(names)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,13 @@ from msbdb.io.las import read_points_indexed
 from msbdb.io.lasheader import read_las_header
 from msbdb.io.laswrite import check_output, write_classes
 from msbdb.labels import Labels, chosen_cells, sizes, sums
-from msbdb.params import Params
+from msbdb.params import Params, choose_detectors
 from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS, PointCloud
 from msbdb.points.nearest import nearest_of
 from msbdb.points.repeated import without_repeated
-from msbdb.run.compose import choose_detectors, detect, fuse_and_decompose
+from msbdb.run.compose import detect, fuse_and_decompose
 from msbdb.run.inputs import Inputs
+from msbdb.run.preparation.pointfacts import sparse_with_facts
 from msbdb.run.preparation.prepare import Label, prepare
 from msbdb.run.reports import ClassifyReport, Notices, Progress, Stages, collect_notices
 from msbdb.surface import heights_above
@@ -61,7 +62,9 @@ def classify_points(
         inputs.require_one_place()
         with stages.stage("read"):
             cloud, index = read_points_indexed(source, crs=inputs.crs, z_unit=inputs.z_unit, progress=progress)
-        scene, params, _ = prepare(inputs, without_repeated(cloud), params, stages, Label(inputs.default_survey()))
+        distinct = sparse_with_facts(without_repeated(cloud), params)
+        scene, params, _ = prepare(inputs, distinct, params, stages, Label(inputs.default_survey()))
+        del distinct
         heights = heights_above(cloud, scene.require_surface().dtm)
         found = detect(scene, methods, params, stages)
         regions = {name: replace(one, of_points=_of_all(one.of_points, scene, cloud)) for name, one in found.items()}

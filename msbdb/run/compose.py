@@ -18,7 +18,6 @@ from msbdb.detect.detectors import DETECTORS
 from msbdb.detect.flatregions.initialisation import denoise
 from msbdb.detect.flatregions.mongus2013 import lowest_surface
 from msbdb.detect.scene import Regions, Scene
-from msbdb.errors import ParameterError
 from msbdb.fuse.cells import fuse_cells, is_fused
 from msbdb.fuse.touching import Division, divide
 from msbdb.grid import Bounds, Grid
@@ -31,6 +30,7 @@ from msbdb.run.describe import Description, count_cells, describe, describe_choi
 from msbdb.run.inputs import Inputs
 from msbdb.run.preparation.drafts import read_cloud
 from msbdb.run.preparation.planning import is_large, make_plan
+from msbdb.run.preparation.pointfacts import sparse_with_facts
 from msbdb.run.preparation.prepare import Label, Window, note_missing_sources, prepare
 from msbdb.run.reports import Notices, Stages, collect_notices
 from msbdb.surveyplan import Plan
@@ -205,10 +205,13 @@ def find_regions(job: Job, planned: Plan | None, stages: Stages, window: Window 
     facts, area = (None if planned is None else planned.points), (None if window is None else window.area)
     with stages.stage("read"):
         cloud = read_cloud(job.inputs, stages.progress, facts, area)
+        points, reach = (0, None) if window is None or cloud is None else window.held_points(cloud)
+        cloud = sparse_with_facts(cloud, job.params)  # here, so that the points that are left out are freed
     scene, params, plan = prepare(job.inputs, cloud, job.params, stages, job.label, plan=planned, window=window)
-    points, reach = (0, None) if window is None else window.held(cloud, scene.heights)
     del cloud
     if window is not None:
+        if scene.cloud is None:
+            points, reach = window.held_cells(scene.heights)
         scene = scene.with_points_aside()
     note_missing_sources(scene)
     choices = describe_choices(scene, params)
@@ -389,22 +392,6 @@ def decompose(
         colours=cover.colours,
         crowns=scene.crowns(params),
     )
-
-
-def choose_detectors(names: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the detectors to run, in order of their names.
-
-    Raises
-    ------
-    ParameterError
-        When one does not exist, or none is named.
-    """
-    names = (names,) if isinstance(names, str) else names
-    unknown = sorted(set(names) - set(DETECTORS))
-    if unknown or not names:
-        msg = f"The detectors are {', '.join(DETECTORS)}; got {', '.join(unknown) or 'none'}."
-        raise ParameterError(msg)
-    return tuple(sorted(set(names)))
 
 
 def _draw_denoising(scene: Scene, params: Params, figure: Path) -> None:

@@ -5,7 +5,7 @@ smoothed and cut at one half, and each region is then checked as a whole. All va
 tiles of four surveys and on thinned copies.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -119,7 +119,8 @@ def _regions_of(
 ) -> ClassMap:
     """Smooth the cells' probabilities, cut them at one half, and judge each region as a whole."""
     cell_m = ndsm.spec.cell_m
-    roof = smooth_share(probability, raised, params.smooth_m / cell_m) > 0.5
+    [share] = smooth_shares((probability,), raised, params.smooth_m / cell_m)
+    roof = share > 0.5
     neck_m = params.neck_m if echoes else params.blind_neck_m
     roof = _tidy(roof & raised, raised, cell_m, neck_m, params)
     roof = _judge_regions(roof, roughness_m, echoes, cell_m, params)
@@ -239,14 +240,13 @@ def _sigmoid(odds: Field) -> Field:
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))), dtype=np.float32)
 
 
-def smooth_share(probability: Field, raised: Mask, sigma_cells: float) -> Field:
-    """Mean probability of roof around a cell, over raised cells only (normalised Gaussian)."""
-    probability = np.where(raised, probability, np.float32(0))
+def smooth_shares(images: Sequence[Field], raised: Mask, sigma_cells: float) -> list[Field]:
+    """Return the mean of each image around a cell, over raised cells only (normalised Gaussian)."""
     sigma = max(sigma_cells, 0.7)
     blur = partial(gaussian_filter, sigma=sigma, mode="constant", truncate=2.5)
-    share, weight = in_threads(blur, (probability, raised.astype(np.float32)))
-    share /= np.maximum(weight, 1e-3)
-    return np.asarray(share)
+    *shares, weight = in_threads(blur, (*(np.where(raised, one, np.float32(0)) for one in images), np.float32(raised)))
+    np.maximum(weight, 1e-3, out=weight)
+    return [np.divide(share, weight, out=share) for share in shares]
 
 
 def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverParams) -> Mask:

@@ -15,6 +15,7 @@ from msbdb.errors import InputError, ParameterError
 from msbdb.params import profile, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.inputs import Inputs
+from msbdb.run.preparation.pointfacts import sparse_with_facts
 from msbdb.run.preparation.prepare import Label, prepare
 from msbdb.run.reports import Stages
 from msbdb.tables import EXTRACTOR_SHARES, PART_FLAT_REGION
@@ -162,7 +163,7 @@ def test_gaps_are_filled_as_the_profile_says(tmp_path):
     areas = {}
     for gaps in ("near", "all"):
         params = with_values(profile(), {"flatregions": {"gaps": gaps}})
-        scene, params, _ = prepare(inputs, points, params, Stages(None), Label("roof"))
+        scene, params, _ = prepare(inputs, sparse_with_facts(points, params), params, Stages(None), Label("roof"))
         areas[gaps] = detect_flat_regions(scene, params).table["area_m2"].tolist()
     assert [len(found) for found in areas.values()] == [1, 1]
     assert areas["all"][0] == pytest.approx(400, rel=0.06)

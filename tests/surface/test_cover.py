@@ -13,7 +13,7 @@ from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import cover_from_surface, cover_with_colours, normalise, surface_from_rasters
-from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_share, structural_cover
+from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_shares, structural_cover
 from msbdb.surface.texture import NO_PLANE_M, Echoes
 
 Scene = scenes.Scene
@@ -156,7 +156,7 @@ def test_smoothing_counts_raised_cells_alone():
     """The mean beside a wall is that of the roof, not of roof and ground."""
     raised = np.zeros((20, 20), dtype=bool)
     raised[5:15, 5:15] = True
-    share = smooth_share(np.where(raised, np.float32(0.98), np.float32(0.01)), raised, 2.0)
+    [share] = smooth_shares((np.where(raised, np.float32(0.98), np.float32(0.01)),), raised, 2.0)
     np.testing.assert_allclose(share[raised], 0.98, rtol=1e-4)
 
 

@@ -19,9 +19,8 @@ from msbdb.ledger import Answers
 from msbdb.outline.polygons import polygonise
 from msbdb.outline.simplification import simplify_coverage
 from msbdb.params import FlatRegionParams, Params, with_values
-from msbdb.surface.structure import smooth_share
+from msbdb.surface.structure import smooth_shares
 from msbdb.tables import FLAT_REGION
-from msbdb.threads import in_threads
 
 logger = logging.getLogger(__name__)
 
@@ -162,7 +161,7 @@ def find_leaves(scene: Scene, params: Params) -> NDArray[np.bool_] | None:
     probability = evidence.roof_probability.astype(np.float32) / np.float32(CERTAIN)
     rough = np.minimum(evidence.roughness_mm, NO_PLANE_MM).astype(np.float32) / np.float32(1000)
     sigma = own.leaf_sigma_m / heights.spec.cell_m
-    likely, rough = in_threads(lambda image: smooth_share(image, raised, sigma), (probability, rough))
+    likely, rough = smooth_shares((probability, rough), raised, sigma)
     return raised & (likely < own.leaf_probability) & (rough > own.leaf_rough_m)
 
 

@@ -35,9 +35,8 @@ from msbdb.database import (
 from msbdb.errors import DatabaseError, InputError, give_notice
 from msbdb.identity import to_json
 from msbdb.io.vector import read_polygons
-from msbdb.params import DETECTORS, Params, as_dict, with_values
+from msbdb.params import DETECTORS, Params, as_dict, choose_detectors, with_values
 from msbdb.params import profile as named_profile
-from msbdb.run.compose import choose_detectors
 from msbdb.run.inputs import Inputs, Paths
 from msbdb.run.inventory.borders import combined, make_seams, near_pieces, pieces_of
 from msbdb.run.inventory.ground import StoredGround

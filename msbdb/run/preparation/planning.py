@@ -52,7 +52,7 @@ def make_plan(inputs: Inputs, params: Params, stages: Stages) -> Plan:
     with stages.stage("read"):
         cloud = read_cloud(inputs, stages.progress, area=None if blocks is None else blocks.area_in(interest))
     if cloud is None or blocks is None:
-        cloud = None if cloud is None else sparse_with_facts(cloud, params)
+        cloud = sparse_with_facts(cloud, params)
         if cloud is not None and not is_small_cloud(cloud, params):
             return plan_of_wide_cloud(inputs, cloud, params, stages)
         plan, _ = decide([make_draft(inputs, cloud, params, stages)], params)

@@ -148,8 +148,10 @@ def _joined_levels(levels: Sequence[tuple[tuple[float, float], ...]]) -> tuple[t
     return tuple(found)
 
 
-def sparse_with_facts(cloud: PointCloud, params: Params) -> PointCloud:
-    """Return a cloud that knows what holds for all its points, and give notice if some were left out for it."""
+def sparse_with_facts(cloud: PointCloud | None, params: Params) -> PointCloud | None:
+    """Return a cloud that knows what holds for all its points, and give notice if some were left out; None for None."""
+    if cloud is None:
+        return None
     found = with_facts(cloud, params.surface.most_density)
     if len(found) < len(cloud):
         give_notice(THINNED)

@@ -26,7 +26,7 @@ from msbdb.run.preparation.planning import (
     require_fitting,
     settled,
 )
-from msbdb.run.preparation.pointfacts import evenly_dense, sparse_with_facts
+from msbdb.run.preparation.pointfacts import evenly_dense
 from msbdb.run.reports import Stages
 from msbdb.spectral.colours import kept_intensity
 from msbdb.spectral.coverclasses import Cover, classify_cover, keep_labels
@@ -63,16 +63,8 @@ class Window:
     own: Bounds
     seen: Bounds
 
-    def held(self, cloud: PointCloud | None, heights: Grid) -> tuple[int, Bounds | None]:
-        """Return how many points lie in the own ground, and how far they reach; of rasters, cells with a value.
-
-        Points on the west or south edge count. Cells count by their centre; the reach is that of all cells.
-        """
-        if cloud is None:
-            rows, cols = heights.spec.within(self.own)
-            if rows.start == rows.stop:
-                return 0, None
-            return int(np.count_nonzero(heights.valid[rows, cols])), heights.spec.crop(rows, cols).bounds
+    def held_points(self, cloud: PointCloud) -> tuple[int, Bounds | None]:
+        """Return how many points lie in the own ground, and how far they reach; those on its west or south edge do."""
         west, south, east, north = self.own
         held = (cloud.x >= west) & (cloud.x < east) & (cloud.y >= south) & (cloud.y < north)
         if not held.any():
@@ -83,6 +75,13 @@ class Window:
             for each in (cloud.x, cloud.y)
         )
         return int(np.count_nonzero(held)), (west, south, east, north)
+
+    def held_cells(self, heights: Grid) -> tuple[int, Bounds | None]:
+        """Return how many cells with a value have their centre in the own ground, and how far all its cells reach."""
+        rows, cols = heights.spec.within(self.own)
+        if rows.start == rows.stop:
+            return 0, None
+        return int(np.count_nonzero(heights.valid[rows, cols])), heights.spec.crop(rows, cols).bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +118,7 @@ def prepare(
     inputs : Inputs
         The files; the points are read already.
     cloud : PointCloud or None
-        What `read_cloud` returned.
+        The points with the facts of the survey (`pointfacts.sparse_with_facts`); None for rasters.
     params : Params
         Sections ``surface``, ``ground``, ``cover`` and ``spectral``.
     stages : Stages
@@ -140,7 +139,6 @@ def prepare(
     plan : Plan
         That given, or that of the survey.
     """
-    cloud = None if cloud is None else sparse_with_facts(cloud, params)
     if plan is None and cloud is not None and not is_small_cloud(cloud, params):
         with collected_notices():
             plan = plan_of_wide_cloud(inputs, cloud, params, stages)

@@ -25,6 +25,7 @@ from msbdb.points.cloud import GROUND_CLASS, UNCLASSIFIED_CLASS
 from msbdb.run.compose import Regions, detect, fuse_and_decompose
 from msbdb.run.inputs import Inputs
 from msbdb.run.preparation.drafts import read_cloud
+from msbdb.run.preparation.pointfacts import sparse_with_facts
 from msbdb.run.preparation.prepare import Label, prepare
 from msbdb.run.reports import Notices, Stages, collect_notices
 
@@ -118,5 +119,6 @@ def detected(
             ortho = (write_image(folder / "ortho.tif", *case.picture, ("red", "green", "blue")),)
         inputs = replace(inputs, ortho=ortho, ortho_crs=case.crs if ortho else None)
         stages = Stages(None)
-        scene, params, _ = prepare(inputs, read_cloud(inputs, None), params, stages, Label(case.name))
+        points = sparse_with_facts(read_cloud(inputs, None), params)
+        scene, params, _ = prepare(inputs, points, params, stages, Label(case.name))
         return scene, detect(scene, DETECTORS, params, stages), params
