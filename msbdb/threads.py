@@ -40,8 +40,8 @@ BOUNDED = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**24), (TRIM_THRESHOLD, 2**26),
 RETURNING = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**25), (TRIM_THRESHOLD, 2**26))
 """The allocator's own values, once a large array has been freed."""
 
-AT_ONCE = 2**24
-"""Bytes that are fetched in one step, between which other threads get the interpreter's lock."""
+AT_ONCE = 2**25
+"""Bytes that are fetched and freed in one step."""
 
 FETCHING = "msbdb fetches memory"
 """Name of the thread that does."""
@@ -170,21 +170,21 @@ def memory_reused(*, bounded: bool = False, ahead: int = 0) -> Iterator[None]:
 
 
 def _fetching(size: int) -> Thread | None:
-    """Return a thread that touches each page of a block of memory, and then frees it; None where that is no use."""
+    """Return a thread that touches each page of blocks of memory, and frees them; None where that is no use."""
     import numpy as np
 
     if not size or _glibc() is None:
         return None
+    size = min(size, os.sysconf("SC_AVPHYS_PAGES") * mmap.PAGESIZE // 2)
     blocks = []
     with suppress(MemoryError):
         # Not by the thread itself: glibc may give it a heap of its own, from which other threads take nothing.
-        blocks.append(np.empty(min(size, os.sysconf("SC_AVPHYS_PAGES") * mmap.PAGESIZE // 2), dtype=np.uint8))
+        blocks += [np.empty(AT_ONCE, dtype=np.uint8) for _ in range(size // AT_ONCE)]
+    blocks.reverse()
 
     def fetch() -> None:
         while blocks:
-            block = blocks.pop()
-            for begin in range(0, block.size, AT_ONCE):
-                block[begin : begin + AT_ONCE : mmap.PAGESIZE] = 0  # numpy does this without the interpreter's lock
+            blocks.pop()[:: mmap.PAGESIZE] = 0  # numpy does this without the interpreter's lock
 
     fetching = Thread(target=fetch, name=FETCHING, daemon=True)
     fetching.start()
