@@ -319,7 +319,7 @@ def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
 def roughness_by_window(samples: Samples, params: CoverParams) -> dict[float, Field]:
     """Return the roughness of samples, noise included, by the sides of the small and the wide window, metres."""
     windows_m = (params.window_m, params.wide_window_m)
-    return dict(zip(windows_m, in_threads(partial(roughness, samples), windows_m), strict=True))
+    return {window_m: roughness(samples, window_m) for window_m in windows_m}
 
 
 def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
