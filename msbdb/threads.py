@@ -248,7 +248,8 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function for arrays: cached on disk, without the interpreter's lock.
 
     Neither numba's threads nor relaxed floating-point rules are used, so that the same input gives the same output on
-    every machine.
+    every machine. A division by zero gives infinity or NaN, as numpy's: a check of each would keep the processor from
+    dividing several values at once.
     """
     import numba
 
