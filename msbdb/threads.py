@@ -11,9 +11,13 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager, nullcontext, suppress
 from threading import Lock, Thread, local
-from typing import Any, NoReturn, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar, cast
 
 from msbdb.errors import MsbdbWarning, collected_notices, give_notice
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -151,16 +155,13 @@ def memory_reused(*, bounded: bool = False, ahead: int = 0) -> Iterator[None]:
     if _IS_BOUNDED:
         yield
         return
-    fetching = None
     try:
         _set_allocator(BOUNDED if bounded else REUSING)
         _IS_BOUNDED[:] = [bounded]
         gc.freeze()
-        fetching = _fetching(ahead)
-        yield
+        with _fetching(ahead):
+            yield
     finally:
-        if fetching is not None:
-            fetching.join()
         gc.unfreeze()
         _IS_BOUNDED.clear()
         _set_allocator(RETURNING)
@@ -169,26 +170,33 @@ def memory_reused(*, bounded: bool = False, ahead: int = 0) -> Iterator[None]:
             library.malloc_trim(0)
 
 
-def _fetching(size: int) -> Thread | None:
-    """Return a thread that touches each page of blocks of memory, and frees them; None where that is no use."""
+@contextmanager
+def _fetching(size: int) -> Iterator[None]:
+    """Let a thread touch each page of so many bytes, and free them, until it is done or the block ends."""
     import numpy as np
 
     if not size or _glibc() is None:
-        return None
+        yield
+        return
     size = min(size, os.sysconf("SC_AVPHYS_PAGES") * mmap.PAGESIZE // 2)
-    blocks = []
+    pieces = list["NDArray[np.uint8]"]()
     with suppress(MemoryError):
         # Not by the thread itself: glibc may give it a heap of its own, from which other threads take nothing.
-        blocks += [np.empty(AT_ONCE, dtype=np.uint8) for _ in range(size // AT_ONCE)]
-    blocks.reverse()
+        pieces = [np.empty(AT_ONCE, dtype=np.uint8) for _ in range(size // AT_ONCE)]
+    pieces.reverse()
 
     def fetch() -> None:
-        while blocks:
-            blocks.pop()[:: mmap.PAGESIZE] = 0  # numpy does this without the interpreter's lock
+        with suppress(IndexError):  # none is left
+            while True:
+                pieces.pop()[:: mmap.PAGESIZE] = 0  # numpy does this without the interpreter's lock
 
     fetching = Thread(target=fetch, name=FETCHING, daemon=True)
     fetching.start()
-    return fetching
+    try:
+        yield
+    finally:
+        pieces.clear()
+        fetching.join()
 
 
 def memory_is_bounded() -> bool:

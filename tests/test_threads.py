@@ -195,6 +195,16 @@ def test_memory_is_fetched_ahead_and_kept_until_the_outer_block_ends():
 
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the allocator is not glibc's")
+def test_fetching_memory_ends_with_the_block():
+    """An error in the block does not wait for a header's promise of points to be fetched."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(KeyError), memory_reused(ahead=1 << 31):
+        raise KeyError
+    assert all(thread.name != FETCHING for thread in threading.enumerate())
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + 2**19, "in KiB: a quarter was not fetched yet"
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the allocator is not glibc's")
 def test_large_arrays_go_back_where_memory_is_bounded():
     """As soon as one is freed, also from between others."""
     size, page = 1 << 26, resource.getpagesize()
