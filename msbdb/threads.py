@@ -45,10 +45,10 @@ RETURNING = ((MMAP_MAX, 65_536), (MMAP_THRESHOLD, 2**25), (TRIM_THRESHOLD, 2**26
 """The allocator's own values, once a large array has been freed."""
 
 AT_ONCE = 2**25
-"""Bytes that are fetched and freed in one step."""
+"""Bytes that are taken from the system ahead, and freed, in one step."""
 
 FETCHING = "msbdb fetches memory"
-"""Name of the thread that does."""
+"""Name of the thread that takes memory ahead."""
 
 RARELY = (100_000, 50, 50)
 """Python looks for garbage after so many new objects: of outlines there are millions, and no cycles among them."""
@@ -145,8 +145,8 @@ def memory_reused(*, bounded: bool = False, ahead: int = 0) -> Iterator[None]:
     With ``bounded``, large arrays go back at once, and what is not needed for a while waits in files
     (`msbdb.points.aside`). A block within another one changes nothing.
 
-    So many bytes ``ahead`` are fetched by a thread, at most half of what is free: while Python loads libraries, which
-    takes one core, the system clears on another one what the arrays will take.
+    A thread takes ``ahead`` bytes from the system at the beginning, at most half of what is free. The system clears
+    them on one core while Python loads libraries on another. Else it does so later, while arrays are filled.
 
     By default glibc takes each large array from the system, page by page, and gives it back when it is freed. In a
     build of ten million points a quarter of the processor's time went there. Other allocators are left as they are.

@@ -216,6 +216,7 @@ def _plane_residual(z: Floats, places: tuple[Field, Field, float], origin: float
         for col in range(width):
             n, se, sn, sz, see = sums[0, col], sums[1, col], sums[2, col], sums[3, col], sums[4, col]
             sen, snn, sez, snz, szz = sums[5, col], sums[6, col], sums[7, col], sums[8, col], sums[9, col]
+            # Without branches, as below; what has no plane is divided by 1, and not taken.
             enough = n >= LEAST_SAMPLES
             n = n if enough else 1.0
             cee, cen, cnn = see - se * se / n, sen - se * sn / n, snn - sn * sn / n
@@ -228,8 +229,8 @@ def _plane_residual(z: Floats, places: tuple[Field, Field, float], origin: float
             # Over n - 3, as the plane takes three degrees of freedom: the mean does not depend on the samples' number.
             residual = max(czz - slope_e * cez - slope_n * cnz, 0.0) / (n - 3)
             steep = slope_e * slope_e + slope_n * slope_n
-            less = max(residual - unknown_m2 * steep, 0.0) if steep <= STEEPEST else residual
-            out[row, col] = min(np.sqrt(less), NO_PLANE_M) if plane else NO_PLANE_M
+            residual = max(residual - unknown_m2 * steep, 0.0) if steep <= STEEPEST else residual
+            out[row, col] = min(np.sqrt(residual), NO_PLANE_M) if plane else NO_PLANE_M
     return out
 
 
