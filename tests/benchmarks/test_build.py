@@ -1,12 +1,13 @@
 """The benchmark of the main job, on a small simulated scene."""
 
 import json
+import shutil
 
 import laspy
 import numpy as np
 import pytest
 from simulated import scenes
-from support.processes import BENCHMARKS, run_script
+from support.processes import BENCHMARKS, load_script, run_script
 
 SCRIPT = BENCHMARKS / "build"
 STAGES = [
@@ -85,6 +86,50 @@ def test_copies_lie_side_by_side(tile, tmp_path):
         assert east[0] >= (copy % 2) * width
         assert north[0] >= (copy // 2) * height
         assert east[0] % 10 == north[0] % 10 == 0
+
+
+@pytest.fixture
+def pdal(tmp_path, monkeypatch):
+    """Return the path of a program named ``pdal`` that keeps the pipeline it is given, and fails on demand."""
+    program = tmp_path / "pdal"
+    program.write_text(
+        f'#!/bin/sh\n[ "$1" = pipeline ] && cp "$2" {tmp_path}/given.json && [ ! -e {tmp_path}/broken ]\n'
+    )
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    return program
+
+
+def test_peers_work_on_the_same_files(pdal, tmp_path):
+    """An installed program gets all files and is timed, and one that fails is said to have failed."""
+    bench = load_script(SCRIPT)
+    found = bench.measure_peers(["a.laz", "b.laz"], tmp_path)["pdal"]
+    assert found["seconds"] > 0
+    assert set(found) == {"seconds", "cpu_seconds", "peak_mb"}
+    *stages, written = json.loads((tmp_path / "given.json").read_text())
+    assert stages[:2] == ["a.laz", "b.laz"]
+    assert [each["type"] for each in stages[2:]] == ["filters.merge", *(each["type"] for each in bench.PLANAR)]
+    assert written["type"] == "writers.las"
+    (tmp_path / "broken").touch()
+    assert bench.measure_peers(["a.laz"], tmp_path)["pdal"] == {}
+    pdal.unlink()
+    if shutil.which("pdal") is None:
+        assert bench.measure_peers(["a.laz"], tmp_path)["pdal"] is None
+
+
+def test_the_table_names_every_peer():
+    """With its cost, or why there is none."""
+    figures = {
+        **dict.fromkeys(("points", "seconds", "cpu_seconds", "points_per_second", "points_per_cpu_second"), 1.0),
+        **dict.fromkeys(("read_seconds", "read_cpu_seconds", "ratio_to_reading", "cpu_ratio_to_reading"), 2.0),
+        **dict.fromkeys(("peak_mb", "start_mb", "peak_mb_per_million", "buildings", "parts", "file_mb", "cores"), 3),
+        "files": ["a.laz"], "load_before": 0.0, "extract": "multiscale", "cold_seconds": None, "stages": {},
+        "peers": {"one": {"seconds": 5.0, "cpu_seconds": 6.0, "peak_mb": 7.0}, "two": {}, "three": None},
+    }  # fmt: skip
+    lines = load_script(SCRIPT).table(figures).splitlines()
+    assert any(line.startswith("one") and line.endswith("5.0   CPU 6.0, 7 MB, 2.5 times reading") for line in lines)
+    assert any(line.split() == ["two", "failed"] for line in lines)
+    assert any(line.split() == ["three", "not", "installed"] for line in lines)
 
 
 def test_wrong_arguments_are_explained(tile, tmp_path):
