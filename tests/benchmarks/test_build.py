@@ -100,21 +100,30 @@ def pdal(tmp_path, monkeypatch):
     return program
 
 
-def test_peers_work_on_the_same_files(pdal, tmp_path):
+def test_peers_work_on_the_same_files(pdal, tile, tmp_path):
     """An installed program gets all files and is timed, and one that fails is said to have failed."""
-    bench = load_script(SCRIPT)
-    found = bench.measure_peers(["a.laz", "b.laz"], tmp_path)["pdal"]
+    bench, files = load_script(SCRIPT), [str(tile[0]), "other.laz"]
+    found = bench.measure_peers(files, None, tmp_path)["pdal"]
     assert found["seconds"] > 0
     assert set(found) == {"seconds", "cpu_seconds", "peak_mb"}
-    *stages, written = json.loads((tmp_path / "given.json").read_text())
-    assert stages[:2] == ["a.laz", "b.laz"]
-    assert [each["type"] for each in stages[2:]] == ["filters.merge", *(each["type"] for each in bench.PLANAR)]
+    *given, written = json.loads((tmp_path / "given.json").read_text())
+    assert given == [*files, {"type": "filters.merge"}, *bench.planar(1.0)]
     assert written["type"] == "writers.las"
     (tmp_path / "broken").touch()
-    assert bench.measure_peers(["a.laz"], tmp_path)["pdal"] == {}
+    assert bench.measure_peers(files, None, tmp_path)["pdal"] == {}
     pdal.unlink()
     if shutil.which("pdal") is None:
-        assert bench.measure_peers(["a.laz"], tmp_path)["pdal"] is None
+        assert bench.measure_peers(files, None, tmp_path)["pdal"] is None
+
+
+def test_peers_measure_in_the_units_of_the_file(tile):
+    """A window of 30 m has 98.4 feet, and a roof is 8.2 feet above ground."""
+    bench = load_script(SCRIPT)
+    assert bench.unit_m(str(tile[0]), None) == 1.0
+    foot = bench.unit_m(str(tile[0]), "EPSG:2994")
+    steps = {each["type"]: each for each in bench.planar(foot)}
+    assert steps["filters.smrf"]["window"] == pytest.approx(98.425, abs=0.001)
+    assert "HeightAboveGround > 8.202 " in steps["filters.assign"]["value"]
 
 
 def test_the_table_names_every_peer():
