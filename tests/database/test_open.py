@@ -192,7 +192,7 @@ def test_a_locked_database_is_told_after_a_wait(target: str) -> None:
             write_build(engine, small_build())
     finally:
         holder.close()
-    assert 0.4 < time.monotonic() - start < 8
+    assert 0.4 < time.monotonic() - start < 60
     assert write_build(engine, small_build()).status == "created"
 
 

@@ -31,7 +31,8 @@ from msbdb.run.inputs import Inputs
 from msbdb.run.preparation.drafts import make_surface
 from msbdb.run.preparation.prepare import Label
 
-SECONDS = 10.0
+SECONDS = 60.0
+"""What hangs takes longer; what does not takes seconds, also where a loaded machine loads libraries."""
 OREGON_M, OREGON_FT = CRS.from_epsg(2993), CRS.from_epsg(2994)
 FOOT_M = 0.3048
 
@@ -344,7 +345,7 @@ def _hostile_files():
 @pytest.mark.parametrize("path", _hostile_files(), ids=lambda path: path.name)
 @pytest.mark.parametrize("crs", [None, "EPSG:2154"], ids=["own", "stated"])
 def test_real_hostile_files_end_well(tmp_path, path, crs):
-    """In 10 s there is a database that holds what was reported, or one clear line and no file."""
+    """In reasonable time there is a database that holds what was reported, or one clear line and no file."""
     args = ["build", "--points", path, "--db", tmp_path / "town.sqlite", *(["--crs", crs] if crs else [])]
     start = time.monotonic()
     result = run(*args, "--json")

@@ -1,4 +1,4 @@
-"""Footprints that an office has, measured on a survey: heights, storeys, parts, and whether a building stands there.
+"""Footprints that an office has, measured on a survey: heights, storeys, parts, and whether there is a building.
 
 Nothing is detected here. The survey is built as always, with the footprints as the parcels that divide its houses. Then
 each footprint is measured on the rasters of that build, and enters the inventory with its own outline and columns.

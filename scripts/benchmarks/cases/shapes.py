@@ -79,9 +79,6 @@ def measure_shape(
     islands : bool
         The reference does not divide touching houses: matched buildings are those that touch, together.
     """
-    found = rasterise(outlines, reference.spec) > 0
-    both = np.count_nonzero(found & reference.built & reference.scored)
-    either = np.count_nonzero((found | reference.built) & reference.scored)
     rings = shapely.get_rings(shapely.get_parts(outlines))
     length = float(shapely.length(outlines).sum())
     one, three = along_directions(outlines, spec)
@@ -91,7 +88,7 @@ def measure_shape(
     # A hole that was mostly building is a gap between outlines.
     gaps = [hole.area for hole in holes_of(union) if shapely.intersection(hole, cells).area > hole.area / 2]
     return Shape(
-        quality=100 * both / max(either, 1),
+        quality=area_quality(outlines, reference),
         rms_m=rms(mine, theirs, reference),
         polis_m=float(np.median(polis(mine, theirs))) if len(mine) else math.nan,
         hausdorff_m=float(np.median(shapely.hausdorff_distance(mine, theirs))) if len(mine) else math.nan,
@@ -103,6 +100,31 @@ def measure_shape(
         crumbs=int(np.count_nonzero(shapely.area(shapely.polygons(rings)) < CRUMB_M2)),
         pieces=int(np.count_nonzero(shapely.get_num_geometries(outlines) > 1)),
     )
+
+
+def area_quality(outlines: Geometries, reference: Reference) -> float:
+    """Compare the cells whose centres lie in outlines with the reference, per cent."""
+    return reference.quality(rasterise(outlines, reference.spec) > 0, reference.spec)
+
+
+def moved_inward(outlines: Geometries, distance_m: float) -> Geometries:
+    """Return the union of outlines with its edge moved inward, or outward where the distance is below zero.
+
+    Borders between touching houses are no edges of the union, so no gaps open there.
+
+    Parameters
+    ----------
+    outlines : (N,) ndarray of MultiPolygon
+        Buildings that do not overlap.
+    distance_m : float
+        Metres.
+
+    Returns
+    -------
+    (1,) ndarray of Polygon or MultiPolygon
+    """
+    union = shapely.union_all(outlines)
+    return np.array([shapely.buffer(union, -distance_m, join_style="mitre")], dtype=np.object_)
 
 
 def holes_of(geometry: shapely.Geometry) -> list[shapely.Polygon]:
