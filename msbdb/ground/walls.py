@@ -14,21 +14,13 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.ground.interpolation import NearestGround, interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
+from msbdb.ground.ways import narrow_bridges, reached_by_ways
 from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
-from msbdb.morphology.windows import dilation, erosion, opening
+from msbdb.morphology.windows import dilation, opening
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-
-LEAST_M2 = 50.0
-"""No way is sought to smaller regions: clutter, and the cells of walls. Nor does one begin on less even ground."""
-
-BEGINNING, BEGINNING_M2 = 0.3, 150.0
-"""Ours, in sample: share or area of a way that is ground already; of a roof whose rear meets a bank 0.2, or 100 m²."""
-
-WAY_PX = 3
-"""Width of a way, cells."""
 
 HALL_M = 4.0
 """Ours: least mean depth of the walls of a hall that the border cuts: retaining walls are lower."""
@@ -107,6 +99,7 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        to ``reached_share`` of it. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell.
        Where the trend rises by more, it may follow the trend. It begins on even ground, so not on a slope
        where a level roof touches the terrain; nor is the rear of such a roof its beginning, which may count as ground.
+       Narrower bridges are ground where they meet it at both ends (`narrow_bridges`).
     7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. Without a cell that is
        sure, or if it is small, it is a well in a roof, unless it lies on the terrain of the other ground.
 
@@ -158,7 +151,9 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
     ground &= ~_blurred(Grid(opened, measured, surface.spec), ground, sure, params, points_m2)
-    reached: Mask = ground | _reached(surface, trend, ground, params)
+    wall_m = _wall_m(cell_m, params)
+    reached: Mask = ground | reached_by_ways(surface, trend, ground, wall_m, params)
+    reached |= narrow_bridges(surface, reached, wall_m, params)
     return reached & ~_wells(surface, reached, sure, params)
 
 
@@ -328,32 +323,6 @@ def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, pa
         if (before == found).all():
             break
     return found
-
-
-def _reached(surface: Grid, trend: Heights, ground: Mask, params: GroundParams) -> Mask:
-    """Return the cells above ground that a way from the ground leads to, and the regions that are mostly ways.
-
-    A way is even. Where the trend is too steep for that, a way may follow the trend. No way is partly even and partly
-    follows the trend, because a level roof may touch the slope.
-    """
-    heights, measured, cell_m = np.asarray(surface.values, dtype=np.float32), surface.valid, surface.spec.cell_m
-    most_m = (WAY_PX - 1) * params.even_step_m * max(cell_m, 1.0)
-
-    def rise(of: Heights) -> Heights:
-        return dilation(of, WAY_PX, measured) - erosion(of, WAY_PX, measured)
-
-    on_ways = np.zeros_like(ground)
-    for even in (rise(heights) < most_m, (rise(heights - trend) < most_m) & (rise(trend) >= most_m)):
-        ways, count = label_zones(measured & even)
-        of_ground = sizes(ways[ground], count)
-        begun = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
-        on_ways |= chosen_cells(ways, begun | (of_ground * cell_m**2 >= BEGINNING_M2))
-    reached = dilation((on_ways & ~ground).astype(np.float32), WAY_PX, None) > 0
-    regions, count = join_cells(heights, measured & ~ground, _wall_m(cell_m, params))
-    cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))
-    mostly, large = of_them >= params.reached_share * cells, cells * cell_m**2 >= LEAST_M2
-    terrain: Mask = measured & ~ground & large[regions] & (reached | mostly[regions])
-    return terrain
 
 
 def _blurred(opened: Grid, ground: Mask, sure: Mask, params: GroundParams, points_m2: float) -> Mask:

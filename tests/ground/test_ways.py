@@ -1,0 +1,114 @@
+"""Bridges are ground, and long things that only look like them are not."""
+
+import numpy as np
+import pytest
+from pyproj import CRS
+from scipy.ndimage import distance_transform_edt
+
+from msbdb.grid import Grid, lattice
+from msbdb.ground.walls import walled_ground
+from msbdb.ground.ways import narrow_bridges
+from msbdb.params import GroundParams
+
+PARAMS = GroundParams()
+SIDE, SPAN, DEPTH_M = 160, 60.0, 5.0
+"""A square of so many metres, and a river as wide and as deep across it."""
+
+
+def lowest(x, y, z):
+    """Return the lowest heights of points on cells of 1 m; empty cells take those of the nearest one."""
+    spec = lattice((0, 0, SIDE - 1, SIDE - 1), 1.0, CRS.from_epsg(2154))
+    heights = np.full(spec.shape, np.inf)
+    np.minimum.at(heights, (np.floor(y).astype(int), np.floor(x).astype(int)), z)
+    nearest = distance_transform_edt(np.isinf(heights), return_distances=False, return_indices=True)
+    surface = heights[tuple(nearest)].astype(np.float32)
+    return Grid(surface, np.ones(spec.shape, dtype=bool), spec)
+
+
+def river(width_m, degrees, density=4.0, length_m=SPAN, height_m=0.0):
+    """Scan a river between banks, and a deck over it whose ends lie so far above them; return the deck's cells, too."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, SIDE, (2, int(density * SIDE**2)))
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    along, across = (x - SIDE / 2) * cos + (y - SIDE / 2) * sin, (y - SIDE / 2) * cos - (x - SIDE / 2) * sin
+    z = 10 + DEPTH_M * np.clip((np.abs(along) - SPAN / 2) / 4, -1, 0)
+    deck = (np.abs(across) < width_m / 2) & (np.abs(along) < length_m / 2 + 1)
+    arch = 1.5 * np.cos(np.clip(2 * along / SPAN, -1, 1) * np.pi / 2)
+    z = np.where(deck, 10 + height_m + arch, z) + rng.normal(0, 0.03, len(x))
+    surface = lowest(x, y, z)
+    on_deck = np.zeros(surface.values.shape, dtype=bool)
+    on_deck[np.floor(y[deck]).astype(int), np.floor(x[deck]).astype(int)] = True
+    return surface, on_deck & (surface.values > 9.9 + height_m)
+
+
+@pytest.mark.parametrize("degrees", [0, 15, 30, 45, 90])
+@pytest.mark.parametrize("width_m", [3, 4, 6, 12])
+def test_a_bridge_between_banks_is_ground(width_m, degrees):
+    """Of any width and direction, on cells of 1 m."""
+    surface, deck = river(width_m, degrees)
+    assert walled_ground(surface, PARAMS, 4.0)[deck].mean() > 0.95
+
+
+@pytest.mark.parametrize("changed", [{"length_m": 40.0}, {"height_m": 2.0}], ids=["ends in the river", "ends above it"])
+def test_a_long_thing_that_meets_no_bank_is_above_ground(changed):
+    """A pier that ends in the water, and a deck 2 m above both banks, as a roof is."""
+    surface, deck = river(4, 30, **changed)
+    assert walled_ground(surface, PARAMS, 4.0)[deck].mean() < 0.05
+
+
+def cutting():
+    """Return the heights and the ground of a cutting between two levels, with a deck of 4 m along its middle."""
+    heights = np.full((60, 60), 4.0, dtype=np.float32)
+    heights[10:50] = 0
+    heights[10:50, 28:32] = 4
+    ground = heights == 4
+    ground[10:50] = heights[10:50] == 0
+    return heights, ground
+
+
+def found(heights, ground, valid=None):
+    """Return the bridges in heights on cells of 1 m."""
+    spec = lattice((0, 0, heights.shape[1] - 1, heights.shape[0] - 1), 1.0, CRS.from_epsg(2154))
+    valid = np.ones(heights.shape, dtype=bool) if valid is None else valid
+    return narrow_bridges(Grid(heights, valid, spec), ground & valid, 1.0, PARAMS)
+
+
+def test_echoes_from_below_do_not_divide_a_deck():
+    """Two rows of its cells have the water's height, and count as ground."""
+    heights, ground = cutting()
+    heights[25, 28:32] = heights[26, 28:30] = 0
+    ground[25, 28:32] = ground[26, 28:30] = True
+    bridges = found(heights, ground)
+    assert np.array_equal(bridges, ~ground)
+
+
+def test_a_row_of_annexes_behind_houses_is_no_bridge():
+    """It is as slender, and level with the ground at both ends; but houses stand along one side of it."""
+    heights, ground = cutting()
+    heights[10:50, 32:42], ground[10:50, 32:42] = 9, False
+    assert not found(heights, ground).any()
+
+
+def test_a_roof_whose_side_lies_on_a_slope_is_no_bridge():
+    """The ground is as high as the roof all along one side."""
+    heights, ground = cutting()
+    heights[10:50, 32:], ground[10:50, 32:] = 4, True
+    assert not found(heights, ground).any()
+
+
+def test_a_bridge_needs_ground_at_its_ends():
+    """Level cells of 60 m² at one end are a roof's, which passed for ground."""
+    heights, ground = cutting()
+    heights[:10] = 0
+    heights[4:10, 25:35] = 4
+    assert not found(heights, ground).any()
+
+
+def test_the_border_may_cut_one_end_of_a_bridge():
+    """Be it that of the survey or a void; what is cut at both ends stays above ground."""
+    heights, ground = cutting()
+    row = np.indices(heights.shape)[0]
+    assert np.array_equal(found(heights, ground, row >= 15), ~ground & (row >= 15))
+    assert np.array_equal(found(heights[15:], ground[15:]), ~ground[15:])
+    assert not found(heights, ground, (row >= 15) & (row < 45)).any()
+    assert not found(heights[15:45], ground[15:45]).any()
