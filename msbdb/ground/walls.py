@@ -4,6 +4,7 @@ The progressive filter is sure of some ground. What else is ground follows from 
 """
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,14 @@ from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
 from msbdb.ground.ways import narrow_bridges, reached_by_ways
 from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
-from msbdb.morphology.windows import dilation, opening
+from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+
+RAISED = 0.95
+"""Ours: what joins the cells of a podium is below this share of the steps that raised outliers make."""
 
 HALL_M = 4.0
 """Ours: least mean depth of the walls of a hall that the border cuts: retaining walls are lower."""
@@ -44,6 +48,10 @@ mask. From 1,000 m² on, low halls among few echoes would go, too."""
 WIDE_M, STAYS = 20.0, 0.3
 """Ours, in sample: half-width of an opening that removes houses, and the least share of a tread that it does not lower.
 With 30 m, or with 0.5, fewer treads are found, and hardly fewer roofs are lost."""
+
+FREE = 2 / 3
+"""Ours: the largest share of a tread's edge beside ground, as the rest is beside higher treads and houses. Treads have
+0.66 at most, a hall of 1.8 ha has 0.74."""
 
 STEPS = 4
 """Ours: a hall of up to so many levels is found, the highest level first, and so many treads of a hillside."""
@@ -230,6 +238,8 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
       low steps, cell by cell. Halls fall by all of their height at once.
     - It is a tread of a hillside: higher treads lie beside it, so that an opening wider than a house does not lower
       `STAYS` of it. Only that part is terrain, as the rest is houses. Halls are none, as walls bound them all around.
+      Nor is what is as wide as the opening by itself, or free on more sides than `FREE`: a hall with a higher part, and
+      with trees and ramps beside its walls.
     """
     wall_m = _wall_m(cell_m, params)
     width = 2 * round(WIDE_M / cell_m) + 1
@@ -253,7 +263,8 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
         is_seen = of_ground >= SEEN * edges
         knolls = is_seen & (walls * (1 + params.terrace_cost) < of_ground) & (rises >= falls)
         knolls |= is_seen & (2 * high_steps < of_ground) & (cells * cell_m**2 >= FLANKS_M2)
-        treads = (left >= STAYS * cells) & (walls < params.podium_share * of_ground)
+        treads = (left >= STAYS * cells) & (2 * cells * cell_m <= WIDE_M * edges)
+        treads &= (of_ground <= FREE * edges) & (walls < params.podium_share * of_ground)
         more = above & ((large & knolls)[regions] | (stays & (large & treads)[regions]))
         if not more.any():
             break
@@ -265,21 +276,52 @@ def _podiums(heights: Heights, ground: Mask, measured: Mask, cell_m: float, para
     """Return the regions of ground that fall by walls nearly all around.
 
     A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
-    counts as an edge without a wall.
+    counts as an edge without a wall. Nor do edges to what is as high and above ground, if it is larger than a house:
+    of a hall wider than the windows, a part may be known already.
+
+    Where points are few, low outliers that were raised make stairs of ``low_outlier_m`` beside walls. By them a hall
+    runs into the ground. So regions as large as a window are connected by lower steps, too, and an edge then falls to
+    the lowest of the nine cells beside it.
     """
     wall_m = _wall_m(cell_m, params)
-    regions, count = join_cells(heights, ground, wall_m)
+    all_around = partial(_walled_around, heights, measured=measured, cell_m=cell_m, params=params)
+    found = all_around(ground, beside=heights, joined_m=wall_m, least_m2=0)
+    joined_m, lowest = min(wall_m, RAISED * params.low_outlier_m), erosion(heights, 3, measured)
+    return found | all_around(ground & ~found, beside=lowest, joined_m=joined_m, least_m2=params.window_m**2)
+
+
+def _walled_around(
+    heights: Heights,
+    ground: Mask,
+    *,
+    measured: Mask,
+    beside: Heights,
+    joined_m: float,
+    least_m2: float,
+    cell_m: float,
+    params: GroundParams,
+) -> Mask:
+    """Return the regions of ground, joined by lower steps, that fall by walls to the heights beside them."""
+    wall_m = _wall_m(cell_m, params)
+    regions, count = join_cells(heights, ground, joined_m)
+    large = np.bincount(regions[ground], minlength=count) * cell_m**2 >= least_m2
+    if not large.any():
+        return np.zeros_like(ground)
+    above = measured & ~ground
+    others, number = join_cells(heights, above, wall_m)
+    known = above & (np.bincount(others[above], minlength=number) * cell_m**2 >= HOUSE_M2)[others]
     around, falls = (np.zeros(heights.shape, dtype=np.int32) for _ in range(2))
     for one, other in neighbours(heights.shape):
         for here, there in ((one, other), (other, one)):
             fall = heights[here] - heights[there]
-            differ = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m) | ~measured[there])
-            around[here] += differ
-            falls[here] += differ & (fall >= wall_m) & measured[there]
+            edge = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m) | ~measured[there])
+            edge &= ~known[there] | (fall >= wall_m)
+            around[here] += edge
+            falls[here] += edge & (heights[here] - beside[there] >= wall_m) & measured[there]
     for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
         around[side] += 1
     edges, walls = (np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls))
-    podium: Mask = ground & ((walls > 0) & (walls >= params.podium_share * edges))[regions]
+    podium: Mask = ground & (large & (walls > 0) & (walls >= params.podium_share * edges))[regions]
     return podium
 
 

@@ -133,6 +133,29 @@ def test_treads_of_a_hillside_that_rows_of_houses_part_are_ground():
     assert ground[~houses].mean() > 0.98
 
 
+@pytest.mark.parametrize(
+    ("length", "higher", "heap"),
+    [
+        (60, [np.s_[100:160, 160:190]], 30),
+        (60, [np.s_[100:160, 160:190], np.s_[70:100, 100:190]], 20),
+        (36, [np.s_[100:136, 160:190], np.s_[100:136, 70:100]], 25),
+    ],
+    ids=["a higher part", "higher parts on two sides", "narrow between higher parts"],
+)
+def test_a_hall_with_a_higher_part_and_a_heap_at_its_wall_is_a_building(length, higher, heap):
+    """The opening lowers no cell of it, as none of a hillside's treads; a heap of earth hides a part of its walls."""
+    heights = np.zeros((300, 300))
+    heights[100 : 100 + length, 100:160] = 10
+    for part in higher:
+        heights[part] = 13
+    hall = heights > 0
+    for step in range(1, 13):
+        heights[99 + length + step, 100 : 100 + heap] = 10 - 0.8 * step
+    ground = walled_ground(grid(heights), PARAMS)
+    assert not ground[hall].any()
+    assert ground[heights == 0].mean() > 0.99
+
+
 def test_a_court_below_the_street_does_not_lift_the_street():
     """A court of 40 m lies 5 m below a street that surrounds it; a building stands beside both."""
     heights = np.full((320, 320), 5.0)
@@ -155,6 +178,40 @@ def test_a_podium_wider_than_the_windows_is_a_building(side):
     built = heights > 0
     assert not ground[built].any()
     assert ground[~built].mean() > 0.99
+
+
+def half_known(size=100):
+    """Return the heights of a hall of 8 m, and ground in which a half of it is ground and the other half is not."""
+    heights = np.zeros((size + 40, size + 40), dtype=np.float32)
+    heights[20 : 20 + size, 20 : 20 + size] = 8
+    ground = heights == 0
+    ground[20 : 20 + size, 20 : 20 + size // 2] = True
+    return heights, ground
+
+
+def podiums(heights, ground):
+    """Return what is taken out of the ground, on cells of 1 m without voids."""
+    return walls._podiums(heights, ground, np.ones(heights.shape, dtype=bool), 1.0, PARAMS)
+
+
+def test_the_rest_of_a_hall_of_which_half_is_known_is_a_building():
+    """The border between both halves is level, and no edge; with a house of 200 m² as the known part it is one."""
+    heights, ground = half_known()
+    found = podiums(heights, ground)
+    assert np.array_equal(found, ground & (heights > 0))
+    small = heights > 0
+    small[20:120, 20:118] = False
+    assert not podiums(heights, ~small).any()
+
+
+@pytest.mark.parametrize(("size", "is_building"), [(100, True), (60, False)])
+def test_stairs_of_raised_outliers_do_not_join_a_wide_hall_to_the_ground(size, is_building):
+    """At one wall steps of 1 m lead down; of a hall that the windows span, such stairs are a way."""
+    heights, _ = half_known(size)
+    heights[40, 20 + size : 27 + size] = np.arange(7, 0, -1)
+    found = podiums(heights, np.ones(heights.shape, dtype=bool))
+    assert found[heights == 8].all() == is_building
+    assert not found[heights < 8].any()
 
 
 def halls_at_the_border():
