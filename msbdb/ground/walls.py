@@ -4,7 +4,6 @@ The progressive filter is sure of some ground. What else is ground follows from 
 """
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,31 +11,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from msbdb.grid import Grid, GridSpec
+from msbdb.ground.halls import HOUSE_M2, STEPS, cut_halls, edges_of, podiums
 from msbdb.ground.interpolation import NearestGround, interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.trend import lower_trend
 from msbdb.ground.ways import narrow_bridges, reached_by_ways
 from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
-from msbdb.morphology.windows import dilation, erosion, opening
+from msbdb.morphology.windows import dilation, opening
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-
-RAISED = 0.95
-"""Ours: what joins the cells of a podium is below this share of the steps that raised outliers make."""
-
-HALL_M = 4.0
-"""Ours: least mean depth of the walls of a hall that the border cuts: retaining walls are lower."""
-
-BARE = 0.25
-"""Ours: higher things stand on a plateau along more than this share of its edge; a hall carries lanterns and plant."""
-
-HOUSE_M2 = 500.0
-"""Ours: what is larger and stands on a hall is a higher part of it; houses and crowns are smaller."""
-
-CUT, SIDE = 0.55, 1 / 3
-"""Ours: largest shares of the border in the edge of such a hall: two sides of a square and a little more; one side."""
 
 SEEN = 0.4
 """Ours, in sample: least share of a plateau's edge beside ground; 0.3 loses more roofs, 0.5 takes knolls for roofs."""
@@ -52,9 +37,6 @@ With 30 m, or with 0.5, fewer treads are found, and hardly fewer roofs are lost.
 FREE = 2 / 3
 """Ours: the largest share of a tread's edge beside ground, as the rest is beside higher treads and houses. Treads have
 0.66 at most, a hall of 1.8 ha has 0.74."""
-
-STEPS = 4
-"""Ours: a hall of up to so many levels is found, the highest level first, and so many treads of a hillside."""
 
 MOST_HOUSES = 0.5
 """A hollow lies in terrain if at most so much of its rim are houses; of a court it is nearly all."""
@@ -220,8 +202,9 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
     ground = sure.copy()
     ground[free] = ~cut
     ground |= _plateaus(heights, ground, measured, cell_m, params)
-    ground &= ~_podiums(heights, ground, measured, cell_m, params)
-    return ground & ~_cut_halls(heights, ground, measured, cell_m, params)
+    wall_m = _wall_m(cell_m, params)
+    ground &= ~podiums(heights, ground, measured, wall_m=wall_m, cell_m=cell_m, params=params)
+    return ground & ~cut_halls(heights, ground, measured, wall_m=wall_m, cell_m=cell_m, params=params)
 
 
 def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
@@ -252,7 +235,7 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
         regions, count = join_cells(heights, above, wall_m)
         cells, left = (np.bincount(regions[each], minlength=count) for each in (above, above & stays))
         large = cells * cell_m**2 >= HOUSE_M2
-        own, beside, fall = _edges(heights, regions, large)
+        own, beside, fall = edges_of(heights, regions, large)
         seen, hidden = around.ravel()[beside], above.ravel()[beside]
         wall = seen * _wall_share(fall, cell_m, params)
         high = seen & (fall >= STEP_M * max(cell_m, 1.0))
@@ -269,101 +252,6 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
         if not more.any():
             break
         found |= more
-    return found
-
-
-def _podiums(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
-    """Return the regions of ground that fall by walls nearly all around.
-
-    A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
-    counts as an edge without a wall. Nor do edges to what is as high and above ground, if it is larger than a house:
-    of a hall wider than the windows, a part may be known already.
-
-    Where points are few, low outliers that were raised make stairs of ``low_outlier_m`` beside walls. By them a hall
-    runs into the ground. So regions as large as a window are connected by lower steps, too, and an edge then falls to
-    the lowest of the nine cells beside it.
-    """
-    wall_m = _wall_m(cell_m, params)
-    all_around = partial(_walled_around, heights, measured=measured, cell_m=cell_m, params=params)
-    found = all_around(ground, beside=heights, joined_m=wall_m, least_m2=0)
-    joined_m, lowest = min(wall_m, RAISED * params.low_outlier_m), erosion(heights, 3, measured)
-    return found | all_around(ground & ~found, beside=lowest, joined_m=joined_m, least_m2=params.window_m**2)
-
-
-def _walled_around(
-    heights: Heights,
-    ground: Mask,
-    *,
-    measured: Mask,
-    beside: Heights,
-    joined_m: float,
-    least_m2: float,
-    cell_m: float,
-    params: GroundParams,
-) -> Mask:
-    """Return the regions of ground, joined by lower steps, that fall by walls to the heights beside them."""
-    wall_m = _wall_m(cell_m, params)
-    regions, count = join_cells(heights, ground, joined_m)
-    large = np.bincount(regions[ground], minlength=count) * cell_m**2 >= least_m2
-    if not large.any():
-        return np.zeros_like(ground)
-    above = measured & ~ground
-    others, number = join_cells(heights, above, wall_m)
-    known = above & (np.bincount(others[above], minlength=number) * cell_m**2 >= HOUSE_M2)[others]
-    around, falls = (np.zeros(heights.shape, dtype=np.int32) for _ in range(2))
-    for one, other in neighbours(heights.shape):
-        for here, there in ((one, other), (other, one)):
-            fall = heights[here] - heights[there]
-            edge = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m) | ~measured[there])
-            edge &= ~known[there] | (fall >= wall_m)
-            around[here] += edge
-            falls[here] += edge & (heights[here] - beside[there] >= wall_m) & measured[there]
-    for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
-        around[side] += 1
-    edges, walls = (np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls))
-    podium: Mask = ground & (large & (walls > 0) & (walls >= params.podium_share * edges))[regions]
-    return podium
-
-
-def _cut_halls(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
-    """Return the ground within halls that the border cuts.
-
-    A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
-    seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
-    plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
-    `SIDE`, the region is the smaller part of the place, too.
-    """
-    wall_m, found = _wall_m(cell_m, params), np.zeros_like(ground)
-    regions, count = join_cells(heights, measured, wall_m)
-    possible = np.bincount(regions[ground], minlength=count) > 0
-    own, beside, fall = _edges(heights, regions, possible)
-    seen = measured.ravel()[beside]
-    # What is next to a void goes on into it, as over the border.
-    sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
-    cut = np.bincount(np.concatenate([*sides, own[~seen]]), minlength=count)
-    possible &= cut > 0
-    cells = np.bincount(regions.ravel(), minlength=count)
-    small = cells[regions.ravel()[beside]] * cell_m**2 < HOUSE_M2
-    # The lower part of a hall is known to be one once the higher part beside it is.
-    for _ in range(STEPS):
-        of_ground = (ground & ~found).ravel()[beside]
-        falls, outer = seen & (fall >= wall_m), seen & (of_ground | (fall > -wall_m))
-        carries = seen & small & (fall <= -wall_m) & ~of_ground
-        edges, walls, depth_m, carried = (
-            np.bincount(own, weights=each, minlength=count) for each in (outer, falls, fall * falls, carries)
-        )
-        share = cut / np.maximum(edges + cut, 1)
-        halls = (
-            possible
-            & (walls >= np.maximum(params.podium_share * edges, 1))
-            & (depth_m >= HALL_M * walls)
-            & (carried <= BARE * edges)
-            & (share <= CUT)
-            & ((share <= SIDE) | (2 * cells <= np.count_nonzero(measured)))
-        )
-        before, found = found, ground & halls[regions]
-        if (before == found).all():
-            break
     return found
 
 
@@ -416,19 +304,6 @@ def _rise(heights: Heights, ground: Mask, spec: GridSpec, params: GroundParams) 
     terrain = np.asarray(interpolate_ground(heights, ground, spec, sources=nearest).values)
     most_m = params.height_m + params.slope * spec.cell_m * nearest.distance
     return np.asarray(heights - terrain - most_m)
-
-
-def _edges(
-    heights: Heights, regions: NDArray[np.int32], chosen: Mask
-) -> tuple[NDArray[np.int32], NDArray[np.int32], Heights]:
-    """Return the edges of chosen regions: the region, the cell on the other side, and how far that lies below."""
-    node, edges = np.arange(heights.size, dtype=np.int32).reshape(heights.shape), []
-    for one, other in neighbours(heights.shape):
-        for here, there in ((one, other), (other, one)):
-            at = chosen[regions[here]] & (regions[here] != regions[there])
-            edges.append((regions[here][at], node[there][at], heights[here][at] - heights[there][at]))
-    own, beside, fall = (np.concatenate(parts) for parts in zip(*edges, strict=True))
-    return own, beside, fall
 
 
 def _wall_share(rise: Heights, cell_m: float, params: GroundParams) -> NDArray[Any]:

@@ -8,7 +8,7 @@ import pytest
 from pyproj import CRS
 
 from msbdb.grid import Grid, lattice
-from msbdb.ground import walls
+from msbdb.ground import halls, walls
 from msbdb.ground.trend import lower_trend
 from msbdb.ground.walls import walled_ground
 from msbdb.params import GroundParams
@@ -191,7 +191,7 @@ def half_known(size=100):
 
 def podiums(heights, ground):
     """Return what is taken out of the ground, on cells of 1 m without voids."""
-    return walls._podiums(heights, ground, np.ones(heights.shape, dtype=bool), 1.0, PARAMS)
+    return halls.podiums(heights, ground, np.ones(heights.shape, dtype=bool), wall_m=1.2, cell_m=1.0, params=PARAMS)
 
 
 def test_the_rest_of_a_hall_of_which_half_is_known_is_a_building():
@@ -211,6 +211,29 @@ def test_stairs_of_raised_outliers_do_not_join_a_wide_hall_to_the_ground(size, i
     heights[40, 20 + size : 27 + size] = np.arange(7, 0, -1)
     found = podiums(heights, np.ones(heights.shape, dtype=bool))
     assert found[heights == 8].all() == is_building
+    assert not found[heights < 8].any()
+
+
+@pytest.mark.parametrize(("side", "is_building"), [(50, True), (40, False)])
+def test_ground_within_a_known_hall_is_a_building(side, is_building):
+    """Of 2,500 m²; 1,600 m² may be a court among gardens."""
+    heights, ground = half_known()
+    ground[20:120, 20:120] = False
+    middle = np.s_[40 : 40 + side, 40 : 40 + side]
+    ground[middle] = True
+    found = podiums(heights, ground)
+    assert found[middle].all() == is_building
+    assert not found[heights == 0].any()
+
+
+def test_stairs_of_raised_outliers_do_not_join_a_hall_that_the_border_cuts_to_the_ground():
+    """The border cuts one side of four; at another one steps of 1 m lead down."""
+    heights, _ = half_known()
+    heights[60, 120:127] = np.arange(7, 0, -1)
+    heights = heights[20:]
+    every = np.ones(heights.shape, dtype=bool)
+    found = halls.cut_halls(heights, every, every, wall_m=1.2, cell_m=1.0, params=PARAMS)
+    assert found[heights == 8].all()
     assert not found[heights < 8].any()
 
 
