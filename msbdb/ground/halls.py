@@ -3,6 +3,7 @@
 They are buildings after all, as walls bound them nearly all around.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -71,13 +72,8 @@ def podiums(
     (H, W) ndarray of bool
         Cells that are no ground.
     """
-    all_around = partial(_walled_around, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
-    found = all_around(ground, beside=heights, joined_m=wall_m, least_m2=0)
-    lowest = erosion(heights, 3, measured)
-    for share in RAISED:
-        joined_m = min(wall_m, share * params.low_outlier_m)
-        found |= all_around(ground & ~found, beside=lowest, joined_m=joined_m, least_m2=params.window_m**2)
-    return found
+    decide = partial(_walled_around, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
+    return _by_lower_steps(decide, ground, erosion(heights, 3, measured), wall_m, params)
 
 
 def _walled_around(
@@ -85,7 +81,7 @@ def _walled_around(
     ground: Mask,
     *,
     measured: Mask,
-    beside: Heights,
+    beside: Heights | None,
     joined_m: float,
     least_m2: float,
     wall_m: float,
@@ -93,6 +89,7 @@ def _walled_around(
     params: GroundParams,
 ) -> Mask:
     """Return the regions of ground, joined by lower steps, that fall by walls to the heights beside them."""
+    lowest = heights if beside is None else beside
     regions, count = join_cells(heights, ground, joined_m)
     area_m2 = np.bincount(regions[ground], minlength=count) * cell_m**2
     large = area_m2 >= least_m2
@@ -109,7 +106,7 @@ def _walled_around(
             level = edge & known[there] & (fall < wall_m)
             edge &= ~level
             around[here] += edge
-            falls[here] += edge & (heights[here] - beside[there] >= wall_m) & measured[there]
+            falls[here] += edge & (heights[here] - lowest[there] >= wall_m) & measured[there]
             levels[here] += level
     for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
         around[side] += 1
@@ -134,12 +131,18 @@ def cut_halls(
 
     The parameters and the returned mask are those of `podiums`.
     """
-    cut = partial(_cut_regions, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
-    found = cut(ground, beside=heights, joined_m=wall_m, least_m2=0)
-    lowest = erosion(heights, 3, measured)
+    decide = partial(_cut_regions, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
+    return _by_lower_steps(decide, ground, erosion(heights, 3, measured), wall_m, params)
+
+
+def _by_lower_steps(
+    decide: Callable[..., Mask], ground: Mask, lowest: Heights, wall_m: float, params: GroundParams
+) -> Mask:
+    """Return what is decided to be a hall by regions that walls part, and then by large ones that lower steps part."""
+    found = decide(ground, beside=None, joined_m=wall_m, least_m2=0.0)
     for share in RAISED:
         joined_m = min(wall_m, share * params.low_outlier_m)
-        found |= cut(ground & ~found, beside=lowest, joined_m=joined_m, least_m2=params.window_m**2)
+        found |= decide(ground & ~found, beside=lowest, joined_m=joined_m, least_m2=params.window_m**2)
     return found
 
 
@@ -148,7 +151,7 @@ def _cut_regions(
     ground: Mask,
     *,
     measured: Mask,
-    beside: Heights,
+    beside: Heights | None,
     joined_m: float,
     least_m2: float,
     wall_m: float,
@@ -161,7 +164,7 @@ def _cut_regions(
     cells = np.bincount(regions.ravel(), minlength=count)
     possible = (np.bincount(regions[ground], minlength=count) > 0) & (cells * cell_m**2 >= least_m2)
     own, there, fall = edges_of(heights, regions, possible)
-    deep = fall + (heights - beside).ravel()[there]
+    deep = fall if beside is None else fall + (heights - beside).ravel()[there]
     seen = measured.ravel()[there]
     # What is next to a void goes on into it, as over the border.
     sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
