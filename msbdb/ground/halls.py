@@ -20,8 +20,7 @@ RAISED = (0.95, 0.5)
 """Ours: what joins the cells of a wide hall is below these shares of the steps that raised outliers make."""
 
 COURT_M2 = 2000.0
-"""Ours, in sample: ground that things as high enclose is part of a hall from this area on; a court of gardens has 600
-square metres."""
+"""Ours, in sample: ground beside things as high is a part of a hall from this area on; courts of gardens have 900."""
 
 HALL_M = 4.0
 """Ours: least mean depth of the walls of a hall that the border cuts: retaining walls are lower."""
@@ -50,7 +49,8 @@ def podiums(
 
     Where points are few, low outliers that were raised make stairs of ``low_outlier_m`` beside walls. By them a hall
     runs into the ground. So regions as large as a window are connected by lower steps, too, and an edge then falls to
-    the lowest of the nine cells beside it. Ground of `COURT_M2` that such known things enclose is a part of them.
+    the lowest of the nine cells beside it. Of a region of `COURT_M2` the edge to such known things counts as walls, as
+    it is a part of them.
 
     Parameters
     ----------
@@ -113,8 +113,9 @@ def _walled_around(
     edges, walls, within = (
         np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls, levels)
     )
-    bounded = (walls > 0) | ((within > 0) & (area_m2 >= COURT_M2))
-    podium: Mask = ground & (large & bounded & (walls >= params.podium_share * edges))[regions]
+    within *= area_m2 >= COURT_M2
+    bounded = (walls + within > 0) & (walls + within >= params.podium_share * (edges + within))
+    podium: Mask = ground & (large & bounded)[regions]
     return podium
 
 
@@ -126,8 +127,8 @@ def cut_halls(
     A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
     seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
     plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
-    `SIDE`, the region is the smaller part of the place, too. Regions as large as a window are connected by lower steps,
-    too, as those of podiums.
+    `SIDE`, the region is the smaller part of the place, too. Large regions are connected by lower steps, too, as those of
+    podiums.
 
     The parameters and the returned mask are those of `podiums`.
     """
