@@ -127,8 +127,7 @@ def cut_halls(
     A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
     seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
     plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
-    `SIDE`, the region is the smaller part of the place, too. Large regions are connected by lower steps, too, as those of
-    podiums.
+    `SIDE`, the region is the smaller part of the place, too. Large regions are connected by lower steps, too.
 
     The parameters and the returned mask are those of `podiums`.
     """
