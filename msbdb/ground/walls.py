@@ -11,11 +11,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from msbdb.grid import Grid, GridSpec
-from msbdb.ground.halls import HOUSE_M2, STEPS, cut_halls, edges_of, podiums
 from msbdb.ground.interpolation import NearestGround, interpolate_ground
 from msbdb.ground.progressive import open_progressively
+from msbdb.ground.regions import (
+    HOUSE_M2,
+    STEPS,
+    cut_halls,
+    edges_of,
+    narrow_bridges,
+    podiums,
+    reached_by_ways,
+)
 from msbdb.ground.trend import lower_trend
-from msbdb.ground.ways import narrow_bridges, reached_by_ways
 from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
 from msbdb.morphology.windows import dilation, opening
 from msbdb.params import GroundParams

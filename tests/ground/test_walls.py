@@ -8,7 +8,7 @@ import pytest
 from pyproj import CRS
 
 from msbdb.grid import Grid, lattice
-from msbdb.ground import halls, walls
+from msbdb.ground import regions, walls
 from msbdb.ground.trend import lower_trend
 from msbdb.ground.walls import walled_ground
 from msbdb.params import GroundParams
@@ -191,7 +191,7 @@ def half_known(size=100):
 
 def podiums(heights, ground):
     """Return what is taken out of the ground, on cells of 1 m without voids."""
-    return halls.podiums(heights, ground, np.ones(heights.shape, dtype=bool), wall_m=1.2, cell_m=1.0, params=PARAMS)
+    return regions.podiums(heights, ground, np.ones(heights.shape, dtype=bool), wall_m=1.2, cell_m=1.0, params=PARAMS)
 
 
 def test_the_rest_of_a_hall_of_which_half_is_known_is_a_building():
@@ -232,7 +232,7 @@ def test_stairs_of_raised_outliers_do_not_join_a_hall_that_the_border_cuts_to_th
     heights[60, 120:127] = np.arange(7, 0, -1)
     heights = heights[20:]
     every = np.ones(heights.shape, dtype=bool)
-    found = halls.cut_halls(heights, every, every, wall_m=1.2, cell_m=1.0, params=PARAMS)
+    found = regions.cut_halls(heights, every, every, wall_m=1.2, cell_m=1.0, params=PARAMS)
     assert found[heights == 8].all()
     assert not found[heights < 8].any()
 

@@ -6,8 +6,8 @@ from pyproj import CRS
 from scipy.ndimage import distance_transform_edt
 
 from msbdb.grid import Grid, lattice
+from msbdb.ground.regions import narrow_bridges
 from msbdb.ground.walls import walled_ground
-from msbdb.ground.ways import narrow_bridges
 from msbdb.params import GroundParams
 
 PARAMS = GroundParams()

@@ -1,0 +1,412 @@
+"""What regions are as a whole: halls among the ground are buildings; terraces, ramps and bridges above it are terrain.
+
+Walls bound a hall nearly all around, also where the progressive filter is sure of its roof: one wider than its windows,
+or cut by the border of the survey. Terrain is reached by a way, and a bridge meets the ground at both ends.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msbdb.grid import Grid
+from msbdb.labels import chosen_cells, join_cells, label_zones, neighbours, sizes
+from msbdb.morphology.windows import dilation, erosion
+from msbdb.params import GroundParams
+
+Heights = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[Any]
+
+RAISED = (0.95, 0.5)
+"""Ours: what joins the cells of a wide hall is below these shares of the steps that raised outliers make."""
+
+COURT_M2 = 2000.0
+"""Ours, in sample: ground beside things as high is a part of a hall from this area on; courts of gardens have 900."""
+
+HALL_M = 4.0
+"""Ours: least mean depth of the walls of a hall that the border cuts: retaining walls are lower."""
+
+BARE = 0.25
+"""Ours: higher things stand on a plateau along more than this share of its edge; a hall carries lanterns and plant."""
+
+HOUSE_M2 = 500.0
+"""Ours: what is larger and stands on a hall is a higher part of it; houses and crowns are smaller."""
+
+CUT, SIDE = 0.55, 1 / 3
+"""Ours: largest shares of the border in the edge of such a hall: two sides of a square and a little more; one side."""
+
+STEPS = 4
+"""Ours: a hall of up to so many levels is found, the highest level first, and so many treads of a hillside."""
+
+LEAST_M2 = 50.0
+"""No way is sought to smaller regions: clutter, and the cells of walls. Nor does one begin on less even ground."""
+
+BEGINNING, BEGINNING_M2 = 0.3, 150.0
+"""Ours, in sample: share or area of a way that is ground already; of a roof whose rear meets a bank 0.2, or 100 m²."""
+
+WAY_PX = 3
+"""Width of a way, cells."""
+
+DECK_M = 7.0
+"""Ours: mean width up to which a bridge may be too narrow for a way of three cells of 1 m, at any angle."""
+
+SLENDER = 5.0
+"""Ours: a bridge is at least so many times as long as it is wide."""
+
+END = 0.15
+"""Ours: what counts as an end of a bridge, a share of its length."""
+
+MEETS = 2
+"""Ours: an end of a bridge meets the ground with a step below so many even ones, as few points show it roughly."""
+
+HIDDEN = 1 / 3
+"""Ours: other things above ground are beside a bridge along at most this share of its edge; of annexes 0.4 and 0.55."""
+
+
+def podiums(
+    heights: Heights, ground: Mask, measured: Mask, *, wall_m: float, cell_m: float, params: GroundParams
+) -> Mask:
+    """Return the regions of ground that fall by walls nearly all around.
+
+    A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
+    counts as an edge without a wall. Nor do edges to what is as high and above ground, if it is larger than a house:
+    of a hall wider than the windows, a part may be known already.
+
+    Where points are few, low outliers that were raised make stairs of ``low_outlier_m`` beside walls. By them a hall
+    runs into the ground. So regions as large as a window are connected by lower steps, too, and an edge then falls to
+    the lowest of the nine cells beside it. Of a region of `COURT_M2` the edge to such known things counts as walls, as
+    it is a part of them.
+
+    Parameters
+    ----------
+    heights : (H, W) ndarray of float32
+        Lowest heights, gap-free, metres.
+    ground : (H, W) ndarray of bool
+        The ground so far.
+    measured : (H, W) ndarray of bool
+        The other cells are a void.
+    wall_m : float
+        The step from which a pair of cells is rather a wall than none, metres.
+    cell_m : float
+        Side of a cell, metres.
+    params : GroundParams
+        ``podium_share``, ``low_outlier_m`` and ``window_m``.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+        Cells that are no ground.
+    """
+    decide = partial(_walled_around, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
+    return _by_lower_steps(decide, ground, erosion(heights, 3, measured), wall_m, params)
+
+
+def _walled_around(
+    heights: Heights,
+    ground: Mask,
+    *,
+    measured: Mask,
+    beside: Heights | None,
+    joined_m: float,
+    least_m2: float,
+    wall_m: float,
+    cell_m: float,
+    params: GroundParams,
+) -> Mask:
+    """Return the regions of ground, joined by lower steps, that fall by walls to the heights beside them."""
+    lowest = heights if beside is None else beside
+    regions, count = join_cells(heights, ground, joined_m)
+    area_m2 = np.bincount(regions[ground], minlength=count) * cell_m**2
+    large = area_m2 >= least_m2
+    if not large.any():
+        return np.zeros_like(ground)
+    above = measured & ~ground
+    others, number = join_cells(heights, above, wall_m)
+    known = above & (np.bincount(others[above], minlength=number) * cell_m**2 >= HOUSE_M2)[others]
+    around, falls, levels = (np.zeros(heights.shape, dtype=np.int32) for _ in range(3))
+    for one, other in neighbours(heights.shape):
+        for here, there in ((one, other), (other, one)):
+            fall = heights[here] - heights[there]
+            edge = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m) | ~measured[there])
+            level = edge & known[there] & (fall < wall_m)
+            edge &= ~level
+            around[here] += edge
+            falls[here] += edge & (heights[here] - lowest[there] >= wall_m) & measured[there]
+            levels[here] += level
+    for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
+        around[side] += 1
+    edges, walls, within = (
+        np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls, levels)
+    )
+    within *= area_m2 >= COURT_M2
+    bounded = (walls + within > 0) & (walls + within >= params.podium_share * (edges + within))
+    podium: Mask = ground & (large & bounded)[regions]
+    return podium
+
+
+def cut_halls(
+    heights: Heights, ground: Mask, measured: Mask, *, wall_m: float, cell_m: float, params: GroundParams
+) -> Mask:
+    """Return the ground within halls that the border cuts.
+
+    A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
+    seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
+    plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
+    `SIDE`, the region is the smaller part of the place, too. Large regions are connected by lower steps, too.
+
+    The parameters and the returned mask are those of `podiums`.
+    """
+    decide = partial(_cut_regions, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
+    return _by_lower_steps(decide, ground, erosion(heights, 3, measured), wall_m, params)
+
+
+def _by_lower_steps(
+    decide: Callable[..., Mask], ground: Mask, lowest: Heights, wall_m: float, params: GroundParams
+) -> Mask:
+    """Return what is decided to be a hall by regions that walls part, and then by large ones that lower steps part."""
+    found = decide(ground, beside=None, joined_m=wall_m, least_m2=0.0)
+    for share in RAISED:
+        joined_m = min(wall_m, share * params.low_outlier_m)
+        found |= decide(ground & ~found, beside=lowest, joined_m=joined_m, least_m2=params.window_m**2)
+    return found
+
+
+def _cut_regions(
+    heights: Heights,
+    ground: Mask,
+    *,
+    measured: Mask,
+    beside: Heights | None,
+    joined_m: float,
+    least_m2: float,
+    wall_m: float,
+    cell_m: float,
+    params: GroundParams,
+) -> Mask:
+    """Return the ground within halls that the border cuts, of regions that are joined by lower steps."""
+    found = np.zeros_like(ground)
+    regions, count = join_cells(heights, measured, joined_m)
+    cells = np.bincount(regions.ravel(), minlength=count)
+    possible = (np.bincount(regions[ground], minlength=count) > 0) & (cells * cell_m**2 >= least_m2)
+    own, there, fall = edges_of(heights, regions, possible)
+    deep = fall if beside is None else fall + (heights - beside).ravel()[there]
+    seen = measured.ravel()[there]
+    # What is next to a void goes on into it, as over the border.
+    sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
+    cut = np.bincount(np.concatenate([*sides, own[~seen]]), minlength=count)
+    possible &= cut > 0
+    small = cells[regions.ravel()[there]] * cell_m**2 < HOUSE_M2
+    # The lower part of a hall is known to be one once the higher part beside it is.
+    for _ in range(STEPS):
+        of_ground = (ground & ~found).ravel()[there]
+        falls, outer = seen & (deep >= wall_m), seen & (of_ground | (fall > -wall_m))
+        carries = seen & small & (fall <= -wall_m) & ~of_ground
+        edges, walls, depth_m, carried = (
+            np.bincount(own, weights=each, minlength=count) for each in (outer, outer & falls, falls * deep, carries)
+        )
+        share = cut / np.maximum(edges + cut, 1)
+        halls = (
+            possible
+            & (walls >= np.maximum(params.podium_share * edges, 1))
+            & (depth_m >= HALL_M * walls)
+            & (carried <= BARE * edges)
+            & (share <= CUT)
+            & ((share <= SIDE) | (2 * cells <= np.count_nonzero(measured)))
+        )
+        before, found = found, ground & halls[regions]
+        if (before == found).all():
+            break
+    return found
+
+
+def edges_of(
+    heights: Heights, regions: NDArray[np.int32], chosen: Mask
+) -> tuple[NDArray[np.int32], NDArray[np.int32], Heights]:
+    """Return the edges of chosen regions: the region, the cell on the other side, and how far that lies below.
+
+    Parameters
+    ----------
+    heights : (H, W) ndarray of float32
+        Metres.
+    regions : (H, W) ndarray of int32
+        The region of each cell, from 0.
+    chosen : (N,) ndarray of bool
+        By region.
+
+    Returns
+    -------
+    own, beside : (K,) ndarray of int32
+        The region, and the flat index of the cell beside it. Border: the lattice has no edge there.
+    fall : (K,) ndarray of float32
+        Metres; below 0 where the other side is higher.
+    """
+    node, edges = np.arange(heights.size, dtype=np.int32).reshape(heights.shape), []
+    for one, other in neighbours(heights.shape):
+        for here, there in ((one, other), (other, one)):
+            at = chosen[regions[here]] & (regions[here] != regions[there])
+            edges.append((regions[here][at], node[there][at], heights[here][at] - heights[there][at]))
+    own, beside, fall = (np.concatenate(parts) for parts in zip(*edges, strict=True))
+    return own, beside, fall
+
+
+def reached_by_ways(surface: Grid, trend: Heights, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
+    """Return the cells above ground that a way from the ground leads to, and the regions that are mostly ways.
+
+    A way is even. Where the trend is too steep for that, a way may follow the trend. No way is partly even and partly
+    follows the trend, because a level roof may touch the slope.
+
+    Parameters
+    ----------
+    surface : Grid
+        Lowest heights, gap-free, metres; cells that are not valid are a void.
+    trend : (H, W) ndarray of float32
+        The trend of the terrain, metres.
+    ground : (H, W) ndarray of bool
+        The ground so far.
+    wall_m : float
+        The step from which two cells belong to different regions, metres.
+    params : GroundParams
+        ``even_step_m`` and ``reached_share``.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+        Cells that are ground, too. Border: the outermost cell is repeated. Nodata: no way crosses a void.
+    """
+    heights, measured, cell_m = np.asarray(surface.values, dtype=np.float32), surface.valid, surface.spec.cell_m
+    most_m = (WAY_PX - 1) * _even_m(cell_m, params)
+
+    def rise(of: Heights) -> Heights:
+        return dilation(of, WAY_PX, measured) - erosion(of, WAY_PX, measured)
+
+    on_ways = np.zeros_like(ground)
+    for even in (rise(heights) < most_m, (rise(heights - trend) < most_m) & (rise(trend) >= most_m)):
+        ways, count = label_zones(measured & even)
+        of_ground = sizes(ways[ground], count)
+        begun = (of_ground * cell_m**2 >= LEAST_M2) & (of_ground >= BEGINNING * sizes(ways, count))
+        on_ways |= chosen_cells(ways, begun | (of_ground * cell_m**2 >= BEGINNING_M2))
+    reached = dilation((on_ways & ~ground).astype(np.float32), WAY_PX, None) > 0
+    regions, count = join_cells(heights, measured & ~ground, wall_m)
+    cells, of_them = (np.bincount(regions.ravel(), weights=each, minlength=count) for each in (None, reached.ravel()))
+    mostly, large = of_them >= params.reached_share * cells, cells * cell_m**2 >= LEAST_M2
+    terrain: Mask = measured & ~ground & large[regions] & (reached | mostly[regions])
+    return terrain
+
+
+def narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
+    """Return the cells of bridges that are too narrow for a way of three cells.
+
+    A bridge is a slender region above ground whose sides are mostly free. At both of its ends ground of `BEGINNING_M2`
+    is as high as itself, and hardly anywhere else. The border of the survey may cut one of the ends. A house whose rear
+    lies on a slope touches it along a side or at one end. Cells in which echoes came from below the deck are closed, so
+    that they do not divide it.
+
+    Parameters
+    ----------
+    surface : Grid
+        Lowest heights, gap-free, metres; cells that are not valid are a void.
+    ground : (H, W) ndarray of bool
+        The ground so far.
+    wall_m : float
+        The step from which two cells belong to different regions, metres.
+    params : GroundParams
+        ``even_step_m``.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+        Cells that are ground, too. Border and nodata: what the border or a void cuts at both ends stays above ground.
+
+    Examples
+    --------
+    A deck of 40 m by 3 m spans a cutting of 4 m, from one bank to the other; a wall beside it ends in the cutting:
+
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> heights = np.full((60, 30), 4.0, dtype=np.float32)
+    >>> heights[10:50] = 0
+    >>> ground = np.ones((60, 30), dtype=bool)
+    >>> for cols, rows in ((slice(5, 8), slice(10, 50)), (slice(20, 23), slice(10, 45))):
+    ...     heights[rows, cols], ground[rows, cols] = 4, False
+    >>> grid = Grid(heights, np.ones((60, 30), dtype=bool), lattice((0, 0, 29, 59), 1.0, CRS.from_epsg(2154)))
+    >>> found = narrow_bridges(grid, ground, 1.0, GroundParams())
+    >>> int(found[:, 5:8].sum()), int(found[:, 20:23].sum())
+    (120, 0)
+    """
+    cell_m, measured = surface.spec.cell_m, surface.valid
+    lowest = np.asarray(surface.values, dtype=np.float32)
+    heights = erosion(dilation(lowest, WAY_PX, measured), WAY_PX, measured)
+    closed = measured & (~ground | (heights - lowest > wall_m))
+    regions, count = join_cells(heights, closed, wall_m)
+    cells = np.bincount(regions[closed], minlength=count)
+    row, col = np.nonzero(closed & (cells * cell_m**2 >= LEAST_M2)[regions])
+    if not len(row):
+        return np.zeros_like(ground)
+    axis = _Axis.of(regions[row, col], row, col, count)
+    width = cells / axis.length
+    slender = (cells > 0) & (width * cell_m <= DECK_M) & (axis.length >= SLENDER * width)
+    if not slender.any():
+        return np.zeros_like(ground)
+    pieces, number = join_cells(lowest, measured & ground, wall_m)
+    banks = ground & (np.bincount(pieces.ravel(), minlength=number) * cell_m**2 >= BEGINNING_M2)[pieces]
+    most_m = MEETS * _even_m(cell_m, params)
+    touches, edges, hidden = np.zeros_like(ground), np.zeros(count), np.zeros(count)
+    for one, other in neighbours(heights.shape):
+        for here, there in ((one, other), (other, one)):
+            at = slender[regions[here]] & (regions[here] != regions[there])
+            edges += np.bincount(regions[here][at], minlength=count)
+            hidden += np.bincount(regions[here][at & ~ground[there]], minlength=count)
+            touches[here] |= at & banks[there] & (np.abs(heights[here] - lowest[there]) < most_m)
+    outside = ~np.pad(measured, 1)
+    cut = outside[:-2, 1:-1] | outside[2:, 1:-1] | outside[1:-1, :-2] | outside[1:-1, 2:]
+    head, tail, sides = axis.count(touches, regions)
+    head_cut, tail_cut, _ = axis.count(cut & slender[regions], regions)
+    met = ((head > 0) & ((tail > 0) | (tail_cut > 0))) | ((tail > 0) & (head_cut > 0))
+    bridges = slender & met & (2 * sides <= head + tail) & (hidden <= HIDDEN * edges)
+    found: Mask = bridges[regions] & measured & ~ground
+    return found
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """The axes of regions: the directions along which their cells scatter most."""
+
+    row: Numbers
+    col: Numbers
+    angle: Numbers
+    first: Numbers
+    length: Numbers
+
+    @classmethod
+    def of(cls, own: NDArray[np.int32], row: Numbers, col: Numbers, count: int) -> "_Axis":
+        """Measure ``count`` regions by the places of their cells; one without any has a length of 1."""
+        cells = np.maximum(np.bincount(own, minlength=count), 1)
+        rows, cols = (np.bincount(own, weights=place, minlength=count) / cells for place in (row, col))
+        across, along = row - rows[own], col - cols[own]
+        squares = (across * across - along * along, 2 * across * along)
+        less, twice = (np.bincount(own, weights=part, minlength=count) for part in squares)
+        angle = np.arctan2(twice, less) / 2
+        place = across * np.cos(angle[own]) + along * np.sin(angle[own])
+        first, last = np.zeros(count), np.zeros(count)
+        np.minimum.at(first, own, place)
+        np.maximum.at(last, own, place)
+        return cls(rows, cols, angle, first, last - first + 1)
+
+    def count(self, chosen: Mask, regions: NDArray[np.int32]) -> tuple[Numbers, Numbers, Numbers]:
+        """Return how many of the chosen cells lie at one end of each region, at the other, and between them."""
+        row, col = np.nonzero(chosen)
+        own = regions[row, col]
+        across, along = row - self.row[own], col - self.col[own]
+        place = across * np.cos(self.angle[own]) + along * np.sin(self.angle[own])
+        share = (place - self.first[own]) / self.length[own]
+        head, tail = (np.bincount(own[at], minlength=len(self.row)) for at in (share < END, share > 1 - END))
+        return head, tail, np.bincount(own, minlength=len(self.row)) - head - tail
+
+
+def _even_m(cell_m: float, params: GroundParams) -> float:
+    """Return the step up to which neighbours are even, metres; between cells above 1 m it is larger in proportion."""
+    return params.even_step_m * max(cell_m, 1.0)
