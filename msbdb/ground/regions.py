@@ -4,10 +4,9 @@ Walls bound a hall nearly all around, also where the progressive filter is sure 
 or cut by the border of the survey. Terrain is reached by a way, and a bridge meets the ground at both ends.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,32 +66,37 @@ HIDDEN = 1 / 3
 """Ours: other things above ground are beside a bridge along at most this share of its edge; of annexes 0.4 and 0.55."""
 
 
-def podiums(
-    heights: Heights, ground: Mask, measured: Mask, *, wall_m: float, cell_m: float, params: GroundParams
-) -> Mask:
+class _Joined(NamedTuple):
+    """How cells are joined to regions, and what their edges fall to."""
+
+    below_m: float
+    """Lower steps join."""
+    least_m2: float
+    """Smaller regions are not looked at."""
+    lowest: Heights
+    """The heights that an edge falls to, metres."""
+
+
+def podiums(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
     """Return the regions of ground that fall by walls nearly all around.
 
     A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
     counts as an edge without a wall. Nor do edges to what is as high and above ground, if it is larger than a house:
-    of a hall wider than the windows, a part may be known already.
+    of a hall wider than the windows, a part may be known already. A region of `COURT_M2` is a part of it, and such
+    edges count as walls.
 
     Where points are few, low outliers that were raised make stairs of ``low_outlier_m`` beside walls. By them a hall
     runs into the ground. So regions as large as a window are connected by lower steps, too, and an edge then falls to
-    the lowest of the nine cells beside it. Of a region of `COURT_M2` the edge to such known things counts as walls, as
-    it is a part of them.
+    the lowest of the nine cells beside it.
 
     Parameters
     ----------
-    heights : (H, W) ndarray of float32
-        Lowest heights, gap-free, metres.
+    surface : Grid
+        Lowest heights without clutter, gap-free, metres; cells that are not valid are a void.
     ground : (H, W) ndarray of bool
         The ground so far.
-    measured : (H, W) ndarray of bool
-        The other cells are a void.
     wall_m : float
-        The step from which a pair of cells is rather a wall than none, metres.
-    cell_m : float
-        Side of a cell, metres.
+        The step from which two cells belong to different regions, metres.
     params : GroundParams
         ``podium_share``, ``low_outlier_m`` and ``window_m``.
 
@@ -101,32 +105,48 @@ def podiums(
     (H, W) ndarray of bool
         Cells that are no ground.
     """
-    decide = partial(_walled_around, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
-    return _by_lower_steps(decide, ground, erosion(heights, 3, measured), wall_m, params)
+    found = np.zeros_like(ground)
+    for joined in _ways_to_join(surface, wall_m, params):
+        found |= _walled_around(surface, ground & ~found, joined, wall_m, params)
+    return found
 
 
-def _walled_around(
-    heights: Heights,
-    ground: Mask,
-    *,
-    measured: Mask,
-    beside: Heights | None,
-    joined_m: float,
-    least_m2: float,
-    wall_m: float,
-    cell_m: float,
-    params: GroundParams,
-) -> Mask:
-    """Return the regions of ground, joined by lower steps, that fall by walls to the heights beside them."""
-    lowest = heights if beside is None else beside
-    regions, count = join_cells(heights, ground, joined_m)
-    area_m2 = np.bincount(regions[ground], minlength=count) * cell_m**2
-    large = area_m2 >= least_m2
+def cut_halls(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
+    """Return the ground within halls that the border cuts.
+
+    A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
+    seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
+    plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
+    `SIDE`, the region is the smaller part of the place, too. Large regions are connected by lower steps, too.
+
+    The parameters and the returned mask are those of `podiums`.
+    """
+    found = np.zeros_like(ground)
+    for joined in _ways_to_join(surface, wall_m, params):
+        found |= _cut_by_border(surface, ground & ~found, joined, wall_m, params)
+    return found
+
+
+def _ways_to_join(surface: Grid, wall_m: float, params: GroundParams) -> Iterator[_Joined]:
+    """Yield steps that are no wall for all regions, and then lower steps for those as large as a window."""
+    heights = np.asarray(surface.values)
+    yield _Joined(wall_m, 0.0, heights)
+    lowest = erosion(heights, 3, surface.valid)
+    for share in RAISED:
+        yield _Joined(min(wall_m, share * params.low_outlier_m), params.window_m**2, lowest)
+
+
+def _walled_around(surface: Grid, ground: Mask, joined: _Joined, wall_m: float, params: GroundParams) -> Mask:
+    """Return the regions of ground that fall by walls nearly all around, joined in one way."""
+    heights, measured, cell_m2 = np.asarray(surface.values), surface.valid, surface.spec.cell_area_m2
+    regions, count = join_cells(heights, ground, joined.below_m)
+    area_m2 = np.bincount(regions[ground], minlength=count) * cell_m2
+    large = area_m2 >= joined.least_m2
     if not large.any():
         return np.zeros_like(ground)
     above = measured & ~ground
     others, number = join_cells(heights, above, wall_m)
-    known = above & (np.bincount(others[above], minlength=number) * cell_m**2 >= HOUSE_M2)[others]
+    known = above & (np.bincount(others[above], minlength=number) * cell_m2 >= HOUSE_M2)[others]
     around, falls, levels = (np.zeros(heights.shape, dtype=np.int32) for _ in range(3))
     for one, other in neighbours(heights.shape):
         for here, there in ((one, other), (other, one)):
@@ -135,7 +155,7 @@ def _walled_around(
             level = edge & known[there] & (fall < wall_m)
             edge &= ~level
             around[here] += edge
-            falls[here] += edge & (heights[here] - lowest[there] >= wall_m) & measured[there]
+            falls[here] += edge & (heights[here] - joined.lowest[there] >= wall_m) & measured[there]
             levels[here] += level
     for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
         around[side] += 1
@@ -148,58 +168,21 @@ def _walled_around(
     return podium
 
 
-def cut_halls(
-    heights: Heights, ground: Mask, measured: Mask, *, wall_m: float, cell_m: float, params: GroundParams
-) -> Mask:
-    """Return the ground within halls that the border cuts.
-
-    A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
-    seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
-    plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
-    `SIDE`, the region is the smaller part of the place, too. Large regions are connected by lower steps, too.
-
-    The parameters and the returned mask are those of `podiums`.
-    """
-    decide = partial(_cut_regions, heights, measured=measured, wall_m=wall_m, cell_m=cell_m, params=params)
-    return _by_lower_steps(decide, ground, erosion(heights, 3, measured), wall_m, params)
-
-
-def _by_lower_steps(
-    decide: Callable[..., Mask], ground: Mask, lowest: Heights, wall_m: float, params: GroundParams
-) -> Mask:
-    """Return what is decided to be a hall by regions that walls part, and then by large ones that lower steps part."""
-    found = decide(ground, beside=None, joined_m=wall_m, least_m2=0.0)
-    for share in RAISED:
-        joined_m = min(wall_m, share * params.low_outlier_m)
-        found |= decide(ground & ~found, beside=lowest, joined_m=joined_m, least_m2=params.window_m**2)
-    return found
-
-
-def _cut_regions(
-    heights: Heights,
-    ground: Mask,
-    *,
-    measured: Mask,
-    beside: Heights | None,
-    joined_m: float,
-    least_m2: float,
-    wall_m: float,
-    cell_m: float,
-    params: GroundParams,
-) -> Mask:
-    """Return the ground within halls that the border cuts, of regions that are joined by lower steps."""
+def _cut_by_border(surface: Grid, ground: Mask, joined: _Joined, wall_m: float, params: GroundParams) -> Mask:
+    """Return the ground within halls that the border cuts, joined in one way."""
+    heights, measured, cell_m2 = np.asarray(surface.values), surface.valid, surface.spec.cell_area_m2
     found = np.zeros_like(ground)
-    regions, count = join_cells(heights, measured, joined_m)
+    regions, count = join_cells(heights, measured, joined.below_m)
     cells = np.bincount(regions.ravel(), minlength=count)
-    possible = (np.bincount(regions[ground], minlength=count) > 0) & (cells * cell_m**2 >= least_m2)
+    possible = (np.bincount(regions[ground], minlength=count) > 0) & (cells * cell_m2 >= joined.least_m2)
     own, there, fall = edges_of(heights, regions, possible)
-    deep = fall if beside is None else fall + (heights - beside).ravel()[there]
+    deep = fall + (heights - joined.lowest).ravel()[there]
     seen = measured.ravel()[there]
     # What is next to a void goes on into it, as over the border.
     sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
     cut = np.bincount(np.concatenate([*sides, own[~seen]]), minlength=count)
     possible &= cut > 0
-    small = cells[regions.ravel()[there]] * cell_m**2 < HOUSE_M2
+    small = cells[regions.ravel()[there]] * cell_m2 < HOUSE_M2
     # The lower part of a hall is known to be one once the higher part beside it is.
     for _ in range(STEPS):
         of_ground = (ground & ~found).ravel()[there]

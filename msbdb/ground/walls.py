@@ -143,12 +143,14 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
     trend = lower_trend(surface, params)
     above_trend = _without_hollows(np.where(measured, opened - trend, 0), cell_m, params)
     sure = open_progressively(above_trend, cell_m, params.slope, params, measured)
+    level, wall_m = Grid(opened, measured, surface.spec), _wall_m(cell_m, params)
     decided = _decide(opened, sure, measured, cell_m, params)
+    decided &= ~podiums(level, decided, wall_m, params)
+    decided &= ~cut_halls(level, decided, wall_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
-    ground &= ~_blurred(Grid(opened, measured, surface.spec), ground, sure, params, points_m2)
-    wall_m = _wall_m(cell_m, params)
+    ground &= ~_blurred(level, ground, sure, params, points_m2)
     reached: Mask = ground | reached_by_ways(surface, trend, ground, wall_m, params)
     reached |= narrow_bridges(surface, reached, wall_m, params)
     return reached & ~_wells(surface, reached, sure, params)
@@ -186,7 +188,7 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
     free = measured & ~sure
     count = int(np.count_nonzero(free))
     if not count:
-        return sure
+        return sure.copy()
     node[free] = np.arange(count, dtype=np.int32)
     costs = np.zeros(count)
     pairs = []
@@ -208,10 +210,7 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
     cut = minimum_cut(costs, Pairs(first, second, terrace, smooth, np.ones_like(terrace), np.zeros_like(terrace)))
     ground = sure.copy()
     ground[free] = ~cut
-    ground |= _plateaus(heights, ground, measured, cell_m, params)
-    wall_m = _wall_m(cell_m, params)
-    ground &= ~podiums(heights, ground, measured, wall_m=wall_m, cell_m=cell_m, params=params)
-    return ground & ~cut_halls(heights, ground, measured, wall_m=wall_m, cell_m=cell_m, params=params)
+    return ground | _plateaus(heights, ground, measured, cell_m, params)
 
 
 def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:

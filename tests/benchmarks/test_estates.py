@@ -26,8 +26,11 @@ def test_an_estate_is_the_same_each_time():
 @pytest.mark.parametrize(("kept", "expected"), [(True, (1.0, 1.0, 0.0)), (False, (0.0, 0.0, 1.0))])
 def test_what_a_filter_loses_is_counted(estates, monkeypatch, kept, expected):
     """One that keeps all as ground loses all roofs, and one that keeps nothing all of the open ground."""
-    keep = lambda surface, *_: np.full(surface.values.shape, kept)  # noqa: E731
-    monkeypatch.setitem(choice.FILTERS, "walls", keep)
+
+    def decide(surface, *_):
+        return np.full(surface.values.shape, kept)
+
+    monkeypatch.setitem(choice.FILTERS, "walls", decide)
     roofs, of_roofs, lost, halls, off, open_ = estates.measured(estate(3, 0.5), 0.5, "walls")
     assert min(of_roofs, halls, open_) > 0
     assert (roofs / of_roofs, lost / halls, off / open_) == expected
@@ -38,5 +41,5 @@ def test_a_row_has_the_filter_and_its_shares(estates):
     density, name, roofs, halls, open_ = estates.row_of(1.0, "walls", 1).strip("| ").split(" | ")
     assert (density, name) == ("1", "`walls`")
     assert float(roofs) < 10
-    assert halls.endswith(f"of {len(estate(0, 1.0).halls)}")
+    assert halls.endswith(f"of {len(estate(estates.FIRST, 1.0).halls)}")
     assert float(open_) < 5

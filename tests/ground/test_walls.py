@@ -16,12 +16,16 @@ from msbdb.params import GroundParams
 PARAMS = GroundParams()
 
 
+def exact(heights):
+    """Heights on cells of 1 m."""
+    rows, cols = heights.shape
+    spec = lattice((0, 0.1, cols - 0.1, rows), 1.0, CRS.from_epsg(2154))
+    return Grid(heights.astype(np.float32), np.ones(heights.shape, dtype=bool), spec)
+
+
 def grid(heights):
     """Heights on cells of 1 m, with a little noise."""
-    rows, cols = heights.shape
-    noisy = heights + np.random.default_rng(0).normal(0, 0.03, heights.shape)
-    spec = lattice((0, 0.1, cols - 0.1, rows), 1.0, CRS.from_epsg(2154))
-    return Grid(noisy.astype(np.float32), np.ones(heights.shape, dtype=bool), spec)
+    return exact(heights + np.random.default_rng(0).normal(0, 0.03, heights.shape))
 
 
 def terraced(rows=160, cols=160, tread=16, wall=3.0):
@@ -191,7 +195,7 @@ def half_known(size=100):
 
 def podiums(heights, ground):
     """Return what is taken out of the ground, on cells of 1 m without voids."""
-    return regions.podiums(heights, ground, np.ones(heights.shape, dtype=bool), wall_m=1.2, cell_m=1.0, params=PARAMS)
+    return regions.podiums(exact(heights), ground, 1.2, PARAMS)
 
 
 def test_the_rest_of_a_hall_of_which_half_is_known_is_a_building():
@@ -231,8 +235,7 @@ def test_stairs_of_raised_outliers_do_not_join_a_hall_that_the_border_cuts_to_th
     heights, _ = half_known()
     heights[60, 120:127] = np.arange(7, 0, -1)
     heights = heights[20:]
-    every = np.ones(heights.shape, dtype=bool)
-    found = regions.cut_halls(heights, every, every, wall_m=1.2, cell_m=1.0, params=PARAMS)
+    found = regions.cut_halls(exact(heights), np.ones(heights.shape, dtype=bool), 1.2, PARAMS)
     assert found[heights == 8].all()
     assert not found[heights < 8].any()
 
