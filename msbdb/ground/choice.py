@@ -14,6 +14,7 @@ from msbdb.ground.progressive import progressive_ground
 from msbdb.ground.quadratic import quadratic_ground
 from msbdb.ground.walls import walled_ground
 from msbdb.ground.wavelet import wavelet_ground
+from msbdb.labels import join_cells
 from msbdb.params import GroundParams
 from msbdb.points.cloud import GROUND_CLASS, PointCloud
 from msbdb.surface.gridding import density, lowest
@@ -25,9 +26,11 @@ MIN_GROUND_SHARE = 0.02
 VOID_M = 10.0
 """Cells farther than this from all points are a void: water, or beyond the survey. Sparse scan lines lie nearer."""
 
-
 SIDE = 5
 """Side of the square of cells whose median shows a pit."""
+
+PIT_M2 = 10.0
+"""As ``vector.court_m2``: smaller hollows are false echoes or light wells; lanes and courts are larger."""
 
 
 class GroundFilter(Protocol):
@@ -118,20 +121,25 @@ def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> 
     supported = _supported(found.valid)
     sources = NearestGround.of(supported)
     filled = interpolate_ground(found.values, supported, spec, nearest=True, sources=sources).values
-    raised = without_pits(np.asarray(filled, dtype=np.float32), params.low_outlier_m)
+    raised = without_pits(np.asarray(filled, dtype=np.float32), params.low_outlier_m, spec.cell_area_m2)
     near = sources.distance * spec.cell_m <= max(VOID_M, 2 * spec.cell_m)
     return Grid(raised, near, spec)
 
 
-def without_pits(heights: NDArray[np.float32], depth_m: float) -> NDArray[np.float32]:
-    """Raise each cell to at most ``depth_m`` below the median of the 5 by 5 cells around it.
+def without_pits(heights: NDArray[np.float32], depth_m: float, cell_m2: float = 1.0) -> NDArray[np.float32]:
+    """Raise the cells of pits to ``depth_m`` below the median of the 5 by 5 cells around them.
+
+    A pit is a region of at most `PIT_M2`, connected by steps of less than ``depth_m``. A lane between roofs, or the
+    corner of a court, lies as far below most cells around it, but belongs to a larger region.
 
     Parameters
     ----------
     heights : (H, W) ndarray of float32, metres
         Without gaps.
     depth_m : float
-        How far a cell may lie below the median, metres.
+        How far a cell of a pit may lie below the median, metres.
+    cell_m2 : float
+        The area of a cell.
 
     Returns
     -------
@@ -150,7 +158,10 @@ def without_pits(heights: NDArray[np.float32], depth_m: float) -> NDArray[np.flo
            [5. , 5. , 5. ]], dtype=float32)
     """
     framed = np.pad(heights, SIDE // 2, mode="edge")
-    return _raised(framed, np.float32(depth_m))
+    raised = _raised(framed, np.float32(depth_m))
+    regions, count = join_cells(heights, np.ones(heights.shape, dtype=np.bool_), depth_m)
+    small = np.bincount(regions.ravel(), minlength=count) * cell_m2 <= PIT_M2
+    return np.where(small[regions], raised, heights)
 
 
 @kernel

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.grid import Grid
-from msbdb.labels import chosen_cells, join_cells, label_zones, neighbours, sizes
+from msbdb.ground.interpolation import interpolate_ground
+from msbdb.labels import chosen_cells, join_cells, label_zones, neighbours, sizes, sums
 from msbdb.morphology.windows import dilation, erosion
 from msbdb.params import GroundParams
 
@@ -20,14 +21,12 @@ Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[Any]
 
-RAISED = (0.95, 0.5)
-"""Ours: what joins the cells of a wide hall is below these shares of the steps that raised outliers make."""
-
-COURT_M2 = 2000.0
-"""Ours, in sample: ground beside things as high is a part of a hall from this area on; courts of gardens have 900."""
+LOWER_M = (0.95, 0.5)
+"""Ours: what joins the cells of a wide hall is below these steps, too, metres, as bushes make stairs at its walls."""
 
 HALL_M = 4.0
-"""Ours: least mean depth of the walls of a hall that the border cuts: retaining walls are lower."""
+"""Ours: least mean depth of the walls of a hall that the border cuts, and of what it rises above the terrain around it:
+retaining walls are lower."""
 
 BARE = 0.25
 """Ours: higher things stand on a plateau along more than this share of its edge; a hall carries lanterns and plant."""
@@ -77,17 +76,19 @@ class _Joined(NamedTuple):
     """The heights that an edge falls to, metres."""
 
 
-def podiums(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
-    """Return the regions of ground that fall by walls nearly all around.
+def halls(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
+    """Return the ground within halls: wider than the windows of the progressive filter, or cut by the border.
 
-    A region is connected by steps that are no wall. Edges to higher roofs do not count; the border of the lattice
-    counts as an edge without a wall. Nor do edges to what is as high and above ground, if it is larger than a house:
-    of a hall wider than the windows, a part may be known already. A region of `COURT_M2` is a part of it, and such
-    edges count as walls.
+    A region is connected by steps that are no wall, be it ground or not: of a hall, a part may be known already. It is
+    a hall if it falls by walls nearly all around. Edges to higher things do not count, if these are above ground, nor
+    do those to higher parts of the same hall. The region is bare: a plateau carries houses and trees.
 
-    Where points are few, low outliers that were raised make stairs of ``low_outlier_m`` beside walls. By them a hall
-    runs into the ground. So regions as large as a window are connected by lower steps, too, and an edge then falls to
-    the lowest of the nine cells beside it.
+    If the border cuts the region, the part of its edge that is seen decides. This falls deeper than terraces do, on
+    average, or to a lower part that does. The border is at most `CUT` of the edge, two sides of a corner; if it is more
+    than `SIDE`, the region is the smaller part of the place, too.
+
+    Bushes, ramps and false echoes make stairs at walls, by which a hall runs into the ground. So regions as large as a
+    window are connected by lower steps, too, and an edge then falls to the lowest of the nine cells beside it.
 
     Parameters
     ----------
@@ -98,7 +99,7 @@ def podiums(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) ->
     wall_m : float
         The step from which two cells belong to different regions, metres.
     params : GroundParams
-        ``podium_share``, ``low_outlier_m`` and ``window_m``.
+        ``podium_share`` and ``window_m``.
 
     Returns
     -------
@@ -107,23 +108,7 @@ def podiums(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) ->
     """
     found = np.zeros_like(ground)
     for joined in _ways_to_join(surface, wall_m, params):
-        found |= _walled_around(surface, ground & ~found, joined, wall_m, params)
-    return found
-
-
-def cut_halls(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
-    """Return the ground within halls that the border cuts.
-
-    A region is connected by steps that are no wall, be it ground or not. It is a hall by the part of its edge that is
-    seen: this falls by walls nearly all around, as that of a podium, and deeper than terraces do. The region is bare: a
-    plateau carries houses and trees. The border is at most `CUT` of the edge, two sides of a corner; if it is more than
-    `SIDE`, the region is the smaller part of the place, too. Large regions are connected by lower steps, too.
-
-    The parameters and the returned mask are those of `podiums`.
-    """
-    found = np.zeros_like(ground)
-    for joined in _ways_to_join(surface, wall_m, params):
-        found |= _cut_by_border(surface, ground & ~found, joined, wall_m, params)
+        found |= _within_halls(surface, ground & ~found, joined, wall_m, params)
     return found
 
 
@@ -132,77 +117,48 @@ def _ways_to_join(surface: Grid, wall_m: float, params: GroundParams) -> Iterato
     heights = np.asarray(surface.values)
     yield _Joined(wall_m, 0.0, heights)
     lowest = erosion(heights, 3, surface.valid)
-    for share in RAISED:
-        yield _Joined(min(wall_m, share * params.low_outlier_m), params.window_m**2, lowest)
+    for step_m in LOWER_M:
+        yield _Joined(min(wall_m, step_m), params.window_m**2, lowest)
 
 
-def _walled_around(surface: Grid, ground: Mask, joined: _Joined, wall_m: float, params: GroundParams) -> Mask:
-    """Return the regions of ground that fall by walls nearly all around, joined in one way."""
+def _within_halls(surface: Grid, ground: Mask, joined: _Joined, wall_m: float, params: GroundParams) -> Mask:
+    """Return the ground within halls, joined in one way."""
     heights, measured, cell_m2 = np.asarray(surface.values), surface.valid, surface.spec.cell_area_m2
-    regions, count = join_cells(heights, ground, joined.below_m)
-    area_m2 = np.bincount(regions[ground], minlength=count) * cell_m2
-    large = area_m2 >= joined.least_m2
-    if not large.any():
-        return np.zeros_like(ground)
-    above = measured & ~ground
-    others, number = join_cells(heights, above, wall_m)
-    known = above & (np.bincount(others[above], minlength=number) * cell_m2 >= HOUSE_M2)[others]
-    around, falls, levels = (np.zeros(heights.shape, dtype=np.int32) for _ in range(3))
-    for one, other in neighbours(heights.shape):
-        for here, there in ((one, other), (other, one)):
-            fall = heights[here] - heights[there]
-            edge = (regions[here] != regions[there]) & (ground[there] | (fall > -wall_m) | ~measured[there])
-            level = edge & known[there] & (fall < wall_m)
-            edge &= ~level
-            around[here] += edge
-            falls[here] += edge & (heights[here] - joined.lowest[there] >= wall_m) & measured[there]
-            levels[here] += level
-    for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
-        around[side] += 1
-    edges, walls, within = (
-        np.bincount(regions.ravel(), weights=each.ravel(), minlength=count) for each in (around, falls, levels)
-    )
-    within *= area_m2 >= COURT_M2
-    bounded = (walls + within > 0) & (walls + within >= params.podium_share * (edges + within))
-    podium: Mask = ground & (large & bounded)[regions]
-    return podium
-
-
-def _cut_by_border(surface: Grid, ground: Mask, joined: _Joined, wall_m: float, params: GroundParams) -> Mask:
-    """Return the ground within halls that the border cuts, joined in one way."""
-    heights, measured, cell_m2 = np.asarray(surface.values), surface.valid, surface.spec.cell_area_m2
-    found = np.zeros_like(ground)
     regions, count = join_cells(heights, measured, joined.below_m)
     cells = np.bincount(regions.ravel(), minlength=count)
     possible = (np.bincount(regions[ground], minlength=count) > 0) & (cells * cell_m2 >= joined.least_m2)
     own, there, fall = edges_of(heights, regions, possible)
-    deep = fall + (heights - joined.lowest).ravel()[there]
+    beside, deep = regions.ravel()[there], fall + (heights - joined.lowest).ravel()[there]
     seen = measured.ravel()[there]
     # What is next to a void goes on into it, as over the border.
     sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
     cut = np.bincount(np.concatenate([*sides, own[~seen]]), minlength=count)
-    possible &= cut > 0
-    small = cells[regions.ravel()[there]] * cell_m2 < HOUSE_M2
-    # The lower part of a hall is known to be one once the higher part beside it is.
+    small, falls = cells[beside] * cell_m2 < HOUSE_M2, seen & (deep >= wall_m)
+    walled = np.zeros(count, dtype=np.bool_)
+    # A lower part of a hall is walled once the higher parts beside it are.
     for _ in range(STEPS):
-        of_ground = (ground & ~found).ravel()[there]
-        falls, outer = seen & (deep >= wall_m), seen & (of_ground | (fall > -wall_m))
+        of_ground = ground.ravel()[there] & ~walled[beside]
+        outer = seen & (of_ground | (fall > -wall_m))
         carries = seen & small & (fall <= -wall_m) & ~of_ground
         edges, walls, depth_m, carried = (
             np.bincount(own, weights=each, minlength=count) for each in (outer, outer & falls, falls * deep, carries)
         )
         share = cut / np.maximum(edges + cut, 1)
-        halls = (
+        before, walled = (
+            walled,
             possible
             & (walls >= np.maximum(params.podium_share * edges, 1))
-            & (depth_m >= HALL_M * walls)
             & (carried <= BARE * edges)
             & (share <= CUT)
-            & ((share <= SIDE) | (2 * cells <= np.count_nonzero(measured)))
+            & ((share <= SIDE) | (2 * cells <= np.count_nonzero(measured))),
         )
-        before, found = found, ground & halls[regions]
-        if (before == found).all():
+        if (before == walled).all():
             break
+    of_halls = walled & ((cut == 0) | (depth_m >= HALL_M * walls))
+    for _ in range(STEPS):
+        onto = np.bincount(own, weights=outer & falls & of_halls[beside], minlength=count)
+        of_halls |= walled & (2 * onto >= walls)
+    found: Mask = ground & of_halls[regions]
     return found
 
 
@@ -234,6 +190,37 @@ def edges_of(
             edges.append((regions[here][at], node[there][at], heights[here][at] - heights[there][at]))
     own, beside, fall = (np.concatenate(parts) for parts in zip(*edges, strict=True))
     return own, beside, fall
+
+
+def sunk_roofs(surface: Grid, ground: Mask) -> Mask:
+    """Return the regions of ground that other parts of a roof surround, far above the terrain around the building.
+
+    The street enters no such region, so that it is a court or a lower part of a roof. A court lies on the terrain of
+    the other ground, or not `HALL_M` above it.
+
+    Parameters
+    ----------
+    surface : Grid
+        Lowest heights, gap-free, metres; cells that are not valid are a void.
+    ground : (H, W) ndarray of bool
+        The ground so far.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+        Cells that are no ground. Border and nodata: a region that the border or a void cuts is none of these, nor is
+        the largest one.
+    """
+    regions, count = label_zones(ground)
+    cells = sizes(regions, count)
+    closed = (sizes(regions[ground & _beside_voids(surface.valid)], count) == 0) & (cells < cells.max(initial=0))
+    others = ground & ~chosen_cells(regions, closed)
+    if not closed.any() or not others.any():
+        return np.zeros_like(ground)
+    heights = np.asarray(surface.values, dtype=np.float32)
+    terrain = np.asarray(interpolate_ground(heights, others, surface.spec).values)
+    rise = heights - terrain - HALL_M
+    return chosen_cells(regions, closed & (sums(regions, rise, count) > 0))
 
 
 def reached_by_ways(surface: Grid, trend: Heights, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
@@ -344,10 +331,8 @@ def narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundPar
             edges += np.bincount(regions[here][at], minlength=count)
             hidden += np.bincount(regions[here][at & ~ground[there]], minlength=count)
             touches[here] |= at & banks[there] & (np.abs(heights[here] - lowest[there]) < most_m)
-    outside = ~np.pad(measured, 1)
-    cut = outside[:-2, 1:-1] | outside[2:, 1:-1] | outside[1:-1, :-2] | outside[1:-1, 2:]
     head, tail, sides = axis.count(touches, regions)
-    head_cut, tail_cut, _ = axis.count(cut & slender[regions], regions)
+    head_cut, tail_cut, _ = axis.count(_beside_voids(measured) & slender[regions], regions)
     met = ((head > 0) & ((tail > 0) | (tail_cut > 0))) | ((tail > 0) & (head_cut > 0))
     bridges = slender & met & (2 * sides <= head + tail) & (hidden <= HIDDEN * edges)
     found: Mask = bridges[regions] & measured & ~ground
@@ -388,6 +373,13 @@ class _Axis:
         share = (place - self.first[own]) / self.length[own]
         head, tail = (np.bincount(own[at], minlength=len(self.row)) for at in (share < END, share > 1 - END))
         return head, tail, np.bincount(own, minlength=len(self.row)) - head - tail
+
+
+def _beside_voids(measured: Mask) -> Mask:
+    """Return the cells beside the border of the lattice, or beside a void."""
+    outside = ~np.pad(measured, 1)
+    beside: Mask = outside[:-2, 1:-1] | outside[2:, 1:-1] | outside[1:-1, :-2] | outside[1:-1, 2:]
+    return beside
 
 
 def _even_m(cell_m: float, params: GroundParams) -> float:

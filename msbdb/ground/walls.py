@@ -16,11 +16,11 @@ from msbdb.ground.progressive import open_progressively
 from msbdb.ground.regions import (
     HOUSE_M2,
     STEPS,
-    cut_halls,
     edges_of,
+    halls,
     narrow_bridges,
-    podiums,
     reached_by_ways,
+    sunk_roofs,
 )
 from msbdb.ground.trend import lower_trend
 from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
@@ -87,9 +87,9 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        plateau larger than a house, under trees and houses that hide how it falls, the edge that is seen decides. Knolls
        whose edge falls in low steps are terrain, too, and so are treads of a hillside: an opening wider than a house
        does not lower them (`_plateaus`).
-    4. A region of ground that walls bound for ``podium_share`` of its edge, down on all sides, is a building after all:
-       one too large for the windows of the progressive filter. Of a region that the border cuts the rest of the edge
-       decides, if it is high and bare.
+    4. Ground within a region that walls bound for ``podium_share`` of its edge, down on all sides, is a building after
+       all: a hall too large for the windows of the progressive filter. Of a region that the border cuts the rest of the
+       edge decides, if it is high and bare (`halls`).
     5. Of the ground, cells that rise above the opening are clutter, not ground. Nor are pieces of fewer than `FEW`
        echoes that rise above the terrain of what is sure, and are no part of a terrace: sheds among shrubs.
     6. What a way leads to from the ground is terrain after all: a terrace or a ramp, and all of a region if ways lead
@@ -98,7 +98,8 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        where a level roof touches the terrain; nor is the rear of such a roof its beginning, which may count as ground.
        Narrower bridges are ground where they meet it at both ends (`narrow_bridges`).
     7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. Without a cell that is
-       sure, or if it is small, it is a well in a roof, unless it lies on the terrain of the other ground.
+       sure, or if it is small, it is a well in a roof, unless it lies on the terrain of the other ground. A larger one
+       is a lower part of a roof if it lies far above that terrain (`sunk_roofs`).
 
     Parameters
     ----------
@@ -145,15 +146,15 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
     sure = open_progressively(above_trend, cell_m, params.slope, params, measured)
     level, wall_m = Grid(opened, measured, surface.spec), _wall_m(cell_m, params)
     decided = _decide(opened, sure, measured, cell_m, params)
-    decided &= ~podiums(level, decided, wall_m, params)
-    decided &= ~cut_halls(level, decided, wall_m, params)
+    decided &= ~halls(level, decided, wall_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
     ground &= ~_blurred(level, ground, sure, params, points_m2)
     reached: Mask = ground | reached_by_ways(surface, trend, ground, wall_m, params)
     reached |= narrow_bridges(surface, reached, wall_m, params)
-    return reached & ~_wells(surface, reached, sure, params)
+    reached &= ~_wells(surface, reached, sure, params)
+    return reached & ~sunk_roofs(surface, reached)
 
 
 def _without_hollows(above_trend: Heights, cell_m: float, params: GroundParams) -> Heights:

@@ -18,7 +18,7 @@ from support.notices import with_notices
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
-from msbdb.ground.choice import FILTERS, POINT_FILTERS, lowest_surface, terrain, without_pits
+from msbdb.ground.choice import FILTERS, PIT_M2, POINT_FILTERS, lowest_surface, terrain, without_pits
 from msbdb.ground.interpolation import NearestGround, interpolate_ground, means_over_windows, refine
 from msbdb.ground.progressive import window_radii
 from msbdb.ground.trend import known_trend, lower_trend
@@ -123,16 +123,42 @@ def test_roofs_leave_and_the_terrain_stays(name, case):
     assert dtm.valid.all()
 
 
-@pytest.mark.parametrize("shape", [(1, 7), (2, 2), (9, 1), (40, 60)])
+def region_of(heights, row, col, depth):
+    """Return the cells that steps below a depth join to one."""
+    found, border = {(row, col)}, [(row, col)]
+    while border:
+        r, c = border.pop()
+        for beside in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
+            inside = 0 <= beside[0] < heights.shape[0] and 0 <= beside[1] < heights.shape[1]
+            if inside and beside not in found and abs(heights[beside] - heights[r, c]) < np.float32(depth):
+                found.add(beside)
+                border.append(beside)
+    return found
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (2, 2), (9, 1), (20, 30)])
 @pytest.mark.parametrize("step_m", [0.0, 4.0])
-def test_pits_are_raised_as_by_the_median_of_all_cells(shape, step_m):
+@pytest.mark.parametrize("cell_m2", [1.0, 4.0])
+def test_pits_are_raised_as_by_their_definition(shape, step_m, cell_m2):
     """The median that is sought only where it decides gives the same bytes, also on plateaus and beside the border."""
     rng = np.random.default_rng(5)
     heights = 50 + 20 * rng.random(shape) - 30 * (rng.random(shape) < 0.2)
     heights = np.float32(np.round(heights / step_m) * step_m if step_m else heights)
     for depth in (0.25, 1.0, 4.0):
         floor = median_filter(heights, size=5, mode="nearest") - np.float32(depth)
-        assert without_pits(heights, depth).tobytes() == np.maximum(heights, floor).tobytes()
+        expected = heights.copy()
+        for place in np.argwhere(floor > heights):
+            if len(region_of(heights, *place, depth)) * cell_m2 <= PIT_M2:
+                expected[tuple(place)] = floor[tuple(place)]
+        assert without_pits(heights, depth, cell_m2).tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize(("lane", "stays"), [(np.s_[10, 5:35], True), (np.s_[10, 5:13], False)])
+def test_a_lane_between_roofs_is_no_pit(lane, stays):
+    """Most cells around a lane of 1 m are roofs; a shaft of 8 m² is a pit, be it a light well or a false echo."""
+    heights = np.full((20, 40), 12, dtype=np.float32)
+    heights[lane] = 2
+    assert np.array_equal(without_pits(heights, 1.0), np.where(heights == 2, 2 if stays else 11, 12))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (33, 70), (129, 64)])

@@ -193,19 +193,18 @@ def half_known(size=100):
     return heights, ground
 
 
-def podiums(heights, ground):
+def halls(heights, ground):
     """Return what is taken out of the ground, on cells of 1 m without voids."""
-    return regions.podiums(exact(heights), ground, 1.2, PARAMS)
+    return regions.halls(exact(heights), ground, 1.2, PARAMS)
 
 
-def test_the_rest_of_a_hall_of_which_half_is_known_is_a_building():
-    """The border between both halves is level, and no edge; with a house of 200 m² as the known part it is one."""
-    heights, ground = half_known()
-    found = podiums(heights, ground)
-    assert np.array_equal(found, ground & (heights > 0))
-    small = heights > 0
-    small[20:120, 20:118] = False
-    assert not podiums(heights, ~small).any()
+@pytest.mark.parametrize("cols", [slice(20, 70), slice(20, 118), slice(118, 120)])
+def test_the_rest_of_a_hall_of_which_a_part_is_known_is_a_building(cols):
+    """The border between both parts is level, and no edge."""
+    heights, _ = half_known()
+    ground = heights == 0
+    ground[20:120, cols] = True
+    assert np.array_equal(halls(heights, ground), ground & (heights > 0))
 
 
 @pytest.mark.parametrize(("size", "is_building"), [(100, True), (60, False)])
@@ -213,21 +212,62 @@ def test_stairs_of_raised_outliers_do_not_join_a_wide_hall_to_the_ground(size, i
     """At one wall steps of 1 m lead down; of a hall that the windows span, such stairs are a way."""
     heights, _ = half_known(size)
     heights[40, 20 + size : 27 + size] = np.arange(7, 0, -1)
-    found = podiums(heights, np.ones(heights.shape, dtype=bool))
+    found = halls(heights, np.ones(heights.shape, dtype=bool))
     assert found[heights == 8].all() == is_building
     assert not found[heights < 8].any()
 
 
-@pytest.mark.parametrize(("side", "is_building"), [(50, True), (40, False)])
-def test_ground_within_a_known_hall_is_a_building(side, is_building):
-    """Of 2,500 m²; 1,600 m² may be a court among gardens."""
+@pytest.mark.parametrize("side", [50, 40, 5])
+def test_ground_on_the_roof_of_a_known_hall_is_a_building(side):
+    """However small it is: it is as high as the hall around it."""
     heights, ground = half_known()
     ground[20:120, 20:120] = False
     middle = np.s_[40 : 40 + side, 40 : 40 + side]
     ground[middle] = True
-    found = podiums(heights, ground)
-    assert found[middle].all() == is_building
+    found = halls(heights, ground)
+    assert found[middle].all()
     assert not found[heights == 0].any()
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize(("steps", "is_building"), [((6, 1.5, 1.5), True), ((3, 1.5, 1.5), False)])
+def test_the_levels_of_a_hall_are_one_building(steps, is_building, cut):
+    """Each part is 1.5 m higher than the one around it. Cut by the border, the lowest one must be as high as a hall."""
+    heights = np.zeros((200, 200), dtype=np.float32)
+    for inside, step in enumerate(steps):
+        heights[40 + 15 * inside : 160 - 15 * inside, 40 + 15 * inside :] += step
+    heights = heights if cut else np.hstack([heights, np.zeros((200, 40), dtype=np.float32)])
+    found = halls(heights, np.ones(heights.shape, dtype=bool))
+    assert np.array_equal(found, heights > 0) if is_building or not cut else not found.any()
+
+
+@pytest.mark.parametrize(("floor", "is_roof"), [(0, False), (3, False), (6, True)])
+@pytest.mark.parametrize("slope", [0, 0.2])
+def test_a_part_of_a_roof_that_higher_parts_surround_is_no_court(floor, is_roof, slope):
+    """Of a block of 100 m on a slope: a court may lie above the street, but not by 6 m."""
+    terrain = np.indices((200, 200))[1] * slope
+    heights = terrain.copy()
+    heights[50:150, 50:150] = terrain[50:150, 50:150] + 12
+    court = np.s_[70:130, 70:130]
+    heights[court] = terrain[court] + floor
+    ground = heights < terrain + 12
+    found = regions.sunk_roofs(exact(heights), ground)
+    assert found[court].all() == is_roof
+    assert found.sum() == is_roof * 3600
+
+
+@pytest.mark.parametrize(("cols", "void", "is_roof"), [(40, 60, True), (50, 60, False), (40, 50, False)])
+def test_a_court_that_the_border_cuts_stays(cols, void, is_roof):
+    """Nothing shows that the street does not enter it beyond the border, nor beyond a void."""
+    heights, ground = np.full((60, 60), 12.0), np.zeros((60, 60), dtype=bool)
+    court = np.s_[40:50, cols : cols + 10]
+    for part, level in ((np.s_[:, :10], 0), (court, 6)):
+        heights[part], ground[part] = level, True
+    surface = exact(heights)
+    surface.valid[:, void:] = False
+    found = regions.sunk_roofs(surface, ground)
+    assert found[court].all() == is_roof
+    assert found.sum() == is_roof * 100
 
 
 def test_stairs_of_raised_outliers_do_not_join_a_hall_that_the_border_cuts_to_the_ground():
@@ -235,7 +275,7 @@ def test_stairs_of_raised_outliers_do_not_join_a_hall_that_the_border_cuts_to_th
     heights, _ = half_known()
     heights[60, 120:127] = np.arange(7, 0, -1)
     heights = heights[20:]
-    found = regions.cut_halls(exact(heights), np.ones(heights.shape, dtype=bool), 1.2, PARAMS)
+    found = halls(heights, np.ones(heights.shape, dtype=bool))
     assert found[heights == 8].all()
     assert not found[heights < 8].any()
 
