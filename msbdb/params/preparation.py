@@ -103,7 +103,7 @@ class GroundParams:
     edge_share: float = param(0.5, "1", "Share of a region's boundary that must be edge for a region above ground.",
         ours="0.3 takes mounds for roofs, 0.7 loses roofs built into slopes", low=0, high=1)
     low_outlier_m: float = param(1.0, "m",
-        "A lowest point this far below the median of its 5 x 5 cells is raised to that limit.",
+        "A cell of a hollow of up to 10 m² this far below the median of its 5 x 5 cells is raised to that limit.",
         ours="more than any step of real terrain at the cell's size", low=0.1, high=50)
     wavelet_cluster_m: float = param(0.5, "m",
         "Wavelet filter: the two clusters of a resolution are one if their centres are nearer.",
