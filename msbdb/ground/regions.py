@@ -1,7 +1,8 @@
 """What regions are as a whole: halls among the ground are buildings; terraces, ramps and bridges above it are terrain.
 
 Walls bound a hall nearly all around, also where the progressive filter is sure of its roof: one wider than its windows,
-or cut by the border of the survey. Terrain is reached by a way, and a bridge meets the ground at both ends.
+or cut by the border of the survey. A lower part of a roof lies far above the
+terrain around. Terrain is reached by a way, and a bridge meets the ground at both ends.
 """
 
 from collections.abc import Iterator
@@ -25,8 +26,8 @@ LOWER_M = (0.95, 0.5)
 """Ours: what joins the cells of a wide hall is below these steps, too, metres, as bushes make stairs at its walls."""
 
 HALL_M = 4.0
-"""Ours: least mean depth of the walls of a hall that the border cuts, and of what it rises above the terrain around it:
-retaining walls are lower."""
+"""Ours: least mean depth of the walls of a hall that the border cuts, and least rise of a lower part of a roof above
+the terrain around the building: retaining walls are lower."""
 
 BARE = 0.25
 """Ours: higher things stand on a plateau along more than this share of its edge; a hall carries lanterns and plant."""
@@ -107,12 +108,12 @@ def halls(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> M
         Cells that are no ground.
     """
     found = np.zeros_like(ground)
-    for joined in _ways_to_join(surface, wall_m, params):
+    for joined in _steps_to_join(surface, wall_m, params):
         found |= _within_halls(surface, ground & ~found, joined, wall_m, params)
     return found
 
 
-def _ways_to_join(surface: Grid, wall_m: float, params: GroundParams) -> Iterator[_Joined]:
+def _steps_to_join(surface: Grid, wall_m: float, params: GroundParams) -> Iterator[_Joined]:
     """Yield steps that are no wall for all regions, and then lower steps for those as large as a window."""
     heights = np.asarray(surface.values)
     yield _Joined(wall_m, 0.0, heights)

@@ -1,4 +1,6 @@
-"""Bridges are ground, and long things that only look like them are not."""
+"""Halls and lower parts of roofs are buildings; bridges are ground, and long things that look like them are not."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,6 +8,7 @@ from pyproj import CRS
 from scipy.ndimage import distance_transform_edt
 
 from msbdb.grid import Grid, lattice
+from msbdb.ground import regions
 from msbdb.ground.regions import narrow_bridges
 from msbdb.ground.walls import walled_ground
 from msbdb.params import GroundParams
@@ -112,3 +115,107 @@ def test_the_border_may_cut_one_end_of_a_bridge():
     assert np.array_equal(found(heights[15:], ground[15:]), ~ground[15:])
     assert not found(heights, ground, (row >= 15) & (row < 45)).any()
     assert not found(heights[15:45], ground[15:45]).any()
+
+
+def exact(heights):
+    """Heights on cells of 1 m."""
+    rows, cols = heights.shape
+    spec = lattice((0, 0.1, cols - 0.1, rows), 1.0, CRS.from_epsg(2154))
+    return Grid(heights.astype(np.float32), np.ones(heights.shape, dtype=bool), spec)
+
+
+def half_known(size=100):
+    """Return the heights of a hall of 8 m, and ground in which a half of it is ground and the other half is not."""
+    heights = np.zeros((size + 40, size + 40), dtype=np.float32)
+    heights[20 : 20 + size, 20 : 20 + size] = 8
+    ground = heights == 0
+    ground[20 : 20 + size, 20 : 20 + size // 2] = True
+    return heights, ground
+
+
+def halls(heights, ground):
+    """Return what is taken out of the ground, on cells of 1 m without voids."""
+    return regions.halls(exact(heights), ground, 1.2, PARAMS)
+
+
+@pytest.mark.parametrize("cols", [slice(20, 70), slice(20, 118), slice(118, 120)])
+def test_the_rest_of_a_hall_of_which_a_part_is_known_is_a_building(cols):
+    """The border between both parts is level, and no edge."""
+    heights, _ = half_known()
+    ground = heights == 0
+    ground[20:120, cols] = True
+    assert np.array_equal(halls(heights, ground), ground & (heights > 0))
+
+
+@pytest.mark.parametrize(("size", "is_building"), [(100, True), (60, False)])
+def test_stairs_at_a_wall_do_not_join_a_wide_hall_to_the_ground(size, is_building):
+    """At one wall steps of 1 m lead down; of a hall that the windows span, such stairs are a way."""
+    heights, _ = half_known(size)
+    heights[40, 20 + size : 27 + size] = np.arange(7, 0, -1)
+    found = halls(heights, np.ones(heights.shape, dtype=bool))
+    assert found[heights == 8].all() == is_building
+    assert not found[heights < 8].any()
+
+
+@pytest.mark.parametrize("side", [50, 40, 5])
+def test_ground_on_the_roof_of_a_known_hall_is_a_building(side):
+    """However small it is: it is as high as the hall around it."""
+    heights, ground = half_known()
+    ground[20:120, 20:120] = False
+    middle = np.s_[40 : 40 + side, 40 : 40 + side]
+    ground[middle] = True
+    found = halls(heights, ground)
+    assert found[middle].all()
+    assert not found[heights == 0].any()
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize("lowest", [6, 3])
+def test_the_levels_of_a_hall_are_one_building(lowest, cut):
+    """Each part is 1.5 m higher than the one around it. Cut by the border, the lowest one must be as high as a hall."""
+    heights = np.zeros((200, 200), dtype=np.float32)
+    for inside, step in enumerate((lowest, 1.5, 1.5)):
+        heights[40 + 15 * inside : 160 - 15 * inside, 40 + 15 * inside :] += step
+    heights = heights if cut else np.hstack([heights, np.zeros((200, 40), dtype=np.float32)])
+    found = halls(heights, np.ones(heights.shape, dtype=bool))
+    is_building = lowest >= regions.HALL_M or not cut
+    assert np.array_equal(found, (heights > 0) & is_building)
+
+
+@pytest.mark.parametrize(("floor", "is_roof"), [(0, False), (3, False), (6, True)])
+@pytest.mark.parametrize("slope", [0, 0.2])
+def test_a_part_of_a_roof_that_higher_parts_surround_is_no_court(floor, is_roof, slope):
+    """Of a block of 100 m on a slope: a court may lie above the street, but not by 6 m."""
+    terrain = np.indices((200, 200))[1] * slope
+    heights = terrain.copy()
+    heights[50:150, 50:150] = terrain[50:150, 50:150] + 12
+    court = np.s_[70:130, 70:130]
+    heights[court] = terrain[court] + floor
+    ground = heights < terrain + 12
+    found = regions.sunk_roofs(exact(heights), ground)
+    assert found[court].all() == is_roof
+    assert found.sum() == is_roof * 3600
+
+
+@pytest.mark.parametrize(("cols", "void", "is_roof"), [(40, 60, True), (50, 60, False), (38, 48, False)])
+def test_a_court_that_the_border_cuts_stays(cols, void, is_roof):
+    """Nothing shows that the street does not enter it beyond the border, nor beyond a void."""
+    heights, ground = np.full((60, 60), 12.0), np.zeros((60, 60), dtype=bool)
+    court = np.s_[40:50, cols : cols + 10]
+    for part, level in ((np.s_[:, :10], 0), (court, 6)):
+        heights[part], ground[part] = level, True
+    surface = exact(heights)
+    valid = np.indices(heights.shape)[1] < void
+    found = regions.sunk_roofs(replace(surface, valid=valid), ground & valid)
+    assert found[court][ground[court] & valid[court]].all() == is_roof
+    assert found.sum() == is_roof * 100
+
+
+def test_stairs_at_a_wall_do_not_join_a_hall_that_the_border_cuts_to_the_ground():
+    """The border cuts one side of four; at another one steps of 1 m lead down."""
+    heights, _ = half_known()
+    heights[60, 120:127] = np.arange(7, 0, -1)
+    heights = heights[20:]
+    found = halls(heights, np.ones(heights.shape, dtype=bool))
+    assert found[heights == 8].all()
+    assert not found[heights < 8].any()
