@@ -1,13 +1,12 @@
 """What regions are as a whole: halls among the ground are buildings; terraces, ramps and bridges above it are terrain.
 
 Walls bound a hall nearly all around, also where the progressive filter is sure of its roof: one wider than its windows,
-or cut by the border of the survey. A lower part of a roof lies far above the
-terrain around. Terrain is reached by a way, and a bridge meets the ground at both ends.
+or cut by the border of the survey. A lower part of a roof lies far above the terrain around. Terrain is reached by a
+way, and a bridge meets the ground at both ends.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +21,12 @@ Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[Any]
 
-LOWER_M = (0.95, 0.5)
-"""Ours: what joins the cells of a wide hall is below these steps, too, metres, as bushes make stairs at its walls."""
-
 HALL_M = 4.0
 """Ours: least mean depth of the walls of a hall that the border cuts, and least rise of a lower part of a roof above
 the terrain around the building: retaining walls are lower."""
+
+STEP_M = 2.0
+"""Ours: a roof falls by as much at once, the height of the mask; steep flanks of knolls fall in lower steps."""
 
 BARE = 0.25
 """Ours: higher things stand on a plateau along more than this share of its edge; a hall carries lanterns and plant."""
@@ -39,7 +38,7 @@ CUT, SIDE = 0.55, 1 / 3
 """Ours: largest shares of the border in the edge of such a hall: two sides of a square and a little more; one side."""
 
 STEPS = 4
-"""Ours: a hall of up to so many levels is found, the highest level first, and so many treads of a hillside."""
+"""Ours: so many treads of a hillside are found, one after the other."""
 
 LEAST_M2 = 50.0
 """No way is sought to smaller regions: clutter, and the cells of walls. Nor does one begin on less even ground."""
@@ -66,30 +65,16 @@ HIDDEN = 1 / 3
 """Ours: other things above ground are beside a bridge along at most this share of its edge; of annexes 0.4 and 0.55."""
 
 
-class _Joined(NamedTuple):
-    """How cells are joined to regions, and what their edges fall to."""
-
-    below_m: float
-    """Lower steps join."""
-    least_m2: float
-    """Smaller regions are not looked at."""
-    lowest: Heights
-    """The heights that an edge falls to, metres."""
-
-
-def halls(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
+def halls(surface: Grid, ground: Mask, raised: Mask, wall_m: float, params: GroundParams) -> Mask:
     """Return the ground within halls: wider than the windows of the progressive filter, or cut by the border.
 
-    A region is connected by steps that are no wall, be it ground or not: of a hall, a part may be known already. It is
-    a hall if it falls by walls nearly all around. Edges to higher things do not count, if these are above ground, nor
-    do those to higher parts of the same hall. The region is bare: a plateau carries houses and trees.
+    A region of what is raised is a hall if it falls by walls nearly all around: to the lowest of the nine cells beside
+    it, as bushes stand at walls. Half of these fall by `STEP_M` at once, as knolls with steep flanks do not. A hall is
+    bare, as a plateau carries houses and trees. What looks up at walls nearly all around is a yard.
 
     If the border cuts the region, the part of its edge that is seen decides. This falls deeper than terraces do, on
-    average, or to a lower part that does. The border is at most `CUT` of the edge, two sides of a corner; if it is more
-    than `SIDE`, the region is the smaller part of the place, too.
-
-    Bushes, ramps and false echoes make stairs at walls, by which a hall runs into the ground. So regions as large as a
-    window are connected by lower steps, too, and an edge then falls to the lowest of the nine cells beside it.
+    average. The border is at most `CUT` of the edge, two sides of a corner; if it is more than `SIDE`, the region is
+    the smaller part of the place, too.
 
     Parameters
     ----------
@@ -97,70 +82,51 @@ def halls(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> M
         Lowest heights without clutter, gap-free, metres; cells that are not valid are a void.
     ground : (H, W) ndarray of bool
         The ground so far.
+    raised : (H, W) ndarray of bool
+        Cells that are above ground by their edges, also where the progressive filter is sure of them.
     wall_m : float
-        The step from which two cells belong to different regions, metres.
+        The step from which a pair of cells is a wall, metres.
     params : GroundParams
-        ``podium_share`` and ``window_m``.
+        ``podium_share``, for nearly all.
 
     Returns
     -------
     (H, W) ndarray of bool
         Cells that are no ground.
     """
-    found = np.zeros_like(ground)
-    for joined in _steps_to_join(surface, wall_m, params):
-        found |= _within_halls(surface, ground & ~found, joined, wall_m, params)
-    return found
-
-
-def _steps_to_join(surface: Grid, wall_m: float, params: GroundParams) -> Iterator[_Joined]:
-    """Yield steps that are no wall for all regions, and then lower steps for those as large as a window."""
-    heights = np.asarray(surface.values)
-    yield _Joined(wall_m, 0.0, heights)
-    lowest = erosion(heights, 3, surface.valid)
-    for step_m in LOWER_M:
-        yield _Joined(min(wall_m, step_m), params.window_m**2, lowest)
-
-
-def _within_halls(surface: Grid, ground: Mask, joined: _Joined, wall_m: float, params: GroundParams) -> Mask:
-    """Return the ground within halls, joined in one way."""
     heights, measured, cell_m2 = np.asarray(surface.values), surface.valid, surface.spec.cell_area_m2
-    regions, count = join_cells(heights, measured, joined.below_m)
-    cells = np.bincount(regions.ravel(), minlength=count)
-    possible = (np.bincount(regions[ground], minlength=count) > 0) & (cells * cell_m2 >= joined.least_m2)
-    own, there, fall = edges_of(heights, regions, possible)
-    beside, deep = regions.ravel()[there], fall + (heights - joined.lowest).ravel()[there]
+    doubtful, known = ground & raised, raised & ~ground
+    regions, count = label_zones(raised)
+    possible = sizes(regions[doubtful], count) * cell_m2 >= LEAST_M2
+    if not possible.any():
+        return np.zeros_like(ground)
+    own, there, fall = edges_of(heights, regions, np.concatenate([[False], possible]))
+    deep = fall + (heights - erosion(heights, 3, measured)).ravel()[there]
     seen = measured.ravel()[there]
+    falls = seen & (deep >= wall_m)
+    edges, walls = sizes(own[seen], count), sizes(own[falls], count)
+    depth_m = np.bincount(own[falls], weights=deep[falls], minlength=count + 1)[1:]
+    at_once = sizes(own[falls & (fall >= STEP_M * max(surface.spec.cell_m, 1.0))], count)
     # What is next to a void goes on into it, as over the border.
-    sides = [regions[side] for side in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])]
-    cut = np.bincount(np.concatenate([*sides, own[~seen]]), minlength=count)
-    small, falls = cells[beside] * cell_m2 < HOUSE_M2, seen & (deep >= wall_m)
-    walled = np.zeros(count, dtype=np.bool_)
-    # A lower part of a hall is walled once the higher parts beside it are.
-    for _ in range(STEPS):
-        of_ground = ground.ravel()[there] & ~walled[beside]
-        outer = seen & (of_ground | (fall > -wall_m))
-        carries = seen & small & (fall <= -wall_m) & ~of_ground
-        edges, walls, depth_m, carried = (
-            np.bincount(own, weights=each, minlength=count) for each in (outer, outer & falls, falls * deep, carries)
-        )
-        share = cut / np.maximum(edges + cut, 1)
-        before, walled = (
-            walled,
-            possible
-            & (walls >= np.maximum(params.podium_share * edges, 1))
-            & (carried <= BARE * edges)
-            & (share <= CUT)
-            & ((share <= SIDE) | (2 * cells <= np.count_nonzero(measured))),
-        )
-        if (before == walled).all():
-            break
-    of_halls = walled & ((cut == 0) | (depth_m >= HALL_M * walls))
-    for _ in range(STEPS):
-        onto = np.bincount(own, weights=outer & falls & of_halls[beside], minlength=count)
-        of_halls |= walled & (2 * onto >= walls)
-    found: Mask = ground & of_halls[regions]
-    return found
+    outside = own[~seen], regions[0], regions[-1], regions[:, 0], regions[:, -1]
+    cut = sizes(np.concatenate(outside), count)
+    things, number = join_cells(heights, known, wall_m)
+    small = np.bincount(things[known], minlength=number) * cell_m2 < HOUSE_M2
+    around, above, carried = np.zeros(count), np.zeros(count), np.zeros(count)
+    for one, other in neighbours(heights.shape):
+        for here, next_to in ((one, other), (other, one)):
+            beside = doubtful[here] & ~doubtful[next_to] & measured[next_to]
+            higher = beside & known[next_to] & (heights[next_to] - heights[here] >= wall_m)
+            on_it = higher & small[things[next_to]]
+            for total, chosen in ((around, beside), (above, higher), (carried, on_it)):
+                total += sizes(regions[here][chosen], count)
+    share = cut / np.maximum(edges + cut, 1)
+    walled = possible & (walls >= np.maximum(params.podium_share * edges, 1)) & (above < params.podium_share * around)
+    walled &= (
+        (2 * at_once >= walls) & (carried <= BARE * edges) & ((cut == 0) | (depth_m >= HALL_M * walls)) & (share <= CUT)
+    )
+    walled &= (share <= SIDE) | (2 * sizes(regions, count) <= np.count_nonzero(measured))
+    return doubtful & chosen_cells(regions, walled)
 
 
 def edges_of(

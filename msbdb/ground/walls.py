@@ -4,6 +4,7 @@ The progressive filter is sure of some ground. What else is ground follows from 
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,10 @@ from msbdb.ground.interpolation import NearestGround, interpolate_ground
 from msbdb.ground.progressive import open_progressively
 from msbdb.ground.regions import (
     HOUSE_M2,
+    LEAST_M2,
+    STEP_M,
     STEPS,
+    WAY_PX,
     edges_of,
     halls,
     narrow_bridges,
@@ -24,7 +28,7 @@ from msbdb.ground.regions import (
 )
 from msbdb.ground.trend import lower_trend
 from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
-from msbdb.morphology.windows import dilation, opening
+from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import GroundParams
 
 Heights = NDArray[np.float32]
@@ -33,9 +37,9 @@ Mask = NDArray[np.bool_]
 SEEN = 0.4
 """Ours, in sample: least share of a plateau's edge beside ground; 0.3 loses more roofs, 0.5 takes knolls for roofs."""
 
-FLANKS_M2, STEP_M = 2000.0, 2.0
-"""Ours, in sample: least area of a knoll with steep flanks, most of whose edge falls by less than this, as high as the
-mask. From 1,000 m² on, low halls among few echoes would go, too."""
+FLANKS_M2 = 2000.0
+"""Ours, in sample: least area of a knoll with steep flanks, most of whose edge falls by less than `STEP_M`. From
+1,000 m² on, low halls among few echoes would go, too."""
 
 WIDE_M, STAYS = 20.0, 0.3
 """Ours, in sample: half-width of an opening that removes houses, and the least share of a tread that it does not lower.
@@ -63,6 +67,12 @@ NEAR_M = 3.0
 WELL_M2 = 10.0
 """As ``vector.court_m2``: smaller courts are light wells, doubtful also where a cell of them is sure."""
 
+WIDER = 3.0
+"""Ours, in sample: blocks and windows so many times as wide follow no hall of up to 400 m; twice loses a few more."""
+
+LOW_M = 1.0
+"""Ours: low ground lies less than this above the lowest around; 0.7 to 1.2 m give the same."""
+
 HOLLOW_M = 180.0
 """Side of the square in which hollows are compared with what stands: as wide as the trend looks, nine blocks."""
 
@@ -87,9 +97,10 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        plateau larger than a house, under trees and houses that hide how it falls, the edge that is seen decides. Knolls
        whose edge falls in low steps are terrain, too, and so are treads of a hillside: an opening wider than a house
        does not lower them (`_plateaus`).
-    4. Ground within a region that walls bound for ``podium_share`` of its edge, down on all sides, is a building after
-       all: a hall too large for the windows of the progressive filter. Of a region that the border cuts the rest of the
-       edge decides, if it is high and bare (`halls`).
+    4. A second cut, in which only low ground is sure, finds what else walls bound: halls too wide for the trend and the
+       windows of the progressive filter. Their ground is a building after all if they fall by walls for
+       ``podium_share`` of their edge. Of a hall that the border cuts the rest of the edge decides, if it is high and
+       bare (`halls`).
     5. Of the ground, cells that rise above the opening are clutter, not ground. Nor are pieces of fewer than `FEW`
        echoes that rise above the terrain of what is sure, and are no part of a terrace: sheds among shrubs.
     6. What a way leads to from the ground is terrain after all: a terrace or a ramp, and all of a region if ways lead
@@ -145,8 +156,8 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
     above_trend = _without_hollows(np.where(measured, opened - trend, 0), cell_m, params)
     sure = open_progressively(above_trend, cell_m, params.slope, params, measured)
     level, wall_m = Grid(opened, measured, surface.spec), _wall_m(cell_m, params)
-    decided = _decide(opened, sure, measured, cell_m, params)
-    decided &= ~halls(level, decided, wall_m, params)
+    decided = _decide(level, sure, params)
+    decided &= ~halls(level, decided, _raised(level, decided, sure, wall_m, params), wall_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
     clutter = heights - opened > params.height_m + params.slope * radius * cell_m
     ground = decided & ~clutter
@@ -183,14 +194,56 @@ def _without_hollows(above_trend: Heights, cell_m: float, params: GroundParams) 
     return np.asarray(above_trend[rows, cols])
 
 
-def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:
-    """Return the ground by the minimum cut; what is sure stays."""
+def _decide(opened: Grid, sure: Mask, params: GroundParams) -> Mask:
+    """Return the ground by the minimum cut, and plateaus; what is sure stays."""
+    ground = opened.valid & ~_cut(opened, opened.valid & ~sure, np.zeros_like(sure), params)
+    return ground | _plateaus(np.asarray(opened.values), ground, opened.valid, opened.spec.cell_m, params)
+
+
+def _raised(opened: Grid, ground: Mask, sure: Mask, wall_m: float, params: GroundParams) -> Mask:
+    """Return what a second cut takes off the ground around cells that are sure, but not low.
+
+    The trend and the windows follow a roof that is wider than they are, so that its cells are sure. Here a trend over
+    blocks of `WIDER` times the side is subtracted. Sure are only cells less than `LOW_M` above an opening of the rest
+    with a square of `WIDER` times ``window_m``. Only what holds `LEAST_M2` of ground that is not low is cut again; of
+    it, even parts as wide as a way are decided as one, which makes the cut quick. Where a trend follows a hall after
+    all, cells on its roof seem low. Such a piece of ground is raised, too, if it is level with what is raised along
+    `LEVEL_SHARE` of its edge.
+    """
+    heights, measured, cell_m = np.asarray(opened.values), opened.valid, opened.spec.cell_m
+    trend = lower_trend(opened, replace(params, block_m=WIDER * params.block_m))
+    rest = np.where(measured, heights - trend, 0)
+    width = 2 * round(WIDER * params.window_m / cell_m) + 1
+    low = sure & (rest - opening(rest, width, measured) <= LOW_M)
+    pieces, count = label_zones(measured & ~low)
+    free = chosen_cells(pieces, sizes(pieces[ground], count) * cell_m**2 >= LEAST_M2)
+    if not free.any():
+        return free
+    rise = dilation(heights, WAY_PX, measured) - erosion(heights, WAY_PX, measured)
+    even = free & (rise < params.wall_low_m * max(cell_m, 1.0))
+    raised = _cut(opened, free, even, params)
+    pieces, count = join_cells(heights, measured & ~raised, wall_m)
+    own, beside, fall = edges_of(heights, pieces, np.bincount(pieces[measured & ~raised], minlength=count) > 0)
+    smooth = raised.ravel()[beside] & (np.abs(fall) < wall_m)
+    level, edges = (np.bincount(own, weights=each, minlength=count) for each in (smooth, measured.ravel()[beside]))
+    return raised | (measured & (level > LEVEL_SHARE * edges)[pieces])
+
+
+def _cut(opened: Grid, free: Mask, even: Mask, params: GroundParams) -> Mask:
+    """Return which of the free cells are above ground by the minimum cut; the other measured ones are ground.
+
+    Neighbours that are even are decided as one.
+    """
+    heights, measured, cell_m = np.asarray(opened.values), opened.valid, opened.spec.cell_m
     node = np.full(heights.shape, -1, dtype=np.int32)
-    free = measured & ~sure
-    count = int(np.count_nonzero(free))
-    if not count:
-        return sure.copy()
-    node[free] = np.arange(count, dtype=np.int32)
+    above_ground = np.zeros_like(free)
+    if not free.any():
+        return above_ground
+    together, pieces = label_zones(even, connectivity=4)
+    alone = free & ~even
+    count = pieces + int(np.count_nonzero(alone))
+    node[even] = together[even] - 1
+    node[alone] = np.arange(pieces, count, dtype=np.int32)
     costs = np.zeros(count)
     pairs = []
     for one, other in neighbours(heights.shape):
@@ -200,7 +253,7 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
             wall = _wall_share(rise, cell_m, params)
             terrace, smooth = params.terrace_cost * wall, 1 - wall
             below, above = node[low], node[high]
-            both = chosen & (below >= 0) & (above >= 0)
+            both = chosen & (below >= 0) & (above >= 0) & (below != above)
             pairs.append((below[both], above[both], terrace[both], smooth[both]))
             # Beside sure ground a pair is a cost of the other cell alone.
             up = chosen & (below < 0) & (above >= 0)
@@ -208,10 +261,9 @@ def _decide(heights: Heights, sure: Mask, measured: Mask, cell_m: float, params:
             down = chosen & (below >= 0) & (above < 0)
             costs += np.bincount(below[down], weights=(1 - terrace)[down], minlength=count)
     first, second, terrace, smooth = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-    cut = minimum_cut(costs, Pairs(first, second, terrace, smooth, np.ones_like(terrace), np.zeros_like(terrace)))
-    ground = sure.copy()
-    ground[free] = ~cut
-    return ground | _plateaus(heights, ground, measured, cell_m, params)
+    parts = Pairs(first, second, terrace, smooth, np.ones_like(terrace), np.zeros_like(terrace))
+    above_ground[free] = minimum_cut(costs, parts)[node[free]]
+    return above_ground
 
 
 def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, params: GroundParams) -> Mask:

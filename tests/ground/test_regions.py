@@ -133,9 +133,10 @@ def half_known(size=100):
     return heights, ground
 
 
-def halls(heights, ground):
-    """Return what is taken out of the ground, on cells of 1 m without voids."""
-    return regions.halls(exact(heights), ground, 1.2, PARAMS)
+def halls(heights, ground, raised=None):
+    """Return what is taken out of the ground, on cells of 1 m without voids; what is above 0 is raised."""
+    raised = heights > 0 if raised is None else raised
+    return regions.halls(exact(heights), ground, raised, 1.2, PARAMS)
 
 
 @pytest.mark.parametrize("cols", [slice(20, 70), slice(20, 118), slice(118, 120)])
@@ -147,19 +148,38 @@ def test_the_rest_of_a_hall_of_which_a_part_is_known_is_a_building(cols):
     assert np.array_equal(halls(heights, ground), ground & (heights > 0))
 
 
-@pytest.mark.parametrize(("size", "is_building"), [(100, True), (60, False)])
-def test_stairs_at_a_wall_do_not_join_a_wide_hall_to_the_ground(size, is_building):
-    """At one wall steps of 1 m lead down; of a hall that the windows span, such stairs are a way."""
-    heights, _ = half_known(size)
-    heights[40, 20 + size : 27 + size] = np.arange(7, 0, -1)
-    found = halls(heights, np.ones(heights.shape, dtype=bool))
-    assert found[heights == 8].all() == is_building
-    assert not found[heights < 8].any()
+@pytest.mark.parametrize("cut", [False, True])
+def test_stairs_at_a_wall_do_not_join_a_wide_hall_to_the_ground(cut):
+    """It is wider than the windows; at one wall steps of 1 m lead down. The border may cut it at another one."""
+    heights, _ = half_known(200)
+    heights[100, 220:227] = np.arange(7, 0, -1)
+    ground = walled_ground(exact(heights[20:] if cut else heights), PARAMS)
+    assert not ground[(heights[20:] if cut else heights) == 8].any()
+    assert ground[(heights[20:] if cut else heights) == 0].all()
 
 
-@pytest.mark.parametrize("side", [50, 40, 5])
+def test_a_yard_on_a_plateau_between_houses_is_ground():
+    """Walls bound the block, but the yard looks up at them nearly all around."""
+    heights, ground = half_known()
+    heights[20:40, 20:120] = heights[100:120, 20:120] = heights[20:120, 20:40] = heights[20:120, 104:120] = 14
+    ground = heights < 14
+    assert not halls(heights, ground).any()
+    heights[20:120, 104:120] = 8
+    assert np.array_equal(halls(heights, heights < 14), heights == 8)
+
+
+def test_a_knoll_that_falls_in_steps_is_ground():
+    """Its flanks are walls, but fall by 1.8 m from cell to cell; a hall falls by all of its height at once."""
+    row, col = np.indices((140, 140))
+    heights = np.clip(1.8 * (40 - np.maximum(abs(row - 70), abs(col - 70))), 0, 9.0)
+    assert not halls(heights, np.ones(heights.shape, dtype=bool)).any()
+    heights = np.where(heights == 9, heights, 0)
+    assert halls(heights, np.ones(heights.shape, dtype=bool))[heights == 9].all()
+
+
+@pytest.mark.parametrize("side", [50, 40, 8])
 def test_ground_on_the_roof_of_a_known_hall_is_a_building(side):
-    """However small it is: it is as high as the hall around it."""
+    """It is as high as the hall around it, which is known."""
     heights, ground = half_known()
     ground[20:120, 20:120] = False
     middle = np.s_[40 : 40 + side, 40 : 40 + side]
@@ -209,13 +229,3 @@ def test_a_court_that_the_border_cuts_stays(cols, void, is_roof):
     found = regions.sunk_roofs(replace(surface, valid=valid), ground & valid)
     assert found[court][ground[court] & valid[court]].all() == is_roof
     assert found.sum() == is_roof * 100
-
-
-def test_stairs_at_a_wall_do_not_join_a_hall_that_the_border_cuts_to_the_ground():
-    """The border cuts one side of four; at another one steps of 1 m lead down."""
-    heights, _ = half_known()
-    heights[60, 120:127] = np.arange(7, 0, -1)
-    heights = heights[20:]
-    found = halls(heights, np.ones(heights.shape, dtype=bool))
-    assert found[heights == 8].all()
-    assert not found[heights < 8].any()
