@@ -68,9 +68,9 @@ HIDDEN = 1 / 3
 def halls(surface: Grid, ground: Mask, raised: Mask, wall_m: float, params: GroundParams) -> Mask:
     """Return the ground within halls: wider than the windows of the progressive filter, or cut by the border.
 
-    A region of what is raised is a hall if it falls by walls nearly all around: to the lowest of the nine cells beside
-    it, as bushes stand at walls. Half of these fall by `STEP_M` at once, as knolls with steep flanks do not. A hall is
-    bare, as a plateau carries houses and trees. What looks up at walls nearly all around is a yard.
+    A region of what is raised is a hall if it falls by walls nearly all around. Half of these fall by `STEP_M` at once,
+    as those of knolls with steep flanks do not. A hall is bare, as a plateau carries houses and trees. What looks up at
+    walls nearly all around is a yard.
 
     If the border cuts the region, the part of its edge that is seen decides. This falls deeper than terraces do, on
     average. The border is at most `CUT` of the edge, two sides of a corner; if it is more than `SIDE`, the region is
@@ -100,33 +100,28 @@ def halls(surface: Grid, ground: Mask, raised: Mask, wall_m: float, params: Grou
     possible = sizes(regions[doubtful], count) * cell_m2 >= LEAST_M2
     if not possible.any():
         return np.zeros_like(ground)
-    own, there, fall = edges_of(heights, regions, np.concatenate([[False], possible]))
-    deep = fall + (heights - erosion(heights, 3, measured)).ravel()[there]
+    chosen = np.concatenate([[False], possible])
+    own, there, fall = edges_of(heights, regions, chosen)
     seen = measured.ravel()[there]
-    falls = seen & (deep >= wall_m)
+    falls = seen & (fall >= wall_m)
     edges, walls = sizes(own[seen], count), sizes(own[falls], count)
-    depth_m = np.bincount(own[falls], weights=deep[falls], minlength=count + 1)[1:]
+    depth_m = np.bincount(own[falls], weights=fall[falls], minlength=count + 1)[1:]
     at_once = sizes(own[falls & (fall >= STEP_M * max(surface.spec.cell_m, 1.0))], count)
     # What is next to a void goes on into it, as over the border.
     outside = own[~seen], regions[0], regions[-1], regions[:, 0], regions[:, -1]
     cut = sizes(np.concatenate(outside), count)
+    share = cut / np.maximum(edges + cut, 1)
     things, number = join_cells(heights, known, wall_m)
     small = np.bincount(things[known], minlength=number) * cell_m2 < HOUSE_M2
-    around, above, carried = np.zeros(count), np.zeros(count), np.zeros(count)
-    for one, other in neighbours(heights.shape):
-        for here, next_to in ((one, other), (other, one)):
-            beside = doubtful[here] & ~doubtful[next_to] & measured[next_to]
-            higher = beside & known[next_to] & (heights[next_to] - heights[here] >= wall_m)
-            on_it = higher & small[things[next_to]]
-            for total, chosen in ((around, beside), (above, higher), (carried, on_it)):
-                total += sizes(regions[here][chosen], count)
-    share = cut / np.maximum(edges + cut, 1)
-    walled = possible & (walls >= np.maximum(params.podium_share * edges, 1)) & (above < params.podium_share * around)
-    walled &= (
-        (2 * at_once >= walls) & (carried <= BARE * edges) & ((cut == 0) | (depth_m >= HALL_M * walls)) & (share <= CUT)
-    )
-    walled &= (share <= SIDE) | (2 * sizes(regions, count) <= np.count_nonzero(measured))
-    return doubtful & chosen_cells(regions, walled)
+    own, there, fall = edges_of(heights, np.where(doubtful, regions, 0), chosen)
+    higher = known.ravel()[there] & (fall <= -wall_m)
+    of_doubtful = sizes(own[measured.ravel()[there]], count)
+    looks_up, carries = sizes(own[higher], count), sizes(own[higher & small[things.ravel()[there]]], count)
+    walled = (walls >= np.maximum(params.podium_share * edges, 1)) & (2 * at_once >= walls)
+    bare, yard = carries <= BARE * edges, looks_up >= params.podium_share * of_doubtful
+    high = (cut == 0) | (depth_m >= HALL_M * walls)
+    is_seen = (share <= SIDE) | ((share <= CUT) & (2 * sizes(regions, count) <= np.count_nonzero(measured)))
+    return doubtful & chosen_cells(regions, possible & walled & bare & ~yard & high & is_seen)
 
 
 def edges_of(

@@ -133,10 +133,9 @@ def half_known(size=100):
     return heights, ground
 
 
-def halls(heights, ground, raised=None):
+def halls(heights, ground):
     """Return what is taken out of the ground, on cells of 1 m without voids; what is above 0 is raised."""
-    raised = heights > 0 if raised is None else raised
-    return regions.halls(exact(heights), ground, raised, 1.2, PARAMS)
+    return regions.halls(exact(heights), ground, heights > 0, 1.2, PARAMS)
 
 
 @pytest.mark.parametrize("cols", [slice(20, 70), slice(20, 118), slice(118, 120)])
@@ -149,21 +148,23 @@ def test_the_rest_of_a_hall_of_which_a_part_is_known_is_a_building(cols):
 
 
 @pytest.mark.parametrize("cut", [False, True])
-def test_stairs_at_a_wall_do_not_join_a_wide_hall_to_the_ground(cut):
-    """It is wider than the windows; at one wall steps of 1 m lead down. The border may cut it at another one."""
+@pytest.mark.parametrize(("step_m", "wide"), [(1.0, 1), (0.7, 3)])
+def test_stairs_at_a_wall_do_not_join_a_wide_hall_to_the_ground(step_m, wide, cut):
+    """It is wider than the windows; at one wall low steps lead down. The border may cut it at another one."""
     heights, _ = half_known(200)
-    heights[100, 220:227] = np.arange(7, 0, -1)
-    ground = walled_ground(exact(heights[20:] if cut else heights), PARAMS)
-    assert not ground[(heights[20:] if cut else heights) == 8].any()
-    assert ground[(heights[20:] if cut else heights) == 0].all()
+    down = np.arange(8 - step_m, 0, -step_m)
+    heights[100 : 100 + wide, 220 : 220 + len(down)] = down
+    heights = heights[20:] if cut else heights
+    ground = walled_ground(exact(heights), PARAMS)
+    assert not ground[heights == 8].any()
+    assert ground[heights == 0].all()
 
 
 def test_a_yard_on_a_plateau_between_houses_is_ground():
     """Walls bound the block, but the yard looks up at them nearly all around."""
-    heights, ground = half_known()
+    heights, _ = half_known()
     heights[20:40, 20:120] = heights[100:120, 20:120] = heights[20:120, 20:40] = heights[20:120, 104:120] = 14
-    ground = heights < 14
-    assert not halls(heights, ground).any()
+    assert not halls(heights, heights < 14).any()
     heights[20:120, 104:120] = 8
     assert np.array_equal(halls(heights, heights < 14), heights == 8)
 
