@@ -70,7 +70,7 @@ WIDER = 3.0
 """Ours, in sample: blocks and windows so many times as wide follow no hall of up to 400 m; twice loses a few more."""
 
 LOW_M = 1.0
-"""Ours: low ground lies less than this above the lowest around; 0.7 to 1.2 m give the same."""
+"""Ours, in sample: low ground lies less than this above the lowest around; 0.7 to 1.2 m give nearly the same."""
 
 HOLLOW_M = 180.0
 """Side of the square in which hollows are compared with what stands: as wide as the trend looks, nine blocks."""
