@@ -22,6 +22,9 @@ FORM = 1
 EVEN = 1.5
 """Ours, in sample: sparser parts of a survey have up to so many mean spacings; real places have 1.1 to 1.45."""
 
+USUAL_SPLIT = 0.5
+"""Ours, in sample: share of pulses that crowns split, at least; with all echoes real places have 0.5 to 1."""
+
 BASIS = {
     "surface": (),
     "ground": (),
@@ -55,6 +58,9 @@ class PointFacts:
         Spacing of the sparser parts, metres (`msbdb.points.spacing.sparse_spacing`).
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
+    crown_split : float or None
+        Share of pulses that crowns split: the upper quartile over the cells that roughness alone takes for vegetation
+        (`msbdb.surface.structure.splits_in_crowns`). None where nothing is known of it.
     under_m : float
         Where echoes have no numbers, points that lie under others within this distance are later ones, metres; 0 where
         none are (`msbdb.points.laterechoes`).
@@ -78,6 +84,7 @@ class PointFacts:
     link_m: float
     numbered: bool
     echoes: bool
+    crown_split: float | None
     under_m: float
     ground_share: float
     colours: tuple[str, ...]
@@ -88,6 +95,13 @@ class PointFacts:
     def even_m(self) -> float:
         """Spacing that cells and the links of points follow, metres: the mean, or more where much is far sparser."""
         return max(self.spacing_m, self.sparse_m / EVEN)
+
+    @property
+    def echo_trust(self) -> float:
+        """How far single echoes tell a roof, from 0 to 1: little where the sensor hardly splits pulses in crowns."""
+        if not self.echoes:
+            return 0.0
+        return 1.0 if self.crown_split is None else min(1.0, self.crown_split / USUAL_SPLIT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +240,7 @@ class Plan:
                 crs=str(known["crs"]),
                 cell_m=float(known["cell_m"]),
                 density=float(known["density"]),
-                points=None if points is None else _as(PointFacts, _with_sparse(points)),
+                points=None if points is None else _as(PointFacts, _with_later_facts(points)),
                 ground_filter=str(known["ground_filter"]),
                 scales_m2=tuple(map(float, known["scales_m2"])),
                 heights_m=tuple(map(float, known["heights_m"])),
@@ -281,6 +295,7 @@ def _of_points(facts: PointFacts) -> dict[str, str]:
         "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground, "
         f"{facts.sparse_m:.2f} m where it is sparse, links of {facts.link_m:.2f} m",
         "points have": ", ".join(name for name, there in has.items() if there) or "coordinates alone",
+        **({} if facts.crown_split is None else {"crowns split": f"{100 * facts.crown_split:.0f} % of the pulses"}),
         "elevations": "; ".join(f"{low:.1f} to {high:.1f} m" for low, high in facts.levels_m),
     }
 
@@ -316,11 +331,11 @@ def numbers(values: tuple[Any, ...]) -> "np.ndarray[Any, np.dtype[np.float64]]":
     return np.array(values, dtype=np.float64)
 
 
-def _with_sparse(points: object) -> object:
-    """Return the facts of points; where an earlier plan does not tell the sparser parts, all are as sparse."""
-    if not isinstance(points, Mapping) or "sparse_m" in points or "spacing_m" not in points:
+def _with_later_facts(points: object) -> object:
+    """Return the facts of points. Of an earlier plan all parts are as sparse, and nothing is known of its crowns."""
+    if not isinstance(points, Mapping) or "spacing_m" not in points:
         return points
-    return {**points, "sparse_m": points["spacing_m"]}
+    return {"sparse_m": points["spacing_m"], "crown_split": None, **points}
 
 
 def _with_roofs(classes: object) -> object:

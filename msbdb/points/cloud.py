@@ -111,3 +111,8 @@ class PointCloud:
         if self.number_of_returns is None:
             return False
         return bool((self.number_of_returns > 1).any()) if self.facts is None else self.facts.echoes
+
+    @property
+    def echo_trust(self) -> float:
+        """How far single echoes tell a roof, from 0 to 1, by the facts of the survey; else 1 if it has echoes."""
+        return float(self.has_echoes) if self.facts is None else self.facts.echo_trust * self.has_echoes

@@ -12,10 +12,14 @@ from msbdb.surface.heights import (
 )
 from msbdb.surface.structure import (
     Structure,
+    Texture,
     cover_from_surface,
     cover_with_colours,
     drop_green_regions,
+    split_of_crowns,
+    splits_in_crowns,
     structural_cover,
+    texture_of,
 )
 from msbdb.surface.texture import Echoes, echoes, roughness
 
@@ -24,6 +28,7 @@ __all__ = [
     "Samples",
     "Structure",
     "Surface",
+    "Texture",
     "cell_size",
     "cover_from_surface",
     "cover_with_colours",
@@ -37,6 +42,9 @@ __all__ = [
     "points_of_cells",
     "roughness",
     "sample_nearest",
+    "split_of_crowns",
+    "splits_in_crowns",
     "structural_cover",
     "surface_from_rasters",
+    "texture_of",
 ]

@@ -194,6 +194,7 @@ def points_of_cells(surface: Surface) -> PointCloud:
         link_m=cell_m,
         numbered=False,
         echoes=False,
+        crown_split=None,
         under_m=0.0,
         ground_share=0.0,
         colours=(),

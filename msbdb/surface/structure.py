@@ -31,11 +31,47 @@ ROOF, VEGETATION = 1, 2
 USUAL_CELL_M = 0.6
 """Ours: the largest cells of the surveys that the limits of roughness were calibrated on."""
 
+UPPER = 0.75
+"""A quarter of what roughness alone takes for vegetation is crowns, also on coarse cells."""
+
 WINDOW_POWER = 1.2
 """Ours, in sample: the limit of smoothness grows by this power of the window, as wide windows span several roofs."""
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Texture:
+    """What tells roofs from vegetation without colours.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    roughness_m, wide_roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small and the wide windows.
+    echoes : Echoes or None
+        The shares of echoes; without them the roughness decides alone.
+    mask_m : float
+        Height of the mask (V17), metres.
+    """
+
+    ndsm: Grid
+    roughness_m: Field
+    wide_roughness_m: Field
+    echoes: Echoes | None
+    mask_m: float
+
+    @property
+    def raised(self) -> Mask:
+        """The cells at or above the mask."""
+        return np.asarray(self.ndsm.valid & (np.asarray(self.ndsm.values) >= self.mask_m))
+
+    @property
+    def filled_m(self) -> Field:
+        """The roughness in the small window, and in the wide one where the small one has too few samples."""
+        return np.where(self.roughness_m < NO_PLANE_M, self.roughness_m, self.wide_roughness_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,27 +97,16 @@ class Structure:
     filled_m: Field
 
 
-def structural_cover(
-    ndsm: Grid,
-    roughness_m: Field,
-    wide_roughness_m: Field,
-    echoes: Echoes | None,
-    *,
-    mask_m: float,
-    params: CoverParams,
-) -> Structure:
+def structural_cover(texture: Texture, *, echo_trust: float = 1.0, params: CoverParams) -> Structure:
     """Separate roofs from vegetation on every cell above the mask.
 
     Parameters
     ----------
-    ndsm : Grid
-        Heights above ground, metres.
-    roughness_m, wide_roughness_m : (H, W) ndarray of float32, metres
-        Residual of the best plane in the small and the wide windows.
-    echoes : Echoes, optional
-        The shares of echoes; without them the roughness decides alone.
-    mask_m : float
-        Height of the mask (V17), metres.
+    texture : Texture
+        Heights, roughness and echoes.
+    echo_trust : float
+        How far single echoes tell a roof, from 0 to 1 (`msbdb.surveyplan.PointFacts.echo_trust`). Split echoes tell
+        leaves whatever the sensor.
     params : CoverParams
         Weights and sizes.
 
@@ -94,36 +119,90 @@ def structural_cover(
     Where the small window has too few samples for a plane, as beside strips that overlap, the wide one is judged:
     sparse is not rough. In the odds with echoes such cells keep the penalty that they were calibrated with.
     Without echoes the limits of roughness grow with the windows on cells above 0.6 m.
+
+    With w the trust, the log-odds are w times the part of single echoes and 1 - w times that of roughness alone, less
+    the part of split echoes. The limits for regions go in the same way from those of roughness alone to the others.
     """
-    raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
-    filled_m = np.where(roughness_m < NO_PLANE_M, roughness_m, wide_roughness_m)
-    if echoes:
-        leafy = leaf_share(wide_roughness_m, ndsm.spec.cell_m, params)
+    ndsm, small_m, wide_m = texture.ndsm, texture.roughness_m, texture.wide_roughness_m
+    wider, filled_m, echoes = _for_wider_windows(params, ndsm.spec.cell_m), texture.filled_m, texture.echoes
+    if echoes is None:
+        odds = _rough_odds(filled_m, wide_m, wider)
+    else:
+        leafy = leaf_share(wide_m, ndsm.spec.cell_m, params)
         echoes = replace(
             echoes,
             split=echoes.split * leafy,
             split_best=echoes.split_best * leafy,
             split_wide=echoes.split_wide * leafy,
         )
-        odds = _echo_odds(roughness_m, echoes, params)
-    else:
-        params = _for_wider_windows(params, ndsm.spec.cell_m)
-        odds = _rough_odds(filled_m, wide_roughness_m, params)
+        odds = _echo_odds(small_m, echoes, echo_trust, params)
+        if echo_trust < 1:
+            odds += np.float32(1 - echo_trust) * _rough_odds(filled_m, wide_m, wider)
+    limits = _limits(params, wider, 0.0 if echoes is None else echo_trust)
     probability = _sigmoid(odds)
-    cover = _regions_of(probability, raised, ndsm, params, roughness_m=filled_m, echoes=echoes)
-    return Structure(cover, probability, roughness_m, filled_m)
+    split = None if echoes is None else echoes.split
+    cover = _regions_of(probability, texture.raised, ndsm, limits, roughness_m=filled_m, split=split)
+    return Structure(cover, probability, small_m, filled_m)
+
+
+def splits_in_crowns(texture: Texture, params: CoverParams) -> Field | None:
+    """Return the shares of split first echoes where roughness alone sees vegetation; None without echoes.
+
+    Parameters
+    ----------
+    texture : Texture
+        Heights, roughness and echoes.
+    params : CoverParams
+        Weights and sizes.
+
+    Returns
+    -------
+    (N,) ndarray of float32
+        In the small window, one for each of the cells above the mask that are vegetation without echoes.
+    """
+    if texture.echoes is None:
+        return None
+    alone = structural_cover(replace(texture, echoes=None), params=params).cover
+    return np.asarray(texture.echoes.split[alone.index == VEGETATION])
+
+
+def split_of_crowns(shares: Sequence[Field]) -> float | None:
+    """Return the share of pulses that the crowns of a survey split; None where no cell is known.
+
+    The upper quartile counts: on coarse cells many roofs are as rough as crowns, and split hardly a pulse.
+
+    Parameters
+    ----------
+    shares : sequence of (N,) ndarray of float32
+        Of the survey or of blocks of it (`splits_in_crowns`).
+    """
+    known = np.concatenate([*shares, np.zeros(0, dtype=np.float32)])
+    return round(float(np.quantile(known, UPPER)), 6) if known.size else None
+
+
+def _limits(params: CoverParams, wider: CoverParams, trust: float) -> CoverParams:
+    """Return the parameters by which regions are judged, between those without echoes and those with them."""
+
+    def between(blind: float, with_echoes: float) -> float:
+        return trust * with_echoes + (1 - trust) * blind
+
+    return replace(
+        params,
+        neck_m=between(params.blind_neck_m, params.neck_m),
+        smooth_m_limit=between(wider.smooth_m_limit, params.smooth_m_limit),
+        min_smooth_share=between(params.min_smooth_share, 0.0),
+    )
 
 
 def _regions_of(
-    probability: Field, raised: Mask, ndsm: Grid, params: CoverParams, *, roughness_m: Field, echoes: Echoes | None
+    probability: Field, raised: Mask, ndsm: Grid, limits: CoverParams, *, roughness_m: Field, split: Field | None
 ) -> ClassMap:
     """Smooth the cells' probabilities, cut them at one half, and judge each region as a whole."""
-    cell_m = ndsm.spec.cell_m
+    params, cell_m = limits, ndsm.spec.cell_m
     [share] = smooth_shares((probability,), raised, params.smooth_m / cell_m)
     roof = share > 0.5
-    neck_m = params.neck_m if echoes else params.blind_neck_m
-    roof = _tidy(roof & raised, raised, cell_m, neck_m, params)
-    roof = _judge_regions(roof, roughness_m, echoes, cell_m, params)
+    roof = _tidy(roof & raised, raised, cell_m, params)
+    roof = _judge_regions(roof, roughness_m, split, cell_m, params)
     roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), cell_m, params)
     index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
     return ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
@@ -166,8 +245,8 @@ def cover_with_colours(
     own = structure.roof_probability
     times *= own
     probability = times / (1 - own + times)
-    wider, raised = _for_wider_windows(params, ndsm.spec.cell_m), structure.cover.index > 0
-    return _regions_of(probability, raised, ndsm, wider, roughness_m=structure.filled_m * factor, echoes=None)
+    limits, raised = _limits(params, _for_wider_windows(params, ndsm.spec.cell_m), 0.0), structure.cover.index > 0
+    return _regions_of(probability, raised, ndsm, limits, roughness_m=structure.filled_m * factor, split=None)
 
 
 def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> Field:
@@ -193,17 +272,18 @@ def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> F
     return np.asarray(np.clip(ratio, 0, 1), dtype=np.float32)
 
 
-def _echo_odds(roughness_m: Field, echoes: Echoes, params: CoverParams) -> Field:
+def _echo_odds(roughness_m: Field, echoes: Echoes, trust: float, params: CoverParams) -> Field:
     """Log-odds of roof from the echoes, with a little from the roughness; split echoes of planes do not count.
 
-    b - w_1·split_best - w_2·split_wide - w_3·ln(roughness) + w_4·solid, with the weights of ``cover``.
+    w·(b - w_3·ln(roughness) + w_4·solid) - w_1·split_best - w_2·split_wide, with the trust w and the weights of
+    ``cover``.
     """
     return (
-        params.echo_bias
+        trust * params.echo_bias
         - params.split_weight * echoes.split_best
         - params.split_wide_weight * echoes.split_wide
-        - params.echo_rough_weight * np.log(np.maximum(roughness_m, params.smooth_floor_m))
-        + params.solid_weight * echoes.solid
+        - trust * params.echo_rough_weight * np.log(np.maximum(roughness_m, params.smooth_floor_m))
+        + trust * params.solid_weight * echoes.solid
     )
 
 
@@ -249,17 +329,17 @@ def smooth_shares(images: Sequence[Field], raised: Mask, sigma_cells: float) -> 
     return [np.divide(share, weight, out=share) for share in shares]
 
 
-def _tidy(roof: Mask, raised: Mask, cell_m: float, neck_m: float, params: CoverParams) -> Mask:
+def _tidy(roof: Mask, raised: Mask, cell_m: float, params: CoverParams) -> Mask:
     """Close small holes, cut thin necks and drop small regions."""
     roof = roof | (small_zones(~roof, params.hole_m2 / cell_m**2, connectivity=4) & raised)
-    radius = round(neck_m / 2 / cell_m)
+    radius = round(params.neck_m / 2 / cell_m)
     if radius:
         size = 2 * radius + 1
         roof = opening(roof.astype(np.float32), size, None) > 0
     return roof & ~small_zones(roof, params.min_roof_m2 / cell_m**2, connectivity=8)
 
 
-def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m: float, params: CoverParams) -> Mask:
+def _judge_regions(roof: Mask, roughness_m: Field, split: Field | None, cell_m: float, params: CoverParams) -> Mask:
     """Keep the regions that are smooth enough for the share of echoes that they split.
 
     On cells above 1 m a window spans several planes of a roof, so that the limit of smoothness grows with the cell.
@@ -269,9 +349,9 @@ def _judge_regions(roof: Mask, roughness_m: Field, echoes: Echoes | None, cell_m
     cells = sizes(labels, count)
     smooth = sizes(labels[roughness_m < limit], count) / cells
     needed = np.full(count, params.min_smooth_share)
-    if echoes:
-        split = sums(labels, echoes.split, count) / cells
-        needed = params.smooth_per_split * (split - params.free_split_share)
+    if split is not None:
+        shares = sums(labels, split, count) / cells
+        needed = np.maximum(needed, params.smooth_per_split * (shares - params.free_split_share))
     return chosen_cells(labels, smooth >= needed)
 
 
@@ -322,8 +402,8 @@ def roughness_by_window(samples: Samples, params: CoverParams) -> dict[float, Fi
     return {window_m: roughness(samples, window_m) for window_m in windows_m}
 
 
-def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
-    """Separate roofs from vegetation by texture, and by echoes where the source has them.
+def texture_of(surface: Surface, points: PointCloud | None, params: Params) -> Texture:
+    """Measure the texture of a surface, and the echoes where the source has them.
 
     Parameters
     ----------
@@ -333,12 +413,6 @@ def cover_from_surface(surface: Surface, points: PointCloud | None, params: Para
         The same points; None for a raster source.
     params : Params
         Sections ``surface`` and ``cover``.
-
-    Returns
-    -------
-    Structure
-        Building and vegetation above the mask, each cell's own probability of roof, and the roughness in the small
-        window.
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
 
@@ -353,4 +427,26 @@ def cover_from_surface(surface: Surface, points: PointCloud | None, params: Para
         if points is None
         else echoes(points, surface.ndsm, surface.dtm, small_m=small_m, wide_m=wide_m, mask_m=mask_m)
     )
-    return structural_cover(surface.ndsm, rough, wide, found, mask_m=mask_m, params=params.cover)
+    return Texture(surface.ndsm, rough, wide, found, mask_m)
+
+
+def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
+    """Separate roofs from vegetation by texture, and by echoes where the source has them.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surfaces of the survey.
+    points : PointCloud, optional
+        The same points, which may know the facts of the survey; None for a raster source.
+    params : Params
+        Sections ``surface`` and ``cover``.
+
+    Returns
+    -------
+    Structure
+        Building and vegetation above the mask, each cell's own probability of roof, and the roughness in the small
+        window.
+    """
+    trust = 0.0 if points is None else points.echo_trust
+    return structural_cover(texture_of(surface, points, params), echo_trust=trust, params=params.cover)

@@ -13,6 +13,8 @@ from cases.copies import (
     thinned,
     thinned_east_of,
     with_class_alone,
+    with_echoes_apart,
+    with_fewer_later,
     with_outliers,
 )
 from cases.labelled import Objects, Place, cell_for, first_density, reference_of
@@ -163,6 +165,35 @@ def test_a_sensor_of_one_echo_numbers_all_as_one_of_one(town):
     assert set(copy.return_number) == set(copy.number_of_returns) == {1}
     assert set(with_class_alone(cloud, 2).classification) == {1, 2}
     assert 6 in cloud.classification
+
+
+def test_a_weaker_sensor_keeps_all_first_echoes_and_a_share_of_the_others(town):
+    """Pulses that keep their later echoes keep all of them; the others are numbered 1 of 1."""
+    _, (cloud,), _ = town
+    for share in (0.0, 0.4, 1.0):
+        copy = with_fewer_later(cloud, share)
+        first = np.asarray(copy.return_number) == 1
+        assert np.count_nonzero(first) == np.count_nonzero(cloud.return_number == 1)
+        split = [np.mean(np.asarray(each.number_of_returns)[each.return_number == 1] > 1) for each in (copy, cloud)]
+        assert split[0] == pytest.approx(share * split[1], abs=0.02)
+        _, of_pulse = np.unique(copy.gps_time, return_counts=True)
+        assert sorted(np.asarray(copy.number_of_returns)[first]) == sorted(of_pulse)
+
+
+def test_echoes_nearer_than_a_sensor_tells_are_lost(town):
+    """Of a pulse what lies too near below the last echo told is gone; the rest is numbered anew, from above."""
+    _, (cloud,), _ = town
+    for least_m in (0.0, 2.0, 5.0):
+        copy = with_echoes_apart(cloud, least_m)
+        order = np.lexsort((copy.return_number, copy.gps_time))
+        times, z = np.asarray(copy.gps_time)[order], np.asarray(copy.z)[order]
+        same = times[1:] == times[:-1]
+        assert same.any()
+        assert (z[:-1] - z[1:])[same].min() >= least_m
+        assert (np.diff(np.asarray(copy.return_number)[order].astype(int))[same] == 1).all()
+        last = np.append(~same, True)
+        assert (np.asarray(copy.return_number)[order][last] == np.asarray(copy.number_of_returns)[order][last]).all()
+    assert len(with_echoes_apart(cloud, 0.0).points) == len(cloud.points)
 
 
 def test_a_town_over_hills_keeps_its_roofs_level_and_lays_its_ground_on_the_relief():

@@ -50,6 +50,8 @@ class OffGround:
         Area of each point: one over the local density of the cloud (A17).
     split : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None where the source has no echoes.
+    echo_trust : float
+        How far single echoes tell a roof, from 0 to 1; 0 where the source has no echoes.
     ndvi : (N,) ndarray of float32, optional
         NaN where a point has none.
     place : (N,) ndarray of int64
@@ -70,6 +72,7 @@ class OffGround:
     heights: Floats
     area_m2: Floats
     split: NDArray[np.bool_] | None
+    echo_trust: float
     ndvi: NDArray[np.float32] | None
     place: NDArray[np.int64]
     spacing_m: float
@@ -141,6 +144,7 @@ def off_ground(
         heights=heights.astype(np.float64, copy=False),
         area_m2=area_m2,
         split=None if not cloud.has_echoes else np.greater(cloud.number_of_returns[chosen], 1),  # type: ignore[index]  # there are echoes
+        echo_trust=cloud.echo_trust,
         ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
         place=set_aside(places(spec, x, y)),
         spacing_m=density.spacing_m,
@@ -189,12 +193,13 @@ def classify_vegetation(points: OffGround, found: SurfaceEvidence, params: Adapt
 
     Green points are vegetation, unless their surroundings are as level as only a planted roof is. Other points are
     vegetation where their surroundings scatter: by log-odds of the level share and the share of split echoes (ours;
-    the slides have colours, and a sensor of up to four echoes, S8).
+    the slides have colours, and a sensor of up to four echoes, S8). The less single echoes are trusted, the more the
+    level share has to decide.
     """
-    if points.split is None:
-        odds = params.blind_bias + params.blind_level_weight * found.level
-    else:
-        odds = params.bias + params.level_weight * found.level - params.split_weight * found.split
+    trust = points.echo_trust
+    bias = trust * params.bias + (1 - trust) * params.blind_bias
+    level_weight = trust * params.level_weight + (1 - trust) * params.blind_level_weight
+    odds = bias + level_weight * found.level - params.split_weight * found.split
     kind = np.where(odds < params.least_odds, SCATTERED, 0).astype(np.int8)
     if points.ndvi is not None and np.isfinite(points.ndvi).any():
         green = points.ndvi > ndvi_threshold(points.ndvi, params)

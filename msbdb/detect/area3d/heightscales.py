@@ -132,6 +132,8 @@ class NormalisedCloud:
         Area of each point.
     several : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None without echo numbers.
+    echo_trust : float
+        How far single echoes tell a roof, from 0 to 1; 0 where the source has no echoes.
     ndvi : (N,) ndarray of float64, optional
         NaN where a point has none.
     place : (N,) ndarray of int64
@@ -144,6 +146,7 @@ class NormalisedCloud:
     heights: NDArray[np.float64]
     area_m2: NDArray[np.float64]
     several: NDArray[np.bool_] | None
+    echo_trust: float
     ndvi: NDArray[np.float64] | None
     place: NDArray[np.int64]
     origin: NDArray[np.float64]
@@ -348,13 +351,15 @@ class _Level:
         return labels, kept
 
     def without_crowns(self, labels: Labels, count: int) -> tuple[Labels, int]:
-        """Drop the regions that are crowns as a whole (ours): by curvature and echoes together, and by NDVI."""
+        """Drop the regions that are crowns as a whole (ours): by curvature and echoes together, and by NDVI.
+
+        The less single echoes are trusted, the more the curvature alone decides.
+        """
         cloud, own = self.scene.cloud, self.scene.params
         curvature = region_means(self.scene.curvature, labels, count)
-        if cloud.several is None:
-            crown = curvature > own.max_crown_curvature
-        else:
-            crown = curvature * region_means(cloud.several, labels, count) > self.scene.max_crown
+        crown = curvature * (1 - cloud.echo_trust) > own.max_crown_curvature
+        if cloud.several is not None:
+            crown |= curvature * region_means(cloud.several, labels, count) > self.scene.max_crown
         reasons = np.where(crown, CROWN, "").astype(object)
         if cloud.ndvi is not None:
             reasons[~crown & (region_means(cloud.ndvi, labels, count) > own.max_ndvi)] = GREEN

@@ -1,6 +1,6 @@
 """Preparation: from the files of a survey to the scene in which the detectors look for buildings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,15 @@ NO_IMAGERY = "There is no imagery: height texture and echoes alone separate roof
 
 
 NO_ECHOES = "No pulse has a second echo, or none is recorded: height texture alone separates roofs from vegetation."
+
+
+FEW_ECHOES = (
+    "Few pulses have a second echo, even where the surface is as rough as crowns. So height texture, more than echoes, "
+    "separates roofs from vegetation."
+)
+
+TRUSTED = 0.5
+"""Ours: where single echoes are trusted less, the classes of colours help as without echoes."""
 
 
 CAN_BE_ROOF = 64
@@ -142,6 +151,7 @@ def prepare(
     if plan is None and cloud is not None and not is_small_cloud(cloud, params):
         with collected_notices():
             plan = plan_of_wide_cloud(inputs, cloud, params, stages)
+        cloud = replace(cloud, facts=plan.points)
     own, seen = (None, None) if window is None else (window.own, window.seen)
     draft = make_draft(inputs, cloud, params, stages, sampled=own is not None, planned=plan is not None, seen=seen)
     surface, structure, bands = draft.surface, draft.structure, draft.bands
@@ -159,7 +169,7 @@ def prepare(
             bands,
             surface.ndsm,
             settled(params, chosen),
-            echoes=cloud is not None and cloud.has_echoes,
+            echoes=chosen.points is not None and chosen.points.echo_trust >= TRUSTED,
             fitted=fitted,
             counted=counted,
         )
@@ -176,7 +186,9 @@ def prepare(
     with stages.stage("classes"):
         (cover, known, planned), (record, evidence, elevations, intensity) = together(classify, keep)
     parcels = None if inputs.parcels is None else read_parcels(inputs.parcels, spec, everywhere=own is None)
-    points, above = (None, None) if draft.cloud is None else evenly_dense(draft.cloud.places(), draft.above)
+    points, above = None, None
+    if draft.cloud is not None:
+        points, above = evenly_dense(replace(draft.cloud.places(), facts=planned.points), draft.above)
     scene = Scene(
         record,
         surface.ndsm,
@@ -214,11 +226,11 @@ def read_parcels(path: Path, spec: GridSpec, *, everywhere: bool = True) -> Labe
 
 def note_missing_sources(scene: Scene) -> None:
     """Give notice of sources that are missing, without which buildings are harder to recognise."""
-    echoes = scene.cloud is not None and scene.cloud.has_echoes
+    trust = 0.0 if scene.cloud is None else scene.cloud.echo_trust
     if scene.cover.spectral is None:
         give_notice(NO_IMAGERY)
-    if not echoes:
-        give_notice(NO_ECHOES)
+    if trust < TRUSTED:
+        give_notice(NO_ECHOES if scene.cloud is None or not scene.cloud.has_echoes else FEW_ECHOES)
 
 
 def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:

@@ -114,6 +114,33 @@ def first_only(cloud: laspy.LasData) -> laspy.LasData:
     return copy
 
 
+def with_fewer_later(cloud: laspy.LasData, share: float) -> laspy.LasData:
+    """Return what a weaker sensor records: a share of the pulses keeps its later echoes, the others their first one."""
+    drawn, first = _drawn(cloud, share), np.asarray(cloud.return_number) <= 1
+    copy = taken(cloud, drawn | first)
+    copy.number_of_returns = np.where(drawn, np.asarray(cloud.number_of_returns), 1).astype(np.uint8)[drawn | first]
+    return copy
+
+
+def with_echoes_apart(cloud: laspy.LasData, least_m: float) -> laspy.LasData:
+    """Return what a sensor records that cannot tell echoes of a pulse nearer than so many metres below one another."""
+    pulse, z, number = pulses(cloud), np.asarray(cloud.z), np.asarray(cloud.return_number)
+    last, count = (
+        np.full(int(pulse.max(initial=-1)) + 1, -np.inf),
+        np.zeros(int(pulse.max(initial=-1)) + 1, dtype=np.uint8),
+    )
+    kept, own = np.zeros(len(z), dtype=np.bool_), np.ones(len(z), dtype=np.uint8)
+    for order in np.unique(number).tolist():
+        at = np.flatnonzero(number == order)
+        at = at[(order <= 1) | (last[pulse[at]] - z[at] >= least_m)]
+        kept[at], last[pulse[at]] = True, z[at]
+        count[pulse[at]] += 1
+        own[at] = count[pulse[at]]
+    copy = taken(cloud, kept)
+    copy.return_number, copy.number_of_returns = own[kept], count[pulse][kept]
+    return copy
+
+
 def with_class_alone(cloud: laspy.LasData, kept: int | None) -> laspy.LasData:
     """Return a copy in which all points are unclassified, but for those of one class."""
     copy = copied(cloud)

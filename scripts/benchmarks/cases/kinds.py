@@ -16,11 +16,14 @@ from cases.copies import (
     mirrored,
     of_two_strips,
     on_lines,
+    pulses,
     shaken,
     taken,
     thickened,
     thinned,
     thinned_east_of,
+    with_echoes_apart,
+    with_fewer_later,
     with_outliers,
 )
 from cases.labelled import NAMED, PLACES, Place, cell_for, first_density, reference_of
@@ -35,6 +38,9 @@ DENSITIES = (8.0, 4.0, 2.0, 1.0, 0.5, 0.3)
 
 FEW = (1.0, 0.5, 0.3)
 """First echoes a square metre of the thinned copies that have no others."""
+
+LATER, APART_M = (0.5, 0.3, 0.1), 5.0
+"""Shares of the pulses that keep later echoes, and the least distance of the echoes of a pulse, metres."""
 
 RASTERS = (0.5, 1.0, 2.0)
 """Cells of the rasters, metres."""
@@ -139,6 +145,17 @@ def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
     """Yield copies of places as a sensor of one echo records them, each place once."""
     for case in as_they_are(data, {name for name in names if not name.endswith("cadastre")}):
         yield Case(case.name, case.crs, [first_only(cloud) for cloud in case.clouds], case.reference, {})
+
+
+def with_few_later_echoes(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places as a weaker sensor records them, and as one that tells only echoes far apart."""
+    for case in as_they_are(data, {name for name in names if not name.endswith("cadastre")}):
+        for share in LATER:
+            copies = [with_fewer_later(cloud, share) for cloud in case.clouds]
+            yield Case(f"{case.name}, {share:g}", case.crs, copies, case.reference, {})
+        if all(len(np.unique(pulses(cloud))) < len(cloud.points) for cloud in case.clouds):
+            copies = [with_echoes_apart(cloud, APART_M) for cloud in case.clouds]
+            yield Case(f"{case.name}, {APART_M:g} m apart", case.crs, copies, case.reference, {})
 
 
 def with_few_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:

@@ -21,7 +21,9 @@ from msbdb.io.las import read_points
 from msbdb.params import Params, profile, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation.drafts import build_surface
+from msbdb.run.preparation.pointfacts import with_facts
 from msbdb.surface import heights_above
+from msbdb.surveyplan import USUAL_SPLIT
 from msbdb.tables import CANDIDATE_REGION, REJECTION, validate
 
 UTM = CRS.from_epsg(32633)
@@ -188,6 +190,26 @@ def test_echoes_tell_a_smooth_crown():
     first = np.ones(len(points), dtype=np.uint8)
     assert len(extract(points).regions) == 1
     assert len(extract(points, number_of_returns=several, return_number=first).regions) == 0
+
+
+def test_the_less_single_echoes_are_trusted_the_smoother_a_region_must_be():
+    """A hedge as rough as a crown, of single echoes: a roof by a sensor that splits crowns, and a crown by others."""
+    points = scan(box((20, 20), (20, 10), 5.0))
+    high = points[:, 2] > 3
+    several = np.where(np.arange(len(points)) < 5, 2, 1).astype(np.uint8)
+    echoes = {"number_of_returns": several, "return_number": np.ones(len(points), dtype=np.uint8)}
+    facts = with_facts(cloud_of(points, **echoes), 0.0).facts
+
+    def found(rough_m, trust):
+        rougher = points.copy()
+        rougher[high, 2] += np.random.default_rng(1).normal(0, rough_m, np.count_nonzero(high))
+        survey = replace(facts, crown_split=trust * USUAL_SPLIT)
+        return len(extract(rougher, facts=survey, **echoes).regions)
+
+    trusts = (0.0, 0.3, 0.6, 1.0)
+    assert [found(0.05, trust) for trust in trusts] == [1, 1, 1, 1]
+    assert [found(0.2, trust) for trust in trusts] == [0, 1, 1, 1]
+    assert [found(0.3, trust) for trust in trusts] == [0, 0, 1, 1]
 
 
 def test_ndvi_tells_a_green_region():

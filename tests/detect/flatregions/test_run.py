@@ -218,9 +218,9 @@ def test_buildings_are_found_whole(scene, density):
     assert len(found.regions) == 1
 
 
-@pytest.mark.parametrize(("echoes", "ratio"), [(True, 1.75), (False, 2.0), (None, 2.0)])
-def test_without_echoes_the_ratio_is_stricter(monkeypatch, echoes, ratio):
-    """Points with later echoes, without, and a raster: where echoes tell crowns, roofs may be rougher."""
+@pytest.mark.parametrize(("trust", "ratio"), [(1.0, 1.75), (0.5, 1.875), (0.0, 2.0), (None, 2.0)])
+def test_the_less_echoes_tell_the_stricter_is_the_ratio(monkeypatch, trust, ratio):
+    """Points with later echoes, with few, without, and a raster: where echoes tell crowns, roofs may be rougher."""
     seen = []
 
     def stop(*_given, params, **_named):
@@ -229,7 +229,7 @@ def test_without_echoes_the_ratio_is_stricter(monkeypatch, echoes, ratio):
 
     monkeypatch.setattr(mongus2013, "lowest_surface", lambda scene, _params: scene.heights)
     monkeypatch.setattr(mongus2013, "extract_flat_regions", stop)
-    cloud = None if echoes is None else SimpleNamespace(has_echoes=echoes)
+    cloud = None if trust is None else SimpleNamespace(echo_trust=trust)
     scene = SimpleNamespace(heights=grid(houses()), cloud=cloud, survey=SimpleNamespace(name="test"), evidence=None)
     with pytest.raises(NodataError):
         mongus2013.detect_flat_regions(scene, Params())

@@ -1,0 +1,142 @@
+"""Surveys of sensors that hardly split pulses in crowns: single echoes tell little, and the surface decides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import scenes
+from simulated.files import write_points
+
+import msbdb
+from msbdb.database import canonical_dump, open_database
+from msbdb.grid import Grid, lattice
+from msbdb.params import Params, with_values
+from msbdb.points.cloud import PointCloud
+from msbdb.run.preparation import samples
+from msbdb.run.preparation.drafts import build_surface
+from msbdb.run.preparation.prepare import FEW_ECHOES, NO_ECHOES
+from msbdb.surface import split_of_crowns, splits_in_crowns, structural_cover, texture_of
+from msbdb.surface.structure import ROOF, VEGETATION, Texture
+from msbdb.surface.texture import Echoes
+from msbdb.surveyplan import USUAL_SPLIT, Plan
+
+PARAMS = with_values(Params(), {"surface": {"cell_m": 0.5}})
+
+
+def weaker(points: PointCloud, share: float) -> PointCloud:
+    """Return points of which a share of the pulses keeps its later echoes; a scene has them pulse by pulse."""
+    first = points.first_echo
+    drawn = (np.random.default_rng(3).random(np.count_nonzero(first)) < share)[np.cumsum(first) - 1]
+    of = np.where(drawn, points.number_of_returns, 1).astype(np.uint8)
+    return replace(points, number_of_returns=of).take(first | drawn)
+
+
+@pytest.fixture(scope="module")
+def grove():
+    """Return a house among trees, by a sensor of several echoes."""
+    return scenes.under_trees()
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.1, 0.0])
+def test_crowns_are_no_roofs_whatever_share_of_the_pulses_is_split(grove, share):
+    """With full trust nine in ten cells of crowns pass for roofs where a tenth of the pulses keeps its later echoes."""
+    points = weaker(grove.points, share)
+    surface = build_surface(points, PARAMS)
+    texture = texture_of(surface, points, PARAMS)
+    splits = splits_in_crowns(texture, PARAMS.cover)
+    trust = 0.0 if splits is None else min(1.0, split_of_crowns([splits]) / USUAL_SPLIT)
+    assert trust == pytest.approx(share, abs=0.25)
+    spec = surface.dsm.spec
+    row, col = spec.rowcol(*grove.spec.xy(*np.indices(grove.spec.shape)))
+    inside = spec.inside(row, col)
+    crowns = inside & (grove.cover == scenes.VEGETATION) & (grove.buildings == 0)
+    roofs = inside & (grove.cover != scenes.VEGETATION) & (grove.buildings > 0)
+
+    def built(echo_trust):
+        cover = structural_cover(texture, echo_trust=echo_trust, params=PARAMS.cover).cover.labelled("building")
+        return [cover[row[cells], col[cells]].mean() for cells in (crowns, roofs)]
+
+    false, true = built(trust)
+    assert false < 0.1
+    assert true > 0.95
+    if share == 0.1:
+        assert built(1.0)[0] > 0.7
+
+
+@pytest.mark.parametrize("trust", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize(("rough_m", "split", "always"), [(0.02, 0.0, ROOF), (0.4, 0.7, VEGETATION), (0.4, 0.0, None)])
+def test_trust_decides_only_what_is_rough_and_not_split(trust, rough_m, split, always):
+    """A smooth block is a roof, and one whose echoes are split on a rough surface a crown, whatever the sensor."""
+    spec = lattice((0, 0, 20, 20), 0.5, scenes.UTM33)
+    heights = np.zeros(spec.shape, dtype=np.float32)
+    heights[10:30, 10:30] = 6.0
+    one = np.ones_like(heights)
+    shares = np.float32(split) * (heights > 0)
+    ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
+    texture = Texture(ndsm, rough_m * one, rough_m * one, Echoes(shares, shares, shares, one), 2.0)
+    found = structural_cover(texture, echo_trust=trust, params=PARAMS.cover).cover.index[heights > 0]
+    assert set(found) == {always or (ROOF if trust == 1 else VEGETATION)}
+
+
+def test_the_share_that_crowns_split_is_an_upper_quartile_over_all_blocks():
+    """Of no cell it is unknown; of several blocks it is that of all their cells together."""
+    assert split_of_crowns([]) is split_of_crowns([np.zeros(0, dtype=np.float32)]) is None
+    one, other = np.linspace(0, 1, 41, dtype=np.float32), np.ones(41, dtype=np.float32)
+    assert split_of_crowns([one]) == pytest.approx(0.75)
+    assert split_of_crowns([one, other]) == 1.0
+
+
+def test_facts_tell_how_far_single_echoes_are_trusted(grove, tmp_path):
+    """In full from half of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
+    plan = msbdb.plan(write_points(tmp_path / "grove.laz", grove.points))
+    assert plan.points.crown_split >= USUAL_SPLIT
+    for split, trust in ((None, 1.0), (0.8, 1.0), (0.5, 1.0), (0.2, 0.4), (0.0, 0.0)):
+        facts = replace(plan.points, crown_split=split)
+        assert facts.echo_trust == replace(grove.points, facts=facts).echo_trust == pytest.approx(trust)
+    assert replace(plan.points, echoes=False).echo_trust == 0
+    assert grove.points.echo_trust == 1
+    assert weaker(grove.points, 0).echo_trust == 0
+    kept = plan.as_dict()
+    del kept["points"]["crown_split"]
+    assert Plan.from_dict(kept).points == replace(plan.points, crown_split=None)
+    assert Plan.from_dict(plan.as_dict()) == plan
+
+
+def test_all_detectors_find_the_house_and_no_crown(grove, tmp_path):
+    """By a sensor that splits a tenth of its pulses: the house alone is confirmed; the notice says why it is harder."""
+    notices = []
+    for share in (1.0, 0.1, 0.0):
+        db = tmp_path / f"{share:g}.sqlite"
+        report = msbdb.build(write_points(tmp_path / f"{share:g}.laz", weaker(grove.points, share)), db=db)
+        houses = msbdb.open(db).buildings()
+        confirmed = houses[houses["state"] == "confirmed"]
+        assert len(confirmed) == 1
+        assert confirmed["area_m2"].iloc[0] == pytest.approx(192, rel=0.15)
+        assert houses["area_m2"].sum() < 250
+        notices.append([each for each in report.notices if each in (FEW_ECHOES, NO_ECHOES)])
+    assert notices == [[], [FEW_ECHOES], [NO_ECHOES]]
+
+
+def test_tiles_and_a_plan_of_blocks_trust_as_the_whole(tmp_path):
+    """A tile without a crown knows the share from the plan: the database is that of one piece."""
+    file = write_points(tmp_path / "town.laz", weaker(scenes.under_trees(density=6.0).points, 0.2))
+    plan, found = msbdb.plan(file), []
+    assert 0 < plan.points.echo_trust < 0.5
+    for name, tile in (("whole", None), ("tiles", 50.0)):
+        db = tmp_path / f"{name}.sqlite"
+        assert FEW_ECHOES in msbdb.build(file, db=db, survey="town", tile=tile).notices
+        engine = open_database(db)
+        found.append([line for line in canonical_dump(engine) if not line.startswith('["run", ')])
+        engine.dispose()
+    assert found[0] == found[1]
+
+
+def test_a_plan_of_blocks_knows_the_share(monkeypatch, tmp_path):
+    """A survey that is planned from a sample of blocks is built by what their crowns split together."""
+    for name, value in (("MOST_POINTS", 12_000), ("BLOCK_M", 40.0), ("LEAST_BLOCK_M", 20.0)):
+        monkeypatch.setattr(samples, name, value)
+    file = write_points(tmp_path / "town.laz", weaker(scenes.under_trees().points, 0.2))
+    plan = msbdb.plan(file)
+    assert plan.blocks
+    assert 0 < plan.points.echo_trust < 0.5
+    assert FEW_ECHOES in msbdb.build(file, db=tmp_path / "town.sqlite").notices
