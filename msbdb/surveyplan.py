@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msbdb.errors import InputError, ParameterError
 from msbdb.identity import exact_json, plain
@@ -24,6 +25,12 @@ EVEN = 1.5
 
 USUAL_SPLIT = 0.5
 """Ours, in sample: share of pulses that crowns split, at least; with all echoes real places have 0.5 to 1."""
+
+CROWN_CLASSES_M = (3.0, 4.0, 5.0, 6.0, 8.0)
+"""Ours: heights above ground between the classes of crowns, metres. A sensor tells echoes only some metres apart."""
+
+CROWN_MIDDLES_M = (2.5, 3.5, 4.5, 5.5, 7.0, 9.0)
+"""Heights above ground for which the classes stand, metres."""
 
 BASIS = {
     "surface": (),
@@ -58,9 +65,9 @@ class PointFacts:
         Spacing of the sparser parts, metres (`msbdb.points.spacing.sparse_spacing`).
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
-    crown_split : float or None
-        Share of pulses that crowns split: the upper quartile over the cells that roughness alone takes for vegetation
-        (`msbdb.surface.structure.splits_in_crowns`). None where nothing is known of it.
+    crown_split : tuple of float, or None
+        Share of pulses that crowns split, by `CROWN_CLASSES_M` (`msbdb.surface.structure.split_of_crowns`). None where
+        nothing is known of it.
     under_m : float
         Where echoes have no numbers, points that lie under others within this distance are later ones, metres; 0 where
         none are (`msbdb.points.laterechoes`).
@@ -84,7 +91,7 @@ class PointFacts:
     link_m: float
     numbered: bool
     echoes: bool
-    crown_split: float | None
+    crown_split: tuple[float, ...] | None
     under_m: float
     ground_share: float
     colours: tuple[str, ...]
@@ -97,11 +104,25 @@ class PointFacts:
         return max(self.spacing_m, self.sparse_m / EVEN)
 
     @property
-    def echo_trust(self) -> float:
-        """How far single echoes tell a roof, from 0 to 1: little where the sensor hardly splits pulses in crowns."""
+    def most_trust(self) -> float:
+        """How far single echoes tell a roof high above the ground, from 0 to 1; as far as the sensor splits crowns."""
+        return self._trusts()[-1]
+
+    def echo_trust(self, heights_m: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+        """Return how far single echoes tell a roof, from 0 to 1, at heights above ground.
+
+        A sensor that hardly splits pulses in crowns of this height sees single echoes on roofs and crowns alike.
+        """
+        trusts = self._trusts()
+        if min(trusts) == 1:
+            return np.ones((1,) * np.ndim(heights_m), dtype=np.float32)
+        return np.asarray(np.interp(heights_m, CROWN_MIDDLES_M, trusts), dtype=np.float32)
+
+    def _trusts(self) -> list[float]:
+        """Return the trust in single echoes of each class of crowns."""
         if not self.echoes:
-            return 0.0
-        return 1.0 if self.crown_split is None else min(1.0, self.crown_split / USUAL_SPLIT)
+            return [0.0] * len(CROWN_MIDDLES_M)
+        return [min(1.0, split / USUAL_SPLIT) for split in self.crown_split or (1.0,) * len(CROWN_MIDDLES_M)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,9 +316,15 @@ def _of_points(facts: PointFacts) -> dict[str, str]:
         "spacing": f"{facts.spacing_m:.2f} m on average, {facts.typical_m:.2f} m on the median ground, "
         f"{facts.sparse_m:.2f} m where it is sparse, links of {facts.link_m:.2f} m",
         "points have": ", ".join(name for name, there in has.items() if there) or "coordinates alone",
-        **({} if facts.crown_split is None else {"crowns split": f"{100 * facts.crown_split:.0f} % of the pulses"}),
+        **({} if facts.crown_split is None else {"crowns split": _splits(facts.crown_split)}),
         "elevations": "; ".join(f"{low:.1f} to {high:.1f} m" for low, high in facts.levels_m),
     }
+
+
+def _splits(crown_split: tuple[float, ...]) -> str:
+    """Return the shares of pulses that crowns split in words."""
+    low, high = (f"{100 * share:.0f} % of the pulses" for share in (crown_split[0], crown_split[-1]))
+    return low if low == high else f"{low} below {CROWN_CLASSES_M[0]:g} m, {high} above {CROWN_CLASSES_M[-1]:g} m"
 
 
 def _density(facts: PointFacts) -> str:

@@ -112,7 +112,13 @@ class PointCloud:
             return False
         return bool((self.number_of_returns > 1).any()) if self.facts is None else self.facts.echoes
 
+    def echo_trust(self, heights_m: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return how far single echoes tell a roof (`PointFacts.echo_trust`); without facts in full, or not at all."""
+        if self.facts is None or not self.has_echoes:
+            return np.full((1,) * heights_m.ndim, self.has_echoes, dtype=np.float32)
+        return self.facts.echo_trust(heights_m)
+
     @property
-    def echo_trust(self) -> float:
-        """How far single echoes tell a roof, from 0 to 1, by the facts of the survey; else 1 if it has echoes."""
-        return float(self.has_echoes) if self.facts is None else self.facts.echo_trust * self.has_echoes
+    def most_trust(self) -> float:
+        """How far single echoes tell a roof high above the ground (`PointFacts.most_trust`)."""
+        return float(self.has_echoes) if self.facts is None else self.facts.most_trust * self.has_echoes

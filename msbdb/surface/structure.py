@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.optimize import isotonic_regression
 
 from msbdb.grid import Grid
 from msbdb.labels import chosen_cells, label_zones, sizes, small_zones, sums
@@ -23,6 +24,7 @@ from msbdb.surface.gridding import Samples
 from msbdb.surface.heights import Surface
 from msbdb.surface.noise import height_noise, without_noise
 from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, roughness, window_cells
+from msbdb.surveyplan import CROWN_CLASSES_M, PointFacts
 from msbdb.threads import in_threads
 
 ROOF, VEGETATION = 1, 2
@@ -97,16 +99,15 @@ class Structure:
     filled_m: Field
 
 
-def structural_cover(texture: Texture, *, echo_trust: float = 1.0, params: CoverParams) -> Structure:
+def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverParams) -> Structure:
     """Separate roofs from vegetation on every cell above the mask.
 
     Parameters
     ----------
     texture : Texture
         Heights, roughness and echoes.
-    echo_trust : float
-        How far single echoes tell a roof, from 0 to 1 (`msbdb.surveyplan.PointFacts.echo_trust`). Split echoes tell
-        leaves whatever the sensor.
+    facts : PointFacts or None
+        How far single echoes tell a roof; None trusts them in full. Split echoes tell leaves whatever the sensor.
     params : CoverParams
         Weights and sizes.
 
@@ -125,6 +126,7 @@ def structural_cover(texture: Texture, *, echo_trust: float = 1.0, params: Cover
     """
     ndsm, small_m, wide_m = texture.ndsm, texture.roughness_m, texture.wide_roughness_m
     wider, filled_m, echoes = _for_wider_windows(params, ndsm.spec.cell_m), texture.filled_m, texture.echoes
+    trust, most = np.zeros((1, 1), dtype=np.float32), 0.0
     if echoes is None:
         odds = _rough_odds(filled_m, wide_m, wider)
     else:
@@ -135,17 +137,21 @@ def structural_cover(texture: Texture, *, echo_trust: float = 1.0, params: Cover
             split_best=echoes.split_best * leafy,
             split_wide=echoes.split_wide * leafy,
         )
-        odds = _echo_odds(small_m, echoes, echo_trust, params)
-        if echo_trust < 1:
-            odds += np.float32(1 - echo_trust) * _rough_odds(filled_m, wide_m, wider)
-    limits = _limits(params, wider, 0.0 if echoes is None else echo_trust)
+        trust, most = np.ones((1, 1), dtype=np.float32), 1.0
+        if facts is not None:
+            trust, most = facts.echo_trust(np.asarray(ndsm.values)), facts.most_trust
+        odds = _echo_odds(small_m, echoes, trust, params)
+        if trust.size > 1:
+            odds += (1 - trust) * _rough_odds(filled_m, wide_m, wider)
     probability = _sigmoid(odds)
+    smooth = filled_m < trust * _smooth_m(params, ndsm) + (1 - trust) * _smooth_m(wider, ndsm)
     split = None if echoes is None else echoes.split
-    cover = _regions_of(probability, texture.raised, ndsm, limits, roughness_m=filled_m, split=split)
+    params = replace(params, neck_m=most * params.neck_m + (1 - most) * params.blind_neck_m)
+    cover = _regions_of(probability, texture.raised, ndsm, params, smooth=smooth, split=split, trust=trust)
     return Structure(cover, probability, small_m, filled_m)
 
 
-def splits_in_crowns(texture: Texture, params: CoverParams) -> Field | None:
+def splits_in_crowns(texture: Texture, params: CoverParams) -> NDArray[np.float32] | None:
     """Return the shares of split first echoes where roughness alone sees vegetation; None without echoes.
 
     Parameters
@@ -157,52 +163,69 @@ def splits_in_crowns(texture: Texture, params: CoverParams) -> Field | None:
 
     Returns
     -------
-    (N,) ndarray of float32
-        In the small window, one for each of the cells above the mask that are vegetation without echoes.
+    (2, N) ndarray of float32
+        Height above ground, metres, and share in the small window, of each of the cells above the mask that are
+        vegetation without echoes.
     """
     if texture.echoes is None:
         return None
-    alone = structural_cover(replace(texture, echoes=None), params=params).cover
-    return np.asarray(texture.echoes.split[alone.index == VEGETATION])
+    crowns = structural_cover(replace(texture, echoes=None), None, params).cover.index == VEGETATION
+    return np.stack([np.asarray(texture.ndsm.values, dtype=np.float32)[crowns], texture.echoes.split[crowns]])
 
 
-def split_of_crowns(shares: Sequence[Field]) -> float | None:
-    """Return the share of pulses that the crowns of a survey split; None where no cell is known.
+def split_of_crowns(splits: Sequence[NDArray[np.float32]]) -> tuple[float, ...] | None:
+    """Return the share of pulses that the crowns of a survey split, by classes of height; None where none is known.
 
-    The upper quartile counts: on coarse cells many roofs are as rough as crowns, and split hardly a pulse.
+    The upper quartile counts: on coarse cells many roofs are as rough as crowns, and split hardly a pulse. High crowns
+    split no fewer pulses than low ones. So the shares are those that never fall with the height and are nearest to the
+    measured ones, by isotonic regression.
 
     Parameters
     ----------
-    shares : sequence of (N,) ndarray of float32
-        Of the survey or of blocks of it (`splits_in_crowns`).
+    splits : sequence of (2, N) ndarray of float32
+        Of the survey, or of blocks of it (`splits_in_crowns`).
+
+    Returns
+    -------
+    tuple of float
+        One for each class between `CROWN_CLASSES_M`.
     """
-    known = np.concatenate([*shares, np.zeros(0, dtype=np.float32)])
-    return round(float(np.quantile(known, UPPER)), 6) if known.size else None
+    heights, shares = np.concatenate([*splits, np.zeros((2, 0), dtype=np.float32)], axis=1)
+    if not shares.size:
+        return None
+    of = np.digitize(heights, CROWN_CLASSES_M)
+    cells = sizes(of + 1, len(CROWN_CLASSES_M) + 1)
+    upper = [
+        np.quantile(shares[of == number] if count else shares, UPPER) for number, count in enumerate(cells.tolist())
+    ]
+    rising = isotonic_regression(upper, weights=np.maximum(cells, 1)).x
+    return tuple(np.round(rising, 6).tolist())
 
 
-def _limits(params: CoverParams, wider: CoverParams, trust: float) -> CoverParams:
-    """Return the parameters by which regions are judged, between those without echoes and those with them."""
+def _smooth_m(params: CoverParams, ndsm: Grid) -> float:
+    """Return the roughness below which a cell is smooth, metres.
 
-    def between(blind: float, with_echoes: float) -> float:
-        return trust * with_echoes + (1 - trust) * blind
-
-    return replace(
-        params,
-        neck_m=between(params.blind_neck_m, params.neck_m),
-        smooth_m_limit=between(wider.smooth_m_limit, params.smooth_m_limit),
-        min_smooth_share=between(params.min_smooth_share, 0.0),
-    )
+    On cells above 1 m a window spans several planes of a roof, so that the limit grows with the cell.
+    """
+    return params.smooth_m_limit * max(1.0, ndsm.spec.cell_m)
 
 
 def _regions_of(
-    probability: Field, raised: Mask, ndsm: Grid, limits: CoverParams, *, roughness_m: Field, split: Field | None
+    probability: Field,
+    raised: Mask,
+    ndsm: Grid,
+    params: CoverParams,
+    *,
+    smooth: Mask,
+    split: Field | None,
+    trust: Field,
 ) -> ClassMap:
     """Smooth the cells' probabilities, cut them at one half, and judge each region as a whole."""
-    params, cell_m = limits, ndsm.spec.cell_m
+    cell_m = ndsm.spec.cell_m
     [share] = smooth_shares((probability,), raised, params.smooth_m / cell_m)
     roof = share > 0.5
     roof = _tidy(roof & raised, raised, cell_m, params)
-    roof = _judge_regions(roof, roughness_m, split, cell_m, params)
+    roof = _judge_regions(roof, smooth, split, trust, params)
     roof = _grow(roof, raised, np.asarray(ndsm.values, dtype=np.float32), cell_m, params)
     index = np.where(roof, ROOF, np.where(raised, VEGETATION, 0)).astype(np.uint8)
     return ClassMap(index, {ROOF: "building", VEGETATION: "vegetation"}, ndsm.spec)
@@ -245,8 +268,10 @@ def cover_with_colours(
     own = structure.roof_probability
     times *= own
     probability = times / (1 - own + times)
-    limits, raised = _limits(params, _for_wider_windows(params, ndsm.spec.cell_m), 0.0), structure.cover.index > 0
-    return _regions_of(probability, raised, ndsm, limits, roughness_m=structure.filled_m * factor, split=None)
+    wider, raised = _for_wider_windows(params, ndsm.spec.cell_m), structure.cover.index > 0
+    smooth = structure.filled_m * factor < _smooth_m(wider, ndsm)
+    blind, none = replace(params, neck_m=params.blind_neck_m), np.zeros((1, 1), dtype=np.float32)
+    return _regions_of(probability, raised, ndsm, blind, smooth=smooth, split=None, trust=none)
 
 
 def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> Field:
@@ -272,19 +297,20 @@ def leaf_share(wide_roughness_m: Field, cell_m: float, params: CoverParams) -> F
     return np.asarray(np.clip(ratio, 0, 1), dtype=np.float32)
 
 
-def _echo_odds(roughness_m: Field, echoes: Echoes, trust: float, params: CoverParams) -> Field:
+def _echo_odds(roughness_m: Field, echoes: Echoes, trust: Field, params: CoverParams) -> Field:
     """Log-odds of roof from the echoes, with a little from the roughness; split echoes of planes do not count.
 
     w·(b - w_3·ln(roughness) + w_4·solid) - w_1·split_best - w_2·split_wide, with the trust w and the weights of
     ``cover``.
     """
-    return (
+    odds: Field = (
         trust * params.echo_bias
         - params.split_weight * echoes.split_best
         - params.split_wide_weight * echoes.split_wide
         - trust * params.echo_rough_weight * np.log(np.maximum(roughness_m, params.smooth_floor_m))
         + trust * params.solid_weight * echoes.solid
     )
+    return odds
 
 
 def _for_wider_windows(params: CoverParams, cell_m: float) -> CoverParams:
@@ -339,20 +365,16 @@ def _tidy(roof: Mask, raised: Mask, cell_m: float, params: CoverParams) -> Mask:
     return roof & ~small_zones(roof, params.min_roof_m2 / cell_m**2, connectivity=8)
 
 
-def _judge_regions(roof: Mask, roughness_m: Field, split: Field | None, cell_m: float, params: CoverParams) -> Mask:
-    """Keep the regions that are smooth enough for the share of echoes that they split.
-
-    On cells above 1 m a window spans several planes of a roof, so that the limit of smoothness grows with the cell.
-    """
-    limit = params.smooth_m_limit * max(1.0, cell_m)
+def _judge_regions(roof: Mask, smooth: Mask, split: Field | None, trust: Field, params: CoverParams) -> Mask:
+    """Keep the regions that are smooth enough for the echoes that they split, and for the trust in the others."""
     labels, count = label_zones(roof)
     cells = sizes(labels, count)
-    smooth = sizes(labels[roughness_m < limit], count) / cells
-    needed = np.full(count, params.min_smooth_share)
+    least: NDArray[np.floating] = 1 - (trust.ravel() if trust.size == 1 else sums(labels, trust, count) / cells)
+    needed = np.broadcast_to(least * params.min_smooth_share, count)
     if split is not None:
         shares = sums(labels, split, count) / cells
         needed = np.maximum(needed, params.smooth_per_split * (shares - params.free_split_share))
-    return chosen_cells(labels, smooth >= needed)
+    return chosen_cells(labels, sizes(labels[smooth], count) / cells >= needed)
 
 
 def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params: CoverParams) -> ClassMap:
@@ -448,5 +470,5 @@ def cover_from_surface(surface: Surface, points: PointCloud | None, params: Para
         Building and vegetation above the mask, each cell's own probability of roof, and the roughness in the small
         window.
     """
-    trust = 0.0 if points is None else points.echo_trust
-    return structural_cover(texture_of(surface, points, params), echo_trust=trust, params=params.cover)
+    facts = None if points is None else points.facts
+    return structural_cover(texture_of(surface, points, params), facts, params.cover)

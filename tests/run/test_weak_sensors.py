@@ -14,6 +14,7 @@ from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation import samples
 from msbdb.run.preparation.drafts import build_surface
+from msbdb.run.preparation.pointfacts import with_facts
 from msbdb.run.preparation.prepare import FEW_ECHOES, NO_ECHOES
 from msbdb.surface import split_of_crowns, splits_in_crowns, structural_cover, texture_of
 from msbdb.surface.structure import ROOF, VEGETATION, Texture
@@ -43,24 +44,24 @@ def test_crowns_are_no_roofs_whatever_share_of_the_pulses_is_split(grove, share)
     points = weaker(grove.points, share)
     surface = build_surface(points, PARAMS)
     texture = texture_of(surface, points, PARAMS)
-    splits = splits_in_crowns(texture, PARAMS.cover)
-    trust = 0.0 if splits is None else min(1.0, split_of_crowns([splits]) / USUAL_SPLIT)
-    assert trust == pytest.approx(share, abs=0.25)
+    facts, splits = with_facts(points, 0.0).facts, splits_in_crowns(texture, PARAMS.cover)
+    known = replace(facts, crown_split=None if splits is None else split_of_crowns([splits]))
+    assert known.most_trust == pytest.approx(share, abs=0.35)
     spec = surface.dsm.spec
     row, col = spec.rowcol(*grove.spec.xy(*np.indices(grove.spec.shape)))
     inside = spec.inside(row, col)
     crowns = inside & (grove.cover == scenes.VEGETATION) & (grove.buildings == 0)
     roofs = inside & (grove.cover != scenes.VEGETATION) & (grove.buildings > 0)
 
-    def built(echo_trust):
-        cover = structural_cover(texture, echo_trust=echo_trust, params=PARAMS.cover).cover.labelled("building")
+    def built(survey):
+        cover = structural_cover(texture, survey, PARAMS.cover).cover.labelled("building")
         return [cover[row[cells], col[cells]].mean() for cells in (crowns, roofs)]
 
-    false, true = built(trust)
+    false, true = built(known)
     assert false < 0.1
     assert true > 0.95
     if share == 0.1:
-        assert built(1.0)[0] > 0.7
+        assert built(facts)[0] > 0.7
 
 
 @pytest.mark.parametrize("trust", [0.0, 0.3, 1.0])
@@ -74,28 +75,46 @@ def test_trust_decides_only_what_is_rough_and_not_split(trust, rough_m, split, a
     shares = np.float32(split) * (heights > 0)
     ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
     texture = Texture(ndsm, rough_m * one, rough_m * one, Echoes(shares, shares, shares, one), 2.0)
-    found = structural_cover(texture, echo_trust=trust, params=PARAMS.cover).cover.index[heights > 0]
+    known = replace(
+        with_facts(scenes.flat_field().points, 0.0).facts, echoes=True, crown_split=(trust * USUAL_SPLIT,) * 6
+    )
+    found = structural_cover(texture, known, PARAMS.cover).cover.index[heights > 0]
     assert set(found) == {always or (ROOF if trust == 1 else VEGETATION)}
 
 
 def test_the_share_that_crowns_split_is_an_upper_quartile_over_all_blocks():
-    """Of no cell it is unknown; of several blocks it is that of all their cells together."""
-    assert split_of_crowns([]) is split_of_crowns([np.zeros(0, dtype=np.float32)]) is None
-    one, other = np.linspace(0, 1, 41, dtype=np.float32), np.ones(41, dtype=np.float32)
-    assert split_of_crowns([one]) == pytest.approx(0.75)
-    assert split_of_crowns([one, other]) == 1.0
+    """Of no cell it is unknown. By height it is that of all blocks together, and never falls as crowns get higher."""
+    none = np.zeros((2, 0), dtype=np.float32)
+    assert split_of_crowns([]) is split_of_crowns([none]) is None
+    shares = np.linspace(0, 1, 401, dtype=np.float32)
+    low, high = (np.stack([np.full_like(shares, height), shares * most]) for height, most in ((2.5, 0.2), (20.0, 1.0)))
+    found = split_of_crowns([low, high])
+    assert found[0] == pytest.approx(0.15)
+    assert found[5] == pytest.approx(0.75)
+    assert found[1:5] == (pytest.approx(np.quantile([*low[1], *high[1]], 0.75)),) * 4  # without a cell: as all
+    assert split_of_crowns([low[:, ::2], high, low[:, 1::2]]) == found
+    falling = split_of_crowns([np.stack([22.5 - low[0], low[1]]), np.stack([22.5 - high[0], high[1]])])
+    assert falling == (pytest.approx((0.15 + 0.75) / 2, abs=0.01),) * 6
 
 
 def test_facts_tell_how_far_single_echoes_are_trusted(grove, tmp_path):
     """In full from half of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
     plan = msbdb.plan(write_points(tmp_path / "grove.laz", grove.points))
-    assert plan.points.crown_split >= USUAL_SPLIT
+    assert min(plan.points.crown_split) >= 0.4
+    assert "crowns split" in plan.pairs()
+    heights = np.array([2.0, 4.5, 50.0])
     for split, trust in ((None, 1.0), (0.8, 1.0), (0.5, 1.0), (0.2, 0.4), (0.0, 0.0)):
-        facts = replace(plan.points, crown_split=split)
-        assert facts.echo_trust == replace(grove.points, facts=facts).echo_trust == pytest.approx(trust)
-    assert replace(plan.points, echoes=False).echo_trust == 0
-    assert grove.points.echo_trust == 1
-    assert weaker(grove.points, 0).echo_trust == 0
+        facts = replace(plan.points, crown_split=None if split is None else (split,) * 6)
+        for each in (facts, replace(grove.points, facts=facts)):
+            assert each.most_trust == pytest.approx(trust)
+            np.testing.assert_allclose(each.echo_trust(heights), trust, rtol=1e-6)
+    # Echoes are told 5 m apart: low crowns are single.
+    apart = replace(plan.points, crown_split=(0.0, 0.1, 0.2, 0.5, 0.5, 0.5))
+    np.testing.assert_allclose(apart.echo_trust(heights), [0, 0.4, 1], rtol=1e-6)
+    assert apart.most_trust == 1
+    assert replace(plan.points, echoes=False).most_trust == 0
+    assert grove.points.most_trust == 1
+    assert weaker(grove.points, 0).most_trust == 0
     kept = plan.as_dict()
     del kept["points"]["crown_split"]
     assert Plan.from_dict(kept).points == replace(plan.points, crown_split=None)
@@ -121,7 +140,7 @@ def test_tiles_and_a_plan_of_blocks_trust_as_the_whole(tmp_path):
     """A tile without a crown knows the share from the plan: the database is that of one piece."""
     file = write_points(tmp_path / "town.laz", weaker(scenes.under_trees(density=6.0).points, 0.2))
     plan, found = msbdb.plan(file), []
-    assert 0 < plan.points.echo_trust < 0.5
+    assert 0 < plan.points.most_trust < 0.5
     for name, tile in (("whole", None), ("tiles", 50.0)):
         db = tmp_path / f"{name}.sqlite"
         assert FEW_ECHOES in msbdb.build(file, db=db, survey="town", tile=tile).notices
@@ -138,5 +157,5 @@ def test_a_plan_of_blocks_knows_the_share(monkeypatch, tmp_path):
     file = write_points(tmp_path / "town.laz", weaker(scenes.under_trees().points, 0.2))
     plan = msbdb.plan(file)
     assert plan.blocks
-    assert 0 < plan.points.echo_trust < 0.5
+    assert 0 < plan.points.most_trust < 0.5
     assert FEW_ECHOES in msbdb.build(file, db=tmp_path / "town.sqlite").notices

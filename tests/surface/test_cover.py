@@ -189,7 +189,7 @@ def test_split_echoes_of_a_plane_are_glass_and_those_of_a_rough_surface_leaves(r
     split = np.where(heights > 0, one, 0)
     echoes = Echoes(split, split, split, one)
     ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
-    found = structural_cover(Texture(ndsm, rough, rough, echoes, 2.0), params=PARAMS.cover)
+    found = structural_cover(Texture(ndsm, rough, rough, echoes, 2.0), None, PARAMS.cover)
     assert set(np.unique(found.cover.index[heights > 0])) == {expected}
 
 
@@ -206,7 +206,7 @@ def test_where_samples_are_too_few_the_wide_window_decides(wide_m, expected, ech
     split = np.float32(0.25 if expected == VEGETATION else 0.1) * raised
     echoes = Echoes(split, split, split, one) if echoed else None
     ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
-    found = structural_cover(Texture(ndsm, rough, np.float32(wide_m) * one, echoes, 2.0), params=PARAMS.cover)
+    found = structural_cover(Texture(ndsm, rough, np.float32(wide_m) * one, echoes, 2.0), None, PARAMS.cover)
     assert set(np.unique(found.cover.index[raised])) == {expected}
     assert (found.roughness_m == rough).all()
 
@@ -255,7 +255,7 @@ def _roofs_and_crowns() -> tuple[Grid, NDArray[np.float32], NDArray[np.uint8]]:
 def test_a_rough_roof_has_the_colour_of_smooth_ones():
     """By roughness alone the rough house is a crown; its colour says a roof."""
     ndsm, rough, index = _roofs_and_crowns()
-    alone = structural_cover(Texture(ndsm, rough, rough, None, 2.0), params=PARAMS.cover)
+    alone = structural_cover(Texture(ndsm, rough, rough, None, 2.0), None, PARAMS.cover)
     assert [alone.cover.index[20, col] for col in (20, 60, 100)] == [ROOF, VEGETATION, VEGETATION]
     with_colours = cover_with_colours(alone, ndsm, index, np.array([-0.6, 2.0, -2.5]), PARAMS.cover)
     assert [with_colours.index[20, col] for col in (20, 60, 100)] == [ROOF, ROOF, VEGETATION]
@@ -265,7 +265,7 @@ def test_classes_that_say_nothing_change_nothing():
     """Even odds of all classes, and cells without a class, give the cover of the structure alone."""
     ndsm, rough, index = _roofs_and_crowns()
     rough = np.random.default_rng(5).uniform(0.02, 0.5, rough.shape).astype(np.float32)
-    alone = structural_cover(Texture(ndsm, rough, rough, None, 2.0), params=PARAMS.cover)
+    alone = structural_cover(Texture(ndsm, rough, rough, None, 2.0), None, PARAMS.cover)
     for classes, odds in ((index, np.zeros(3)), (np.zeros_like(index), np.array([-0.6, 2.0, -2.5]))):
         found = cover_with_colours(alone, ndsm, classes, odds, PARAMS.cover)
         np.testing.assert_array_equal(found.index, alone.cover.index)

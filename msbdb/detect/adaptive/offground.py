@@ -50,7 +50,7 @@ class OffGround:
         Area of each point: one over the local density of the cloud (A17).
     split : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None where the source has no echoes.
-    echo_trust : float
+    echo_trust : (N,) or (1,) ndarray of float32
         How far single echoes tell a roof, from 0 to 1; 0 where the source has no echoes.
     ndvi : (N,) ndarray of float32, optional
         NaN where a point has none.
@@ -72,7 +72,7 @@ class OffGround:
     heights: Floats
     area_m2: Floats
     split: NDArray[np.bool_] | None
-    echo_trust: float
+    echo_trust: NDArray[np.float32]
     ndvi: NDArray[np.float32] | None
     place: NDArray[np.int64]
     spacing_m: float
@@ -144,7 +144,7 @@ def off_ground(
         heights=heights.astype(np.float64, copy=False),
         area_m2=area_m2,
         split=None if not cloud.has_echoes else np.greater(cloud.number_of_returns[chosen], 1),  # type: ignore[index]  # there are echoes
-        echo_trust=cloud.echo_trust,
+        echo_trust=set_aside(cloud.echo_trust(heights)),
         ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
         place=set_aside(places(spec, x, y)),
         spacing_m=density.spacing_m,

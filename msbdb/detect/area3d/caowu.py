@@ -208,7 +208,7 @@ def _prepare(
     del filtered
     curvature, smooth = _structure(points, several, np.logical_or.reduce(levels) > 0, own)
     let_go()
-    known = NormalisedCloud(points, heights, area_m2, several, cloud.echo_trust, green, place, origin[:2])
+    known = NormalisedCloud(points, heights, area_m2, several, cloud.echo_trust(heights), green, place, origin[:2])
     scenes = tuple(
         OnSets(known, graph, on, spacing_m, link_m, curvature, smooth, replace(own, smallest_m2=area), mask_m)
         for on, area in zip(levels, areas, strict=True)

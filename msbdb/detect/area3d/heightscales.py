@@ -132,7 +132,7 @@ class NormalisedCloud:
         Area of each point.
     several : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None without echo numbers.
-    echo_trust : float
+    echo_trust : (N,) or (1,) ndarray of float32
         How far single echoes tell a roof, from 0 to 1; 0 where the source has no echoes.
     ndvi : (N,) ndarray of float64, optional
         NaN where a point has none.
@@ -146,7 +146,7 @@ class NormalisedCloud:
     heights: NDArray[np.float64]
     area_m2: NDArray[np.float64]
     several: NDArray[np.bool_] | None
-    echo_trust: float
+    echo_trust: NDArray[np.float32]
     ndvi: NDArray[np.float64] | None
     place: NDArray[np.int64]
     origin: NDArray[np.float64]
@@ -357,7 +357,8 @@ class _Level:
         """
         cloud, own = self.scene.cloud, self.scene.params
         curvature = region_means(self.scene.curvature, labels, count)
-        crown = curvature * (1 - cloud.echo_trust) > own.max_crown_curvature
+        trust = cloud.echo_trust if len(cloud.echo_trust) == 1 else region_means(cloud.echo_trust, labels, count)
+        crown = curvature * (1 - trust) > own.max_crown_curvature
         if cloud.several is not None:
             crown |= curvature * region_means(cloud.several, labels, count) > self.scene.max_crown
         reasons = np.where(crown, CROWN, "").astype(object)

@@ -95,7 +95,7 @@ def detect_flat_regions(scene: Scene, params: Params) -> Regions:
         Where, on the raw surface, one region covers so much of the survey that it must be ground.
     """
     spec = scene.heights.spec
-    trust, own = 0.0 if scene.cloud is None else scene.cloud.echo_trust, params.flatregions
+    trust, own = 0.0 if scene.cloud is None else scene.cloud.most_trust, params.flatregions
     ratio = trust * own.ratio + (1 - trust) * own.blind_ratio
     params = with_values(params, {"flatregions": {"ratio": ratio}})
     found = extract_flat_regions(

@@ -54,8 +54,8 @@ class Draft:
         The points, which know the facts of the survey; None for rasters.
     above : (N,) ndarray of float64 or None
         Heights of the points above ground, metres; None where nobody asks for them.
-    splits : (M,) ndarray of float32 or None
-        The shares of split echoes in crowns (`splits_in_crowns`); None without echoes, or where nobody asks for them.
+    splits : (2, M) ndarray of float32 or None
+        The heights and split echoes of crowns (`splits_in_crowns`); None without echoes, or where nobody asks for them.
     """
 
     surface: Surface
@@ -136,8 +136,7 @@ def make_draft(
             if facts is not None and not planned:
                 splits = splits_in_crowns(texture, params.cover)
                 facts = replace(facts, crown_split=None if splits is None else split_of_crowns([splits]))
-            trust = 0.0 if facts is None else facts.echo_trust
-            structure = structural_cover(texture, echo_trust=trust, params=params.cover)
+            structure = structural_cover(texture, facts, params.cover)
             return replace(surface, roughness={}), structure, splits
 
     def gather(spec: GridSpec) -> Bands | None:

@@ -169,7 +169,7 @@ def prepare(
             bands,
             surface.ndsm,
             settled(params, chosen),
-            echoes=chosen.points is not None and chosen.points.echo_trust >= TRUSTED,
+            echoes=chosen.points is not None and chosen.points.most_trust >= TRUSTED,
             fitted=fitted,
             counted=counted,
         )
@@ -226,7 +226,7 @@ def read_parcels(path: Path, spec: GridSpec, *, everywhere: bool = True) -> Labe
 
 def note_missing_sources(scene: Scene) -> None:
     """Give notice of sources that are missing, without which buildings are harder to recognise."""
-    trust = 0.0 if scene.cloud is None else scene.cloud.echo_trust
+    trust = 0.0 if scene.cloud is None else scene.cloud.most_trust
     if scene.cover.spectral is None:
         give_notice(NO_IMAGERY)
     if trust < TRUSTED:

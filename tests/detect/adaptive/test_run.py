@@ -168,7 +168,7 @@ def off_ground_points(points, split, spacing_m=SPACING, typical_m=0.0, step_m=0.
     x, y, z = points.T
     some = np.zeros(len(x), dtype=np.int64)
     area = np.full(len(x), spacing_m**2)
-    known = (some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), 1.0, None, some)
+    known = (some, x, y, z, np.zeros(2), z, area, np.full(len(x), split), np.ones(1, dtype=np.float32), None, some)
     return OffGround(*known, spacing_m, typical_m or spacing_m, step_m)
 
 
@@ -178,7 +178,7 @@ def test_single_echoes_of_leaves_are_a_roof_only_where_they_are_trusted(trust):
     params = Params().adaptive
     kinds = []
     for points in (HOUSE, TREE):
-        known = replace(off_ground_points(points, split=False), echo_trust=trust)
+        known = replace(off_ground_points(points, split=False), echo_trust=np.float32([trust]))
         kinds.append(np.mean(classify_vegetation(known, structure(known, params), params) > 0))
     assert kinds == [0, float(trust < 1)]
 

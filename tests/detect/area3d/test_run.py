@@ -203,7 +203,7 @@ def test_the_less_single_echoes_are_trusted_the_smoother_a_region_must_be():
     def found(rough_m, trust):
         rougher = points.copy()
         rougher[high, 2] += np.random.default_rng(1).normal(0, rough_m, np.count_nonzero(high))
-        survey = replace(facts, crown_split=trust * USUAL_SPLIT)
+        survey = replace(facts, crown_split=(trust * USUAL_SPLIT,) * 6)
         return len(extract(rougher, facts=survey, **echoes).regions)
 
     trusts = (0.0, 0.3, 0.6, 1.0)

@@ -229,7 +229,7 @@ def test_the_less_echoes_tell_the_stricter_is_the_ratio(monkeypatch, trust, rati
 
     monkeypatch.setattr(mongus2013, "lowest_surface", lambda scene, _params: scene.heights)
     monkeypatch.setattr(mongus2013, "extract_flat_regions", stop)
-    cloud = None if trust is None else SimpleNamespace(echo_trust=trust)
+    cloud = None if trust is None else SimpleNamespace(most_trust=trust)
     scene = SimpleNamespace(heights=grid(houses()), cloud=cloud, survey=SimpleNamespace(name="test"), evidence=None)
     with pytest.raises(NodataError):
         mongus2013.detect_flat_regions(scene, Params())
