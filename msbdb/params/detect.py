@@ -50,7 +50,8 @@ class FlatRegionParams:
     ratio: float = param(1.75, "1/m",
         "R: a flat region has at least R times its zone's upper λ of area; less in cells above 0.35 m.",
         paper="M17, M23 give 1.5", ours="1.5 takes more crowns, 2 loses large roofs with holes", low=0, high=100)
-    blind_ratio: float = param(2.0, "1/m", "The same, without echoes.", paper="M17, M23 give 1.5",
+    blind_ratio: float = param(2.0, "1/m", "The same, as far as single echoes are not trusted.",
+        paper="M17, M23 give 1.5",
         ours="roughness alone mistakes more crowns", low=0, high=100)
     largest_m2: float = param(500_000.0, "m2", "Larger flat regions are terrain; 0 sets no limit.",
         ours="the largest halls cover 40 ha; λ_max alone takes the ground of a tile for one building", low=0, high=1e9)
@@ -114,8 +115,9 @@ class Area3dParams:
         "Regions of a larger product of mean curvature and share of several echoes are crowns.",
         ours="small smooth patches of crowns pass T_coc; grows with spacing/thin_m; 1 omits the test, as the paper",
         low=0, high=1)
-    max_crown_curvature: float = param(0.02, "1", "Regions whose mean change of curvature exceeds this are crowns.",
-        ours="for sources without echoes; 1 omits the test", low=0, high=1)
+    max_crown_curvature: float = param(0.02, "1",
+        "Regions of a larger mean change of curvature, times the distrust in single echoes, are crowns.",
+        ours="without echoes the distrust is 1; 1 omits the test", low=0, high=1)
     max_ndvi: float = param(0.3, "1", "Regions of a larger mean NDVI are crowns, where the points have NDVI.",
         ours="above the classes' bounds of NDVI; not measured, no test tile has it; 1 omits the test", low=-1, high=1)
     grow_m: float = param(0.6, "m",
@@ -188,9 +190,11 @@ class AdaptiveParams:
     level_weight: float = param(4.0, "1", "Log-odds that a level surface gives to a roof.", ours=CALIBRATED,
         low=0, high=100)
     bias: float = param(2.0, "1", "Log-odds without any evidence.", ours=CALIBRATED, low=-50, high=50)
-    blind_level_weight: float = param(9.4, "1", "level_weight where the source has no echoes.", ours=CALIBRATED,
+    blind_level_weight: float = param(9.4, "1", "level_weight, as far as single echoes are not trusted.",
+        ours=CALIBRATED,
         low=0, high=100)
-    blind_bias: float = param(-3.0, "1", "bias where the source has no echoes.", ours=CALIBRATED, low=-50, high=50)
+    blind_bias: float = param(-3.0, "1", "bias, as far as single echoes are not trusted.",
+        ours=CALIBRATED, low=-50, high=50)
     least_odds: float = param(0.75, "1", "Points of smaller log-odds are vegetation; a large negative value keeps all.",
         ours=CALIBRATED, low=-50, high=50)
     steps: int = param(2, "count",

@@ -165,7 +165,8 @@ class CoverParams:
     echo_rough_weight: float = param(0.15, "1", "Log-odds per factor e of roughness, with echoes.", ours=CALIBRATED,
         low=0, high=100)
     echo_bias: float = param(-1.2, "1", "Log-odds without any evidence.", ours=CALIBRATED, low=-50, high=50)
-    rough_weight: float = param(1.5, "1", "Log-odds per factor e of roughness, without echoes.", ours=CALIBRATED,
+    rough_weight: float = param(1.5, "1",
+        "Log-odds per factor e of roughness, as far as single echoes are not trusted.", ours=CALIBRATED,
         low=0, high=100)
     rough_m: float = param(0.25, "m",
         "Roughness in the small window that supports neither roof nor crown; grows with cells above 0.6 m.",
@@ -178,14 +179,15 @@ class CoverParams:
     smooth_m: float = param(2.0, "m", "Sigma of the smoothing of the odds.", ours=CALIBRATED, low=0, high=20)
     neck_m: float = param(1.2, "m", "Thinner necks of roofs are cut.", ours="hedges and walls are thinner",
         low=0, high=20)
-    blind_neck_m: float = param(2.0, "m", "The same, without echoes.", ours="roughness alone mistakes more crowns",
+    blind_neck_m: float = param(2.0, "m", "The same, as far as single echoes are not trusted.",
+        ours="roughness alone mistakes more crowns",
         low=0, high=20)
     hole_m2: float = param(20.0, "m2", "Smaller holes of a roof, above the mask, are filled.",
         ours="twice the finest scale", low=0, high=1e4)
     min_roof_m2: float = param(10.0, "m2", "Smaller regions are no roof.", ours="the finest scale", low=0, high=1e4)
     smooth_m_limit: float = param(0.12, "m", "Cells of less roughness are smooth; grows with large cells.",
         ours="three times a scanner's range noise", low=0.01, high=5)
-    min_smooth_share: float = param(0.5, "1", "Least smooth share of a roof, without echoes.",
+    min_smooth_share: float = param(0.5, "1", "Least smooth share of a roof, as far as single echoes are not trusted.",
         ours="most of a roof is smooth; with 0.6 blocks at 1 point/m2 are lost", low=0, high=1)
     smooth_per_split: float = param(3.0, "1", "Smooth share that a roof needs per share of split echoes.",
         ours=CALIBRATED, low=0, high=100)
