@@ -33,6 +33,9 @@ Floats = NDArray[np.float64]
 PLACES = 2**31
 """Width of the numbering of cells: a place is row times this plus column, both counted from its half."""
 
+TAKEN = 0.5
+"""Ours, in sample: share of the noise's variance that is taken off. With all of it noisy crowns pass for roofs."""
+
 FEW = 4
 """Rejected points that are less than one in so many are looked at apart."""
 
@@ -94,6 +97,7 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
         survey=scene.survey.name,
         params=params,
         ndvi=point_ndvi(scene.bands, cloud),
+        noise_m=point_noise(scene, cloud),
     )
     spacing_m = 1 / surface.density**0.5
     # Where regions meet, the order decides: by place, because the ids depend on the name of the survey.
@@ -114,6 +118,18 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
         of_points=found.labels,
         answers=found.marks.on(spec.shape),
     )
+
+
+def point_noise(scene: Scene, cloud: PointCloud) -> NDArray[np.float32] | None:
+    """Return the noise of the heights that is taken off the surface around points, metres; None where none is.
+
+    It has `TAKEN` of the variance that bare ground around a point shows. Cells of a raster have none: what makes these
+    rough is the relief in a cell.
+    """
+    if scene.noise_m is None or scene.cloud is None:
+        return None
+    noise_m = scene.heights.spec.sample(scene.noise_m, cloud.x, cloud.y, outside=0)
+    return np.asarray(np.float32(TAKEN**0.5) * noise_m)
 
 
 def point_heights(scene: Scene, params: Params) -> Floats:

@@ -102,6 +102,8 @@ class Scene:
         Colours of the orthophoto or the points.
     above : (N,) ndarray of float64, optional
         Heights of the points above ground, metres, where the plan asked for them or the ground filter gives them.
+    noise_m : (H, W) ndarray of float32, optional
+        What noise adds to heights (`msbdb.surface.noise`), metres; None where nothing, or where nobody knows.
     intensity : (H, W) ndarray of uint8, optional
         That of the first echoes in steps of its logarithm (`msbdb.spectral.colours.kept_intensity`); None where the
         points have none.
@@ -117,6 +119,7 @@ class Scene:
     cloud: PointCloud | None = None
     bands: Bands | None = None
     above: NDArray[np.float64] | None = None
+    noise_m: NDArray[np.float32] | None = None
     intensity: NDArray[np.uint8] | None = None
 
     def require_surface(self) -> Surface:
@@ -160,7 +163,7 @@ class Scene:
 
     def without_sources(self) -> "Scene":
         """Return the scene without surface, points and bands, which no step after the detectors needs."""
-        return replace(self, surface=None, cloud=None, bands=None, above=None)
+        return replace(self, surface=None, cloud=None, bands=None, above=None, noise_m=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,6 +57,8 @@ class Texture:
         The shares of echoes; without them the roughness decides alone.
     mask_m : float
         Height of the mask (V17), metres.
+    noise_m : (H, W) ndarray of float32 or None, metres
+        What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
     """
 
     ndsm: Grid
@@ -64,6 +66,7 @@ class Texture:
     wide_roughness_m: Field
     echoes: Echoes | None
     mask_m: float
+    noise_m: Field | None = None
 
     @property
     def raised(self) -> Mask:
@@ -91,12 +94,15 @@ class Structure:
         Residual of the best plane in the small window; `msbdb.surface.texture.NO_PLANE_M` where it has too few samples.
     filled_m : (H, W) ndarray of float32, metres
         The same, and there the residual in the wide window.
+    noise_m : (H, W) ndarray of float32 or None, metres
+        What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
     """
 
     cover: ClassMap
     roof_probability: Field
     roughness_m: Field
     filled_m: Field
+    noise_m: Field | None = None
 
 
 def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverParams) -> Structure:
@@ -148,7 +154,7 @@ def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverPa
     split = None if echoes is None else echoes.split
     params = replace(params, neck_m=most * params.neck_m + (1 - most) * params.blind_neck_m)
     cover = _regions_of(probability, texture.raised, ndsm, params, smooth=smooth, split=split, trust=trust)
-    return Structure(cover, probability, small_m, filled_m)
+    return Structure(cover, probability, small_m, filled_m, texture.noise_m)
 
 
 def splits_in_crowns(texture: Texture, params: CoverParams) -> NDArray[np.float32] | None:
@@ -438,18 +444,19 @@ def texture_of(surface: Surface, points: PointCloud | None, params: Params) -> T
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
 
-    def relief(window_m: float) -> Field:
+    def relief(window_m: float) -> tuple[Field, Field]:
         known = surface.roughness.get(window_m)
         seen = roughness(surface.samples, window_m) if known is None else known
-        return without_noise(seen, height_noise(seen, surface.ndsm))
+        noise_m = height_noise(seen, surface.ndsm)
+        return without_noise(seen, noise_m), noise_m
 
-    rough, wide = in_threads(relief, (small_m, wide_m))
+    (rough, noise_m), (wide, _) = in_threads(relief, (small_m, wide_m))
     found = (
         None
         if points is None
         else echoes(points, surface.ndsm, surface.dtm, small_m=small_m, wide_m=wide_m, mask_m=mask_m)
     )
-    return Texture(surface.ndsm, rough, wide, found, mask_m)
+    return Texture(surface.ndsm, rough, wide, found, mask_m, noise_m if noise_m.any() else None)
 
 
 def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:

@@ -159,3 +159,17 @@ def test_a_plan_of_blocks_knows_the_share(monkeypatch, tmp_path):
     assert plan.blocks
     assert 0 < plan.points.most_trust < 0.5
     assert FEW_ECHOES in msbdb.build(file, db=tmp_path / "town.sqlite").notices
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.25])
+def test_noise_of_the_heights_blinds_no_detector(noise_m, tmp_path):
+    """With 0.25 m of noise `adaptive` found no roof at all, as noise looks like leaves; bare ground tells it."""
+    points = scenes.city(density=9.0).points
+    points = replace(points, z=points.z + np.random.default_rng(5).normal(0, noise_m, len(points)))
+    db = tmp_path / "town.sqlite"
+    msbdb.build(write_points(tmp_path / "town.laz", points), db=db)
+    houses = msbdb.open(db).buildings()
+    confirmed = houses[houses["state"] == "confirmed"]
+    assert len(confirmed) >= 15
+    for method in ("area3d", "adaptive"):
+        assert confirmed[f"{method}_share"].mean() > 0.7

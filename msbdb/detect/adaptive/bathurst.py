@@ -97,6 +97,7 @@ def extract_adaptive(
     survey: str,
     params: Params,
     ndvi: NDArray[np.float32] | None = None,
+    noise_m: NDArray[np.float32] | None = None,
 ) -> Candidates:
     """Detect the clusters of off-ground points that may be buildings.
 
@@ -114,6 +115,8 @@ def extract_adaptive(
         Sections ``adaptive`` and, of ``surface``, the mask.
     ndvi : (N,) ndarray of float32, optional
         NDVI of each point, NaN where it has none.
+    noise_m : (N,) ndarray of float32, optional
+        What noise adds to the residuals of planes at each point, metres.
 
     Returns
     -------
@@ -141,8 +144,8 @@ def extract_adaptive(
     own = params.adaptive
     given = [heights]
     del heights  # so that nobody else holds them
-    points = off_ground(cloud, given.pop(), ndvi, spec=spec, mask_m=params.surface.mask_m)
-    del ndvi
+    points = off_ground(cloud, given.pop(), ndvi, noise_m, spec=spec, mask_m=params.surface.mask_m)
+    del ndvi, noise_m
     let_go()
     placed = points.placed(spec, survey)
     ledger = PointLedger(METHOD, placed, params.fuse.piece_m2)

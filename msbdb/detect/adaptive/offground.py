@@ -19,6 +19,7 @@ from msbdb.params import AdaptiveParams
 from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cloud import PointCloud
 from msbdb.points.spacing import measure_density
+from msbdb.surface.noise import without_noise
 
 Floats = NDArray[np.float64]
 
@@ -54,6 +55,8 @@ class OffGround:
         How far single echoes tell a roof, from 0 to 1; 0 where the source has no echoes.
     ndvi : (N,) ndarray of float32, optional
         NaN where a point has none.
+    noise_m : (N,) ndarray of float32, optional
+        What noise adds to the residuals of planes, metres.
     place : (N,) ndarray of int64
         Row-major number of the point's cell on the lattice.
     spacing_m : float
@@ -74,6 +77,7 @@ class OffGround:
     split: NDArray[np.bool_] | None
     echo_trust: NDArray[np.float32]
     ndvi: NDArray[np.float32] | None
+    noise_m: NDArray[np.float32] | None
     place: NDArray[np.int64]
     spacing_m: float
     typical_m: float
@@ -106,7 +110,13 @@ class SurfaceEvidence:
 
 
 def off_ground(
-    cloud: PointCloud, heights: Floats, ndvi: NDArray[np.float32] | None, *, spec: GridSpec, mask_m: float
+    cloud: PointCloud,
+    heights: Floats,
+    ndvi: NDArray[np.float32] | None,
+    noise_m: NDArray[np.float32] | None,
+    *,
+    spec: GridSpec,
+    mask_m: float,
 ) -> OffGround:
     """Take the points at or above the mask, and measure the density.
 
@@ -146,6 +156,7 @@ def off_ground(
         split=None if not cloud.has_echoes else np.greater(cloud.number_of_returns[chosen], 1),  # type: ignore[index]  # there are echoes
         echo_trust=set_aside(cloud.echo_trust(heights)),
         ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
+        noise_m=None if noise_m is None else noise_m[chosen],
         place=set_aside(places(spec, x, y)),
         spacing_m=density.spacing_m,
         typical_m=density.typical_m,
@@ -176,6 +187,8 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
     small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m, enough_m, points.step_m)
     wide_m = max(params.around_factor * points.spacing_m, params.around_least_m)
     residuals = plane_residuals(points.x, points.y, points.z, small_m)
+    if points.noise_m is not None:
+        residuals = without_noise(residuals, points.noise_m)
     values = np.zeros((len(points), 3), dtype=np.float32)
     values[:, 0] = _degree(residuals, params.level_m * max(1.0, points.spacing_m))
     values[:, 1] = np.isfinite(residuals)

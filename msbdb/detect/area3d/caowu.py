@@ -66,6 +66,7 @@ def extract_area3d(
     survey: str,
     params: Params,
     ndvi: NDArray[np.float32] | None = None,
+    noise_m: NDArray[np.float32] | None = None,
 ) -> Candidates:
     """Detect the regions of points that may be buildings.
 
@@ -83,6 +84,8 @@ def extract_area3d(
         Sections ``area3d`` and, of ``surface``, the mask.
     ndvi : (N,) ndarray of float32, optional
         NDVI of the points, NaN where unknown.
+    noise_m : (N,) ndarray of float32, optional
+        What noise adds to the heights of each point, metres.
 
     Returns
     -------
@@ -114,8 +117,8 @@ def extract_area3d(
     _require(cloud, heights, ndvi)
     given = [heights]
     del heights  # so that nobody else holds them
-    scenes, scales, order = _prepare(cloud, given.pop(), ndvi, spec, params)
-    del ndvi
+    scenes, scales, order = _prepare(cloud, given.pop(), ndvi, spec, params, noise_m=noise_m)
+    del ndvi, noise_m
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
     ledger = PointLedger(METHOD, placed, params.fuse.piece_m2)
@@ -167,6 +170,8 @@ def _prepare(
     ndvi: NDArray[np.float32] | None,
     spec: GridSpec,
     params: Params,
+    *,
+    noise_m: NDArray[np.float32] | None,
 ) -> tuple[tuple[OnSets, ...], tuple[float, ...], NDArray[np.int32]]:
     """Return the input of all height scales for each area, the heights, and the places of its points in the cloud.
 
@@ -206,7 +211,8 @@ def _prepare(
     filtered = _open_close(heights, graph, area_m2, areas, scales, lowest=lowest)
     levels = [np.searchsorted(scales, each, side="right").astype(np.uint16) for each in filtered]
     del filtered
-    curvature, smooth = _structure(points, several, np.logical_or.reduce(levels) > 0, own)
+    noise = None if noise_m is None else noise_m[order]
+    curvature, smooth = _structure(points, several, noise, np.logical_or.reduce(levels) > 0, own)
     let_go()
     known = NormalisedCloud(points, heights, area_m2, several, cloud.echo_trust(heights), green, place, origin[:2])
     scenes = tuple(
@@ -267,11 +273,15 @@ def _open_close(
 
 
 def _structure(
-    points: NDArray[np.float64], several: NDArray[np.bool_] | None, on: NDArray[np.bool_], own: Area3dParams
+    points: NDArray[np.float64],
+    several: NDArray[np.bool_] | None,
+    noise_m: NDArray[np.float32] | None,
+    on: NDArray[np.bool_],
+    own: Area3dParams,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the change of curvature of the points of the on-set, 0 for all others, and which points are no crown."""
-    echoes = None if several is None else several[on]
-    found = measure_structure(points[on], echoes, neighbours=own.neighbours, thin_m=own.thin_m)
+    echoes, noise = None if several is None else several[on], None if noise_m is None else noise_m[on]
+    found = measure_structure(points[on], echoes, noise, neighbours=own.neighbours, thin_m=own.thin_m)
     curvature, smooth = np.zeros(len(on)), np.full(len(on), own.max_curvature >= 0 and own.max_echo_share >= 0)
     curvature[on] = found.curvature
     smooth[on] = (found.curvature <= own.max_curvature) & (found.echo_share <= own.max_echo_share)

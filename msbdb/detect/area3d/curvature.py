@@ -13,6 +13,7 @@ from msbdb.grid import cell_along
 from msbdb.labels import look_up
 from msbdb.points.aside import let_go
 from msbdb.points.nearest import nearest, nearest_in_plan
+from msbdb.surface.noise import UNSEEN
 from msbdb.threads import in_threads, kernel
 
 BATCH = 1 << 13
@@ -42,7 +43,12 @@ class PointStructure:
 
 
 def measure_structure(
-    points: NDArray[np.float64], several: NDArray[np.bool_] | None, *, neighbours: int, thin_m: float
+    points: NDArray[np.float64],
+    several: NDArray[np.bool_] | None,
+    noise_m: NDArray[np.float32] | None = None,
+    *,
+    neighbours: int,
+    thin_m: float,
 ) -> PointStructure:
     """Measure the change of curvature of points, and their share of several echoes (C16, A18).
 
@@ -52,6 +58,8 @@ def measure_structure(
         Points of the on-set, from an origin nearby, so that squares keep their digits.
     several : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None without echo numbers.
+    noise_m : (N,) ndarray of float32, optional
+        Noise of the heights, metres: its variance is taken off λ3, of which a ninth of the noise is left.
     neighbours : int
         K; the point itself is one of them. Of fewer points, all.
     thin_m : float
@@ -73,7 +81,7 @@ def measure_structure(
     let_go()
     x, y, z = (np.ascontiguousarray(each) for each in points.T)
     around = nearest(x, y, z, neighbours)
-    own = _variation((x, y, z), around)
+    own = _variation((x, y, z), around, None if noise_m is None else noise_m[first])
     curvature, share = np.empty(len(points)), np.zeros(len(points))
     echoes = None if several is None else several[first]
 
@@ -127,7 +135,9 @@ def _leaders(cube: NDArray[np.int64], order: NDArray[np.intp]) -> tuple[NDArray[
     return first, of
 
 
-def _variation(places: tuple[NDArray[np.float64], ...], around: NDArray[np.int32]) -> NDArray[np.float64]:
+def _variation(
+    places: tuple[NDArray[np.float64], ...], around: NDArray[np.int32], noise_m: NDArray[np.float32] | None
+) -> NDArray[np.float64]:
     """Return λ3 / (λ1 + λ2 + λ3) of the covariance of each (N, K) set of points, given as x, y and z."""
     found = np.empty(len(around))
 
@@ -137,10 +147,23 @@ def _variation(places: tuple[NDArray[np.float64], ...], around: NDArray[np.int32
         for values in (x, y, z):
             values -= values.mean(axis=1, keepdims=True)
         pairs = ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))
-        found[of] = smallest_share(np.stack([np.einsum("nk,nk->n", a, b) for a, b in pairs]))
+        moments = np.stack([np.einsum("nk,nk->n", a, b) for a, b in pairs])
+        found[of] = smallest_share(moments)
+        if noise_m is not None:
+            noise = (around.shape[1] - 1) * noise_m[of].astype(np.float64) ** 2
+            found[of] = _without_noise(found[of], moments[:3].sum(axis=0), noise)
 
     in_threads(work, range(0, len(around), BATCH))
     return found
+
+
+def _without_noise(
+    share: NDArray[np.float64], sums: NDArray[np.float64], noise: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return λ3 / (λ1 + λ2 + λ3) without noise of the heights; as much of λ3 as is not seen in noise stays."""
+    least = np.maximum(share * sums - noise, np.minimum(share * sums, UNSEEN**2 * noise))
+    whole = sums - share * sums + least
+    return np.divide(least, whole, out=np.zeros_like(least), where=whole > 0)
 
 
 def smallest_share(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -200,6 +200,7 @@ def prepare(
         cloud=points,
         bands=bands,
         above=above,
+        noise_m=structure.noise_m,
         intensity=intensity,
     )
     return scene, known, planned

@@ -124,6 +124,25 @@ def test_echoes_are_shared_among_neighbours():
     assert (found.echo_share[x > 12] == 1).all()
 
 
+def test_noise_makes_no_plane_rough_and_no_crown_smooth():
+    """With 0.15 m of noise a roof passes for a crown. What is known of it is taken off, and a ball stays rough."""
+    random = np.random.default_rng(4)
+    x, y = lattice_points(20, 20)
+    roof, ball = np.column_stack([x, y, 5 + 0.3 * x]), random.normal([40, 5, 8], 1.2, (900, 3))
+    points = np.concatenate([roof, ball])
+    points[:, 2] += random.normal(0, 0.15, len(points))
+    seen, known = (
+        measure_structure(points, None, noise, neighbours=16, thin_m=0.5).curvature
+        for noise in (None, np.full(len(points), 0.15, dtype=np.float32))
+    )
+    assert np.mean(seen[: len(roof)]) > 2 * np.mean(known[: len(roof)])
+    assert np.median(known[len(roof) :]) > 0.02
+    assert (known <= seen + 1e-12).all()
+    assert (known >= 0).all()
+    nothing = measure_structure(points, None, np.zeros(len(points), np.float32), neighbours=16, thin_m=0.5).curvature
+    np.testing.assert_allclose(nothing, seen, rtol=1e-9)
+
+
 def test_thinned_points_get_what_their_cube_gets():
     """Points of one cube have one answer, and on a plane thinning changes nothing."""
     x, y = lattice_points(10, 10, 0.1)
