@@ -33,8 +33,8 @@ ROOF, VEGETATION = 1, 2
 USUAL_CELL_M = 0.6
 """Ours: the largest cells of the surveys that the limits of roughness were calibrated on."""
 
-UPPER = 0.75
-"""A quarter of what roughness alone takes for vegetation is crowns, also on coarse cells."""
+UPPER = 0.9
+"""A tenth of what roughness alone takes for vegetation is crowns, also on coarse cells with hardly a tree."""
 
 WINDOW_POWER = 1.2
 """Ours, in sample: the limit of smoothness grows by this power of the window, as wide windows span several roofs."""
@@ -182,7 +182,7 @@ def splits_in_crowns(texture: Texture, params: CoverParams) -> NDArray[np.float3
 def split_of_crowns(splits: Sequence[NDArray[np.float32]]) -> tuple[float, ...] | None:
     """Return the share of pulses that the crowns of a survey split, by classes of height; None where none is known.
 
-    The upper quartile counts: on coarse cells many roofs are as rough as crowns, and split hardly a pulse. High crowns
+    The upper decile counts: on coarse cells many roofs are as rough as crowns, and split hardly a pulse. High crowns
     split no fewer pulses than low ones. So the shares are those that never fall with the height and are nearest to the
     measured ones, by isotonic regression.
 

@@ -82,34 +82,34 @@ def test_trust_decides_only_what_is_rough_and_not_split(trust, rough_m, split, a
     assert set(found) == {always or (ROOF if trust == 1 else VEGETATION)}
 
 
-def test_the_share_that_crowns_split_is_an_upper_quartile_over_all_blocks():
+def test_the_share_that_crowns_split_is_an_upper_decile_over_all_blocks():
     """Of no cell it is unknown. By height it is that of all blocks together, and never falls as crowns get higher."""
     none = np.zeros((2, 0), dtype=np.float32)
     assert split_of_crowns([]) is split_of_crowns([none]) is None
     shares = np.linspace(0, 1, 401, dtype=np.float32)
     low, high = (np.stack([np.full_like(shares, height), shares * most]) for height, most in ((2.5, 0.2), (20.0, 1.0)))
     found = split_of_crowns([low, high])
-    assert found[0] == pytest.approx(0.15)
-    assert found[5] == pytest.approx(0.75)
-    assert found[1:5] == (pytest.approx(np.quantile([*low[1], *high[1]], 0.75)),) * 4  # without a cell: as all
+    assert found[0] == pytest.approx(0.18)
+    assert found[5] == pytest.approx(0.9)
+    assert found[1:5] == (pytest.approx(np.quantile([*low[1], *high[1]], 0.9)),) * 4  # without a cell: as all
     assert split_of_crowns([low[:, ::2], high, low[:, 1::2]]) == found
     falling = split_of_crowns([np.stack([22.5 - low[0], low[1]]), np.stack([22.5 - high[0], high[1]])])
-    assert falling == (pytest.approx((0.15 + 0.75) / 2, abs=0.01),) * 6
+    assert falling == (pytest.approx((0.18 + 0.9) / 2, abs=0.01),) * 6
 
 
 def test_facts_tell_how_far_single_echoes_are_trusted(grove, tmp_path):
-    """In full from half of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
+    """In full from 0.7 of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
     plan = msbdb.plan(write_points(tmp_path / "grove.laz", grove.points))
     assert min(plan.points.crown_split) >= 0.4
     assert "crowns split" in plan.pairs()
     heights = np.array([2.0, 4.5, 50.0])
-    for split, trust in ((None, 1.0), (0.8, 1.0), (0.5, 1.0), (0.2, 0.4), (0.0, 0.0)):
+    for split, trust in ((None, 1.0), (0.8, 1.0), (0.7, 1.0), (0.28, 0.4), (0.0, 0.0)):
         facts = replace(plan.points, crown_split=None if split is None else (split,) * 6)
         for each in (facts, replace(grove.points, facts=facts)):
             assert each.most_trust == pytest.approx(trust)
             np.testing.assert_allclose(each.echo_trust(heights), trust, rtol=1e-6)
     # Echoes are told 5 m apart: low crowns are single.
-    apart = replace(plan.points, crown_split=(0.0, 0.1, 0.2, 0.5, 0.5, 0.5))
+    apart = replace(plan.points, crown_split=(0.0, 0.14, 0.28, 0.7, 0.7, 0.7))
     np.testing.assert_allclose(apart.echo_trust(heights), [0, 0.4, 1], rtol=1e-6)
     assert apart.most_trust == 1
     assert replace(plan.points, echoes=False).most_trust == 0
