@@ -27,7 +27,7 @@ USUAL_SPLIT = 0.7
 """Ours, in sample: share of pulses that crowns split, at least; with all echoes real places have 0.7 to 1."""
 
 CROWN_CLASSES_M = (3.0, 4.0, 5.0, 6.0, 8.0)
-"""Ours: heights above ground between the classes of crowns, metres. A sensor tells echoes only some metres apart."""
+"""Ours: heights between the classes of crowns, metres. A sensor separates echoes only some metres apart."""
 
 CROWN_MIDDLES_M = (2.5, 3.5, 4.5, 5.5, 7.0, 9.0)
 """Heights above ground for which the classes stand, metres."""
@@ -66,7 +66,7 @@ class PointFacts:
     numbered, echoes : bool
         Echoes have numbers, and some pulse has more than one echo.
     crown_split : tuple of float, or None
-        Share of pulses that crowns split, by `CROWN_CLASSES_M` (`msbdb.surface.structure.split_of_crowns`). None where
+        Share of pulses that crowns split, by `CROWN_CLASSES_M` (`msbdb.surface.cover.crown_split`). None where
         nothing is known of it.
     under_m : float
         Where echoes have no numbers, points that lie under others within this distance are later ones, metres; 0 where
@@ -105,13 +105,13 @@ class PointFacts:
 
     @property
     def most_trust(self) -> float:
-        """How far single echoes tell a roof high above the ground, from 0 to 1; as far as the sensor splits crowns."""
+        """The trust in single echoes high above the ground, from 0 to 1."""
         return self._trusts()[-1]
 
     def echo_trust(self, heights_m: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
-        """Return how far single echoes tell a roof, from 0 to 1, at heights above ground.
+        """Return the trust in single echoes as a sign of a roof, from 0 to 1, at heights above ground.
 
-        A sensor that hardly splits pulses in crowns of this height sees single echoes on roofs and crowns alike.
+        Where a sensor hardly splits pulses in crowns of this height, roofs and crowns both give single echoes.
         """
         trusts = self._trusts()
         if min(trusts) == 1:
@@ -212,7 +212,11 @@ class Plan:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plan as plain values, with the version of their form."""
-        return {"form": FORM, **plain(self)}
+        found = {"form": FORM, **plain(self)}
+        if self.points is not None and self.points.crown_split is None:
+            # An older plan has no such name, and its run a digest of its text.
+            del found["points"]["crown_split"]
+        return found
 
     def as_json(self) -> str:
         """Return the plan as JSON: the same text for the same plan."""

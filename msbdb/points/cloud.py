@@ -113,12 +113,12 @@ class PointCloud:
         return bool((self.number_of_returns > 1).any()) if self.facts is None else self.facts.echoes
 
     def echo_trust(self, heights_m: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return how far single echoes tell a roof (`PointFacts.echo_trust`); without facts in full, or not at all."""
+        """Return the trust in single echoes (`PointFacts.echo_trust`); full without facts, none without echoes."""
         if self.facts is None or not self.has_echoes:
             return np.full((1,) * heights_m.ndim, self.has_echoes, dtype=np.float32)
         return self.facts.echo_trust(heights_m)
 
     @property
     def most_trust(self) -> float:
-        """How far single echoes tell a roof high above the ground (`PointFacts.most_trust`)."""
+        """The trust in single echoes high above the ground (`PointFacts.most_trust`)."""
         return float(self.has_echoes) if self.facts is None else self.facts.most_trust * self.has_echoes

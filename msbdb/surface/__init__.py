@@ -1,5 +1,6 @@
 """Surfaces on the lattice: gridding, gaps, heights above ground, texture, and land cover by structure."""
 
+from msbdb.surface.cover import cover_from_surface, crown_cells, crown_split, texture_of
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.heights import (
     Surface,
@@ -12,16 +13,11 @@ from msbdb.surface.heights import (
 )
 from msbdb.surface.structure import (
     Structure,
-    Texture,
-    cover_from_surface,
     cover_with_colours,
     drop_green_regions,
-    split_of_crowns,
-    splits_in_crowns,
     structural_cover,
-    texture_of,
 )
-from msbdb.surface.texture import Echoes, echoes, roughness
+from msbdb.surface.texture import Echoes, Texture, echoes, roughness
 
 __all__ = [
     "Echoes",
@@ -32,6 +28,8 @@ __all__ = [
     "cell_size",
     "cover_from_surface",
     "cover_with_colours",
+    "crown_cells",
+    "crown_split",
     "density",
     "drop_green_regions",
     "echoes",
@@ -42,8 +40,6 @@ __all__ = [
     "points_of_cells",
     "roughness",
     "sample_nearest",
-    "split_of_crowns",
-    "splits_in_crowns",
     "structural_cover",
     "surface_from_rasters",
     "texture_of",

@@ -12,19 +12,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.optimize import isotonic_regression
 
 from msbdb.grid import Grid
 from msbdb.labels import chosen_cells, label_zones, sizes, small_zones, sums
 from msbdb.landcover import ClassMap
 from msbdb.morphology.windows import dilation, erosion, opening
-from msbdb.params import CoverParams, Params
-from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import Samples
-from msbdb.surface.heights import Surface
-from msbdb.surface.noise import height_noise, without_noise
-from msbdb.surface.texture import NO_PLANE_M, Echoes, echoes, roughness, window_cells
-from msbdb.surveyplan import CROWN_CLASSES_M, PointFacts
+from msbdb.params import CoverParams
+from msbdb.surface.texture import Echoes, Texture, window_cells
+from msbdb.surveyplan import PointFacts
 from msbdb.threads import in_threads
 
 ROOF, VEGETATION = 1, 2
@@ -33,50 +28,11 @@ ROOF, VEGETATION = 1, 2
 USUAL_CELL_M = 0.6
 """Ours: the largest cells of the surveys that the limits of roughness were calibrated on."""
 
-UPPER = 0.9
-"""A tenth of what roughness alone takes for vegetation is crowns, also on coarse cells with hardly a tree."""
-
 WINDOW_POWER = 1.2
 """Ours, in sample: the limit of smoothness grows by this power of the window, as wide windows span several roofs."""
 
 Mask = NDArray[np.bool_]
 Field = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Texture:
-    """What tells roofs from vegetation without colours.
-
-    Parameters
-    ----------
-    ndsm : Grid
-        Heights above ground, metres.
-    roughness_m, wide_roughness_m : (H, W) ndarray of float32, metres
-        Residual of the best plane in the small and the wide windows.
-    echoes : Echoes or None
-        The shares of echoes; without them the roughness decides alone.
-    mask_m : float
-        Height of the mask (V17), metres.
-    noise_m : (H, W) ndarray of float32 or None, metres
-        What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
-    """
-
-    ndsm: Grid
-    roughness_m: Field
-    wide_roughness_m: Field
-    echoes: Echoes | None
-    mask_m: float
-    noise_m: Field | None = None
-
-    @property
-    def raised(self) -> Mask:
-        """The cells at or above the mask."""
-        return np.asarray(self.ndsm.valid & (np.asarray(self.ndsm.values) >= self.mask_m))
-
-    @property
-    def filled_m(self) -> Field:
-        """The roughness in the small window, and in the wide one where the small one has too few samples."""
-        return np.where(self.roughness_m < NO_PLANE_M, self.roughness_m, self.wide_roughness_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +52,8 @@ class Structure:
         The same, and there the residual in the wide window.
     noise_m : (H, W) ndarray of float32 or None, metres
         What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
+    crowns : (2, N) ndarray of float32 or None
+        Heights and split echoes of crowns (`msbdb.surface.cover.crown_cells`); None where nobody asked for them.
     """
 
     cover: ClassMap
@@ -103,6 +61,7 @@ class Structure:
     roughness_m: Field
     filled_m: Field
     noise_m: Field | None = None
+    crowns: Field | None = None
 
 
 def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverParams) -> Structure:
@@ -113,7 +72,8 @@ def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverPa
     texture : Texture
         Heights, roughness and echoes.
     facts : PointFacts or None
-        How far single echoes tell a roof; None trusts them in full. Split echoes tell leaves whatever the sensor.
+        With the trust in single echoes as a sign of a roof; None trusts them in full. Split echoes are a sign of leaves
+        whatever the sensor.
     params : CoverParams
         Weights and sizes.
 
@@ -147,73 +107,23 @@ def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverPa
         if facts is not None:
             trust, most = facts.echo_trust(np.asarray(ndsm.values)), facts.most_trust
         odds = _echo_odds(small_m, echoes, trust, params)
-        if trust.size > 1:
+        if trust.min() < 1:
             odds += (1 - trust) * _rough_odds(filled_m, wide_m, wider)
     probability = _sigmoid(odds)
-    smooth = filled_m < trust * _smooth_m(params, ndsm) + (1 - trust) * _smooth_m(wider, ndsm)
+    with_echoes_m, alone_m = (_smooth_m(each, ndsm.spec.cell_m) for each in (params, wider))
+    smooth = filled_m < trust * with_echoes_m + (1 - trust) * alone_m
     split = None if echoes is None else echoes.split
     params = replace(params, neck_m=most * params.neck_m + (1 - most) * params.blind_neck_m)
     cover = _regions_of(probability, texture.raised, ndsm, params, smooth=smooth, split=split, trust=trust)
     return Structure(cover, probability, small_m, filled_m, texture.noise_m)
 
 
-def splits_in_crowns(texture: Texture, params: CoverParams) -> NDArray[np.float32] | None:
-    """Return the shares of split first echoes where roughness alone sees vegetation; None without echoes.
-
-    Parameters
-    ----------
-    texture : Texture
-        Heights, roughness and echoes.
-    params : CoverParams
-        Weights and sizes.
-
-    Returns
-    -------
-    (2, N) ndarray of float32
-        Height above ground, metres, and share in the small window, of each of the cells above the mask that are
-        vegetation without echoes.
-    """
-    if texture.echoes is None:
-        return None
-    crowns = structural_cover(replace(texture, echoes=None), None, params).cover.index == VEGETATION
-    return np.stack([np.asarray(texture.ndsm.values, dtype=np.float32)[crowns], texture.echoes.split[crowns]])
-
-
-def split_of_crowns(splits: Sequence[NDArray[np.float32]]) -> tuple[float, ...] | None:
-    """Return the share of pulses that the crowns of a survey split, by classes of height; None where none is known.
-
-    The upper decile counts: on coarse cells many roofs are as rough as crowns, and split hardly a pulse. High crowns
-    split no fewer pulses than low ones. So the shares are those that never fall with the height and are nearest to the
-    measured ones, by isotonic regression.
-
-    Parameters
-    ----------
-    splits : sequence of (2, N) ndarray of float32
-        Of the survey, or of blocks of it (`splits_in_crowns`).
-
-    Returns
-    -------
-    tuple of float
-        One for each class between `CROWN_CLASSES_M`.
-    """
-    heights, shares = np.concatenate([*splits, np.zeros((2, 0), dtype=np.float32)], axis=1)
-    if not shares.size:
-        return None
-    of = np.digitize(heights, CROWN_CLASSES_M)
-    cells = sizes(of + 1, len(CROWN_CLASSES_M) + 1)
-    upper = [
-        np.quantile(shares[of == number] if count else shares, UPPER) for number, count in enumerate(cells.tolist())
-    ]
-    rising = isotonic_regression(upper, weights=np.maximum(cells, 1)).x
-    return tuple(np.round(rising, 6).tolist())
-
-
-def _smooth_m(params: CoverParams, ndsm: Grid) -> float:
+def _smooth_m(params: CoverParams, cell_m: float) -> float:
     """Return the roughness below which a cell is smooth, metres.
 
     On cells above 1 m a window spans several planes of a roof, so that the limit grows with the cell.
     """
-    return params.smooth_m_limit * max(1.0, ndsm.spec.cell_m)
+    return params.smooth_m_limit * max(1.0, cell_m)
 
 
 def _regions_of(
@@ -240,14 +150,14 @@ def _regions_of(
 def cover_with_colours(
     structure: Structure, ndsm: Grid, index: NDArray[np.uint8], odds: NDArray[np.float64], params: CoverParams
 ) -> ClassMap:
-    """Separate roofs from vegetation without echoes: by roughness, and by what it tells of each class of colours.
+    """Separate roofs from vegetation where single echoes are hardly trusted: by roughness and classes of colours.
 
     Roughness errs on single roofs and crowns, seldom on most of a class. So each class is evidence for its cells.
 
     Parameters
     ----------
     structure : Structure
-        By roughness alone.
+        By roughness alone, or nearly.
     ndsm : Grid
         Heights above ground, metres.
     index : (H, W) ndarray of uint8
@@ -275,7 +185,7 @@ def cover_with_colours(
     times *= own
     probability = times / (1 - own + times)
     wider, raised = _for_wider_windows(params, ndsm.spec.cell_m), structure.cover.index > 0
-    smooth = structure.filled_m * factor < _smooth_m(wider, ndsm)
+    smooth = structure.filled_m * factor < _smooth_m(wider, ndsm.spec.cell_m)
     blind, none = replace(params, neck_m=params.blind_neck_m), np.zeros((1, 1), dtype=np.float32)
     return _regions_of(probability, raised, ndsm, blind, smooth=smooth, split=None, trust=none)
 
@@ -401,9 +311,8 @@ def drop_green_regions(cover: ClassMap, green: Mask, roughness_m: Field, params:
     """
     labels, count = label_zones(cover.index == ROOF)
     cells = sizes(labels, count)
-    limit = params.smooth_m_limit * max(1.0, cover.spec.cell_m)
     green_share = sizes(labels[green], count) / cells
-    smooth_share = sizes(labels[roughness_m < limit], count) / cells
+    smooth_share = sizes(labels[roughness_m < _smooth_m(params, cover.spec.cell_m)], count) / cells
     crown = (green_share >= params.green_share) & (smooth_share < params.green_smooth_share)
     index = np.where(chosen_cells(labels, crown), np.uint8(VEGETATION), cover.index)
     return ClassMap(index, cover.labels, cover.spec)
@@ -422,60 +331,3 @@ def _around(roof: Mask, heights: Field, extreme: Callable[..., Field]) -> Field:
     """Highest or lowest roof in the 3 by 3 cells around each cell; infinite without a roof."""
     none = np.float32(-np.inf if extreme is dilation else np.inf)
     return extreme(np.where(roof, heights, none), 3, None)
-
-
-def roughness_by_window(samples: Samples, params: CoverParams) -> dict[float, Field]:
-    """Return the roughness of samples, noise included, by the sides of the small and the wide window, metres."""
-    windows_m = (params.window_m, params.wide_window_m)
-    return {window_m: roughness(samples, window_m) for window_m in windows_m}
-
-
-def texture_of(surface: Surface, points: PointCloud | None, params: Params) -> Texture:
-    """Measure the texture of a surface, and the echoes where the source has them.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surfaces of the survey.
-    points : PointCloud, optional
-        The same points; None for a raster source.
-    params : Params
-        Sections ``surface`` and ``cover``.
-    """
-    small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
-
-    def relief(window_m: float) -> tuple[Field, Field]:
-        known = surface.roughness.get(window_m)
-        seen = roughness(surface.samples, window_m) if known is None else known
-        noise_m = height_noise(seen, surface.ndsm)
-        return without_noise(seen, noise_m), noise_m
-
-    (rough, noise_m), (wide, _) = in_threads(relief, (small_m, wide_m))
-    found = (
-        None
-        if points is None
-        else echoes(points, surface.ndsm, surface.dtm, small_m=small_m, wide_m=wide_m, mask_m=mask_m)
-    )
-    return Texture(surface.ndsm, rough, wide, found, mask_m, noise_m if noise_m.any() else None)
-
-
-def cover_from_surface(surface: Surface, points: PointCloud | None, params: Params) -> Structure:
-    """Separate roofs from vegetation by texture, and by echoes where the source has them.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surfaces of the survey.
-    points : PointCloud, optional
-        The same points, which may know the facts of the survey; None for a raster source.
-    params : Params
-        Sections ``surface`` and ``cover``.
-
-    Returns
-    -------
-    Structure
-        Building and vegetation above the mask, each cell's own probability of roof, and the roughness in the small
-        window.
-    """
-    facts = None if points is None else points.facts
-    return structural_cover(texture_of(surface, points, params), facts, params.cover)

@@ -32,6 +32,7 @@ STEEPEST = 1.5
 Field = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int32]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +48,42 @@ class Echoes:
     split_best: Field
     split_wide: Field
     solid: Field
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Texture:
+    """What separates roofs from vegetation without colours.
+
+    Parameters
+    ----------
+    ndsm : Grid
+        Heights above ground, metres.
+    roughness_m, wide_roughness_m : (H, W) ndarray of float32, metres
+        Residual of the best plane in the small and the wide windows.
+    echoes : Echoes or None
+        The shares of echoes; without them the roughness decides alone.
+    mask_m : float
+        Height of the mask (V17), metres.
+    noise_m : (H, W) ndarray of float32 or None, metres
+        What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
+    """
+
+    ndsm: Grid
+    roughness_m: Field
+    wide_roughness_m: Field
+    echoes: Echoes | None
+    mask_m: float
+    noise_m: Field | None = None
+
+    @property
+    def raised(self) -> Mask:
+        """The cells at or above the mask."""
+        return np.asarray(self.ndsm.valid & (np.asarray(self.ndsm.values) >= self.mask_m))
+
+    @property
+    def filled_m(self) -> Field:
+        """The roughness in the small window, and in the wide one where the small one has too few samples."""
+        return np.where(self.roughness_m < NO_PLANE_M, self.roughness_m, self.wide_roughness_m)
 
 
 def window_cells(window_m: float, cell_m: float) -> int:

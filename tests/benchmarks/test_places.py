@@ -180,8 +180,8 @@ def test_a_weaker_sensor_keeps_all_first_echoes_and_a_share_of_the_others(town):
         assert sorted(np.asarray(copy.number_of_returns)[first]) == sorted(of_pulse)
 
 
-def test_echoes_nearer_than_a_sensor_tells_are_lost(town):
-    """Of a pulse what lies too near below the last echo told is gone; the rest is numbered anew, from above."""
+def test_echoes_nearer_than_a_sensor_separates_are_lost(town):
+    """Echoes too near below the last one recorded are gone; the rest of the pulse is numbered anew, from above."""
     _, (cloud,), _ = town
     for least_m in (0.0, 2.0, 5.0):
         copy = with_echoes_apart(cloud, least_m)

@@ -13,8 +13,8 @@ from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import cover_from_surface, cover_with_colours, normalise, surface_from_rasters
-from msbdb.surface.structure import ROOF, VEGETATION, Texture, leaf_share, smooth_shares, structural_cover
-from msbdb.surface.texture import NO_PLANE_M, Echoes
+from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_shares, structural_cover
+from msbdb.surface.texture import NO_PLANE_M, Echoes, Texture
 
 Scene = scenes.Scene
 PARAMS = with_values(Params(), {"surface": {"cell_m": 0.5}})

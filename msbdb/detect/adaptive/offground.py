@@ -52,7 +52,7 @@ class OffGround:
     split : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None where the source has no echoes.
     echo_trust : (N,) or (1,) ndarray of float32
-        How far single echoes tell a roof, from 0 to 1; 0 where the source has no echoes.
+        The trust in single echoes as a sign of a roof, from 0 to 1; 0 where the source has no echoes.
     ndvi : (N,) ndarray of float32, optional
         NaN where a point has none.
     noise_m : (N,) ndarray of float32, optional

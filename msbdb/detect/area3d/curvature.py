@@ -59,7 +59,7 @@ def measure_structure(
     several : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None without echo numbers.
     noise_m : (N,) ndarray of float32, optional
-        Noise of the heights, metres: its variance is taken off λ3, of which a ninth of the noise is left.
+        Noise of the heights, metres. Its variance is taken off λ3, but for a ninth, in which no relief is seen.
     neighbours : int
         K; the point itself is one of them. Of fewer points, all.
     thin_m : float

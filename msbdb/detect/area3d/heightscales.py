@@ -133,7 +133,7 @@ class NormalisedCloud:
     several : (N,) ndarray of bool, optional
         Which points are of pulses with several echoes; None without echo numbers.
     echo_trust : (N,) or (1,) ndarray of float32
-        How far single echoes tell a roof, from 0 to 1; 0 where the source has no echoes.
+        The trust in single echoes as a sign of a roof, from 0 to 1; 0 where the source has no echoes.
     ndvi : (N,) ndarray of float64, optional
         NaN where a point has none.
     place : (N,) ndarray of int64

@@ -25,10 +25,11 @@ from msbdb.run.reports import Progress, Stages
 from msbdb.spectral.colours import spectral_bands
 from msbdb.spectral.coverclasses import is_imagery
 from msbdb.spectral.kmeans import load_solver
-from msbdb.surface import Surface, split_of_crowns, splits_in_crowns, structural_cover, texture_of
+from msbdb.surface import Surface, cover_from_surface
+from msbdb.surface.cover import roughness_by_window
 from msbdb.surface.gridding import Samples, cell_size, density
 from msbdb.surface.heights import GIVEN_GROUND, grid_surface, normalise
-from msbdb.surface.structure import Structure, roughness_by_window
+from msbdb.surface.structure import Structure
 from msbdb.surveyplan import PointFacts
 from msbdb.threads import together
 
@@ -54,8 +55,6 @@ class Draft:
         The points, which know the facts of the survey; None for rasters.
     above : (N,) ndarray of float64 or None
         Heights of the points above ground, metres; None where nobody asks for them.
-    splits : (2, M) ndarray of float32 or None
-        The heights and split echoes of crowns (`splits_in_crowns`); None without echoes, or where nobody asks for them.
     """
 
     surface: Surface
@@ -63,7 +62,22 @@ class Draft:
     bands: Bands | None
     cloud: PointCloud | None
     above: NDArray[np.float64] | None
-    splits: NDArray[np.float32] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        surface: Surface,
+        structure: Structure,
+        bands: Bands | None,
+        cloud: PointCloud | None,
+        params: Params,
+        *,
+        planned: bool = False,
+    ) -> "Draft":
+        """Return a draft; with the heights of its points where no plan is known, or they are slow to find again."""
+        known = cloud is None or (planned and surface.ground_filter not in POINT_FILTERS)
+        above = None if cloud is None or known else heights_of_points(surface, cloud, params)
+        return cls(surface, structure, bands, cloud, above)
 
     def within(self, inside: NDArray[np.bool_]) -> "Draft":
         """Return the draft without all that lies outside of the (H, W) cells of an area; the terrain stays."""
@@ -78,7 +92,6 @@ class Draft:
             bands,
             None if cloud is None or points is None else cloud.take(points),
             None if self.above is None or points is None else self.above[points],
-            self.splits,
         )
 
 
@@ -127,17 +140,11 @@ def make_draft(
     where this is ``planned``. Of rasters of heights only what lies in the bounds ``seen`` is read.
     """
 
-    def separate() -> tuple[Surface, Structure, NDArray[np.float32] | None]:
+    def separate() -> tuple[Surface, Structure]:
         with stages.stage("surface"):
             surface = make_surface(inputs, cloud, params, seen)
         with stages.stage("cover"):
-            texture = texture_of(surface, cloud, params)
-            facts, splits = None if cloud is None else cloud.facts, None
-            if facts is not None and not planned:
-                splits = splits_in_crowns(texture, params.cover)
-                facts = replace(facts, crown_split=None if splits is None else split_of_crowns([splits]))
-            structure = structural_cover(texture, facts, params.cover)
-            return replace(surface, roughness={}), structure, splits
+            return replace(surface, roughness={}), cover_from_surface(surface, cloud, params, planned=planned)
 
     def gather(spec: GridSpec) -> Bands | None:
         with stages.stage("bands"):
@@ -153,17 +160,14 @@ def make_draft(
             return bands
 
     if cloud is None:
-        surface, structure, splits = separate()
+        surface, structure = separate()
         spec = surface.ndsm.spec
         bands = gather(spec)
     else:
         spec = lattice_of_points(cloud, params)
         with stages.side_by_side():
-            (surface, structure, splits), bands = together(separate, partial(gather, spec))
-    # The heights of the points are known where no plan is, or where they are slow to find again.
-    asked = cloud is not None and not (planned and surface.ground_filter not in POINT_FILTERS)
-    above = heights_of_points(surface, cloud, params) if cloud is not None and asked else None
-    draft, area = Draft(surface, structure, bands, cloud, above, splits), inputs.area()
+            (surface, structure), bands = together(separate, partial(gather, spec))
+    draft, area = Draft.of(surface, structure, bands, cloud, params, planned=planned), inputs.area()
     if area is None:
         return draft
     inside = rasterise([area.shape_in(spec.crs, margin=False)], spec) > 0

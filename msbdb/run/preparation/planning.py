@@ -28,7 +28,7 @@ from msbdb.run.reports import Stages
 from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
 from msbdb.spectral.kmeans import pooled
 from msbdb.spectral.model import ClassModel, fit_model
-from msbdb.surface import Surface, heights_of_cells, points_of_cells, split_of_crowns
+from msbdb.surface import Surface, crown_split, heights_of_cells, points_of_cells
 from msbdb.surface.heights import GIVEN_GROUND
 from msbdb.surveyplan import Plan, PointFacts, basis_of
 from msbdb.threads import together
@@ -163,7 +163,8 @@ def decide(drafts: Sequence[Draft], params: Params) -> tuple[Plan, list[Fitted |
     model = next((each.model for each in fitted if each is not None), None)
     facts = None if first.cloud is None else first.cloud.facts
     if facts is not None:
-        facts = replace(facts, crown_split=split_of_crowns([each.splits for each in drafts if each.splits is not None]))
+        crowns = [each.structure.crowns for each in drafts]
+        facts = replace(facts, crown_split=crown_split([each for each in crowns if each is not None]))
     spec = first.surface.ndsm.spec
     plan = Plan(
         crs=words_of(spec.crs),

@@ -123,7 +123,7 @@ def with_fewer_later(cloud: laspy.LasData, share: float) -> laspy.LasData:
 
 
 def with_echoes_apart(cloud: laspy.LasData, least_m: float) -> laspy.LasData:
-    """Return what a sensor records that cannot tell echoes of a pulse nearer than so many metres below one another."""
+    """Return what a sensor records that separates echoes of a pulse only so many metres below one another."""
     pulse, z, number = pulses(cloud), np.asarray(cloud.z), np.asarray(cloud.return_number)
     last, count = (
         np.full(int(pulse.max(initial=-1)) + 1, -np.inf),

@@ -148,7 +148,7 @@ def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
 
 
 def with_few_later_echoes(data: Path, names: set[str]) -> Iterator[Case]:
-    """Yield copies of places as a weaker sensor records them, and as one that tells only echoes far apart."""
+    """Yield copies of places as a weaker sensor records them, and as one that separates only echoes far apart."""
     for case in as_they_are(data, {name for name in names if not name.endswith("cadastre")}):
         for share in LATER:
             copies = [with_fewer_later(cloud, share) for cloud in case.clouds]

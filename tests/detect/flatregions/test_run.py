@@ -219,8 +219,8 @@ def test_buildings_are_found_whole(scene, density):
 
 
 @pytest.mark.parametrize(("trust", "ratio"), [(1.0, 1.75), (0.5, 1.875), (0.0, 2.0), (None, 2.0)])
-def test_the_less_echoes_tell_the_stricter_is_the_ratio(monkeypatch, trust, ratio):
-    """Points with later echoes, with few, without, and a raster: where echoes tell crowns, roofs may be rougher."""
+def test_the_less_echoes_are_trusted_the_stricter_is_the_ratio(monkeypatch, trust, ratio):
+    """Points with later echoes, with few, without, and a raster: where echoes separate crowns, roofs may be rougher."""
     seen = []
 
     def stop(*_given, params, **_named):
