@@ -112,18 +112,18 @@ def test_the_share_that_crowns_split_is_an_upper_decile_over_all_blocks():
 
 
 def test_the_facts_of_the_points_give_the_trust_in_single_echoes(grove, tmp_path):
-    """In full from 0.7 of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
+    """In full from 0.8 of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
     plan = msbdb.plan(write_points(tmp_path / "grove.laz", grove.points))
     assert min(plan.points.crown_split) >= 0.4
     assert "crowns split" in plan.pairs()
     heights = np.array([2.0, 4.5, 50.0])
-    for split, trust in ((None, 1.0), (0.8, 1.0), (0.7, 1.0), (0.28, 0.4), (0.0, 0.0)):
+    for split, trust in ((None, 1.0), (0.9, 1.0), (0.8, 1.0), (0.32, 0.4), (0.0, 0.0)):
         facts = replace(plan.points, crown_split=None if split is None else (split,) * 6)
         for each in (facts, replace(grove.points, facts=facts)):
             assert each.most_trust == pytest.approx(trust)
             np.testing.assert_allclose(each.echo_trust(heights), trust, rtol=1e-6)
     # A sensor that separates echoes 5 m apart: low crowns give single ones.
-    apart = replace(plan.points, crown_split=(0.0, 0.14, 0.28, 0.7, 0.7, 0.7))
+    apart = replace(plan.points, crown_split=(0.0, 0.16, 0.32, 0.8, 0.8, 0.8))
     np.testing.assert_allclose(apart.echo_trust(heights), [0, 0.4, 1], rtol=1e-6)
     assert apart.most_trust == 1
     assert replace(plan.points, echoes=False).most_trust == 0
