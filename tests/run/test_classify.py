@@ -1,5 +1,7 @@
 """What decides of a point: its cell and height, or its label; and the colours that extractors on points are given."""
 
+from types import SimpleNamespace
+
 import laspy
 import numpy as np
 import pandas as pd
@@ -13,8 +15,8 @@ from support.notices import with_notices
 import msbdb
 from msbdb.detect.adaptive import bathurst
 from msbdb.detect.area3d import caowu
-from msbdb.detect.pointregions import Candidates, point_ndvi
-from msbdb.grid import Bands, GridSpec
+from msbdb.detect.pointregions import Candidates, point_ndvi, point_noise
+from msbdb.grid import Bands, Grid, GridSpec
 from msbdb.io.las import read_points
 from msbdb.ledger import Ledger
 from msbdb.params import Params, with_values
@@ -54,6 +56,19 @@ def test_points_take_the_vegetation_index_of_their_cells():
     np.testing.assert_allclose(index, [0.5, -0.5, np.nan, 0.0, -1.0, np.nan, np.nan])
     assert point_ndvi(None, cloud) is None
     assert point_ndvi(Bands(red[None], ("red",), valid, SPEC), cloud) is None
+
+
+def test_points_take_half_of_the_noise_of_their_cells_and_cells_of_a_raster_none():
+    """By variance, and none outside of the lattice. What makes the cells of a raster rough is the relief in them."""
+    noise_m = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], dtype=np.float32)
+    heights = Grid(np.zeros(SPEC.shape, dtype=np.float32), np.ones(SPEC.shape, dtype=bool), SPEC)
+    cloud = cloud_at((105, 201), (101, 203), (99, 201), (103, 203))
+    scene = SimpleNamespace(noise_m=noise_m, cloud=cloud, heights=heights)
+    found = point_noise(scene, cloud)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found**2, [0.18, 0.005, 0, 0.02], rtol=1e-5)
+    assert point_noise(SimpleNamespace(noise_m=noise_m, cloud=None, heights=heights), cloud) is None
+    assert point_noise(SimpleNamespace(noise_m=None, cloud=cloud, heights=heights), cloud) is None
 
 
 @pytest.mark.parametrize("method", ["area3d", "adaptive"])

@@ -69,12 +69,13 @@ def cloud_of(points, **attributes):
     return PointCloud(*(np.ascontiguousarray(points[:, k]) for k in range(3)), UTM, **attributes)
 
 
-def extract(points, params=None, *, heights=None, ndvi=None, cell_m=0.5, **attributes):
+def extract(points, params=None, *, heights=None, ndvi=None, noise_m=None, cell_m=0.5, **attributes):
     """Extract the regions of points over level ground."""
     cloud = cloud_of(points, **attributes) if isinstance(points, np.ndarray) else points
     heights = cloud.z if heights is None else heights
     spec = lattice(cloud.bounds, cell_m, cloud.crs) if len(cloud) else lattice((0, 0, 9, 9), 1.0, UTM)
-    return extract_area3d(cloud, heights, spec=spec, survey="test", params=params or Params(), ndvi=ndvi)
+    given = {"spec": spec, "survey": "test", "params": params or Params(), "ndvi": ndvi, "noise_m": noise_m}
+    return extract_area3d(cloud, heights, **given)
 
 
 def with_area3d(**changes):
@@ -210,6 +211,18 @@ def test_the_less_single_echoes_are_trusted_the_smoother_a_region_must_be():
     assert [found(0.05, trust) for trust in trusts] == [1, 1, 1, 1]
     assert [found(0.2, trust) for trust in trusts] == [0, 1, 1, 1]
     assert [found(0.3, trust) for trust in trusts] == [0, 0, 1, 1]
+
+
+def test_noise_that_is_known_hides_no_roof():
+    """With 0.25 m of noise a roof is as rough as a crown; what is known of it is taken off, at each point its own."""
+    points = scan(box((10, 20), (15, 15), 5.0), box((35, 20), (15, 15), 5.0))
+    noise_m = np.where(points[:, 0] > ORIGIN[0] + 30, np.float32(0.25), np.float32(0))
+    points[:, 2] += np.random.default_rng(3).normal(0, noise_m)
+    found = extract(points).regions
+    assert len(found) == 1
+    assert found["xcen"][0] < ORIGIN[0] + 30
+    assert len(extract(points, noise_m=noise_m).regions) == 2
+    assert len(extract(points, noise_m=np.float32(0.25) - noise_m).regions) == 1
 
 
 def test_ndvi_tells_a_green_region():
