@@ -10,6 +10,7 @@ from msbdb.surface.heights import (
     normalise,
     points_of_cells,
     surface_from_rasters,
+    without_narrow_gaps,
 )
 from msbdb.surface.structure import (
     Structure,
@@ -43,4 +44,5 @@ __all__ = [
     "structural_cover",
     "surface_from_rasters",
     "texture_of",
+    "without_narrow_gaps",
 ]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Frame, Grid, GridSpec
 from msbdb.kept import PER_METRE
+from msbdb.morphology.windows import opening
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.points.lots import lots
@@ -229,9 +230,47 @@ def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Gr
     return Grid(heights.astype(np.float32), valid, spec), samples
 
 
-def surface_from_rasters(dsm: Grid, dtm: Grid, *, terrain_known: bool = True) -> Surface:
+def without_narrow_gaps(dsm: Grid, max_gap_m: float) -> Grid:
+    """Fill the narrow gaps of a raster of heights, as those between points (V14): many rasters were not interpolated.
+
+    Parameters
+    ----------
+    dsm : Grid of float32, metres
+        The measured cells are valid.
+    max_gap_m : float
+        Gaps up to twice as wide are narrow, metres, and those up to twice `LEAST_GAP_CELLS`.
+
+    Returns
+    -------
+    Grid of float32, metres
+        Cells of narrow gaps have the height of the nearest measured cell, of equally near ones the lower. Gaps that
+        hold a wider square are water, or the end of the survey: there nothing is added.
+
+    Examples
+    --------
+    >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
+    >>> spec = lattice((0, 0.1, 9.9, 0.9), 1.0, CRS.from_epsg(2154))
+    >>> valid = np.array([[True, False, True, True, False, False, False, False, False, False]])
+    >>> without_narrow_gaps(Grid(np.full((1, 10), 7, dtype=np.float32) * valid, valid, spec), 1.0).values
+    array([[7., 7., 7., 7., 0., 0., 0., 0., 0., 0.]], dtype=float32)
+    """
+    reach = max(LEAST_GAP_CELLS, max_gap_m / dsm.spec.cell_m)
+    missing = ~dsm.valid
+    wide = opening(missing.astype(np.float32), 2 * int(reach) + 1, None) > 0
+    if np.array_equal(wide, missing):
+        return dsm
+    heights, near = fill_gaps(grid_samples(dsm), 2 * reach)  # twice: where narrow gaps cross, they are wider
+    valid = near & ~wide
+    return Grid(np.where(valid, heights, 0).astype(np.float32), valid, dsm.spec)
+
+
+def surface_from_rasters(
+    dsm: Grid, dtm: Grid, *, measured: NDArray[np.bool_] | None = None, terrain_known: bool = True
+) -> Surface:
     """Take a surface and a terrain as they are given.
 
+    Of the surface the cells that were ``measured``, all unless given, count as samples.
     ``terrain_known`` is False where the surface holds heights above ground, and the terrain is 0 everywhere.
 
     Raises
@@ -240,5 +279,6 @@ def surface_from_rasters(dsm: Grid, dtm: Grid, *, terrain_known: bool = True) ->
         When the lattices differ.
     """
     density, cell_m = 1 / dsm.spec.cell_area_m2, dsm.spec.cell_m
-    samples = grid_samples(dsm, cell_m if cell_m <= WIDEST_M else 0.0)
+    seen = dsm if measured is None else Grid(dsm.values, measured, dsm.spec)
+    samples = grid_samples(seen, cell_m if cell_m <= WIDEST_M else 0.0)
     return Surface(dsm, dtm, normalise(dsm, dtm), samples, GIVEN_GROUND, density, terrain_known)

@@ -20,11 +20,13 @@ from cases.copies import (
 from cases.labelled import Objects, Place, cell_for, first_density, reference_of
 from cases.measures import GIVEN, OWN, Case, measure
 from cases.othergrounds import smrf
+from cases.rasters import as_rasters
 from simulated import hills, scenes, trees
 from simulated.files import write_points
 from support.processes import BENCHMARKS, load_script
 
 from msbdb.grid import Grid, lattice
+from msbdb.io.raster import read_grid
 from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS
 
 HOUSES = scenes.row_houses(density=4.0)
@@ -332,3 +334,19 @@ def test_wrong_arguments_are_explained(places, monkeypatch, capsys):
         places.main()
     assert ended.value.code == 2
     assert "got thick" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_rasters_have_gaps_where_no_echo_lies_or_none(town, tmp_path, gaps):
+    """Cells with an echo have the highest first one, either way."""
+    place, [cloud], data = town
+    inputs = as_rasters(tuple(data / file for file in place.files), place.crs, 0.3, tmp_path, gaps=gaps)
+    dsm = read_grid(inputs.dsm)
+    first = np.asarray(cloud.return_number) == 1
+    row, col = dsm.spec.rowcol(np.asarray(cloud.x)[first], np.asarray(cloud.y)[first])
+    highest = np.full(dsm.spec.shape, -np.inf, dtype=np.float32)
+    np.maximum.at(highest, (row, col), np.asarray(cloud.z)[first].astype(np.float32))
+    seen = np.isfinite(highest)
+    assert 0.1 < 1 - seen.mean() < 0.9
+    np.testing.assert_array_equal(dsm.values[seen], highest[seen])
+    np.testing.assert_array_equal(dsm.valid, seen if gaps else True)

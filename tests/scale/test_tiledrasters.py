@@ -21,7 +21,7 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.io.raster import align_grid, read_grid
 from msbdb.run.inputs import Inputs
 from msbdb.run.preparation import cellblocks, rastersurface
-from msbdb.run.preparation.rastersurface import NO_TERRAIN
+from msbdb.run.preparation.rastersurface import NARROW_GAPS, NO_TERRAIN
 from msbdb.scale import cluster, tiledbuild, tilework
 
 GIVEN = {"survey": "town", "tile": TILE_M}
@@ -76,6 +76,7 @@ def test_windows_that_hold_the_whole_give_its_content(files, whole, tmp_path, ti
     assert content(db) == content(whole)
     assert report.buildings == 5
     assert set(notices(whole)) <= set(notices(db))
+    assert NARROW_GAPS not in notices(db)
     with rasterio.open(files["dsm"]) as image:
         west, north, cells = image.transform.c, image.transform.f, image.read(1)
     held = msbdb.tiles(db)
@@ -94,6 +95,24 @@ def test_cells_without_a_round_side_are_counted_alike(tmp_path, cell_m, ground_m
     msbdb.build(**given, db=tmp_path / "one.sqlite")
     msbdb.build(**given, db=tmp_path / "tiles.sqlite", tile=TILE_M)
     assert content(tmp_path / "tiles.sqlite") == content(tmp_path / "one.sqlite")
+
+
+def test_a_raster_that_nobody_interpolated_gives_the_same_houses(files, whole, tmp_path):
+    """Where a third of the cells hold no echo, in tiles and as a whole; with its gaps they fall to pieces."""
+    with rasterio.open(files["dsm"]) as image:
+        heights, profile, nodata = image.read(1), image.profile, image.nodata
+    heights[np.random.default_rng(2).random(heights.shape) < 1 / 3] = nodata
+    dsm = tmp_path / "dsm.tif"
+    with rasterio.open(dsm, "w", **profile) as image:
+        image.write(heights, 1)
+    given = {"dsm": dsm, "dtm": files["dtm"], "survey": "town"}
+    for name, tile in (("one", None), ("tiles", TILE_M)):
+        report = msbdb.build(**given, db=tmp_path / f"{name}.sqlite", tile=tile)
+        assert report.buildings == 5
+        assert NARROW_GAPS in report.notices
+    assert content(tmp_path / "tiles.sqlite") == content(tmp_path / "one.sqlite")
+    found, full = (msbdb.open(db).buildings().geometry.union_all() for db in (tmp_path / "one.sqlite", whole))
+    assert found.intersection(full).area > 0.9 * found.union(full).area
 
 
 def test_heights_above_ground_are_cut_in_tiles(files, tmp_path):

@@ -7,8 +7,16 @@ from pyproj import CRS
 
 from msbdb.errors import GridMismatchError
 from msbdb.grid import Grid, GridSpec, lattice
+from msbdb.morphology.windows import dilation, erosion
 from msbdb.points.cloud import PointCloud
-from msbdb.surface import heights_above, heights_of_cells, normalise, points_of_cells, surface_from_rasters
+from msbdb.surface import (
+    heights_above,
+    heights_of_cells,
+    normalise,
+    points_of_cells,
+    surface_from_rasters,
+    without_narrow_gaps,
+)
 
 UTM = CRS.from_epsg(32631)
 SPEC = lattice((500_000.0, 4_000_000.0, 500_020.0, 4_000_030.0), 2.0, UTM)
@@ -98,3 +106,41 @@ def test_windows_see_the_same_points():
         np.testing.assert_array_equal(getattr(window, axis), getattr(whole, axis)[inside])
     beside = np.hypot(np.diff(window.x), np.diff(window.y))
     assert len(np.unique(beside.round(8))) == len(beside)
+
+
+@pytest.mark.parametrize("cell_m", [0.25, 0.5, 2.0])
+def test_narrow_gaps_of_a_raster_are_filled_and_wide_ones_stay(cell_m):
+    """By the nearest measured cell, the lower of two; neither water nor what lies beyond the survey changes."""
+    random, shape = np.random.default_rng(8), (60, 70)
+    reach = max(2, round(1 / cell_m))
+    spec = GridSpec(shape, Affine(cell_m, 0, 450_001.3, 0, -cell_m, 5_400_000.7), CRS.from_epsg(32633))
+    wide = np.zeros(shape, dtype=bool)
+    wide[:, : 2 * reach + 1] = wide[20 : 20 + 2 * reach + 1, 40 : 40 + 2 * reach + 1] = True
+    narrow = random.random(shape) < 0.3
+    narrow[45 : 45 + 2 * reach, 30:60] = True
+    valid = ~(wide | narrow)
+    heights = np.where(valid, random.uniform(90, 110, shape), 0).astype(np.float32)
+    measured = Grid(heights, valid, spec)
+    filled = without_narrow_gaps(measured, 1.0)
+    # Lone gaps at the edge of a wide one may belong to it.
+    inner = wide & (erosion(wide.astype(np.float32), 3, None) > 0)
+    assert not filled.valid[inner].any()
+    assert filled.valid[dilation(wide.astype(np.float32), 2 * reach + 1, None) == 0].all()
+    np.testing.assert_array_equal(filled.values[valid], heights[valid])
+    rows, cols = np.nonzero(valid)
+    for row, col in np.argwhere(filled.valid & ~valid):
+        distance = (rows - row) ** 2 + (cols - col) ** 2
+        assert filled.values[row, col] == heights[valid][distance == distance.min()].min()
+    other = Grid(np.where(valid, heights, 1e6).astype(np.float32), valid, spec)
+    np.testing.assert_array_equal(without_narrow_gaps(other, 1.0).values, filled.values)
+    whole = Grid(heights, ~wide, spec)
+    assert without_narrow_gaps(whole, 1.0) is whole
+
+
+def test_only_measured_cells_are_samples():
+    """What fills a gap is as smooth as the cell beside it, and would pass for a roof."""
+    surface = raster_surface(0.5)
+    measured = np.random.default_rng(1).random(surface.dsm.spec.shape) < 0.5
+    found = surface_from_rasters(surface.dsm, surface.dtm, measured=measured)
+    np.testing.assert_array_equal(found.samples.observed, measured)
+    np.testing.assert_array_equal(found.ndsm.valid, surface.ndsm.valid)

@@ -180,7 +180,7 @@ def make_draft(
 def make_surface(inputs: Inputs, cloud: PointCloud | None, params: Params, seen: Bounds | None = None) -> Surface:
     """Build the surface from the points, or take it from the rasters, perhaps only from their part ``seen``."""
     if cloud is None:
-        return surface_of_rasters(inputs, seen)
+        return surface_of_rasters(inputs, params.surface.max_gap_m, seen)
     return build_surface(cloud, params, None if inputs.dtm is None else partial(read_terrain, inputs, inputs.dtm))
 
 

@@ -10,7 +10,7 @@ from msbdb.grid import Bounds, Grid, GridSpec
 from msbdb.ground.interpolation import interpolate_ground
 from msbdb.io.raster import align_grid, read_grid, states_crs
 from msbdb.run.inputs import Inputs
-from msbdb.surface import Surface, surface_from_rasters
+from msbdb.surface import Surface, surface_from_rasters, without_narrow_gaps
 from msbdb.surface.gridding import CELL_LADDER_M
 
 LARGEST_OFFSET_M = 10.0
@@ -22,16 +22,26 @@ LOW_PERCENT = 5.0
 GAPS = "The DTM has no value in some cells of the DSM; they were interpolated."
 """Without numbers, so that the parts of a survey agree in it."""
 
+NARROW_GAPS = (
+    "The raster of heights has narrow gaps, as between points; the nearest heights fill them. "
+    "Roofs are told from crowns by the measured ones alone."
+)
+
+MANY_GAPS = 0.01
+"""Ours: fewer cells that were filled, in shares of all, need no notice."""
+
 NO_TERRAIN = "Where no DTM is near, nothing was built: the DTM is smaller than the DSM."
 
 
-def surface_of_rasters(inputs: Inputs, seen: Bounds | None = None) -> Surface:
+def surface_of_rasters(inputs: Inputs, max_gap_m: float, seen: Bounds | None = None) -> Surface:
     """Take the surface from rasters of heights.
 
     Parameters
     ----------
     inputs : Inputs
         A DSM with a DTM, or an nDSM.
+    max_gap_m : float
+        Narrow gaps are filled (`msbdb.surface.without_narrow_gaps`), metres.
     seen : tuple of float, optional
         West, south, east and north of a part, metres: cells with their centre there are read, and no others.
 
@@ -46,12 +56,14 @@ def surface_of_rasters(inputs: Inputs, seen: Bounds | None = None) -> Surface:
     if inputs.ndsm is not None:
         ndsm = read_grid(inputs.ndsm, crs=inputs.any_crs, role="nDSM", z_unit=inputs.z_unit, within=wanted)
         note_sparse(1 / ndsm.spec.cell_area_m2, f"cells of the nDSM {inputs.ndsm.name}")
-        return surface_from_rasters(ndsm, flat_ground(ndsm), terrain_known=False)
+        filled = filled_between(ndsm, max_gap_m)
+        return surface_from_rasters(filled, flat_ground(ndsm), measured=ndsm.valid, terrain_known=False)
     if inputs.dsm is None or inputs.dtm is None:  # kept from happening by Inputs
         msg = "A DSM needs a DTM."
         raise InputError(msg)
     dsm = read_grid(inputs.dsm, crs=inputs.any_crs, role="DSM", z_unit=inputs.z_unit, within=wanted)
     note_sparse(1 / dsm.spec.cell_area_m2, f"cells of the DSM {inputs.dsm.name}")
+    measured, dsm = dsm.valid, filled_between(dsm, max_gap_m)
     try:
         dtm = read_grid(inputs.dtm, crs=inputs.any_crs, role="DTM", z_unit=inputs.z_unit, over=dsm.spec)
         dtm = align_grid(dtm, dsm.spec, role="DTM")
@@ -60,7 +72,7 @@ def surface_of_rasters(inputs: Inputs, seen: Bounds | None = None) -> Surface:
             raise
         give_notice(NO_TERRAIN)
         raise NodataError(str(error)) from error
-    surface = surface_from_rasters(dsm, without_gaps(dtm, dsm, in_part=seen is not None))
+    surface = surface_from_rasters(dsm, without_gaps(dtm, dsm, in_part=seen is not None), measured=measured)
     if seen is None:
         note_offset([surface.ndsm])
     return surface
@@ -118,6 +130,14 @@ def without_gaps(dtm: Grid, dsm: Grid, *, in_part: bool = False) -> Grid:
     msg = f"The DTM has no value in {gaps} cells of the DSM ({share:.1f} %); they were interpolated."
     give_notice(GAPS if in_part else msg)
     return interpolate_ground(dtm.values, dtm.valid, dtm.spec)
+
+
+def filled_between(heights: Grid, max_gap_m: float) -> Grid:
+    """Fill the narrow gaps of a raster of heights, with a notice where there are many."""
+    filled = without_narrow_gaps(heights, max_gap_m)
+    if np.count_nonzero(filled.valid & ~heights.valid) > MANY_GAPS * np.count_nonzero(filled.valid):
+        give_notice(NARROW_GAPS)
+    return filled
 
 
 def flat_ground(ndsm: Grid) -> Grid:

@@ -1,6 +1,7 @@
 """The kinds of cases: the places as they are, and copies of another density, with noise, other echoes, over hills or under trees."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -170,6 +171,12 @@ def on_rasters(data: Path, names: set[str]) -> Iterator[Case]:
         for cell_m in RASTERS:
             reference = reference_of(NAMED[case.name], case.clouds, data, max(case.reference.spec.cell_m, cell_m))
             yield Case(f"{case.name}, {cell_m:g} m", case.crs, case.clouds, reference, {}, raster_m=cell_m)
+
+
+def on_rasters_with_gaps(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield places as rasters of heights in which cells without an echo have no value."""
+    for case in on_rasters(data, names):
+        yield replace(case, gaps=True)
 
 
 def over_hills(data: Path, names: set[str]) -> Iterator[Case]:

@@ -50,6 +50,8 @@ class Case:
     """What its row says beforehand."""
     raster_m: float = 0.0
     """Cells of the rasters that are made of the points, metres; 0 builds from the points."""
+    gaps: bool = False
+    """Whether cells of the rasters without an echo have no value."""
     ortho: tuple[Path, ...] = ()
     """Orthophotos beside the points or the rasters."""
     picture: tuple[NDArray[np.floating], GridSpec] | None = None
@@ -113,7 +115,7 @@ def detected(
             cloud.write(file)
         inputs = Inputs(points=files, crs=case.crs)
         if case.raster_m:
-            inputs = as_rasters(files, case.crs, case.raster_m, folder)
+            inputs = as_rasters(files, case.crs, case.raster_m, folder, gaps=case.gaps)
         ortho = case.ortho
         if case.picture is not None:
             ortho = (write_image(folder / "ortho.tif", *case.picture, ("red", "green", "blue")),)
