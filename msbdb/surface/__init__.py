@@ -4,6 +4,7 @@ from msbdb.surface.cover import cover_from_surface, crown_cells, crown_split, te
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.heights import (
     Surface,
+    density_of_cells,
     grid_surface,
     heights_above,
     heights_of_cells,
@@ -32,6 +33,7 @@ __all__ = [
     "crown_cells",
     "crown_split",
     "density",
+    "density_of_cells",
     "drop_green_regions",
     "echoes",
     "grid_surface",

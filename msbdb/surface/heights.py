@@ -1,7 +1,7 @@
 """Surface, terrain and heights above ground: of the cells of a lattice, and of the points themselves."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,6 +31,9 @@ WIDEST_M = 1.0
 ASIDE = 0.01
 """Ours: points that stand for cells lie up to half of this share of a cell beside its centre."""
 
+SINGLE = 0.865
+"""Ours: chance leaves more of the cells empty, e^-2, where fewer than two echoes a cell were measured."""
+
 GIVEN_GROUND = "given"
 """Name instead of a ground filter's, where the terrain was given as a raster."""
 
@@ -48,7 +51,7 @@ class Surface:
     ground_filter : str
         Name of the ground filter; ``given`` for a terrain raster.
     density : float
-        First echoes, or cells of the source raster, a square metre.
+        First echoes, or cells of the source raster, a square metre; see `density_of_cells`.
     terrain_known : bool
         Whether the terrain has its level; False where the source has heights above ground.
     roughness : mapping of float to (H, W) ndarray of float32
@@ -160,7 +163,7 @@ def points_of_cells(surface: Surface) -> PointCloud:
     Parameters
     ----------
     surface : Surface
-        N of its cells have a height above ground.
+        N of its cells stand for points.
 
     Returns
     -------
@@ -169,6 +172,8 @@ def points_of_cells(surface: Surface) -> PointCloud:
 
     Notes
     -----
+    All cells with a height above ground stand for points, but where cells are hardly more than echoes (`SINGLE`) the
+    measured ones alone: what fills the gaps is too even. These are then as far apart as the surface's density tells.
     Distances on an exact lattice tie, and rounding would decide. So each point lies a little beside the centre of its
     cell, by a hash of its place: in any window of a survey alike.
 
@@ -182,17 +187,17 @@ def points_of_cells(surface: Surface) -> PointCloud:
     >>> points.x.round(1), points.z, points.facts.spacing_m
     (array([0.5, 1.5]), array([57., 57.]), 1.0)
     """
-    ndsm, spec = surface.ndsm, surface.ndsm.spec
-    cell_m, density = spec.cell_m, 1 / spec.cell_area_m2
-    x, y = spec.xy(*np.nonzero(ndsm.valid))
+    chosen, spec, density = _standing(surface), surface.ndsm.spec, surface.density
+    spacing_m = spec.cell_m / math.sqrt(round(density * spec.cell_area_m2, 9))  # to the bit the cell without gaps
+    x, y = spec.xy(*np.nonzero(chosen))
     facts = PointFacts(
         points=len(x),
         density=density,
         all_density=density,
-        spacing_m=cell_m,
-        typical_m=cell_m,
-        sparse_m=cell_m,
-        link_m=cell_m,
+        spacing_m=spacing_m,
+        typical_m=spacing_m,
+        sparse_m=spacing_m,
+        link_m=spacing_m,
         numbered=False,
         echoes=False,
         crown_split=None,
@@ -202,16 +207,33 @@ def points_of_cells(surface: Surface) -> PointCloud:
         intensity=False,
         levels_m=(),
     )
-    cells = PointCloud(x, y, np.asarray(surface.dsm.values, dtype=np.float64)[ndsm.valid], spec.crs, facts=facts)
+    cells = PointCloud(x, y, np.asarray(surface.dsm.values, dtype=np.float64)[chosen], spec.crs, facts=facts)
     bits = lots(cells)
     beside = ((bits >> np.uint64(shift) & np.uint64(2**16 - 1)) / 2**16 - 0.5 for shift in (48, 32))
-    x, y = (place + ASIDE * cell_m * each for place, each in zip((x, y), beside, strict=True))
+    x, y = (place + ASIDE * spec.cell_m * each for place, each in zip((x, y), beside, strict=True))
     return replace(cells, x=x, y=y)
 
 
 def heights_of_cells(surface: Surface) -> NDArray[np.float64]:
     """Return the heights of `points_of_cells` above ground, metres."""
-    return np.asarray(surface.ndsm.values, dtype=np.float64)[surface.ndsm.valid]
+    return np.asarray(surface.ndsm.values, dtype=np.float64)[_standing(surface)]
+
+
+def density_of_cells(surfaces: Sequence[Surface]) -> float:
+    """Return the cells of rasters on one lattice a square metre.
+
+    Where less than `SINGLE` of the cells with a height were measured, only the measured ones count.
+    """
+    measured = sum(int(np.count_nonzero(each.ndsm.valid & each.samples.observed)) for each in surfaces)
+    covered = sum(int(np.count_nonzero(each.ndsm.valid)) for each in surfaces)
+    share = measured / covered if 0 < measured < SINGLE * covered else 1.0
+    return share / surfaces[0].ndsm.spec.cell_area_m2
+
+
+def _standing(surface: Surface) -> NDArray[np.bool_]:
+    """Return the cells that stand for points."""
+    valid, measured = surface.ndsm.valid, surface.samples.observed
+    return valid & measured if surface.density * surface.ndsm.spec.cell_area_m2 < SINGLE else valid
 
 
 def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Grid, Samples]:
@@ -278,7 +300,8 @@ def surface_from_rasters(
     GridMismatchError
         When the lattices differ.
     """
-    density, cell_m = 1 / dsm.spec.cell_area_m2, dsm.spec.cell_m
+    cell_m = dsm.spec.cell_m
     seen = dsm if measured is None else Grid(dsm.values, measured, dsm.spec)
     samples = grid_samples(seen, cell_m if cell_m <= WIDEST_M else 0.0)
-    return Surface(dsm, dtm, normalise(dsm, dtm), samples, GIVEN_GROUND, density, terrain_known)
+    surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, GIVEN_GROUND, 1 / dsm.spec.cell_area_m2, terrain_known)
+    return replace(surface, density=density_of_cells([surface]))

@@ -97,31 +97,40 @@ def test_cells_without_a_round_side_are_counted_alike(tmp_path, cell_m, ground_m
     assert content(tmp_path / "tiles.sqlite") == content(tmp_path / "one.sqlite")
 
 
-def test_a_raster_that_nobody_interpolated_gives_the_same_houses(files, whole, tmp_path):
+def write_ndsm(files, path):
+    """Write the heights of the town above ground."""
+    dsm, dtm = (read_grid(files[role], role=role.upper()) for role in ("dsm", "dtm"))
+    with collected_notices():
+        ground = align_grid(dtm, dsm.spec)
+    valid = dsm.valid & ground.valid
+    return write_heights(path, Grid(np.where(valid, dsm.values - ground.values, 0), valid, dsm.spec))
+
+
+@pytest.mark.parametrize("role", ["dsm", "ndsm"])
+def test_a_raster_that_nobody_interpolated_gives_the_same_houses(files, tmp_path, role):
     """Where a third of the cells hold no echo, in tiles and as a whole; with its gaps they fall to pieces."""
-    with rasterio.open(files["dsm"]) as image:
+    given = {"dtm": files["dtm"], "dsm": files["dsm"]}
+    if role == "ndsm":
+        given = {"ndsm": write_ndsm(files, tmp_path / "full.tif")}
+    msbdb.build(**given, survey="town", db=tmp_path / "full.sqlite")
+    with rasterio.open(given[role]) as image:
         heights, profile, nodata = image.read(1), image.profile, image.nodata
     heights[np.random.default_rng(2).random(heights.shape) < 1 / 3] = nodata
-    dsm = tmp_path / "dsm.tif"
-    with rasterio.open(dsm, "w", **profile) as image:
+    given[role] = tmp_path / "gaps.tif"
+    with rasterio.open(given[role], "w", **profile) as image:
         image.write(heights, 1)
-    given = {"dsm": dsm, "dtm": files["dtm"], "survey": "town"}
     for name, tile in (("one", None), ("tiles", TILE_M)):
-        report = msbdb.build(**given, db=tmp_path / f"{name}.sqlite", tile=tile)
+        report = msbdb.build(**given, survey="town", db=tmp_path / f"{name}.sqlite", tile=tile)
         assert report.buildings == 5
         assert NARROW_GAPS in report.notices
     assert content(tmp_path / "tiles.sqlite") == content(tmp_path / "one.sqlite")
-    found, full = (msbdb.open(db).buildings().geometry.union_all() for db in (tmp_path / "one.sqlite", whole))
+    found, full = (msbdb.open(tmp_path / f"{name}.sqlite").buildings().geometry.union_all() for name in ("one", "full"))
     assert found.intersection(full).area > 0.9 * found.union(full).area
 
 
 def test_heights_above_ground_are_cut_in_tiles(files, tmp_path):
     """An nDSM in tiles gives what it gives as a whole."""
-    dsm, dtm = (read_grid(files[role], role=role.upper()) for role in ("dsm", "dtm"))
-    with collected_notices():
-        ground = align_grid(dtm, dsm.spec)
-    valid = dsm.valid & ground.valid
-    ndsm = write_heights(tmp_path / "ndsm.tif", Grid(np.where(valid, dsm.values - ground.values, 0), valid, dsm.spec))
+    ndsm = write_ndsm(files, tmp_path / "ndsm.tif")
     msbdb.build(ndsm=ndsm, db=tmp_path / "one.sqlite", survey="town")
     msbdb.build(ndsm=ndsm, db=tmp_path / "tiles.sqlite", **GIVEN)
     assert content(tmp_path / "tiles.sqlite") == content(tmp_path / "one.sqlite")

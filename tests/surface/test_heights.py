@@ -10,6 +10,7 @@ from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.morphology.windows import dilation, erosion
 from msbdb.points.cloud import PointCloud
 from msbdb.surface import (
+    density_of_cells,
     heights_above,
     heights_of_cells,
     normalise,
@@ -137,10 +138,30 @@ def test_narrow_gaps_of_a_raster_are_filled_and_wide_ones_stay(cell_m):
     assert without_narrow_gaps(whole, 1.0) is whole
 
 
-def test_only_measured_cells_are_samples():
-    """What fills a gap is as smooth as the cell beside it, and would pass for a roof."""
+@pytest.mark.parametrize(("share", "single"), [(0.5, True), (0.8, True), (0.95, False)])
+def test_where_cells_are_hardly_more_than_echoes_the_measured_ones_stand_for_points(share, single):
+    """They are farther apart then. Otherwise all cells with a height do, and are a cell apart."""
     surface = raster_surface(0.5)
-    measured = np.random.default_rng(1).random(surface.dsm.spec.shape) < 0.5
+    measured = np.random.default_rng(1).random(surface.dsm.spec.shape) < share
     found = surface_from_rasters(surface.dsm, surface.dtm, measured=measured)
     np.testing.assert_array_equal(found.samples.observed, measured)
     np.testing.assert_array_equal(found.ndsm.valid, surface.ndsm.valid)
+    chosen = found.ndsm.valid & measured if single else found.ndsm.valid
+    points = points_of_cells(found)
+    np.testing.assert_array_equal(found.ndsm.spec.rowcol(points.x, points.y), np.nonzero(chosen))
+    np.testing.assert_array_equal(heights_of_cells(found), found.ndsm.values[chosen].astype(np.float64))
+    density = 4 * np.count_nonzero(chosen) / np.count_nonzero(found.ndsm.valid)
+    assert found.density == points.facts.density == pytest.approx(density)
+    assert points.facts.spacing_m == points.facts.link_m == pytest.approx(density**-0.5)
+
+
+def test_parts_of_a_raster_have_the_density_of_the_whole():
+    """A part in which all cells were measured, and one with gaps: all their cells count together."""
+    surface = raster_surface(0.5)
+    cells = np.random.default_rng(1).random(surface.dsm.spec.shape)
+    full, half = (surface_from_rasters(surface.dsm, surface.dtm, measured=cells < share) for share in (1, 0.5))
+    valid = np.count_nonzero(surface.ndsm.valid)
+    few = np.count_nonzero(surface.ndsm.valid & (cells < 0.5))
+    assert density_of_cells([full]) == density_of_cells([full, full, full, full, half]) == 4
+    assert density_of_cells([half]) == half.density == pytest.approx(4 * few / valid)
+    assert density_of_cells([full, half]) == pytest.approx(2 * (valid + few) / valid)

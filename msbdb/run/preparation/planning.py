@@ -28,7 +28,7 @@ from msbdb.run.reports import Stages
 from msbdb.spectral.coverclasses import Fitted, is_imagery, sample_to_classify
 from msbdb.spectral.kmeans import pooled
 from msbdb.spectral.model import ClassModel, fit_model
-from msbdb.surface import Surface, crown_split, heights_of_cells, points_of_cells
+from msbdb.surface import Surface, crown_split, density_of_cells, heights_of_cells, points_of_cells
 from msbdb.surface.heights import GIVEN_GROUND
 from msbdb.surveyplan import Plan, PointFacts, basis_of
 from msbdb.threads import together
@@ -169,7 +169,7 @@ def decide(drafts: Sequence[Draft], params: Params) -> tuple[Plan, list[Fitted |
     plan = Plan(
         crs=words_of(spec.crs),
         cell_m=spec.cell_m,
-        density=first.surface.density,
+        density=density_of_cells([each.surface for each in drafts]) if first.cloud is None else first.surface.density,
         points=facts,
         ground_filter=first.surface.ground_filter,
         scales_m2=tuple(map(float, scales)),

@@ -30,7 +30,7 @@ from msbdb.run.preparation.pointfacts import evenly_dense
 from msbdb.run.reports import Stages
 from msbdb.spectral.colours import kept_intensity
 from msbdb.spectral.coverclasses import Cover, classify_cover, keep_labels
-from msbdb.surface import Surface
+from msbdb.surface import Surface, density_of_cells
 from msbdb.surveyplan import Plan
 from msbdb.tables import Survey
 from msbdb.threads import together
@@ -154,6 +154,10 @@ def prepare(
         cloud = replace(cloud, facts=plan.points)
     own, seen = (None, None) if window is None else (window.own, window.seen)
     draft = make_draft(inputs, cloud, params, stages, sampled=own is not None, planned=plan is not None, seen=seen)
+    if cloud is None:
+        # That of the survey, whose measured cells may be denser or sparser in a part.
+        density = density_of_cells([draft.surface]) if plan is None else plan.density
+        draft = replace(draft, surface=replace(draft.surface, density=density))
     surface, structure, bands = draft.surface, draft.structure, draft.bands
     spec = surface.ndsm.spec
     counted = None if own is None else spec.holding(own)
