@@ -98,6 +98,7 @@ def detect_on_points(extract: Callable[..., Candidates], scene: Scene, params: P
         params=params,
         ndvi=point_ndvi(scene.bands, cloud),
         noise_m=point_noise(scene, cloud),
+        recorded=recorded_at(scene, cloud),
     )
     spacing_m = 1 / surface.density**0.5
     # Where regions meet, the order decides: by place, because the ids depend on the name of the survey.
@@ -130,6 +131,13 @@ def point_noise(scene: Scene, cloud: PointCloud) -> NDArray[np.float32] | None:
         return None
     noise_m = scene.heights.spec.sample(scene.noise_m, cloud.x, cloud.y, outside=0)
     return np.asarray(np.float32(TAKEN**0.5) * noise_m)
+
+
+def recorded_at(scene: Scene, cloud: PointCloud) -> NDArray[np.float32] | None:
+    """Return how far later echoes were recorded around points, from 0 to 1; None where they were everywhere."""
+    if scene.recorded is None:
+        return None
+    return np.asarray(scene.heights.spec.sample(scene.recorded, cloud.x, cloud.y, outside=1))
 
 
 def point_heights(scene: Scene, params: Params) -> Floats:

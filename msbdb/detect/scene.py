@@ -104,6 +104,8 @@ class Scene:
         Heights of the points above ground, metres, where the plan asked for them or the ground filter gives them.
     noise_m : (H, W) ndarray of float32, optional
         What noise adds to heights (`msbdb.surface.noise`), metres; None where nothing, or where nobody knows.
+    recorded : (H, W) ndarray of float32, optional
+        How far later echoes were recorded (`msbdb.surface.cover.recorded_echoes`); None where they were everywhere.
     intensity : (H, W) ndarray of uint8, optional
         That of the first echoes in steps of its logarithm (`msbdb.spectral.colours.kept_intensity`); None where the
         points have none.
@@ -120,6 +122,7 @@ class Scene:
     bands: Bands | None = None
     above: NDArray[np.float64] | None = None
     noise_m: NDArray[np.float32] | None = None
+    recorded: NDArray[np.float32] | None = None
     intensity: NDArray[np.uint8] | None = None
 
     def require_surface(self) -> Surface:
@@ -163,7 +166,7 @@ class Scene:
 
     def without_sources(self) -> "Scene":
         """Return the scene without surface, points and bands, which no step after the detectors needs."""
-        return replace(self, surface=None, cloud=None, bands=None, above=None, noise_m=None)
+        return replace(self, surface=None, cloud=None, bands=None, above=None, noise_m=None, recorded=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
 """Surfaces on the lattice: gridding, gaps, heights above ground, texture, and land cover by structure."""
 
-from msbdb.surface.cover import cover_from_surface, crown_cells, crown_split, texture_of
+from msbdb.surface.cover import cover_from_surface, crown_cells, crown_split, recorded_echoes, texture_of
 from msbdb.surface.gridding import Samples, cell_size, density, sample_nearest
 from msbdb.surface.heights import (
     Surface,
@@ -41,6 +41,7 @@ __all__ = [
     "heights_of_cells",
     "normalise",
     "points_of_cells",
+    "recorded_echoes",
     "roughness",
     "sample_nearest",
     "structural_cover",

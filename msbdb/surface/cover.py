@@ -13,10 +13,20 @@ from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import Samples
 from msbdb.surface.heights import Surface
 from msbdb.surface.noise import height_noise, without_noise
-from msbdb.surface.structure import VEGETATION, Structure, structural_cover
+from msbdb.surface.squares import Squares, around
+from msbdb.surface.structure import VEGETATION, Structure, rough_cells, structural_cover
 from msbdb.surface.texture import Texture, echoes, roughness
-from msbdb.surveyplan import CROWN_CLASSES_M
+from msbdb.surveyplan import CROWN_CLASSES_M, PointFacts
 from msbdb.threads import in_threads
+
+LEAST_SHARE = 0.15
+"""Ours: rough cells split at least this share of what crowns split; see `recorded_echoes`."""
+
+LEAST_M2 = 100.0
+"""Rough cells of this area show what is recorded around them."""
+
+PARTS = 1000
+"""Shares are counted in so many parts."""
 
 UPPER = 0.9
 """Ours, in sample: a tenth or more of what roughness alone takes for vegetation is crowns, also where trees are few."""
@@ -51,7 +61,8 @@ def cover_from_surface(
     if facts is not None and not planned:
         crowns = crown_cells(texture, params.cover)
         facts = replace(facts, crown_split=None if crowns is None else crown_split([crowns]))
-    return replace(structural_cover(texture, facts, params.cover), crowns=crowns)
+    recorded = recorded_echoes(texture, facts, params.cover)
+    return replace(structural_cover(texture, facts, params.cover, recorded), crowns=crowns)
 
 
 def texture_of(surface: Surface, points: PointCloud | None, params: Params) -> Texture:
@@ -137,3 +148,45 @@ def crown_split(crowns: Sequence[Field]) -> tuple[float, ...] | None:
     ]
     rising = isotonic_regression(upper, weights=np.maximum(cells, 1)).x
     return tuple(np.round(rising, 6).tolist())
+
+
+def recorded_echoes(texture: Texture, facts: PointFacts | None, params: CoverParams) -> Field | None:
+    """Return how far later echoes were recorded at each place, where a survey has flights of several sensors.
+
+    Parameters
+    ----------
+    texture : Texture
+        Heights, roughness and echoes.
+    facts : PointFacts or None
+        With what crowns of the survey split.
+    params : CoverParams
+        Weights and sizes.
+
+    Returns
+    -------
+    (H, W) ndarray of float32 or None
+        From 0 to 1; None where it is 1 everywhere, or where no echoes are known.
+
+    Notes
+    -----
+    Rough cells are crowns and rough roofs. Over 3 by 3 squares their mean share of split pulses is `LEAST_SHARE` of
+    what crowns of the survey split or more, whatever is built there: at the places at hand, over hills and under
+    planted trees, and in 95 of 100 squares of copies with 0.3 to 1 first echo a square metre. Where it is less, single
+    echoes are trusted in proportion. Squares with less than `LEAST_M2` of rough cells do not know, and count as 1. They
+    lie on the absolute lattice, so that tiles agree. Border: squares end at the lattice. Nodata: cells that are not
+    valid are not raised.
+    """
+    if texture.echoes is None or facts is None or not facts.crown_split or max(facts.crown_split) == 0:
+        return None
+    rough, squares = rough_cells(texture, params), Squares.of(texture.ndsm.spec)
+    row, col = np.nonzero(rough)
+    place, count = squares.rows[row] * squares.shape[1] + squares.cols[col], squares.shape[0] * squares.shape[1]
+    # Whole numbers, whose sums do not depend on the window.
+    split = np.rint(texture.echoes.split[rough] * PARTS)
+    cells, shares = (
+        around(np.bincount(place, weights, count).astype(np.int64).reshape(squares.shape)) for weights in (None, split)
+    )
+    usual = LEAST_SHARE * max(facts.crown_split) * PARTS
+    enough = cells * texture.ndsm.spec.cell_area_m2 >= LEAST_M2
+    found = np.where(enough, np.minimum(shares / (usual * np.maximum(cells, 1)), 1), 1).astype(np.float32)
+    return None if found.min(initial=1) == 1 else squares.on_cells(found)

@@ -6,16 +6,13 @@ crowns are separated by it. Strips that do not fit in height, and coarse ranges 
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
 
 from msbdb.grid import Grid
+from msbdb.surface.squares import Squares, around
 from msbdb.surface.texture import NO_PLANE_M
 
 BARE_M = 0.5
 """Cells below this height are bare ground."""
-
-BLOCK_M = 25.0
-"""Side of the blocks of the absolute lattice in which bare cells are counted; those of 3 by 3 blocks count together."""
 
 STEP_M, STEPS = 0.005, 60
 """Width of the classes of roughness that are counted, metres, and their number; the last one is open."""
@@ -56,9 +53,9 @@ def height_noise(roughness_m: Field, ndsm: Grid) -> Field:
 
     Notes
     -----
-    With q the lower quartile of the roughness of bare cells in 3 by 3 blocks, noise is √(2 (q² - q₀²)), q₀ = 0.02 m.
-    Blocks lie on the absolute lattice, so that tiles agree: a cell's noise depends on ground up to 50 m away.
-    Border: blocks end at the lattice. Nodata: cells that are not valid, or without a plane, do not count.
+    With q the lower quartile of the roughness of bare cells in 3 by 3 squares, noise is √(2 (q² - q₀²)), q₀ = 0.02 m.
+    Squares lie on the absolute lattice, so that tiles agree: a cell's noise depends on ground up to 50 m away.
+    Border: squares end at the lattice. Nodata: cells that are not valid, or without a plane, do not count.
     Linear in the cells.
 
     Examples
@@ -75,31 +72,23 @@ def height_noise(roughness_m: Field, ndsm: Grid) -> Field:
     >>> height_noise(np.full((20, 20), 0.012, np.float32), ndsm).max()
     np.float32(0.0)
     """
-    spec = ndsm.spec
-    frame, side = spec.frame, max(1, round(BLOCK_M / spec.cell_m))
-    rows, cols = (
-        (first + np.arange(length)) // side - first // side
-        for first, length in zip((frame.row, frame.col), spec.shape, strict=True)
-    )
-    count = int(cols[-1]) + 1
-    counts = np.zeros((int(rows[-1]) + 1, count, STEPS), dtype=np.int64)
-    # One row of blocks after the other, as places in the lattice take more memory than the roughness.
+    squares = Squares.of(ndsm.spec)
+    count = squares.shape[1]
+    counts = np.zeros((*squares.shape, STEPS), dtype=np.int64)
+    # One row of squares after the other, as places in the lattice take more memory than the roughness.
     for number, band in enumerate(counts):
-        here = slice(*np.searchsorted(rows, (number, number + 1)))
+        here = slice(*np.searchsorted(squares.rows, (number, number + 1)))
         high, rough_m = np.asarray(ndsm.values[here]), roughness_m[here]
         bare = ndsm.valid[here] & (high < BARE_M) & (rough_m < NO_PLANE_M)
         step = np.minimum((rough_m[bare] / STEP_M).astype(np.int64), STEPS - 1)
-        col = np.broadcast_to(cols, bare.shape)[bare]
+        col = np.broadcast_to(squares.cols, bare.shape)[bare]
         band[:] = np.bincount(col * STEPS + step, minlength=count * STEPS).reshape(count, STEPS)
-    for axis in (0, 1):
-        counts = correlate1d(counts, np.ones(3, dtype=np.int64), axis=axis, mode="constant")
-    below = counts.cumsum(axis=2)
+    below = around(counts).cumsum(axis=2)
     total = below[:, :, -1]
     quartile_m = STEP_M * (0.5 + np.argmax(below >= SMOOTHEST * total[:, :, None], axis=2))
-    precise_m = PRECISE_M * max(1.0, spec.cell_m)
+    precise_m = PRECISE_M * max(1.0, ndsm.spec.cell_m)
     noise_m = np.sqrt(MEDIAN_OF_NOISE * np.maximum(quartile_m**2 - precise_m**2, 0))
-    found: Field = np.where(total >= LEAST_CELLS, noise_m, 0).astype(np.float32)[rows[:, None], cols[None, :]]
-    return found
+    return squares.on_cells(np.where(total >= LEAST_CELLS, noise_m, 0).astype(np.float32))
 
 
 def without_noise(roughness_m: Field, noise_m: Field) -> Field:

@@ -54,6 +54,9 @@ class Structure:
         What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
     crowns : (2, N) ndarray of float32 or None
         Heights and split echoes of crowns (`msbdb.surface.cover.crown_cells`); None where nobody asked for them.
+    recorded : (H, W) ndarray of float32 or None
+        How far later echoes were recorded here, from 0 to 1 (`msbdb.surface.cover.recorded_echoes`); None where they
+        were everywhere.
     """
 
     cover: ClassMap
@@ -62,9 +65,12 @@ class Structure:
     filled_m: Field
     noise_m: Field | None = None
     crowns: Field | None = None
+    recorded: Field | None = None
 
 
-def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverParams) -> Structure:
+def structural_cover(
+    texture: Texture, facts: PointFacts | None, params: CoverParams, recorded: Field | None = None
+) -> Structure:
     """Separate roofs from vegetation on every cell above the mask.
 
     Parameters
@@ -76,6 +82,8 @@ def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverPa
         whatever the sensor.
     params : CoverParams
         Weights and sizes.
+    recorded : (H, W) ndarray of float32, optional
+        The trust is multiplied by it.
 
     Returns
     -------
@@ -106,6 +114,8 @@ def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverPa
         trust, most = np.ones((1, 1), dtype=np.float32), 1.0
         if facts is not None:
             trust, most = facts.echo_trust(np.asarray(ndsm.values)), facts.most_trust
+        if recorded is not None:
+            trust = trust * recorded
         odds = _echo_odds(small_m, echoes, trust, params)
         if trust.min() < 1:
             odds += (1 - trust) * _rough_odds(filled_m, wide_m, wider)
@@ -115,7 +125,15 @@ def structural_cover(texture: Texture, facts: PointFacts | None, params: CoverPa
     split = None if echoes is None else echoes.split
     params = replace(params, neck_m=most * params.neck_m + (1 - most) * params.blind_neck_m)
     cover = _regions_of(probability, texture.raised, ndsm, params, smooth=smooth, split=split, trust=trust)
-    return Structure(cover, probability, small_m, filled_m, texture.noise_m)
+    return Structure(cover, probability, small_m, filled_m, texture.noise_m, recorded=recorded)
+
+
+def rough_cells(texture: Texture, params: CoverParams) -> Mask:
+    """Return the (H, W) cells that are vegetation by the roughness around them alone, before regions are judged."""
+    cell_m = texture.ndsm.spec.cell_m
+    odds = _rough_odds(texture.filled_m, texture.wide_roughness_m, _for_wider_windows(params, cell_m))
+    [share] = smooth_shares((_sigmoid(odds),), texture.raised, params.smooth_m / cell_m)
+    return texture.raised & (share <= 0.5)
 
 
 def _smooth_m(params: CoverParams, cell_m: float) -> float:

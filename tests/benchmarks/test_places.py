@@ -6,6 +6,7 @@ import pytest
 from cases.copies import (
     first_only,
     mirrored,
+    of_two_sensors,
     of_two_strips,
     pulses,
     shaken,
@@ -350,3 +351,17 @@ def test_rasters_have_gaps_where_no_echo_lies_or_none(town, tmp_path, gaps):
     assert 0.1 < 1 - seen.mean() < 0.9
     np.testing.assert_array_equal(dsm.values[seen], highest[seen])
     np.testing.assert_array_equal(dsm.valid, seen if gaps else True)
+
+
+def test_two_sensors_meet_at_a_line(town):
+    """West of it lie the echoes of the weaker one, and east of it all, with their times and numbers."""
+    _, [cloud], _ = town
+    middle = float(np.median(np.asarray(cloud.x)))
+    found = of_two_sensors(cloud, first_only(cloud), middle)
+    x = np.asarray(found.x)
+    assert np.asarray(found.number_of_returns)[x < middle].max() == 1
+    east = np.asarray(cloud.x) >= middle
+    assert np.count_nonzero(x >= middle) == np.count_nonzero(east)
+    assert np.count_nonzero(x < middle) == np.count_nonzero(~east & (np.asarray(cloud.return_number) == 1))
+    for field in ("gps_time", "return_number", "z"):
+        np.testing.assert_array_equal(np.asarray(found[field])[x >= middle], np.asarray(cloud[field])[east])

@@ -77,7 +77,7 @@ def test_labels_of_points_decide_for_extractors_on_points(tmp_path, monkeypatch,
     source = write_points(tmp_path / "town.laz", SCENES["podium_tower"](density=1.0).points)
     seen = {}
 
-    def extract(cloud, heights, *, spec, survey, params, ndvi, noise_m):
+    def extract(cloud, heights, *, spec, survey, params, ndvi, noise_m, recorded):
         seen.update(cloud=cloud, heights=heights, spec=spec, survey=survey, ndvi=ndvi)
         labels = (np.arange(len(cloud)) % 3).astype(np.int32)
         regions = pd.DataFrame({"xcen": [0.0, 1.0], "ycen": [0.0, 0.0]})

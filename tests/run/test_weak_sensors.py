@@ -15,8 +15,8 @@ from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation import samples
 from msbdb.run.preparation.drafts import build_surface
 from msbdb.run.preparation.pointfacts import with_facts
-from msbdb.run.preparation.prepare import FEW_ECHOES, NO_ECHOES
-from msbdb.surface import crown_cells, crown_split, structural_cover, texture_of
+from msbdb.run.preparation.prepare import FEW_ECHOES, NO_ECHOES, PART_ECHOES
+from msbdb.surface import crown_cells, crown_split, recorded_echoes, structural_cover, texture_of
 from msbdb.surface.structure import ROOF, VEGETATION
 from msbdb.surface.texture import Echoes, Texture
 from msbdb.surveyplan import USUAL_SPLIT, Plan
@@ -237,3 +237,74 @@ def test_noise_of_the_heights_blinds_no_detector(noise_m, tmp_path):
     assert len(confirmed) >= 15
     for method in ("area3d", "adaptive"):
         assert confirmed[f"{method}_share"].mean() > 0.7
+
+
+def half_recorded(share):
+    """Return points of a grove, by a sensor of several echoes, west of it another one of which is weaker."""
+    points = scenes.under_trees(density=6.0).points
+    west = weaker(points, share)
+    west = replace(west, x=west.x - 100)
+    both = {name: np.append(each, getattr(points, name), axis=0) for name, each in west.arrays().items()}
+    return replace(points, **both)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_a_part_of_a_weaker_sensor_has_no_crowns_for_roofs(share, tmp_path):
+    """Its crowns give single echoes, and those of the other part are split: the houses alone are left."""
+    file = write_points(tmp_path / "two.laz", half_recorded(share))
+    assert msbdb.plan(file).points.most_trust > 0.8
+    found = []
+    for name, tile in (("whole", None), ("tiles", 50.0)):
+        db = tmp_path / f"{name}.sqlite"
+        report = msbdb.build(file, db=db, survey="two", tile=tile)
+        assert PART_ECHOES in report.notices
+        houses = msbdb.open(db).buildings().sort_values("building_id")
+        assert len(houses[houses["state"] == "confirmed"]) == 2
+        assert houses["area_m2"].sum() < 2 * 250
+        found.append([*zip(houses["building_id"], houses["state"], houses.geometry.to_wkb(), strict=True)])
+    assert found[0] == found[1]
+
+
+def rough_town(share, *, east_split=0.6):
+    """Return the texture of rough cells all over, of which the western half splits another share of its pulses."""
+    heights = np.full((200, 400), 6.0, dtype=np.float32)
+    spec = lattice((450_000.0, 5_400_000.0, 450_399.0, 5_400_199.0), 1.0, scenes.UTM33)
+    split = np.full(spec.shape, east_split, dtype=np.float32)
+    split[:, :200] = share
+    rough = np.full(spec.shape, 0.6, dtype=np.float32)
+    ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
+    return Texture(ndsm, rough, rough, Echoes(split, split, split, 1 - split), 2.0)
+
+
+@pytest.mark.parametrize(("share", "west"), [(0.0, 0.0), (0.06, 0.5), (0.12, 1.0), (0.3, 1.0)])
+def test_echoes_count_as_recorded_as_far_as_rough_cells_split_pulses(share, west):
+    """In full from 0.15 of what crowns split in the survey; in part below; and as there where nothing is rough."""
+    facts = replace(with_facts(scenes.flat_field().points, 0.0).facts, echoes=True, crown_split=(0.4,) * 5 + (0.8,))
+    texture = rough_town(share)
+    found = recorded_echoes(texture, facts, PARAMS.cover)
+    if west == 1:
+        assert found is None
+    else:
+        np.testing.assert_allclose(found[:, :150], west, atol=0.01)
+        np.testing.assert_array_equal(found[:, 250:], 1)
+        # A window of the absolute lattice knows the same, from 50 m of its edges on.
+        cut = slice(30, 180), slice(60, 390)
+        spec = texture.ndsm.spec.crop(*cut)
+        ndsm = Grid(texture.ndsm.values[cut], texture.ndsm.valid[cut], spec)
+        fields = (
+            each[cut]
+            for each in (
+                texture.echoes.split,
+                texture.echoes.split_best,
+                texture.echoes.split_wide,
+                texture.echoes.solid,
+            )
+        )
+        rough = texture.roughness_m[cut]
+        window = recorded_echoes(Texture(ndsm, rough, rough, Echoes(*fields), 2.0), facts, PARAMS.cover)
+        np.testing.assert_array_equal(window[50:-50, 50:-50], found[cut][50:-50, 50:-50])
+    bare = replace(texture, ndsm=texture.ndsm.with_values(np.zeros_like(texture.ndsm.values), texture.ndsm.valid))
+    assert recorded_echoes(bare, facts, PARAMS.cover) is None
+    assert recorded_echoes(replace(texture, echoes=None), facts, PARAMS.cover) is None
+    for unknown in (None, replace(facts, crown_split=None), replace(facts, crown_split=(0.0,) * 6)):
+        assert recorded_echoes(texture, unknown, PARAMS.cover) is None

@@ -98,6 +98,7 @@ def extract_adaptive(
     params: Params,
     ndvi: NDArray[np.float32] | None = None,
     noise_m: NDArray[np.float32] | None = None,
+    recorded: NDArray[np.float32] | None = None,
 ) -> Candidates:
     """Detect the clusters of off-ground points that may be buildings.
 
@@ -117,6 +118,8 @@ def extract_adaptive(
         NDVI of each point, NaN where it has none.
     noise_m : (N,) ndarray of float32, optional
         What noise adds to the residuals of planes at each point, metres.
+    recorded : (N,) ndarray of float32, optional
+        How far later echoes were recorded around each point, from 0 to 1.
 
     Returns
     -------
@@ -144,8 +147,8 @@ def extract_adaptive(
     own = params.adaptive
     given = [heights]
     del heights  # so that nobody else holds them
-    points = off_ground(cloud, given.pop(), ndvi, noise_m, spec=spec, mask_m=params.surface.mask_m)
-    del ndvi, noise_m
+    points = off_ground(cloud, given.pop(), ndvi, noise_m, recorded=recorded, spec=spec, mask_m=params.surface.mask_m)
+    del ndvi, noise_m, recorded
     let_go()
     placed = points.placed(spec, survey)
     ledger = PointLedger(METHOD, placed, params.fuse.piece_m2)

@@ -115,6 +115,7 @@ def off_ground(
     ndvi: NDArray[np.float32] | None,
     noise_m: NDArray[np.float32] | None,
     *,
+    recorded: NDArray[np.float32] | None = None,
     spec: GridSpec,
     mask_m: float,
 ) -> OffGround:
@@ -145,6 +146,9 @@ def off_ground(
     chosen, area_m2, heights = chosen[order], set_aside(area_m2[order]), set_aside(heights[chosen][order])
     x, y = cloud.x[chosen], cloud.y[chosen]
     origin = np.round([float(v.mean()) if len(v) else 0.0 for v in (x, y)], -3)
+    trust = cloud.echo_trust(heights)
+    if recorded is not None:
+        trust = trust * recorded[chosen]
     return OffGround(
         index=set_aside(chosen),
         x=set_aside(x - origin[0]),
@@ -154,7 +158,7 @@ def off_ground(
         heights=heights.astype(np.float64, copy=False),
         area_m2=area_m2,
         split=None if not cloud.has_echoes else np.greater(cloud.number_of_returns[chosen], 1),  # type: ignore[index]  # there are echoes
-        echo_trust=set_aside(cloud.echo_trust(heights)),
+        echo_trust=set_aside(trust),
         ndvi=None if ndvi is None else ndvi[chosen].astype(np.float32),
         noise_m=None if noise_m is None else noise_m[chosen],
         place=set_aside(places(spec, x, y)),

@@ -67,6 +67,7 @@ def extract_area3d(
     params: Params,
     ndvi: NDArray[np.float32] | None = None,
     noise_m: NDArray[np.float32] | None = None,
+    recorded: NDArray[np.float32] | None = None,
 ) -> Candidates:
     """Detect the regions of points that may be buildings.
 
@@ -86,6 +87,8 @@ def extract_area3d(
         NDVI of the points, NaN where unknown.
     noise_m : (N,) ndarray of float32, optional
         What noise adds to the heights of each point, metres.
+    recorded : (N,) ndarray of float32, optional
+        How far later echoes were recorded around each point, from 0 to 1.
 
     Returns
     -------
@@ -117,8 +120,8 @@ def extract_area3d(
     _require(cloud, heights, ndvi)
     given = [heights]
     del heights  # so that nobody else holds them
-    scenes, scales, order = _prepare(cloud, given.pop(), ndvi, spec, params, noise_m=noise_m)
-    del ndvi, noise_m
+    scenes, scales, order = _prepare(cloud, given.pop(), ndvi, spec, params, noise_m=noise_m, recorded=recorded)
+    del ndvi, noise_m, recorded
     scene = scenes[0]
     placed = scene.cloud.placed(spec, survey)
     ledger = PointLedger(METHOD, placed, params.fuse.piece_m2)
@@ -172,6 +175,7 @@ def _prepare(
     params: Params,
     *,
     noise_m: NDArray[np.float32] | None,
+    recorded: NDArray[np.float32] | None,
 ) -> tuple[tuple[OnSets, ...], tuple[float, ...], NDArray[np.int32]]:
     """Return the input of all height scales for each area, the heights, and the places of its points in the cloud.
 
@@ -214,7 +218,10 @@ def _prepare(
     noise = None if noise_m is None else noise_m[order]
     curvature, smooth = _structure(points, several, noise, np.logical_or.reduce(levels) > 0, own)
     let_go()
-    known = NormalisedCloud(points, heights, area_m2, several, cloud.echo_trust(heights), green, place, origin[:2])
+    trust = cloud.echo_trust(heights)
+    if recorded is not None:
+        trust = trust * recorded[order]
+    known = NormalisedCloud(points, heights, area_m2, several, trust, green, place, origin[:2])
     scenes = tuple(
         OnSets(known, graph, on, spacing_m, link_m, curvature, smooth, replace(own, smallest_m2=area), mask_m)
         for on, area in zip(levels, areas, strict=True)

@@ -46,6 +46,11 @@ FEW_ECHOES = (
     "separates roofs from vegetation."
 )
 
+PART_ECHOES = (
+    "In a part of the survey hardly a pulse has a second echo, as by a weaker sensor. There height texture, more than "
+    "echoes, separates roofs from vegetation."
+)
+
 TRUSTED = 0.5
 """Ours: where single echoes are trusted less, the classes of colours help as without echoes."""
 
@@ -205,6 +210,7 @@ def prepare(
         bands=bands,
         above=above,
         noise_m=structure.noise_m,
+        recorded=structure.recorded,
         intensity=intensity,
     )
     return scene, known, planned
@@ -236,6 +242,8 @@ def note_missing_sources(scene: Scene) -> None:
         give_notice(NO_IMAGERY)
     if trust < TRUSTED:
         give_notice(NO_ECHOES if scene.cloud is None or not scene.cloud.has_echoes else FEW_ECHOES)
+    elif scene.recorded is not None and scene.recorded.min() < TRUSTED:
+        give_notice(PART_ECHOES)
 
 
 def record_survey(inputs: Inputs, *, name: str, date: str, surface: Surface, cloud: PointCloud | None) -> Survey:

@@ -141,6 +141,15 @@ def with_echoes_apart(cloud: laspy.LasData, least_m: float) -> laspy.LasData:
     return copy
 
 
+def of_two_sensors(cloud: laspy.LasData, other: laspy.LasData, x_m: float) -> laspy.LasData:
+    """Return the points of another copy west of a line, and those of the cloud itself east of it."""
+    west, east = taken(other, np.asarray(other.x) < x_m), taken(cloud, np.asarray(cloud.x) >= x_m)
+    both = laspy.LasData(cloud.header)
+    header, points = cloud.header, np.concatenate([west.points.array, east.points.array])
+    both.points = laspy.ScaleAwarePointRecord(points, header.point_format, header.scales, header.offsets)
+    return both
+
+
 def with_class_alone(cloud: laspy.LasData, kept: int | None) -> laspy.LasData:
     """Return a copy in which all points are unclassified, but for those of one class."""
     copy = copied(cloud)

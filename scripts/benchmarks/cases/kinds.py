@@ -15,6 +15,7 @@ from cases.copies import (
     copied,
     first_only,
     mirrored,
+    of_two_sensors,
     of_two_strips,
     on_lines,
     pulses,
@@ -127,10 +128,9 @@ def with_scan_lines(data: Path, names: set[str]) -> Iterator[Case]:
 def with_sparse_halves(data: Path, names: set[str]) -> Iterator[Case]:
     """Yield copies of places that are sparser in the east; the line halves the roofs of the reference."""
     for case in as_they_are(data, names & set(THINNED)):
-        spec = case.reference.spec
-        x_m, _ = spec.xy(0, np.median(np.nonzero(case.reference.built & case.reference.scored)[1]))
+        x_m = _middle(case)
         for times in UNEVEN:
-            copies = [thinned_east_of(cloud, float(x_m), 1 / times) for cloud in case.clouds]
+            copies = [thinned_east_of(cloud, x_m, 1 / times) for cloud in case.clouds]
             yield Case(f"{case.name}, {times:g}", case.crs, copies, case.reference, {})
 
 
@@ -157,6 +157,22 @@ def with_few_later_echoes(data: Path, names: set[str]) -> Iterator[Case]:
         if all(len(np.unique(pulses(cloud))) < len(cloud.points) for cloud in case.clouds):
             copies = [with_echoes_apart(cloud, APART_M) for cloud in case.clouds]
             yield Case(f"{case.name}, {APART_M:g} m apart", case.crs, copies, case.reference, {})
+
+
+def with_two_sensors(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places of which a weaker sensor recorded the west; the line halves the roofs of the reference."""
+    for case in as_they_are(data, {name for name in names if not name.endswith("cadastre")}):
+        x_m = _middle(case)
+        weaker = {"first": first_only, "0.1": partial(with_fewer_later, share=0.1)}
+        for kind, recorded in weaker.items():
+            copies = [of_two_sensors(cloud, recorded(cloud), x_m) for cloud in case.clouds]
+            yield Case(f"{case.name}, {kind}", case.crs, copies, case.reference, {})
+
+
+def _middle(case: Case) -> float:
+    """Return the easting that halves the roofs of the reference."""
+    spec, roofs = case.reference.spec, case.reference.built & case.reference.scored
+    return float(spec.xy(0, np.median(np.nonzero(roofs)[1]))[0])
 
 
 def with_few_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
