@@ -20,10 +20,10 @@ from msbdb.surveyplan import CROWN_CLASSES_M, PointFacts
 from msbdb.threads import in_threads
 
 LEAST_SHARE = 0.15
-"""Ours: rough cells split at least this share of what crowns split; see `recorded_echoes`."""
+"""Ours, in sample: rough cells split at least this share of what crowns split; see `recorded_echoes`."""
 
 LEAST_M2 = 100.0
-"""Rough cells of this area show what is recorded around them."""
+"""Ours: less area of rough cells does not show what was recorded around them, square metres."""
 
 PARTS = 1000
 """Shares are counted in so many parts."""

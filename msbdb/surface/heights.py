@@ -32,7 +32,7 @@ ASIDE = 0.01
 """Ours: points that stand for cells lie up to half of this share of a cell beside its centre."""
 
 SINGLE = 0.865
-"""Ours: chance leaves more of the cells empty, e^-2, where fewer than two echoes a cell were measured."""
+"""Ours, in sample: share of measured cells. With two echoes a cell on average, chance leaves e^-2 of them empty."""
 
 GIVEN_GROUND = "given"
 """Name instead of a ground filter's, where the terrain was given as a raster."""
@@ -172,8 +172,8 @@ def points_of_cells(surface: Surface) -> PointCloud:
 
     Notes
     -----
-    All cells with a height above ground stand for points, but where cells are hardly more than echoes (`SINGLE`) the
-    measured ones alone: what fills the gaps is too even. These are then as far apart as the surface's density tells.
+    All cells with a height above ground stand for points. Where less than `SINGLE` of them were measured, only the
+    measured ones do, as what fills the gaps is too even; the spacing is then that of their density.
     Distances on an exact lattice tie, and rounding would decide. So each point lies a little beside the centre of its
     cell, by a hash of its place: in any window of a survey alike.
 
@@ -277,6 +277,8 @@ def without_narrow_gaps(dsm: Grid, max_gap_m: float) -> Grid:
     >>> without_narrow_gaps(Grid(np.full((1, 10), 7, dtype=np.float32) * valid, valid, spec), 1.0).values
     array([[7., 7., 7., 7., 0., 0., 0., 0., 0., 0.]], dtype=float32)
     """
+    if dsm.valid.all():
+        return dsm
     reach = max(LEAST_GAP_CELLS, max_gap_m / dsm.spec.cell_m)
     missing = ~dsm.valid
     wide = opening(missing.astype(np.float32), 2 * int(reach) + 1, None) > 0

@@ -15,7 +15,7 @@ from support.notices import with_notices
 import msbdb
 from msbdb.detect.adaptive import bathurst
 from msbdb.detect.area3d import caowu
-from msbdb.detect.pointregions import Candidates, point_ndvi, point_noise
+from msbdb.detect.pointregions import Candidates, point_ndvi, point_noise, recorded_at
 from msbdb.grid import Bands, Grid, GridSpec
 from msbdb.io.las import read_points
 from msbdb.ledger import Ledger
@@ -69,6 +69,16 @@ def test_points_take_half_of_the_noise_of_their_cells_and_cells_of_a_raster_none
     np.testing.assert_allclose(found**2, [0.18, 0.005, 0, 0.02], rtol=1e-5)
     assert point_noise(SimpleNamespace(noise_m=noise_m, cloud=None, heights=heights), cloud) is None
     assert point_noise(SimpleNamespace(noise_m=None, cloud=cloud, heights=heights), cloud) is None
+
+
+def test_points_know_how_far_later_echoes_were_recorded_around_them():
+    """As their cells do, and in full outside of the lattice; nobody asks where they were recorded everywhere."""
+    recorded = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], dtype=np.float32)
+    heights = Grid(np.zeros(SPEC.shape, dtype=np.float32), np.ones(SPEC.shape, dtype=bool), SPEC)
+    cloud = cloud_at((105, 201), (101, 203), (99, 201), (103, 203))
+    found = recorded_at(SimpleNamespace(recorded=recorded, heights=heights), cloud)
+    np.testing.assert_array_equal(found, np.float32([0.6, 0.1, 1, 0.2]))
+    assert recorded_at(SimpleNamespace(recorded=None, heights=heights), cloud) is None
 
 
 @pytest.mark.parametrize("method", ["area3d", "adaptive"])

@@ -23,8 +23,8 @@ GAPS = "The DTM has no value in some cells of the DSM; they were interpolated."
 """Without numbers, so that the parts of a survey agree in it."""
 
 NARROW_GAPS = (
-    "The raster of heights has narrow gaps, as between points; the nearest heights fill them. "
-    "Roofs are told from crowns by the measured ones alone."
+    "The raster of heights has many narrow gaps. They are filled with the nearest heights. "
+    "Only measured heights separate roofs from vegetation."
 )
 
 MANY_GAPS = 0.01

@@ -16,7 +16,7 @@ from simulated.scenes import BUILDING, courtyard, under_trees
 from support.notices import with_notices
 
 from msbdb.detect.adaptive.bathurst import extract_adaptive, ladder
-from msbdb.detect.adaptive.offground import OffGround, classify_vegetation, structure
+from msbdb.detect.adaptive.offground import OffGround, classify_vegetation, off_ground, structure
 from msbdb.detect.adaptive.surroundings import plane_residuals
 from msbdb.errors import InputError
 from msbdb.evaluate import PointReference, evaluate
@@ -194,6 +194,18 @@ def test_single_echoes_of_leaves_are_a_roof_only_where_they_are_trusted(trust):
         known = replace(off_ground_points(points, split=False), echo_trust=np.float32([trust]))
         kinds.append(np.mean(classify_vegetation(known, structure(known, params), params) > 0))
     assert kinds == [0, float(trust < 1)]
+
+
+def test_single_echoes_are_trusted_where_later_ones_are_recorded():
+    """Each off-ground point has the trust of its own place, whatever the order; without the map all have the same."""
+    x, y, z = (np.random.default_rng(3).uniform(0, most, 400) for most in (50, 50, 9))
+    echoes = {"return_number": np.ones(400, np.uint8), "number_of_returns": np.repeat(np.uint8([2, 1]), 200)}
+    cloud = PointCloud(x + WEST, y + SOUTH, z, UTM, **echoes)
+    given = {"spec": lattice(cloud.bounds, 0.5, UTM), "mask_m": 2.0}
+    recorded = (x / 50).astype(np.float32)
+    points = off_ground(cloud, z, None, None, recorded=recorded, **given)
+    np.testing.assert_allclose(points.echo_trust, (points.x + points.origin[0] - WEST) / 50, atol=1e-5)
+    assert set(off_ground(cloud, z, None, None, **given).echo_trust) == {1}
 
 
 def test_noise_makes_no_roof_rough_and_no_crown_smooth():

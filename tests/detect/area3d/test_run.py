@@ -69,13 +69,13 @@ def cloud_of(points, **attributes):
     return PointCloud(*(np.ascontiguousarray(points[:, k]) for k in range(3)), UTM, **attributes)
 
 
-def extract(points, params=None, *, heights=None, ndvi=None, noise_m=None, cell_m=0.5, **attributes):
+def extract(points, params=None, *, heights=None, ndvi=None, noise_m=None, recorded=None, cell_m=0.5, **attributes):
     """Extract the regions of points over level ground."""
     cloud = cloud_of(points, **attributes) if isinstance(points, np.ndarray) else points
     heights = cloud.z if heights is None else heights
     spec = lattice(cloud.bounds, cell_m, cloud.crs) if len(cloud) else lattice((0, 0, 9, 9), 1.0, UTM)
     given = {"spec": spec, "survey": "test", "params": params or Params(), "ndvi": ndvi, "noise_m": noise_m}
-    return extract_area3d(cloud, heights, **given)
+    return extract_area3d(cloud, heights, recorded=recorded, **given)
 
 
 def with_area3d(**changes):
@@ -211,6 +211,21 @@ def test_the_less_single_echoes_are_trusted_the_smoother_a_region_must_be():
     assert [found(0.05, trust) for trust in trusts] == [1, 1, 1, 1]
     assert [found(0.2, trust) for trust in trusts] == [0, 1, 1, 1]
     assert [found(0.3, trust) for trust in trusts] == [0, 0, 1, 1]
+
+
+def test_single_echoes_are_trusted_where_later_ones_are_recorded():
+    """Of two hedges as rough as crowns, of single echoes, one is a roof: that by a sensor of several echoes."""
+    points = scan(box((10, 20), (15, 10), 5.0), box((35, 20), (15, 10), 5.0))
+    high, west = points[:, 2] > 3, points[:, 0] < ORIGIN[0] + 30
+    points[high, 2] += np.random.default_rng(1).normal(0, 0.3, np.count_nonzero(high))
+    several = np.where(np.arange(len(points)) < 5, 2, 1).astype(np.uint8)
+    echoes = {"number_of_returns": several, "return_number": np.ones(len(points), dtype=np.uint8)}
+    facts = replace(with_facts(cloud_of(points, **echoes), 0.0).facts, crown_split=(USUAL_SPLIT,) * 6)
+    assert len(extract(points, facts=facts, **echoes).regions) == 2
+    for kept in (west, ~west):
+        found = extract(points, facts=facts, recorded=kept.astype(np.float32), **echoes).regions
+        assert len(found) == 1
+        assert (found["xcen"][0] < ORIGIN[0] + 30) == (kept is west)
 
 
 def test_noise_that_is_known_hides_no_roof():
