@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from msbdb.errors import NodataError
 from msbdb.grid import Grid, GridSpec, lattice
@@ -24,7 +24,7 @@ MIN_GROUND_SHARE = 0.02
 """Below this share of class 2 the given classes are not taken for a classification of the ground."""
 
 VOID_M = 10.0
-"""Cells farther than this from all points are a void: water, or beyond the survey. Sparse scan lines lie nearer."""
+"""Radius of the circles without points that make a void: water, or beyond the survey. Sparse scan lines lie nearer."""
 
 SIDE = 5
 """Side of the square of cells whose median shows a pit."""
@@ -115,15 +115,25 @@ def _through(points: PointCloud, ground: NDArray[np.bool_], spec: GridSpec) -> G
 def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> Grid:
     """Grid the lowest points without gaps, with isolated low outliers raised to their neighbourhood.
 
-    All cells have values; valid are those within `VOID_M` of a cell with points.
+    All cells have values. Not valid are voids: what a circle of `VOID_M` covers that holds no cell with points. So the
+    survey ends with its outermost points where its border crosses the lattice at an angle. Centres beyond the lattice
+    do not count, so that a frame of empty cells, as lattices have it, is no void.
     """
     found = lowest(points, spec)
     supported = _supported(found.valid)
     sources = NearestGround.of(supported)
     filled = interpolate_ground(found.values, supported, spec, nearest=True, sources=sources).values
     raised = without_pits(np.asarray(filled, dtype=np.float32), params.low_outlier_m, spec.cell_area_m2)
-    near = sources.distance * spec.cell_m <= max(VOID_M, 2 * spec.cell_m)
-    return Grid(raised, near, spec)
+    return Grid(raised, _surveyed(sources, max(VOID_M / spec.cell_m, 2.0)), spec)
+
+
+def _surveyed(sources: NearestGround, radius: float) -> NDArray[np.bool_]:
+    """Return the cells that no circle of ``radius`` cells reaches whose centre is as far from all cells with points."""
+    empty = sources.distance > radius
+    if not empty.any():
+        return np.ones_like(empty)
+    surveyed: NDArray[np.bool_] = distance_transform_edt(~empty) > radius
+    return surveyed
 
 
 def without_pits(heights: NDArray[np.float32], depth_m: float, cell_m2: float = 1.0) -> NDArray[np.float32]:

@@ -229,13 +229,13 @@ def reached_by_ways(surface: Grid, trend: Heights, ground: Mask, wall_m: float, 
     return terrain
 
 
-def narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
-    """Return the cells of bridges that are too narrow for a way of three cells.
+def with_narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
+    """Return the ground with the decks of bridges that are too narrow for a way of three cells.
 
     A bridge is a slender region above ground whose sides are mostly free. At both of its ends ground of `BEGINNING_M2`
     is as high as itself, and hardly anywhere else. The border of the survey may cut one of the ends. A house whose rear
     lies on a slope touches it along a side or at one end. Cells in which echoes came from below the deck are closed, so
-    that they do not divide it.
+    that they do not divide it. They are no ground then: the deck covers them.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundPar
     Returns
     -------
     (H, W) ndarray of bool
-        Cells that are ground, too. Border and nodata: what the border or a void cuts at both ends stays above ground.
+        The ground. Border and nodata: what the border or a void cuts at both ends stays above ground.
 
     Examples
     --------
@@ -265,7 +265,7 @@ def narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundPar
     >>> for cols, rows in ((slice(5, 8), slice(10, 50)), (slice(20, 23), slice(10, 45))):
     ...     heights[rows, cols], ground[rows, cols] = 4, False
     >>> grid = Grid(heights, np.ones((60, 30), dtype=bool), lattice((0, 0, 29, 59), 1.0, CRS.from_epsg(2154)))
-    >>> found = narrow_bridges(grid, ground, 1.0, GroundParams())
+    >>> found = with_narrow_bridges(grid, ground, 1.0, GroundParams()) & ~ground
     >>> int(found[:, 5:8].sum()), int(found[:, 20:23].sum())
     (120, 0)
     """
@@ -277,12 +277,12 @@ def narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundPar
     cells = np.bincount(regions[closed], minlength=count)
     row, col = np.nonzero(closed & (cells * cell_m**2 >= LEAST_M2)[regions])
     if not len(row):
-        return np.zeros_like(ground)
+        return ground
     axis = _Axis.of(regions[row, col], row, col, count)
     width = cells / axis.length
     slender = (cells > 0) & (width * cell_m <= DECK_M) & (axis.length >= SLENDER * width)
     if not slender.any():
-        return np.zeros_like(ground)
+        return ground
     pieces, number = join_cells(lowest, measured & ground, wall_m)
     banks = ground & (np.bincount(pieces.ravel(), minlength=number) * cell_m**2 >= BEGINNING_M2)[pieces]
     most_m = MEETS * _even_m(cell_m, params)
@@ -297,8 +297,9 @@ def narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: GroundPar
     head_cut, tail_cut, _ = axis.count(_beside_voids(measured) & slender[regions], regions)
     met = ((head > 0) & ((tail > 0) | (tail_cut > 0))) | ((tail > 0) & (head_cut > 0))
     bridges = slender & met & (2 * sides <= head + tail) & (hidden <= HIDDEN * edges)
-    found: Mask = bridges[regions] & measured & ~ground
-    return found
+    decks, seen_below = bridges[regions] & measured, heights - lowest > wall_m
+    with_decks: Mask = (ground | decks) & ~(decks & seen_below)
+    return with_decks
 
 
 @dataclass(frozen=True)

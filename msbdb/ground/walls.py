@@ -21,7 +21,7 @@ from msbdb.ground.regions import (
     STEPS,
     edges_of,
     halls,
-    narrow_bridges,
+    with_narrow_bridges,
     reached_by_ways,
     sunk_roofs,
 )
@@ -106,7 +106,7 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
        to ``reached_share`` of it. A way is three cells wide, and rises by less than ``even_step_m`` from cell to cell.
        Where the trend rises by more, it may follow the trend. It begins on even ground, so not on a slope
        where a level roof touches the terrain; nor is the rear of such a roof its beginning, which may count as ground.
-       Narrower bridges are ground where they meet it at both ends (`narrow_bridges`).
+       Narrower bridges are ground where they meet it at both ends (`with_narrow_bridges`).
     7. A court that higher cells bound all around costs nothing as ground, and nothing as a roof. Without a cell that is
        sure, or if it is small, it is a well in a roof, unless it lies on the terrain of the other ground. A larger one
        is a lower part of a roof if it lies far above that terrain (`sunk_roofs`).
@@ -162,7 +162,7 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
     ground = decided & ~clutter
     ground &= ~_blurred(level, ground, sure, params, points_m2)
     reached: Mask = ground | reached_by_ways(surface, trend, ground, wall_m, params)
-    reached |= narrow_bridges(surface, reached, wall_m, params)
+    reached = with_narrow_bridges(surface, reached, wall_m, params)
     reached &= ~_wells(surface, reached, sure, params)
     return reached & ~sunk_roofs(surface, reached)
 

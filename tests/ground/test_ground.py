@@ -237,6 +237,33 @@ def test_scattered_points_all_count():
     np.testing.assert_array_equal(surface.values, 20.0)
 
 
+def surveyed(inside):
+    """Return the cells of the lowest surface that are no void, of points on a level plane where ``inside`` has any."""
+    row, col = (index.ravel() for index in np.nonzero(inside))
+    points = PointCloud(col + 0.5, len(inside) - row - 0.5, np.zeros(len(row)), CRS_M)
+    rows, cols = inside.shape
+    return lowest_surface(points, lattice((0.0, 0.1, cols - 0.1, rows), 1.0, CRS_M), PARAMS).valid
+
+
+def test_a_survey_ends_with_its_outermost_points():
+    """Where its border crosses the lattice at an angle, nothing beyond it is taken for surveyed."""
+    row, col = np.indices((160, 160))
+    turned = np.abs(row - 80) + np.abs(col - 80) < 70
+    np.testing.assert_array_equal(surveyed(turned), turned)
+
+
+def test_what_no_wide_circle_fits_into_is_no_void():
+    """Gaps of 16 m and frames of empty cells along the lattice are surveyed; a pond of 30 m is a void up to its rim."""
+    row, col = np.indices((160, 160))
+    away = np.hypot(row - 80, col - 80)
+    np.testing.assert_array_equal(surveyed(away > 8), np.ones((160, 160), dtype=bool))
+    np.testing.assert_array_equal(surveyed(row > 3), np.ones((160, 160), dtype=bool))
+    pond = away <= 15
+    void = ~surveyed(~pond)
+    assert not void[~pond].any()
+    assert void[pond].mean() > 0.95
+
+
 def test_low_houses_among_sparse_points_are_bounded_by_walls():
     """Garages of 2.4 m at 0.25 points a square metre stay above ground, on cells of 2 m."""
     x, y = np.random.default_rng(0).uniform(0, 160, (2, 6400))
