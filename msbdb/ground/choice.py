@@ -6,15 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
-from msbdb.errors import NodataError
+from msbdb.errors import NodataError, give_notice
 from msbdb.grid import Grid, GridSpec, lattice
 from msbdb.ground.adaptivewindows import adaptive_ground
 from msbdb.ground.interpolation import NearestGround, interpolate_ground, refine
 from msbdb.ground.progressive import progressive_ground
 from msbdb.ground.quadratic import quadratic_ground
-from msbdb.ground.walls import walled_ground
+from msbdb.ground.regions import WAY_PX, bridges
+from msbdb.ground.walls import wall_step_m, walled_ground
 from msbdb.ground.wavelet import wavelet_ground
-from msbdb.labels import join_cells
+from msbdb.labels import chosen_cells, join_cells, label_zones, sizes, sums
+from msbdb.morphology.windows import dilation
 from msbdb.params import GroundParams
 from msbdb.points.cloud import GROUND_CLASS, PointCloud
 from msbdb.surface.gridding import density, lowest
@@ -22,6 +24,9 @@ from msbdb.threads import kernel
 
 MIN_GROUND_SHARE = 0.02
 """Below this share of class 2 the given classes are not taken for a classification of the ground."""
+
+DECKS = "The given ground leaves out bridges. Decks that it leads to count as ground, so that they are no buildings."
+"""Notice of decks."""
 
 VOID_M = 10.0
 """Radius of the circles without points that make a void: water, or beyond the survey. Sparse scan lines lie nearer."""
@@ -98,7 +103,8 @@ def terrain(points: PointCloud, spec: GridSpec, params: GroundParams) -> tuple[G
     name = _resolve(points, params.ground_filter)
     coarse = lattice(spec.bounds, max(params.ground_cell_m, spec.cell_m / 2), spec.crs)
     if name == "class2":
-        return refine(_through(points, points.in_class(GROUND_CLASS), coarse), spec), name
+        given = _through(points, points.in_class(GROUND_CLASS), coarse)
+        return refine(with_decks(given, points, params), spec), name
     if name in POINT_FILTERS:
         return refine(_through(points, POINT_FILTERS[name](points, params), coarse), spec), name
     surface = lowest_surface(points, coarse, params)
@@ -110,6 +116,43 @@ def _through(points: PointCloud, ground: NDArray[np.bool_], spec: GridSpec) -> G
     """Lay the terrain through the lowest ground point of each cell."""
     found = lowest(points, spec, ground)
     return interpolate_ground(found.values, found.valid, spec)
+
+
+def with_decks(given: Grid, points: PointCloud, params: GroundParams) -> Grid:
+    """Raise a given terrain to the decks of bridges, which class 2 and most terrain models leave out.
+
+    On average a deck lies higher than a step to another region; what is lower is no building, and stays as it is given.
+    The filter by walls takes bridges for ground, too.
+
+    Parameters
+    ----------
+    given : Grid of float32, metres
+    points : PointCloud
+        All echoes.
+    params : GroundParams
+        ``height_m`` and the parameters of `bridges`.
+
+    Returns
+    -------
+    Grid of float32, metres
+        On the same lattice, with the same gaps; without any deck the same object. Border: as that of `bridges`.
+    """
+    spec = lattice(given.spec.bounds, max(params.ground_cell_m, given.spec.cell_m), given.spec.crs)
+    known = given if given.valid.all() else interpolate_ground(given.values, given.valid, given.spec)
+    surface, own = lowest_surface(points, spec, params), np.asarray(refine(known, spec).values)
+    above = np.asarray(surface.values) - own
+    ground, step_m = surface.valid & (above < params.height_m), wall_step_m(spec.cell_m, params)
+    zones, count = label_zones(bridges(surface, own, ground, step_m, params))
+    high = sums(zones, above, count) > step_m * sizes(zones, count)
+    if not high.any():
+        return given
+    decks = chosen_cells(zones, high)
+    give_notice(DECKS)
+    raised = np.where(decks, above, 0).astype(np.float32)
+    # Cells at its edge, and those in which echoes came from below, are a deck above what was seen there.
+    raised = np.where(ground, dilation(raised, WAY_PX, None), raised)
+    raised = np.asarray(refine(Grid(raised, surface.valid, spec), given.spec).values)
+    return given.with_values(np.asarray(given.values) + raised)
 
 
 def lowest_surface(points: PointCloud, spec: GridSpec, params: GroundParams) -> Grid:

@@ -283,23 +283,82 @@ def with_narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: Grou
     slender = (cells > 0) & (width * cell_m <= DECK_M) & (axis.length >= SLENDER * width)
     if not slender.any():
         return ground
+    chosen = np.where(slender[regions], regions, -1)
+    spanning = _spanning(chosen, (axis,), heights, surface, ground, wall_m=wall_m, params=params)
+    decks, seen_below = (slender & spanning)[regions] & measured, heights - lowest > wall_m
+    with_decks: Mask = (ground | decks) & ~(decks & seen_below)
+    return with_decks
+
+
+def bridges(surface: Grid, terrain: Heights, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
+    """Return the decks of bridges above a ground that is known.
+
+    They are narrow bridges, and what ways lead to from both ends, be it longer or wider than that. A roof or a stand
+    whose one side meets the ground is none.
+
+    Parameters
+    ----------
+    surface : Grid
+        Lowest heights, gap-free, metres; cells that are not valid are a void.
+    terrain : (H, W) ndarray of float32
+        The known ground, also below decks, metres.
+    ground : (H, W) ndarray of bool
+        Where the surface is the ground.
+    wall_m : float
+        The step from which two cells belong to different regions, metres.
+    params : GroundParams
+        ``even_step_m`` and ``reached_share``.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+        Border and nodata: as those of `with_narrow_bridges`.
+    """
+    decks: Mask = with_narrow_bridges(surface, ground, wall_m, params) & ~ground
+    zones, count = label_zones(reached_by_ways(surface, terrain, ground, wall_m, params) & ~decks)
+    if not count:
+        return decks
+    row, col = np.nonzero(zones)
+    axes = tuple(_Axis.of(zones[row, col], row, col, count + 1, turned) for turned in (0.0, np.pi / 2))
+    heights, chosen = np.asarray(surface.values), np.where(zones > 0, zones, -1)
+    spanning = _spanning(chosen, axes, heights, surface, ground, wall_m=wall_m, params=params)
+    return decks | chosen_cells(zones, spanning[1:])
+
+
+def _spanning(
+    regions: NDArray[Any],
+    axes: tuple["_Axis", ...],
+    heights: Heights,
+    surface: Grid,
+    ground: Mask,
+    *,
+    wall_m: float,
+    params: GroundParams,
+) -> NDArray[np.bool_]:
+    """Return which regions meet the ground at both ends of one of their axes, or at one where the other is cut.
+
+    ``regions`` are numbered from 0, with -1 elsewhere; ``heights`` are those of their decks. Ground of `BEGINNING_M2`
+    counts, and other things above ground may be beside a region along `HIDDEN` of its edge.
+    """
+    lowest, measured = np.asarray(surface.values, dtype=np.float32), surface.valid
     pieces, number = join_cells(lowest, measured & ground, wall_m)
-    banks = ground & (np.bincount(pieces.ravel(), minlength=number) * cell_m**2 >= BEGINNING_M2)[pieces]
-    most_m = MEETS * _even_m(cell_m, params)
+    large = np.bincount(pieces.ravel(), minlength=number) * surface.spec.cell_area_m2 >= BEGINNING_M2
+    banks, most_m = ground & large[pieces], MEETS * _even_m(surface.spec.cell_m, params)
+    count = len(axes[0].row)
     touches, edges, hidden = np.zeros_like(ground), np.zeros(count), np.zeros(count)
     for one, other in neighbours(heights.shape):
         for here, there in ((one, other), (other, one)):
-            at = slender[regions[here]] & (regions[here] != regions[there])
+            at = (regions[here] >= 0) & (regions[here] != regions[there])
             edges += np.bincount(regions[here][at], minlength=count)
             hidden += np.bincount(regions[here][at & ~ground[there]], minlength=count)
             touches[here] |= at & banks[there] & (np.abs(heights[here] - lowest[there]) < most_m)
-    head, tail, sides = axis.count(touches, regions)
-    head_cut, tail_cut, _ = axis.count(_beside_voids(measured) & slender[regions], regions)
-    met = ((head > 0) & ((tail > 0) | (tail_cut > 0))) | ((tail > 0) & (head_cut > 0))
-    bridges = slender & met & (2 * sides <= head + tail) & (hidden <= HIDDEN * edges)
-    decks, seen_below = bridges[regions] & measured, heights - lowest > wall_m
-    with_decks: Mask = (ground | decks) & ~(decks & seen_below)
-    return with_decks
+    cut, spanning = _beside_voids(measured) & (regions >= 0), np.zeros(count, dtype=np.bool_)
+    for axis in axes:
+        head, tail, sides = axis.count(touches, regions)
+        head_cut, tail_cut, _ = axis.count(cut, regions)
+        met = ((head > 0) & ((tail > 0) | (tail_cut > 0))) | ((tail > 0) & (head_cut > 0))
+        spanning |= met & (2 * sides <= head + tail)
+    return spanning & (hidden <= HIDDEN * edges)
 
 
 @dataclass(frozen=True)
@@ -313,14 +372,17 @@ class _Axis:
     length: Numbers
 
     @classmethod
-    def of(cls, own: NDArray[np.int32], row: Numbers, col: Numbers, count: int) -> "_Axis":
-        """Measure ``count`` regions by the places of their cells; one without any has a length of 1."""
+    def of(cls, own: NDArray[np.int32], row: Numbers, col: Numbers, count: int, turned: float = 0.0) -> "_Axis":
+        """Measure ``count`` regions by the places of their cells; one without any has a length of 1.
+
+        The axes may be ``turned`` by an angle.
+        """
         cells = np.maximum(np.bincount(own, minlength=count), 1)
         rows, cols = (np.bincount(own, weights=place, minlength=count) / cells for place in (row, col))
         across, along = row - rows[own], col - cols[own]
         squares = (across * across - along * along, 2 * across * along)
         less, twice = (np.bincount(own, weights=part, minlength=count) for part in squares)
-        angle = np.arctan2(twice, less) / 2
+        angle = np.arctan2(twice, less) / 2 + turned
         place = across * np.cos(angle[own]) + along * np.sin(angle[own])
         first, last = np.zeros(count), np.zeros(count)
         np.minimum.at(first, own, place)

@@ -21,9 +21,9 @@ from msbdb.ground.regions import (
     STEPS,
     edges_of,
     halls,
-    with_narrow_bridges,
     reached_by_ways,
     sunk_roofs,
+    with_narrow_bridges,
 )
 from msbdb.ground.trend import lower_trend
 from msbdb.labels import Pairs, chosen_cells, join_cells, label_zones, minimum_cut, neighbours, sizes, sums
@@ -154,7 +154,7 @@ def walled_ground(surface: Grid, params: GroundParams, points_m2: float = math.i
     trend = lower_trend(surface, params)
     above_trend = _without_hollows(np.where(measured, opened - trend, 0), cell_m, params)
     sure = open_progressively(above_trend, cell_m, params.slope, params, measured)
-    level, wall_m = Grid(opened, measured, surface.spec), _wall_m(cell_m, params)
+    level, wall_m = Grid(opened, measured, surface.spec), wall_step_m(cell_m, params)
     decided = _decide(level, sure, params)
     decided &= ~halls(level, decided, _raised(level, decided, sure, wall_m, params), wall_m, params)
     # What the opening lowers by less is rough terrain: the slope, over the half-width of its square.
@@ -285,7 +285,7 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
       Nor is what is as wide as the opening by itself, or free on more sides than `FREE`: a hall with a higher part, and
       with trees and ramps beside its walls.
     """
-    wall_m = _wall_m(cell_m, params)
+    wall_m = wall_step_m(cell_m, params)
     width = 2 * round(WIDE_M / cell_m) + 1
     stays = np.where(measured, heights - opening(heights, width, measured), 0) <= wall_m
     found = np.zeros_like(ground)
@@ -373,6 +373,6 @@ def _wall_share(rise: Heights, cell_m: float, params: GroundParams) -> NDArray[A
     return np.asarray(np.clip(above_low / (params.wall_high_m - params.wall_low_m), 0, 1))
 
 
-def _wall_m(cell_m: float, params: GroundParams) -> float:
+def wall_step_m(cell_m: float, params: GroundParams) -> float:
     """Return the step from which a pair of cells is rather a wall than none, metres."""
     return (params.wall_low_m + params.wall_high_m) / 2 * max(cell_m, 1.0)

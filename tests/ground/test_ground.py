@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pyproj import CRS
-from scipy.ndimage import median_filter, uniform_filter
+from scipy.ndimage import binary_dilation, median_filter, uniform_filter
 from support.notices import with_notices
 
-from msbdb.errors import NodataError
+from msbdb.errors import MsbdbWarning, NodataError
 from msbdb.grid import Grid, GridSpec, lattice
-from msbdb.ground.choice import FILTERS, PIT_M2, POINT_FILTERS, lowest_surface, terrain, without_pits
+from msbdb.ground.choice import FILTERS, PIT_M2, POINT_FILTERS, lowest_surface, terrain, with_decks, without_pits
 from msbdb.ground.interpolation import NearestGround, interpolate_ground, means_over_windows, refine
 from msbdb.ground.progressive import window_radii
 from msbdb.ground.trend import known_trend, lower_trend
@@ -473,3 +473,47 @@ def test_accuracy_floor_on_a_dutch_old_town(name):
     ground = given.classification == 2
     assert np.mean(height[roofs] < 2) < 0.05
     assert np.mean(np.abs(height[ground]) > 0.5) < 0.005
+
+
+def cutting(x: Array, y: Array) -> Array:
+    """Return a plane with a cutting of 40 m by 6 m."""
+    return np.where(np.abs(x - 80) < 20, 14.0, 20.0)
+
+
+DECKS: dict[str, Box] = {"narrow": (70, 60, 4, 40, 6.0), "wide": (70, 60, 12, 40, 6.0)}
+
+
+@pytest.mark.parametrize("given", ["class2", "raster"])
+@pytest.mark.parametrize("name", list(DECKS))
+def test_a_given_ground_is_raised_to_the_decks_of_bridges(name, given):
+    """Class 2 and terrain models leave bridges out; roofs stay above the ground, also one beside the deck."""
+    roofs: tuple[Box, ...] = ((20, 20, 12, 16, 7.0), (90, 66, 10, 12, 6.0))
+    row, col, height, width, _ = DECKS[name]
+    points, truth = world(cutting, (DECKS[name], *roofs))
+    deck = np.zeros(truth.shape, dtype=bool)
+    deck[row : row + height, col : col + width] = True
+    above = deck.copy()
+    for r, c, high, wide, _ in roofs:
+        above[r : r + high, c : c + wide] = True
+    spec = lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M)
+    if given == "class2":
+        classes = np.where(above.ravel(), 1, 2).astype(np.uint8)
+        with pytest.warns(MsbdbWarning, match="leaves out bridges"):
+            dtm, _ = terrain(replace(points, classification=classes), spec, PARAMS)
+    else:
+        level = Grid(truth.astype(np.float32), np.ones(truth.shape, dtype=bool), spec)
+        with pytest.warns(MsbdbWarning, match="leaves out bridges"):
+            dtm = with_decks(level, points, PARAMS)
+    found = np.asarray(dtm.values)
+    assert np.abs(found[deck] - 20).max() < 0.2
+    away = ~binary_dilation(deck, iterations=2)
+    assert np.abs(found - truth)[away].max() < 0.2
+
+
+def test_a_given_ground_without_bridges_stays_as_it_is():
+    """Also one with gaps, and under houses beside terraces."""
+    points, truth = world(ridge, HILLTOWN)
+    spec = lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M)
+    for valid in (np.ones(truth.shape, dtype=bool), np.indices(truth.shape)[0] > 12):
+        given = Grid(np.where(valid, truth, 0).astype(np.float32), valid, spec)
+        assert with_decks(given, points, PARAMS) is given

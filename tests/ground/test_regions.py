@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from msbdb.grid import Grid, lattice
 from msbdb.ground import regions
-from msbdb.ground.regions import with_narrow_bridges
+from msbdb.ground.regions import bridges, with_narrow_bridges
 from msbdb.ground.walls import walled_ground
 from msbdb.params import GroundParams
 
@@ -57,6 +57,39 @@ def test_a_long_thing_that_meets_no_bank_is_above_ground(changed):
     """A pier that ends in the water, and a deck 2 m above both banks, as a roof is."""
     surface, deck = river(4, 30, **changed)
     assert walled_ground(surface, PARAMS, 4.0)[deck].mean() < 0.05
+
+
+@pytest.mark.parametrize("degrees", [0, 15, 45, 90])
+@pytest.mark.parametrize("width_m", [3, 6, 12, 30])
+def test_bridges_above_a_known_ground_are_found(width_m, degrees):
+    """Of any width and direction, longer than wide or not; all else is the ground."""
+    surface, deck = river(width_m, degrees)
+    terrain = np.asarray(river(0, degrees)[0].values)
+    above = np.asarray(surface.values) - terrain
+    decks = bridges(surface, terrain, above < PARAMS.height_m, 1.0, PARAMS)
+    assert decks[deck & (above > 1)].mean() > 0.95
+    assert not decks[above < PARAMS.height_m].any()
+
+
+def known(heights):
+    """Return the bridges in heights on cells of 1 m above a level ground of 0 m."""
+    terrain = np.zeros(heights.shape, dtype=np.float32)
+    spec = lattice((0, 0, heights.shape[1] - 1, heights.shape[0] - 1), 1.0, CRS.from_epsg(2154))
+    surface = Grid(heights.astype(np.float32), np.ones(heights.shape, dtype=bool), spec)
+    return bridges(surface, terrain, heights < PARAMS.height_m, 1.0, PARAMS)
+
+
+def test_a_hill_of_asphalt_is_a_bridge_and_a_stand_is_none():
+    """Both rise evenly from the ground; but the stand ends at a wall, and its other ends are walls, too."""
+    rise = np.clip(np.arange(60) - 20, 0, 20) * 0.25
+    both, stand = (np.zeros((60, 60)) for _ in range(2))
+    both[24:36] = np.minimum(rise, rise[::-1])
+    stand[20:40] = np.where(np.arange(60) < 40, rise, 0)
+    assert known(both)[24:36, 24:36].all()
+    assert not known(stand).any()
+    # A wall of houses along both sides of the ramps leaves no bridge, either.
+    both[18:24], both[36:42] = 9, 9
+    assert not known(both).any()
 
 
 def cutting():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from msbdb.detect.pointregions import heights_of_points
 from msbdb.errors import GridMismatchError, NodataError
 from msbdb.grid import Bands, Bounds, Grid, GridSpec, lattice
-from msbdb.ground.choice import POINT_FILTERS, terrain
+from msbdb.ground.choice import POINT_FILTERS, terrain, with_decks
 from msbdb.io.las import read_points
 from msbdb.io.ortho import read_bands
 from msbdb.io.raster import align_grid
@@ -217,7 +217,7 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
         (dsm, samples, rough), (dtm, name) = together(measure, partial(terrain, points, spec, params.ground))
     else:
         dsm, samples, rough = measure()
-        dtm, name = without_gaps(aligned, dsm), GIVEN_GROUND
+        dtm, name = with_decks(without_gaps(aligned, dsm), points, params.ground), GIVEN_GROUND
     surface_is = "The surface has %d x %d cells of %s m from %.1f points/m2. The ground is by the filter '%s'"
     logger.info(surface_is, *spec.shape, spec.cell_m, points_m2, name)
     surface = Surface(dsm, dtm, normalise(dsm, dtm), samples, name, points_m2, roughness=rough)
