@@ -140,6 +140,11 @@ class Decomposed:
         roofs: NDArray[np.bool_] = self.forest.root_labels > 0
         return roofs
 
+    @property
+    def houses(self) -> NDArray[np.int32]:
+        """The number of the building of each of the (H, W) cells; 0 for none."""
+        return self.forest.root_labels if self.division is None else np.where(self.roofs, self.division.houses, 0)
+
     def described(self, stages: Stages) -> Description:
         """Return what the database keeps of it: outlines, heights, evidence and rasters."""
         with stages.stage("outlines"):

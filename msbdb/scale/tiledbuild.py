@@ -50,6 +50,9 @@ from msbdb.version import __version__
 MOST_HALO_M = 250.0
 """Ours: a tile sees at most so far beyond; a larger block of houses is cut, and counted."""
 
+LONG = 2.0
+"""Ours: it sees so many times as far where a single building needs it, as halls of 500 m do."""
+
 NO_POINTS = ("No point", "The tile")
 """How the reasons of tiles begin that lie beside the points or the area of interest."""
 
@@ -115,7 +118,7 @@ class TiledBuild:
             "values": as_dict(job.params),
             "build": [job.profile, job.label.name, job.label.date, list(job.methods), __version__],
             "plan": plan.as_dict(),
-            "tiles": [side_m, HALO_M, MOST_HALO_M],
+            "tiles": [side_m, HALO_M, MOST_HALO_M, LONG],
         }
         build = hashlib.sha256(to_json(plain(words)).encode()).hexdigest()
         return cls(job, plan, target, tiles, boxes, build, cells)
@@ -148,7 +151,7 @@ class TiledBuild:
 
     def task(self, tile: Tile) -> TileTask:
         """Return what a worker needs for a tile: of the files those that its widest window meets."""
-        west, south, east, north = tile.window(MOST_HALO_M)
+        west, south, east, north = tile.window(LONG * MOST_HALO_M)
         inputs = self.job.inputs
         near = tuple(
             path
@@ -156,8 +159,8 @@ class TiledBuild:
             if box[0] <= east and box[2] >= west and box[1] <= north and box[3] >= south
         )
         job = replace(self.job, inputs=replace(inputs, points=near), plan=self.plan)
-        wide, status = (HALO_M, MOST_HALO_M), self.queued(tile)
-        return TileTask(tile, job, self.plan, self.survey, *wide, status, self.place, self.build)
+        halos_m, status = (HALO_M, MOST_HALO_M, LONG * MOST_HALO_M), self.queued(tile)
+        return TileTask(tile, job, self.plan, self.survey, halos_m, status, self.place, self.build)
 
     def results(self, engine: Engine) -> Iterator[Result]:
         """Yield the results of all tiles in order, one in memory at a time."""
@@ -383,7 +386,7 @@ def _report(engine: Engine, build: TiledBuild, merged: MergeReport, stages: Stag
     buildings = read_tables(engine, (BUILDING.narrowed(*OVERVIEW),), name)["building"]
     cells = read_value_counts(engine, name, "reason", len(Reason))
     if merged.twice:
-        notices.passing.append(f"{counted(merged.twice, 'row')} that two tiles claim went to the first of them.")
+        notices.passing.append(f"{counted(merged.twice, 'row')} that two tiles claim went to one of them.")
     if merged.unlinked:
         notices.passing.append(f"{counted(merged.unlinked, 'link')} to what a neighbouring tile sees otherwise went.")
     return BuildReport(

@@ -39,8 +39,9 @@ class TileTask:
         The plan of the survey.
     survey : tuple of float
         West, south, east and north of the whole survey by the headers, metres.
-    halo_m, most_m : float
-        How far the tile sees beyond its own ground at first, and at most, metres.
+    halos_m : tuple of float
+        How far the tile sees beyond its own ground, metres: at first, where islands of roofs need it, and where a
+        single building does.
     status : TileStatus
         As it is queued.
     place : str
@@ -55,8 +56,7 @@ class TileTask:
     job: Job
     plan: Plan
     survey: Bounds
-    halo_m: float
-    most_m: float
+    halos_m: tuple[float, float, float]
     status: TileStatus
     place: str
     build: str
@@ -83,7 +83,8 @@ def work(task: TileTask) -> TileStatus:
         When the files or the database cannot be used.
     """
     begin = time.perf_counter()
-    found, reason, halo_m, cut = None, "", task.halo_m, 0
+    found, reason, cut = None, "", 0
+    halo_m, wide_m, long_m = task.halos_m
     with alone_on(task.cores), collected_notices() as notices, memory_reused(bounded=True):
         while True:
             try:
@@ -94,14 +95,18 @@ def work(task: TileTask) -> TileStatus:
             decomposed = fuse_and_decompose(seen.scene, seen.regions, seen.params, Stages(None))
             # Now it is known whether the window holds its islands of roofs whole; no outlines are made of a narrow one.
             window = task.tile.window(halo_m)
-            cut = cut_islands(task.tile, decomposed.roofs, seen.scene.heights.spec, window, task.survey)
-            if not cut or halo_m >= task.most_m:
+            spec = seen.scene.heights.spec
+            cut = cut_islands(task.tile, decomposed.roofs, spec, window, task.survey)
+            enough_m = wide_m
+            if cut and halo_m >= wide_m and cut_islands(task.tile, decomposed.houses, spec, window, task.survey):
+                enough_m = long_m
+            if not cut or halo_m >= enough_m:
                 made = decomposed.described(Stages(None))
                 found = Found(seen, made, counts_of(seen, made, task.job))
                 break
             del seen, decomposed
             # At once as far as it may: how far a cut island goes on is not known, and each step is a whole build.
-            halo_m = task.most_m
+            halo_m = enough_m
             logger.info("Tile %s: %d islands reach beyond its window; it sees %g m now", task.tile, cut, halo_m)
     least_m2 = task.job.params.fuse.piece_m2
     content = packed(task.tile, found, halo_m=halo_m, cut=cut, least_m2=least_m2, notices=notices)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -200,10 +201,10 @@ def first_cells(labels: Labels, count: int, spec: GridSpec) -> tuple[NDArray[np.
 
 
 def owned_buildings(tile: Tile, parts: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the ids of the buildings that belong to a tile: those whose largest root begins on its ground.
+    """Return the ids of the buildings that belong to a tile: those that begin on its ground, from the north.
 
-    A building has the id of its largest root, and this follows from the root's first cell. So two tiles never own
-    buildings of one id.
+    The tile that holds the first cell of a building sees it there also where its window cuts the building. So each
+    building has an owner. Which root is the largest one, and gives the id, is known only where all of it is seen.
 
     Parameters
     ----------
@@ -212,20 +213,21 @@ def owned_buildings(tile: Tile, parts: pd.DataFrame) -> NDArray[np.int64]:
     parts : DataFrame
         ``tables.PART``.
     """
-    roots = parts[parts["part_id"] == parts["building_id"]]
-    own = tile.owns(roots["xo"].to_numpy(), roots["yo"].to_numpy())
-    return roots["building_id"].to_numpy(np.int64)[own]
+    roots = parts[parts["supid"] == 0].sort_values(["yo", "xo"], ascending=[False, True], kind="stable")
+    first = roots.drop_duplicates("building_id")
+    own = tile.owns(first["xo"].to_numpy(), first["yo"].to_numpy())
+    return np.sort(first["building_id"].to_numpy(np.int64)[own])
 
 
-def cut_islands(tile: Tile, built: NDArray[np.bool_], spec: GridSpec, window: Bounds, survey: Bounds) -> int:
-    """Count the islands of roofs that reach into a tile and end too near to the edge of its window.
+def cut_islands(tile: Tile, built: NDArray[Any], spec: GridSpec, window: Bounds, survey: Bounds) -> int:
+    """Count the islands of roofs, or the buildings, that reach into a tile and end too near to the edge of its window.
 
     Parameters
     ----------
     tile : Tile
         The tile.
-    built : (H, W) ndarray of bool
-        The cells of buildings in its window; those that touch, also at corners, are one island.
+    built : (H, W) ndarray of bool or int32
+        The cells of buildings in its window; those that touch, also at corners, are one island. Or their numbers.
     spec : GridSpec
         Their lattice.
     window : tuple of float
@@ -238,9 +240,9 @@ def cut_islands(tile: Tile, built: NDArray[np.bool_], spec: GridSpec, window: Bo
     for side, (own, whole) in enumerate(zip(window, survey, strict=True)):
         if (own <= whole) if side < 2 else (own >= whole):
             inner[side] = -math.inf if side < 2 else math.inf
-    near = built & ~spec.holding((inner[0], inner[1], inner[2], inner[3]))
+    near = (built > 0) & ~spec.holding((inner[0], inner[1], inner[2], inner[3]))
     if not near.any():
         return 0
-    islands, _ = label_zones(built, connectivity=8)
+    islands = label_zones(built, connectivity=8)[0] if built.dtype == np.bool_ else built
     inside = np.unique(islands[spec.holding(tile.bounds)])
     return int(np.intersect1d(inside[inside > 0], islands[near]).size)

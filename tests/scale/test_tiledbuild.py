@@ -10,13 +10,14 @@ from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 from affine import Affine
 from click.testing import CliRunner
 from pyproj import CRS, Transformer
 from simulated.files import write_heights, write_points
-from simulated.scenes import DATUM_M
+from simulated.scenes import DATUM_M, Block, World, scan
 from support.processes import environment
 from support.tiledtown import KILLED, TILE_M, town, write_town
 
@@ -35,6 +36,7 @@ from msbdb.database import (
     read_run,
     read_tables,
 )
+from msbdb.database.runs.merging import Piece, overruled
 from msbdb.errors import InputError, ParameterError, TilesError, collected_notices
 from msbdb.grid import Grid, GridSpec
 from msbdb.params import Params, with_values
@@ -225,7 +227,7 @@ def test_a_digest_that_fails_leaves_no_survey(files, quick, tmp_path, monkeypatc
 
 
 def test_what_two_tiles_claim_is_there_once_with_its_links(files, whole, tmp_path, monkeypatch):
-    """Where windows see a place otherwise, two tiles may claim a building: the first one has it."""
+    """Where windows see a place otherwise, two tiles may claim a building: one of them has it."""
     every = "msbdb.scale.tileresults.owned_buildings"
     monkeypatch.setattr(every, lambda _tile, parts: np.unique(parts["building_id"]))
     db = tmp_path / "town.sqlite"
@@ -286,6 +288,51 @@ def test_a_window_that_is_too_narrow_is_left_before_its_outlines(files, tmp_path
     assert begun == [TILE_M + 50.0, TILE_M + 150.0] * 4
     assert len(described) == 4
     assert all(roofs.any() for roofs in described)
+
+
+def test_a_window_grows_further_for_a_single_long_hall(tmp_path, monkeypatch):
+    """A hall of 130 m across tiles of 50 m is whole where islands alone are seen up to 60 m beyond a tile."""
+    monkeypatch.setattr(tiledbuild, "HALO_M", 10.0)
+    monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 60.0)
+    hall = World("hall", (160, 50), (Block("hall", 12, 14, 130, 20, DATUM_M + 8.0, 1),))
+    points = [write_points(tmp_path / "hall.laz", scan(hall, seed=0, density=4.0).points)]
+    whole, tiled = tmp_path / "whole.sqlite", tmp_path / "tiled.sqlite"
+    msbdb.build(points, db=whole, survey="hall")
+    report = msbdb.build(points, db=tiled, survey="hall", tile=TILE_M)
+    assert not any("may be cut there" in notice for notice in report.notices)
+    assert max(tile.halo_m for tile in msbdb.tiles(tiled)) == 120.0
+    with msbdb.open(whole) as one, msbdb.open(tiled) as other:
+        before, after = one.buildings(), other.buildings()
+    assert after["building_id"].tolist() == before["building_id"].tolist()
+    assert after["area_m2"].to_numpy() == pytest.approx(before["area_m2"].to_numpy(), rel=0.01)
+
+
+def test_a_larger_building_overrules_what_another_tile_sees_of_it():
+    """Two tiles take annexes of a factory for buildings apart; the first one is in order before it."""
+
+    def piece(column, areas, parts):
+        rows = [(part, building) for building, own in parts.items() for part in own]
+        frames = {
+            "building": pd.DataFrame({"building_id": list(areas), "area_m2": list(areas.values())}),
+            "part": pd.DataFrame(rows, columns=["part_id", "building_id"]),
+        }
+        return Piece((0, column), frames, (0, 0), {}, {}, {})
+
+    def taken(pieces):
+        def again(_names, *, rasters):
+            assert not rasters
+            return iter(pieces)
+
+        return again
+
+    pieces = [
+        piece(0, {1: 30.0, 2: 500.0}, {1: [1, 11], 2: [2]}),
+        piece(1, {3: 60_000.0}, {3: [3, 11, 4]}),
+        piece(2, {4: 20.0, 5: 80.0}, {4: [4], 5: [5, 51]}),
+        piece(3, {5: 80.0}, {5: [5, 52]}),
+    ]
+    assert overruled(taken(pieces)) == {(0, 0): {1}, (0, 2): {4}, (0, 3): {5}}
+    assert overruled(taken(pieces[:1])) == {}
 
 
 def test_what_a_window_cuts_is_told(files, tmp_path, monkeypatch):

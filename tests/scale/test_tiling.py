@@ -1,6 +1,7 @@
 """Tiles on the absolute lattice: they share no ground and leave none out, and know which islands their window cuts."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from affine import Affine
 from hypothesis import given
@@ -9,7 +10,7 @@ from pyproj import CRS
 
 from msbdb.errors import ParameterError
 from msbdb.grid import GridSpec, lattice
-from msbdb.scale.tiling import GUARD_M, Tile, cut_islands, first_cells, over_cells, tiles_over
+from msbdb.scale.tiling import GUARD_M, Tile, cut_islands, first_cells, over_cells, owned_buildings, tiles_over
 
 UTM = CRS.from_epsg(32633)
 
@@ -56,6 +57,28 @@ def test_an_island_near_the_edge_of_the_window_is_cut():
     whole = spec.holding((60.0, 40.0, 150.0 - GUARD_M, 50.0))
     beyond = spec.holding((105.0, 60.0, 150.0, 70.0))
     assert cut_islands(tile, whole | beyond, spec, window, survey) == 0
+
+
+def test_a_building_belongs_to_the_tile_of_its_first_cell():
+    """Of all its roots, not of the largest one, which a tile whose window cuts the building may not know."""
+    tile, beside = Tile(0, 0, 100.0), Tile(0, 1, 100.0)
+    roots = {"building_id": [7, 7, 9], "part_id": [7, 8, 9], "supid": 0, "xo": [150.0, 50.0, 120.0]}
+    parts = pd.DataFrame({**roots, "yo": [60.0, 90.0, 20.0]})
+    assert owned_buildings(tile, parts).tolist() == [7]
+    assert owned_buildings(beside, parts).tolist() == [9]
+    child = pd.DataFrame({"building_id": [9], "part_id": [10], "supid": [9], "xo": [50.0], "yo": [95.0]})
+    assert owned_buildings(beside, pd.concat([parts, child])).tolist() == [9]
+
+
+def test_the_number_of_a_building_counts_in_place_of_its_island():
+    """Of two houses that touch, the one that ends near the edge counts; the other does not make it longer."""
+    tile, survey = Tile(0, 0, 100.0), (-500.0, -500.0, 500.0, 500.0)
+    window = tile.window(50.0)
+    spec = lattice((window[0], window[1] + 0.1, window[2] - 0.1, window[3]), 1.0, UTM)
+    within, far = (spec.holding((west, 40.0, east, 50.0)) for west, east in ((60.0, 110.0), (110.0, 140.0)))
+    assert cut_islands(tile, within | far, spec, window, survey) == 1
+    assert cut_islands(tile, within + 2 * far.astype(np.int32), spec, window, survey) == 0
+    assert cut_islands(tile, np.int32(3) * (within | far), spec, window, survey) == 1
 
 
 @given(

@@ -118,7 +118,8 @@ class MergeReport:
     status : str
         'created', 'replaced' or 'unchanged'.
     twice : int
-        Parts, buildings and regions that two tiles claim; the first tile in order has them.
+        Parts, buildings and regions that two tiles claim. Of buildings the larger one is kept, with all of its parts;
+        of regions that of the first tile in order.
     unlinked : int
         Links to parts or regions that no tile has.
     rows : dict of str to int
@@ -159,6 +160,37 @@ def _joined(known: NDArray[np.int64], ids: NDArray[np.int64]) -> NDArray[np.int6
     return np.insert(known, np.searchsorted(known, ids), ids)
 
 
+def overruled(pieces: TilePieces) -> dict[tuple[int, int], set[int]]:
+    """Return the buildings of each tile that share a part with a larger one of another tile.
+
+    Where two tiles see a building differently, one may take its annex for a building apart. The larger building has
+    it then; of equal ones that of the first tile in order. A building goes or stays as a whole, with all of its parts.
+    """
+    known = repeated = NOTHING
+    for piece in pieces(("part",), rasters=False):
+        ids = piece.frames["part"]["part_id"].to_numpy(np.int64)
+        repeated, known = _joined(repeated, ids[_among(ids, known)]), _joined(known, ids)
+    if not repeated.size:
+        return {}
+    claims: list[tuple[float, int, int, tuple[int, int], set[int]]] = []
+    for order, piece in enumerate(pieces(("building", "part"), rasters=False)):
+        parts = piece.frames["part"]
+        shared = parts[_among(parts["part_id"].to_numpy(np.int64), repeated)]
+        sizes = piece.frames["building"][["building_id", "area_m2"]]
+        areas = dict(sizes.itertuples(index=False, name=None))
+        for building in shared["building_id"].unique().tolist():
+            own: set[int] = set(shared.loc[shared["building_id"] == building, "part_id"].tolist())
+            claims.append((-float(areas[building]), order, building, piece.key, own))
+    taken: set[int] = set()
+    lost: dict[tuple[int, int], set[int]] = {}
+    for _, _, building, key, own in sorted(claims, key=lambda claim: claim[:3]):
+        if taken.isdisjoint(own):
+            taken |= own
+        else:
+            lost.setdefault(key, set()).add(building)
+    return lost
+
+
 @dataclass(eq=False)
 class _Merge:
     """A merge in an open transaction."""
@@ -168,6 +200,7 @@ class _Merge:
     head: KeptRun
     srid: int
     report: MergeReport
+    overruled: Mapping[tuple[int, int], set[int]]
 
     def __post_init__(self) -> None:
         """Begin without rows."""
@@ -185,12 +218,10 @@ class _Merge:
             self._write(name, columns)
 
     def write_rows(self, piece: Piece) -> None:
-        """Write what a tile owns, but for what an earlier tile has."""
+        """Write what a tile owns, but for what another tile has."""
         frames = {name: piece.frames[name] for name in ROWS}
         taken = {name: _among(frames[name][key].to_numpy(np.int64), self.seen[name]) for name, key in KEYS.items()}
-        parts, buildings = frames["part"], frames["building"]
-        # A building goes as a whole, with all of its parts.
-        lost = {*parts.loc[taken["part"], "building_id"], *buildings.loc[taken["building"], "building_id"]}
+        lost = self.overruled.get(piece.key, set())
         taken |= {name: frames[name]["building_id"].isin(lost).to_numpy() for name in ("part", "building")}
         for name, key in KEYS.items():
             self.report.twice += int(taken[name].sum())
@@ -212,7 +243,7 @@ class _Merge:
     def write_rest(self, piece: Piece) -> None:
         """Write the links and the rasters of a tile, after the rows of all tiles.
 
-        What an earlier tile has comes with that tile's links.
+        What another tile has comes with that tile's links.
         """
         frames = {}
         for name in LINKS:
@@ -302,8 +333,9 @@ def merge_tiles(
 ) -> MergeReport:
     """Write the tiles of a survey as its run, in one transaction; the pieces are taken one at a time.
 
-    They are taken twice, and a table at a time once more: a thread makes the digest of them while links, rasters and
-    indexes are written. Of each table the digest holds a share, and the rest waits in temporary files.
+    Their parts are looked at first (`overruled`). Then they are taken twice, and a table at a time once more: a thread
+    makes the digest of them while links, rasters and indexes are written. Of each table the digest holds a share, and
+    the rest waits in temporary files.
 
     Parameters
     ----------
@@ -335,7 +367,7 @@ def merge_tiles(
         with guarded(engine.url), suppress(_UnchangedError), dialect.writing(engine) as connection:
             require_srid(connection, dialect, srid, shown(engine.url))
             basis.require(connection, head)
-            _merge(_Merge(connection, dialect, head, srid, report), pieces, coming)
+            _merge(_Merge(connection, dialect, head, srid, report, overruled(pieces)), pieces, coming)
         with guarded(engine.url), dialect.writing(engine) as connection:
             forget_results(connection, head.survey.name)
     finally:
