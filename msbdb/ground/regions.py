@@ -61,6 +61,9 @@ END = 0.15
 MEETS = 2
 """Ours: an end of a bridge meets the ground with a step below so many even ones, as few points show it roughly."""
 
+MET = 0.5
+"""Ours: share of its mean width along which a bridge meets the ground at an end; a roof does so where a bush stands."""
+
 HIDDEN = 1 / 3
 """Ours: other things above ground are beside a bridge along at most this share of its edge; of annexes 0.4 and 0.55."""
 
@@ -338,7 +341,7 @@ def _spanning(
     """Return which regions meet the ground at both ends of one of their axes, or at one where the other is cut.
 
     ``regions`` are numbered from 0, with -1 elsewhere; ``heights`` are those of their decks. Ground of `BEGINNING_M2`
-    counts, and other things above ground may be beside a region along `HIDDEN` of its edge.
+    counts, along `MET` of the width. Other things above ground may be beside a region along `HIDDEN` of its edge.
     """
     lowest, measured = np.asarray(surface.values, dtype=np.float32), surface.valid
     pieces, number = join_cells(lowest, measured & ground, wall_m)
@@ -356,7 +359,9 @@ def _spanning(
     for axis in axes:
         head, tail, sides = axis.count(touches, regions)
         head_cut, tail_cut, _ = axis.count(cut, regions)
-        met = ((head > 0) & ((tail > 0) | (tail_cut > 0))) | ((tail > 0) & (head_cut > 0))
+        least = MET * np.bincount(regions[regions >= 0], minlength=count) / axis.length
+        at_head, at_tail = head >= least, tail >= least
+        met = (at_head & (at_tail | (tail_cut > 0))) | (at_tail & (head_cut > 0))
         spanning |= met & (2 * sides <= head + tail)
     return spanning & (hidden <= HIDDEN * edges)
 

@@ -150,6 +150,15 @@ def test_the_border_may_cut_one_end_of_a_bridge():
     assert not found(heights[15:45], ground[15:45]).any()
 
 
+def test_a_bridge_meets_the_ground_along_half_of_its_width():
+    """A roof that the border cuts does so where a bush stands at its end, or a corner of it lies on a bank."""
+    heights, ground = cutting()
+    row, col = np.indices(heights.shape)
+    for first, bridge in ((29, False), (31, True)):
+        partly = np.where((row >= 50) & (col >= first), 0, heights)
+        assert found(partly[15:], ground[15:]).any() == bridge
+
+
 def exact(heights):
     """Heights on cells of 1 m."""
     rows, cols = heights.shape
