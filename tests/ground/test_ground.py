@@ -24,7 +24,7 @@ from msbdb.ground.progressive import window_radii
 from msbdb.ground.trend import known_trend, lower_trend
 from msbdb.ground.wavelet import smooth_b3, two_means
 from msbdb.io.las import read_points
-from msbdb.params import GroundParams, Params
+from msbdb.params import GroundParams, Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation.drafts import build_surface
 
@@ -480,40 +480,67 @@ def cutting(x: Array, y: Array) -> Array:
     return np.where(np.abs(x - 80) < 20, 14.0, 20.0)
 
 
+METRE = with_values(Params(), {"surface": {"cell_m": 1.0}})
 DECKS: dict[str, Box] = {"narrow": (70, 60, 4, 40, 6.0), "wide": (70, 60, 12, 40, 6.0)}
 
 
-@pytest.mark.parametrize("given", ["class2", "raster"])
+def level(values: Array, valid: NDArray[np.bool_] | None = None) -> Grid:
+    """Return heights as a grid on cells of 1 m."""
+    valid = np.ones(values.shape, dtype=bool) if valid is None else valid
+    spec = lattice((0.0, 0.1, values.shape[1] - 0.1, values.shape[0]), 1.0, CRS_M)
+    return Grid(np.where(valid, values, 0).astype(np.float32), valid, spec)
+
+
+def cells_of(box: Box) -> NDArray[np.bool_]:
+    """Return the cells of a box."""
+    row, col, height, width, _ = box
+    inside = np.zeros((160, 160), dtype=bool)
+    inside[row : row + height, col : col + width] = True
+    return inside
+
+
+@pytest.mark.parametrize("given", ["class2", "terrain", "build"])
 @pytest.mark.parametrize("name", list(DECKS))
 def test_a_given_ground_is_raised_to_the_decks_of_bridges(name, given):
-    """Class 2 and terrain models leave bridges out; roofs stay above the ground, also one beside the deck."""
+    """Class 2 and terrain models leave bridges out; roofs stay above the ground, also one beside the deck.
+
+    Echoes from below divide a narrow deck, and half of a wide one.
+    """
     roofs: tuple[Box, ...] = ((20, 20, 12, 16, 7.0), (90, 66, 10, 12, 6.0))
-    row, col, height, width, _ = DECKS[name]
     points, truth = world(cutting, (DECKS[name], *roofs))
-    deck = np.zeros(truth.shape, dtype=bool)
-    deck[row : row + height, col : col + width] = True
-    above = deck.copy()
-    for r, c, high, wide, _ in roofs:
-        above[r : r + high, c : c + wide] = True
-    spec = lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M)
-    if given == "class2":
-        classes = np.where(above.ravel(), 1, 2).astype(np.uint8)
-        with pytest.warns(MsbdbWarning, match="leaves out bridges"):
-            dtm, _ = terrain(replace(points, classification=classes), spec, PARAMS)
-    else:
-        level = Grid(truth.astype(np.float32), np.ones(truth.shape, dtype=bool), spec)
-        with pytest.warns(MsbdbWarning, match="leaves out bridges"):
-            dtm = with_decks(level, points, PARAMS)
-    found = np.asarray(dtm.values)
+    deck = cells_of(DECKS[name])
+    row, _, height, _, _ = DECKS[name]
+    y = np.repeat(160 - (np.arange(row, row + min(height, 6)) + 0.3), 2)
+    below = np.resize([75.5, 76.5], y.size), y, np.full(y.size, 14.0)
+    x, y, z = (np.append(*axes) for axes in zip((points.x, points.y, points.z), below, strict=True))
+    built = np.logical_or.reduce([cells_of(box) for box in (DECKS[name], *roofs)]).ravel()
+    classes = np.append(np.where(built, 1, 2), np.full(len(x) - built.size, 2)).astype(np.uint8)
+    every = PointCloud(x, y, z, CRS_M, classification=classes)
+    ways: dict[str, Callable[[], Grid]] = {
+        "class2": lambda: terrain(every, level(truth).spec, PARAMS)[0],
+        "build": lambda: build_surface(every, METRE, lambda _: level(truth)).dtm,
+    }
+    with pytest.warns(MsbdbWarning, match="leaves out bridges"):
+        dtm = ways.get(given, lambda: with_decks(level(truth), every, PARAMS))()
+    rows, cols = dtm.spec.rowcol(*level(truth).spec.centres())
+    found = np.asarray(dtm.values)[rows, cols]
     assert np.abs(found[deck] - 20).max() < 0.2
     away = ~binary_dilation(deck, iterations=2)
     assert np.abs(found - truth)[away].max() < 0.2
 
 
-def test_a_given_ground_without_bridges_stays_as_it_is():
-    """Also one with gaps, and under houses beside terraces."""
-    points, truth = world(ridge, HILLTOWN)
-    spec = lattice((0.0, 0.1, 159.9, 160), 1.0, CRS_M)
-    for valid in (np.ones(truth.shape, dtype=bool), np.indices(truth.shape)[0] > 12):
-        given = Grid(np.where(valid, truth, 0).astype(np.float32), valid, spec)
+def test_a_deck_as_low_as_no_building_leaves_a_given_ground_alone():
+    """A footbridge of 80 cm over a ditch."""
+    ditch: Box = (70, 60, 4, 40, 0.8)
+    points, truth = world(lambda x, y: 20 - (20 - cutting(x, y)) * 0.8 / 6, (ditch,))
+    given = level(truth)
+    assert with_decks(given, points, PARAMS) is given
+
+
+@pytest.mark.parametrize(("relief", "boxes"), [(ridge, HILLTOWN), (flat, HOUSES)], ids=["hills", "flat"])
+def test_a_given_ground_without_bridges_stays_as_it_is(relief, boxes):
+    """Also one with gaps: what lies in them is no deck that the ground leads to."""
+    points, truth = world(relief, boxes)
+    for valid in (None, np.indices(truth.shape)[0] > 30):
+        given = level(truth, valid)
         assert with_decks(given, points, PARAMS) is given

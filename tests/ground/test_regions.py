@@ -60,7 +60,7 @@ def test_a_long_thing_that_meets_no_bank_is_above_ground(changed):
 
 
 @pytest.mark.parametrize("degrees", [0, 15, 45, 90])
-@pytest.mark.parametrize("width_m", [3, 6, 12, 30])
+@pytest.mark.parametrize("width_m", [3, 6, 12, 30, 80])
 def test_bridges_above_a_known_ground_are_found(width_m, degrees):
     """Of any width and direction, longer than wide or not; all else is the ground."""
     surface, deck = river(width_m, degrees)

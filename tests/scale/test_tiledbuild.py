@@ -295,7 +295,9 @@ def test_a_window_grows_further_for_a_single_long_hall(tmp_path, monkeypatch):
     monkeypatch.setattr(tiledbuild, "HALO_M", 10.0)
     monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 60.0)
     hall = World("hall", (160, 50), (Block("hall", 12, 14, 130, 20, DATUM_M + 8.0, 1),))
-    points = [write_points(tmp_path / "hall.laz", scan(hall, seed=0, density=4.0).points)]
+    cloud = scan(hall, seed=0, density=4.0).points
+    east = cloud.x - cloud.x.min() > 130
+    points = [write_points(tmp_path / f"{name}.laz", cloud.take(part)) for name, part in (("a", ~east), ("b", east))]
     whole, tiled = tmp_path / "whole.sqlite", tmp_path / "tiled.sqlite"
     msbdb.build(points, db=whole, survey="hall")
     report = msbdb.build(points, db=tiled, survey="hall", tile=TILE_M)
@@ -305,6 +307,19 @@ def test_a_window_grows_further_for_a_single_long_hall(tmp_path, monkeypatch):
         before, after = one.buildings(), other.buildings()
     assert after["building_id"].tolist() == before["building_id"].tolist()
     assert after["area_m2"].to_numpy() == pytest.approx(before["area_m2"].to_numpy(), rel=0.01)
+
+
+def test_a_window_does_not_grow_further_for_a_row_of_houses(tmp_path, monkeypatch):
+    """Six houses of a row, each higher than the one before, are 132 m long together; each of them is seen whole."""
+    monkeypatch.setattr(tiledbuild, "HALO_M", 10.0)
+    monkeypatch.setattr(tiledbuild, "MOST_HALO_M", 60.0)
+    houses = tuple(Block(f"{n}", 12 + 22 * n, 14, 22, 14, DATUM_M + 6.0 + 2.5 * n, n + 1) for n in range(6))
+    points = [write_points(tmp_path / "row.laz", scan(World("row", (160, 50), houses), seed=0, density=4.0).points)]
+    db = tmp_path / "row.sqlite"
+    report = msbdb.build(points, db=db, survey="row", tile=TILE_M)
+    assert report.buildings == 6
+    assert {tile.halo_m for tile in msbdb.tiles(db) if tile.points} <= {10.0, 60.0}
+    assert any("may be cut there" in notice for notice in report.notices)
 
 
 def test_a_larger_building_overrules_what_another_tile_sees_of_it():
