@@ -62,7 +62,8 @@ MEETS = 2
 """Ours: an end of a bridge meets the ground with a step below so many even ones, as few points show it roughly."""
 
 MET = 0.5
-"""Ours: share of its mean width along which a bridge meets the ground at an end; a roof does so where a bush stands."""
+"""Ours, in sample: share of its mean width along which a bridge meets the ground at an end. A bush at the end of a roof
+is narrower."""
 
 HIDDEN = 1 / 3
 """Ours: other things above ground are beside a bridge along at most this share of its edge; of annexes 0.4 and 0.55."""
@@ -236,9 +237,9 @@ def with_narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: Grou
     """Return the ground with the decks of bridges that are too narrow for a way of three cells.
 
     A bridge is a slender region above ground whose sides are mostly free. At both of its ends ground of `BEGINNING_M2`
-    is as high as itself, and hardly anywhere else. The border of the survey may cut one of the ends. A house whose rear
-    lies on a slope touches it along a side or at one end. Cells in which echoes came from below the deck are closed, so
-    that they do not divide it. They are no ground then: the deck covers them.
+    is as high as itself along `MET` of its width, and hardly anywhere else. The border of the survey may cut one of the
+    ends. A house whose rear lies on a slope touches it along a side or at one end. Cells in which echoes came from
+    below the deck are closed, so that they do not divide it. They are no ground then: the deck covers them.
 
     Parameters
     ----------
@@ -296,8 +297,8 @@ def with_narrow_bridges(surface: Grid, ground: Mask, wall_m: float, params: Grou
 def bridges(surface: Grid, terrain: Heights, ground: Mask, wall_m: float, params: GroundParams) -> Mask:
     """Return the decks of bridges above a ground that is known.
 
-    They are narrow bridges, and what ways lead to from both ends, be it longer or wider than that. A roof or a stand
-    whose one side meets the ground is none.
+    They are narrow bridges (`with_narrow_bridges`), and wider ones: what ways lead to from both ends. A roof or a stand
+    of seats that meets the ground along one side is no bridge.
 
     Parameters
     ----------

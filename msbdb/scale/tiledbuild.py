@@ -386,7 +386,8 @@ def _report(engine: Engine, build: TiledBuild, merged: MergeReport, stages: Stag
     buildings = read_tables(engine, (BUILDING.narrowed(*OVERVIEW),), name)["building"]
     cells = read_value_counts(engine, name, "reason", len(Reason))
     if merged.twice:
-        notices.passing.append(f"{counted(merged.twice, 'row')} that two tiles claim went to one of them.")
+        words = f"{counted(merged.twice, 'row')} of two tiles are about the same place, and were left out"
+        notices.passing.append(f"{words}. Of buildings the larger one is kept.")
     if merged.unlinked:
         notices.passing.append(f"{counted(merged.unlinked, 'link')} to what a neighbouring tile sees otherwise went.")
     return BuildReport(

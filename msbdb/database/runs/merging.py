@@ -161,10 +161,11 @@ def _joined(known: NDArray[np.int64], ids: NDArray[np.int64]) -> NDArray[np.int6
 
 
 def overruled(pieces: TilePieces) -> dict[tuple[int, int], set[int]]:
-    """Return the buildings of each tile that share a part with a larger one of another tile.
+    """Return the buildings of each tile that share a part with a larger building of another tile.
 
-    Where two tiles see a building differently, one may take its annex for a building apart. The larger building has
-    it then; of equal ones that of the first tile in order. A building goes or stays as a whole, with all of its parts.
+    Two tiles may see a building differently, so that one of them takes its annex for a separate building. The larger
+    building keeps the annex; of equal ones that of the first tile in order. A building is kept or left out as a whole,
+    with all of its parts.
     """
     known = repeated = NOTHING
     for piece in pieces(("part",), rasters=False):
@@ -200,7 +201,7 @@ class _Merge:
     head: KeptRun
     srid: int
     report: MergeReport
-    overruled: Mapping[tuple[int, int], set[int]]
+    lost: Mapping[tuple[int, int], set[int]]
 
     def __post_init__(self) -> None:
         """Begin without rows."""
@@ -221,7 +222,7 @@ class _Merge:
         """Write what a tile owns, but for what another tile has."""
         frames = {name: piece.frames[name] for name in ROWS}
         taken = {name: _among(frames[name][key].to_numpy(np.int64), self.seen[name]) for name, key in KEYS.items()}
-        lost = self.overruled.get(piece.key, set())
+        lost = self.lost.get(piece.key, set())
         taken |= {name: frames[name]["building_id"].isin(lost).to_numpy() for name in ("part", "building")}
         for name, key in KEYS.items():
             self.report.twice += int(taken[name].sum())
@@ -364,10 +365,12 @@ def merge_tiles(
     engine = open_database(target, create=True, **crs, timeout_s=PATIENCE_S, keep_open=True)
     dialect, report = dialect_of(engine.url), MergeReport()
     try:
+        with guarded(engine.url):
+            lost = overruled(pieces)
         with guarded(engine.url), suppress(_UnchangedError), dialect.writing(engine) as connection:
             require_srid(connection, dialect, srid, shown(engine.url))
             basis.require(connection, head)
-            _merge(_Merge(connection, dialect, head, srid, report, overruled(pieces)), pieces, coming)
+            _merge(_Merge(connection, dialect, head, srid, report, lost), pieces, coming)
         with guarded(engine.url), dialect.writing(engine) as connection:
             forget_results(connection, head.survey.name)
     finally:
