@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median, uniform_filter
+from scipy.ndimage import find_objects, median, uniform_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -67,6 +67,15 @@ CELL_POWER = 1.5
 
 STEPPED = 0.4
 """Ours, in sample: what is flush with the house along a larger share of the edge at it may be a part of its roof."""
+
+DROP_M = 0.7
+"""Ours, in sample: a crown falls off to all sides, from its top to a circle of its area by so much; 1 m does alike."""
+
+NEAR_M = 0.7
+"""Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.8 m do alike."""
+
+COARSE_M = 1.0
+"""Ours: on larger cells hipped roofs of small houses are as rough as crowns, as simulated ones show."""
 
 
 def smooth_limit(params: FuseParams, cell_m: float) -> float:
@@ -141,14 +150,18 @@ def without_crowns(
 
 
 def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: FuseParams) -> Mask:
-    """Drop the objects that are rough nearly throughout, whatever supports them: hedges and dense groups of crowns.
+    """Drop the objects that are rough nearly throughout, whatever supports them: hedges, crowns and groups of crowns.
 
     Rough is what exceeds both the noise of a scanner and that of the bare cells around it. So a noisy survey, or two
     strips that do not fit, make no roof rough. An object stays where half of it is within twice that limit, as roofs of
     many small planes are. Nor does an object go that is even but for noise: where strips do not fit in plan, echoes of
     steep roofs scatter, and those of level ground do not. Such noise is much the same all over a roof, and
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
-    of such noise, and all of a crown's relief. On cells larger than `FINE_M` nothing is dropped.
+    of such noise, and all of a crown's relief. On cells larger than `FINE_M` this drops nothing.
+
+    On cells of up to `COARSE_M` single crowns go by their shape: hardly a cell is smooth, and the heights lie near to a
+    dome. This is the nearest quadratic surface, where it falls off to all sides. Rough roofs of old towns are saddles,
+    or have steps. A hipped roof falls off to all sides, but some of it is smooth.
 
     Parameters
     ----------
@@ -168,7 +181,8 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     Notes
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
-    alone counts. Border: the square ends at the lattice.
+    alone counts. Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it.
+    Nodata: invalid cells are no buildings. No object of more than `LEANING_M2` is a single crown.
 
     Examples
     --------
@@ -183,7 +197,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     array([[1, 1, 0, 0, 0]])
     """
     cell_m = heights.spec.cell_m
-    if cell_m > FINE_M:
+    if cell_m > COARSE_M:
         return decided
     labels, count = label_zones(decided)
     bare = heights.valid & (np.asarray(heights.values) < BARE_M) & (roughness_m < NO_PLANE_M)
@@ -196,11 +210,42 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     even_m = np.where(weight * side**2 > 0.5, np.exp(log / np.maximum(weight, 1 / side**2)), 0.0)
     limit_m = np.maximum(params.smooth_m, NOISE * even_m)
     own, own_m = labels[decided], roughness_m[decided]
-    rough = np.ones(count, dtype=np.bool_)
-    for share, times in ((HARDLY, 1.0), *NEARLY):
-        rough &= _share_of_known(own, count, own_m <= times * limit_m, own_m, unknown=1.0) < share
+    smooth, *nearly = (
+        _share_of_known(own, count, own_m <= times * limit_m, own_m, unknown=1.0)
+        for times in (1.0, *(times for _, times in NEARLY))
+    )
+    left = decided & ~chosen_cells(labels, _single_crowns(labels, smooth, heights))
+    if cell_m > FINE_M:
+        return left
+    rough = smooth < HARDLY
+    for found, (share, _) in zip(nearly, NEARLY, strict=True):
+        rough &= found < share
     rough = chosen_cells(labels, rough)
-    return decided & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+    return left & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+
+
+def _single_crowns(labels: Labels, smooth: NDArray[np.float64], heights: Grid) -> Mask:
+    """Return which objects are domes, of those that are no larger than crowns and hardly smooth."""
+    area_m2 = sizes(labels, len(smooth)) * heights.spec.cell_area_m2
+    crowns: Mask = (area_m2 <= LEANING_M2) & (smooth < SOME)
+    values, places = np.asarray(heights.values), find_objects(labels)
+    for number in np.flatnonzero(crowns).tolist():
+        inside = labels[places[number]] == number + 1
+        crowns[number] = _is_dome(inside, values[places[number]], heights.spec.cell_m)
+    return crowns
+
+
+def _is_dome(inside: Mask, heights: NDArray[np.floating], cell_m: float) -> bool:
+    """Return whether the cells of an object lie near to a quadratic surface that falls off to all sides."""
+    # Places count from the object's own mean, so that tiles agree.
+    row, col = (cell_m * (place - place.mean()) for place in np.nonzero(inside))
+    high = heights[inside].astype(np.float64)
+    surface = np.column_stack((np.ones(len(high)), row, col, row * row, row * col, col * col))
+    factors, *_ = np.linalg.lstsq(surface, high, rcond=None)
+    along, across, beside = factors[3:]
+    bends = np.linalg.eigvalsh([[2 * along, across], [across, 2 * beside]])
+    falls = bends.max() <= -2 * DROP_M / (cell_m**2 * len(high) / np.pi)
+    return bool(falls and np.median(np.abs(high - surface @ factors)) <= NEAR_M)
 
 
 def _only_noisy(rough: Mask, roughness_m: Field, heights: Grid) -> Mask:
