@@ -74,6 +74,9 @@ DROP_M = 0.7
 NEAR_M = 0.7
 """Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.8 m do alike."""
 
+DOMED = (0.3, 1.5)
+"""Ours, in sample: less than this share of a crown is within so many times the limit; 0.5 and 2 do alike."""
+
 COARSE_M = 1.0
 """Ours: on larger cells hipped roofs of small houses are as rough as crowns, as simulated ones show."""
 
@@ -159,9 +162,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
     of such noise, and all of a crown's relief. On cells larger than `FINE_M` this drops nothing.
 
-    On cells of up to `COARSE_M` single crowns go by their shape: hardly a cell is smooth, and the heights lie near to a
+    On cells of up to `COARSE_M` single crowns go by their shape: most cells are rough, and the heights lie near to a
     dome. This is the nearest quadratic surface, where it falls off to all sides. Rough roofs of old towns are saddles,
-    or have steps. A hipped roof falls off to all sides, but some of it is smooth.
+    or have steps. A hipped roof falls off to all sides, but more of it is smooth.
 
     Parameters
     ----------
@@ -208,26 +211,28 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     weight, log = (found[decided] for found in in_threads(around, (bare.astype(np.float64), logs)))
     # Less than one bare cell in the square leaves what rounding has left.
     even_m = np.where(weight * side**2 > 0.5, np.exp(log / np.maximum(weight, 1 / side**2)), 0.0)
-    limit_m = np.maximum(params.smooth_m, NOISE * even_m)
     own, own_m = labels[decided], roughness_m[decided]
-    smooth, *nearly = (
-        _share_of_known(own, count, own_m <= times * limit_m, own_m, unknown=1.0)
-        for times in (1.0, *(times for _, times in NEARLY))
-    )
-    left = decided & ~chosen_cells(labels, _single_crowns(labels, smooth, heights))
+
+    def smoother_than(limit_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the share of each object that is no rougher."""
+        return _share_of_known(own, count, own_m <= limit_m, own_m, unknown=1.0)
+
+    limit_m = np.maximum(params.smooth_m, NOISE * even_m)
+    even = smoother_than(np.maximum(DOMED[1] * params.smooth_m, limit_m))
+    left = decided & ~chosen_cells(labels, _single_crowns(labels, even, heights))
     if cell_m > FINE_M:
         return left
-    rough = smooth < HARDLY
-    for found, (share, _) in zip(nearly, NEARLY, strict=True):
-        rough &= found < share
+    rough = np.ones(count, dtype=np.bool_)
+    for share, times in ((HARDLY, 1.0), *NEARLY):
+        rough &= smoother_than(times * limit_m) < share
     rough = chosen_cells(labels, rough)
     return left & ~(rough & ~_only_noisy(rough, roughness_m, heights))
 
 
-def _single_crowns(labels: Labels, smooth: NDArray[np.float64], heights: Grid) -> Mask:
-    """Return which objects are domes, of those that are no larger than crowns and hardly smooth."""
-    area_m2 = sizes(labels, len(smooth)) * heights.spec.cell_area_m2
-    crowns: Mask = (area_m2 <= LEANING_M2) & (smooth < SOME)
+def _single_crowns(labels: Labels, even: NDArray[np.float64], heights: Grid) -> Mask:
+    """Return which objects are domes, of those that are no larger than crowns and of which little is even."""
+    area_m2 = sizes(labels, len(even)) * heights.spec.cell_area_m2
+    crowns: Mask = (area_m2 <= LEANING_M2) & (even < DOMED[0])
     values, places = np.asarray(heights.values), find_objects(labels)
     for number in np.flatnonzero(crowns).tolist():
         inside = labels[places[number]] == number + 1
@@ -333,7 +338,7 @@ def without_leaning_crowns(
     A piece is what is left of an object without the house, the cells that all detectors take, and without the cells
     beside these. It goes if all of this holds. Hardly more than half of the detectors take it. It is hardly smooth. It
     is seldom flush with the house, and free on most of its edge. It is not larger than crowns are. An annex fails one
-    of these.
+    of these. A dome goes, too, whatever supports it (`without_rough`), if it is free on most of its edge.
 
     Parameters
     ----------
@@ -394,6 +399,9 @@ def without_leaning_crowns(
         & (beside <= BESIDE * edge)
         & (flush <= STEPPED * beside)
     )
+    if heights.spec.cell_m <= COARSE_M:
+        even = _share_of_known(labels, count, roughness_m <= DOMED[1] * limit_m, roughness_m, unknown=1.0)
+        crowns |= (area_m2 >= params.piece_m2) & (beside <= BESIDE * edge) & _single_crowns(labels, even, heights)
     return decided & ~chosen_cells(labels, crowns)
 
 

@@ -159,6 +159,110 @@ def test_what_is_as_rough_all_over_as_noise_makes_a_steep_roof_stays(share, roug
     np.testing.assert_array_equal(found, decided & kept)
 
 
+DOME = {"bends": (0.1, 0.1), "off_m": 0.3, "even": 0.0, "side": 14, "cell_m": 1.0, "ground_m": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [
+        ({}, False),
+        ({"cell_m": 0.5, "bends": (0.05, 0.05), "side": 20}, False),
+        ({"even": 0.28}, False),
+        ({"even": 0.32}, True),
+        ({"bends": (0.1, -0.1)}, True),
+        ({"bends": (0.2, 0.0)}, True),
+        ({"bends": (0.2, 0.01)}, True),
+        ({"bends": (-0.1, -0.1)}, True),
+        ({"off_m": 0.8}, True),
+        ({"side": 25, "bends": (0.02, 0.02)}, True),
+        ({"cell_m": 1.2}, True),
+        ({"ground_m": 0.08}, True),
+    ],
+    ids=[
+        "crown",
+        "fine cells",
+        "a quarter is even",
+        "a third is even",
+        "saddle",
+        "ridge",
+        "hardly along a ridge",
+        "bowl",
+        "far from its dome",
+        "625 m²",
+        "coarse cells",
+        "as noisy as the ground",
+    ],
+)
+def test_a_rough_dome_is_a_crown(change, kept):
+    """Heights scatter about a quadratic surface that falls off to all sides; each property of a roof alone keeps it."""
+    dome = {**DOME, **change}
+    side, shape = dome["side"], (40, 40)
+    decided = block(shape, (7, 7 + side), (6, 6 + side))
+    row, col = (place - 7 - (side - 1) / 2 for place in np.indices(shape))
+    off = dome["off_m"] * np.where(np.indices(shape).sum(axis=0) % 2, 1, -1)
+    along, across = (bend * dome["cell_m"] ** 2 for bend in dome["bends"])
+    high = np.where(decided, 12 - along * row**2 - across * col**2 + off, 0.0)
+    rough = np.full(shape, dome["ground_m"], dtype=np.float32)
+    rough[decided] = np.where(np.arange(side**2) < dome["even"] * side**2, 0.08, 0.2)
+    found = without_rough(decided, rough, grid(high, dome["cell_m"]), PARAMS)
+    np.testing.assert_array_equal(found, decided & kept)
+
+
+def test_domes_are_judged_one_by_one():
+    """A crown that the lattice cuts, a ridge, and a level house around a court with a crown, all as rough."""
+    shape = (40, 40)
+    cut, ridge, court = block(shape, (0, 9), (3, 15)), block(shape, (4, 16), (20, 34)), block(shape, (24, 34), (8, 18))
+    house = block(shape, (22, 36), (6, 20)) & ~block(shape, (23, 36), (7, 19))
+    row, col = np.indices(shape)
+    high = np.select(
+        [cut, ridge, court, house],
+        [
+            9 - ((row - 3) ** 2 + (col - 9) ** 2) / 10,
+            9 - 0.5 * abs(row - 10),
+            8 - ((row - 29) ** 2 + (col - 13) ** 2) / 30,
+            6,
+        ],
+    )
+    decided = cut | ridge | court | house
+    rough = np.where(decided, np.float32(0.3), np.float32(0.02))
+    off = 0.3 * np.where((row + col) % 2, 1, -1) * decided
+    np.testing.assert_array_equal(without_rough(decided, rough, grid(high + off), PARAMS), ridge | house)
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [
+        ({}, False),
+        ({"bends": (0.1, -0.1)}, True),
+        ({"cell_m": 1.2}, True),
+        ({"rough_m": 0.08}, True),
+        ({"beside": 3}, True),
+        ({"side": 3, "bends": (0.5, 0.5)}, True),
+    ],
+    ids=["crown", "saddle", "coarse cells", "even", "in a court", "9 m²"],
+)
+def test_a_dome_that_leans_on_a_house_goes_whatever_supports_it(change, kept):
+    """Three of four detectors take a piece at the wall; only its shape tells that it is a crown."""
+    piece = {"bends": (0.1, 0.1), "cell_m": 1.0, "rough_m": 0.3, "beside": 1, "side": 10, **change}
+    shape, end = (34, 40), 12 + piece["side"]
+    # The cells at the wall stay with the house.
+    house, wall, crown = (
+        block(shape, *cells) for cells in (((4, 30), (4, 14)), ((12, end), (14, 15)), ((12, end), (15, end + 3)))
+    )
+    if piece["beside"] == 3:
+        house |= block(shape, (4, 12), (4, 30)) | block(shape, (22, 30), (4, 30))
+    row, col = (
+        place - first - (piece["side"] - 1) / 2 for place, first in zip(np.indices(shape), (12, 15), strict=True)
+    )
+    along, across = (bend * piece["cell_m"] ** 2 for bend in piece["bends"])
+    dome = 9 - along * row**2 - across * col**2 + 0.3 * np.where(np.indices(shape).sum(axis=0) % 2, 1, -1)
+    high = grid(np.where(crown | wall, dome, np.where(house, 12.0, 0.0)), piece["cell_m"])
+    rough = np.where(crown | wall, piece["rough_m"], 0.02).astype(np.float32)
+    share = np.where(house, 1.0, 0.75 * (crown | wall))
+    left = without_leaning_crowns(house | wall | crown, share, rough, high, PARAMS, limit_m=0.06)
+    np.testing.assert_array_equal(left, house | wall | (crown & kept))
+
+
 def test_an_object_whose_roughness_is_not_known_stays():
     """Too few samples for planes say nothing, neither on a roof nor on the ground."""
     shape = (60, 60)
