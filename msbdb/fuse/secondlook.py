@@ -74,8 +74,9 @@ DROP_M = 0.7
 NEAR_M = 0.7
 """Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.8 m do alike."""
 
-DOMED = (0.3, 1.5)
-"""Ours, in sample: less than this share of a crown is within so many times the limit; 0.5 and 2 do alike."""
+DOMED, EVEN, BARE = 0.3, 1.5, 2.0
+"""Ours, in sample: less than this share of a crown is within so many times the limit, or the roughness of the bare
+cells around it; half of it within twice the limit does alike."""
 
 COARSE_M = 1.0
 """Ours: on larger cells hipped roofs of small houses are as rough as crowns, as simulated ones show."""
@@ -218,7 +219,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
         return _share_of_known(own, count, own_m <= limit_m, own_m, unknown=1.0)
 
     limit_m = np.maximum(params.smooth_m, NOISE * even_m)
-    even = smoother_than(np.maximum(DOMED[1] * params.smooth_m, limit_m))
+    even = smoother_than(np.maximum(EVEN * params.smooth_m, BARE * even_m))
     left = decided & ~chosen_cells(labels, _single_crowns(labels, even, heights))
     if cell_m > FINE_M:
         return left
@@ -232,7 +233,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
 def _single_crowns(labels: Labels, even: NDArray[np.float64], heights: Grid) -> Mask:
     """Return which objects are domes, of those that are no larger than crowns and of which little is even."""
     area_m2 = sizes(labels, len(even)) * heights.spec.cell_area_m2
-    crowns: Mask = (area_m2 <= LEANING_M2) & (even < DOMED[0])
+    crowns: Mask = (area_m2 <= LEANING_M2) & (even < DOMED)
     values, places = np.asarray(heights.values), find_objects(labels)
     for number in np.flatnonzero(crowns).tolist():
         inside = labels[places[number]] == number + 1
@@ -400,7 +401,7 @@ def without_leaning_crowns(
         & (flush <= STEPPED * beside)
     )
     if heights.spec.cell_m <= COARSE_M:
-        even = _share_of_known(labels, count, roughness_m <= DOMED[1] * limit_m, roughness_m, unknown=1.0)
+        even = _share_of_known(labels, count, roughness_m <= EVEN * limit_m, roughness_m, unknown=1.0)
         crowns |= (area_m2 >= params.piece_m2) & (beside <= BESIDE * edge) & _single_crowns(labels, even, heights)
     return decided & ~chosen_cells(labels, crowns)
 

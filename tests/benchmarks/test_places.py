@@ -9,6 +9,7 @@ from cases.copies import (
     of_two_sensors,
     of_two_strips,
     pulses,
+    razed,
     shaken,
     taken,
     thinned,
@@ -253,6 +254,27 @@ def test_trees_of_another_place_are_planted_with_their_columns(town, orchard):
     assert not own & {tuple(cell) for cell in cells[old].tolist()}
     np.testing.assert_array_equal(np.asarray(trees.planted(cloud, [crown], 40.0).z), np.asarray(copy.z))
     assert len(trees.crowns_of(orchard, 0.5)[0].east) < 0.7 * len(crown.east)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_of_a_razed_town_few_houses_are_left_on_bare_ground(town, share):
+    """What is left stays where it was; what goes leaves single echoes of the ground around it."""
+    _, (cloud,), _ = town
+    copy = razed(cloud, share)
+    roofs, left = (np.asarray(each.classification) == BUILDING_CLASS for each in (cloud, copy))
+    assert share * 0.3 <= left.sum() / roofs.sum() <= share + 0.05
+    old, kept = (
+        {tuple(echo) for echo in np.column_stack((each.X, each.Y, each.Z))[chosen].tolist()}
+        for each, chosen in ((cloud, roofs), (copy, left))
+    )
+    assert kept <= old
+    ground = np.asarray(cloud.z)[np.asarray(cloud.classification) == GROUND_CLASS]
+    bare = np.asarray(copy.classification) == GROUND_CLASS
+    assert np.asarray(copy.z)[bare].max() <= ground.max() + 0.3
+    if share == 1:
+        np.testing.assert_array_equal(np.asarray(copy.z), np.asarray(cloud.z))
+    else:
+        assert bare.sum() >= len(ground) + 0.3 * roofs.sum()
 
 
 def test_a_mirrored_town_meets_itself_at_its_edges(town):

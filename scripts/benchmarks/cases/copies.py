@@ -8,14 +8,29 @@ from pathlib import Path
 import laspy
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, binary_dilation
+from scipy.spatial import KDTree
 
 from msbdb.io.crs import CrsLike
 from msbdb.io.las import read_points
-from msbdb.points.cloud import UNCLASSIFIED_CLASS, PointCloud
+from msbdb.labels import label_zones, sizes
+from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS, PointCloud
 
 SEED = 1
 SHAKE_M = 0.02
 """Noise in height of repeated points."""
+
+RAZE_M = 0.5
+"""Cells on which houses are razed."""
+
+LEAST_HOUSE_M2 = 30.0
+"""Smaller houses are razed in any case."""
+
+LOW_M = 0.3
+"""Echoes up to this height above the ground of a razed house stay where they are."""
+
+NEAREST = 8
+"""The ground of a razed house is a mean of so many echoes around it, by their distance."""
 
 PULSE_TOLERANCE = 0.1
 """Times name pulses where there are as many of them as first echoes, but for this share."""
@@ -88,6 +103,39 @@ def with_outliers(cloud: laspy.LasData, share: float, low_m: float, high_m: floa
     chosen = random.random(len(cloud.points)) < share
     copy.z = np.asarray(cloud.z) + chosen * random.uniform(-low_m, high_m, len(cloud.points))
     return copy
+
+
+def razed(cloud: laspy.LasData, kept_share: float) -> laspy.LasData:
+    """Return a copy of a tile with classes in which most houses are gone: single echoes of bare ground are in their place.
+
+    Houses are connected roofs. They are kept in an order by chance until they cover this share of all roofs.
+    """
+    x, y, z = (np.asarray(cloud[axis], dtype=np.float64) for axis in "xyz")
+    classes, random = np.asarray(cloud.classification), np.random.default_rng(SEED)
+    row, col = (((axis - axis.min()) / RAZE_M).astype(np.intp) for axis in (y, x))
+    roofs = np.zeros((row.max() + 1, col.max() + 1), dtype=np.bool_)
+    roofs[row[classes == BUILDING_CLASS], col[classes == BUILDING_CLASS]] = True
+    houses, count = label_zones(roofs | binary_closing(roofs, iterations=2))
+    area_m2 = sizes(houses, count) * RAZE_M**2
+    order = random.permutation(np.flatnonzero(area_m2 >= LEAST_HOUSE_M2))
+    kept, left_m2 = np.zeros(count + 1, dtype=np.bool_), kept_share * area_m2.sum()
+    for house in order.tolist():
+        kept[house + 1] = area_m2[house] <= left_m2
+        left_m2 -= area_m2[house] * kept[house + 1]
+    stays = kept[houses]
+    gone = np.flatnonzero((binary_dilation((houses > 0) & ~stays, iterations=2) & ~stays)[row, col])
+    bare = classes == GROUND_CLASS
+    far, near = KDTree(np.column_stack((x, y))[bare]).query(np.column_stack((x, y))[gone], k=NEAREST)
+    ground = np.average(z[bare][near], axis=1, weights=1 / (far + 0.1)) + random.normal(0, SHAKE_M, len(gone))
+    high = z[gone] > ground + LOW_M
+    ground, gone = ground[high], gone[high]
+    copy = copied(cloud)
+    z[gone] = ground
+    copy.z = z
+    copy.classification[gone], copy.number_of_returns[gone] = GROUND_CLASS, 1
+    later = np.zeros(len(z), dtype=np.bool_)
+    later[gone] = np.asarray(cloud.return_number)[gone] > 1
+    return taken(copy, ~later)
 
 
 def mirrored(cloud: laspy.LasData, times: int) -> laspy.LasData:

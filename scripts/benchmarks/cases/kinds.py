@@ -1,5 +1,6 @@
 """The kinds of cases: the places as they are, and copies of another density, with noise, other echoes, over hills or under trees."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -19,6 +20,7 @@ from cases.copies import (
     of_two_strips,
     on_lines,
     pulses,
+    razed,
     shaken,
     taken,
     thickened,
@@ -76,6 +78,9 @@ LARGER = "amsterdam"
 
 CROWNS, A_HECTARE = ("montpellier", "champs"), 100.0
 """The places whose crowns are planted elsewhere, and how many of them a hectare."""
+
+VILLAGES, LEFT, MANY = ("delft_1", "amsterdam", "sevilla_plaza"), 0.15, 250.0
+"""The places of which this share of the roofs stays as villages, and the most trees a hectare there."""
 
 WINDOW_M = 300.0
 """Of a larger place only so much of the south-western corner is laid over hills."""
@@ -222,6 +227,27 @@ def under_trees(data: Path, names: set[str]) -> Iterator[Case]:
             yield Case(f"{case.name}, {donor}", case.crs, clouds, reference, {})
             firsts = [first_only(cloud) for cloud in clouds]
             yield Case(f"{case.name}, {donor}, first", case.crs, firsts, reference, {})
+
+
+def villages(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield towns of which few houses are left, under many trees: with all echoes, with few later ones, and with few pulses."""
+    for case in as_they_are(data, names & set(VILLAGES)):
+        density = first_density(case.clouds)
+        few = [razed(cloud, LEFT) for cloud in case.clouds]
+        for donor, per_hectare in itertools.product(CROWNS, (A_HECTARE, MANY)):
+            [trees] = NAMED[donor].read(data)
+            crowns = crowns_of(trees, min(1.0, density / first_density([trees])))
+            clouds = [planted(cloud, crowns, per_hectare) for cloud in few]
+            weaker = {
+                "": (density, copied),
+                ", a tenth": (density, partial(with_fewer_later, share=0.1)),
+                ", 2": (2.0, partial(thinned, share=2 / density)),
+                ", 1": (1.0, partial(thinned, share=1 / density)),
+            }
+            for kind, (target, recorded) in weaker.items():
+                reference = reference_of(NAMED[case.name], clouds, data, cell_for(target))
+                copies = [recorded(cloud) for cloud in clouds]
+                yield Case(f"{case.name}, {donor}, {per_hectare:g}{kind}", case.crs, copies, reference, {})
 
 
 def mirrored_town(data: Path, names: set[str]) -> Iterator[Case]:
