@@ -71,8 +71,11 @@ STEPPED = 0.4
 DROP_M = 0.7
 """Ours, in sample: a crown falls off to all sides, from its top to a circle of its area by so much; 1 m does alike."""
 
-NEAR_M = 0.7
-"""Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.8 m do alike."""
+SINGLE_M2 = 200.0
+"""Ours: single crowns are no larger, as they are hardly wider than 16 m."""
+
+NEAR_M = 0.6
+"""Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.7 m do alike."""
 
 DOMED, EVEN, BARE = 0.3, 1.5, 2.0
 """Ours, in sample: less than this share of a crown is within so many times the limit, or the roughness of the bare
@@ -186,7 +189,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
     alone counts. Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it.
-    Nodata: invalid cells are no buildings. No object of more than `LEANING_M2` is a single crown.
+    Nodata: invalid cells are no buildings. Objects of more than `SINGLE_M2` are no single crowns.
 
     Examples
     --------
@@ -233,7 +236,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
 def _single_crowns(labels: Labels, even: NDArray[np.float64], heights: Grid) -> Mask:
     """Return which objects are domes, of those that are no larger than crowns and of which little is even."""
     area_m2 = sizes(labels, len(even)) * heights.spec.cell_area_m2
-    crowns: Mask = (area_m2 <= LEANING_M2) & (even < DOMED)
+    crowns: Mask = (area_m2 <= SINGLE_M2) & (even < DOMED)
     values, places = np.asarray(heights.values), find_objects(labels)
     for number in np.flatnonzero(crowns).tolist():
         inside = labels[places[number]] == number + 1
