@@ -69,7 +69,7 @@ STEPPED = 0.4
 """Ours, in sample: what is flush with the house along a larger share of the edge at it may be a part of its roof."""
 
 DROP_M = 0.7
-"""Ours, in sample: a crown falls off to all sides, from its top to a circle of its area by so much; 1 m does alike."""
+"""Ours, in sample: least fall of a crown to all sides, from its top to a circle of its area; 1 m does alike."""
 
 SINGLE_M2 = 200.0
 """Ours: single crowns are no larger, as they are hardly wider than 16 m."""
@@ -77,9 +77,12 @@ SINGLE_M2 = 200.0
 NEAR_M = 0.6
 """Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.7 m do alike."""
 
-DOMED, EVEN, BARE = 0.3, 1.5, 2.0
-"""Ours, in sample: less than this share of a crown is within so many times the limit, or the roughness of the bare
-cells around it; half of it within twice the limit does alike."""
+EVEN, BARE = 1.5, 2.0
+"""Ours, in sample: a cell of a crown is even up to so many times the limit of smoothness, or up to so many times the
+roughness of the bare cells around it."""
+
+DOMED = 0.3
+"""Ours, in sample: a smaller share of a crown is even; 0.5 with twice the limit does alike."""
 
 COARSE_M = 1.0
 """Ours: on larger cells hipped roofs of small houses are as rough as crowns, as simulated ones show."""
@@ -166,9 +169,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
     of such noise, and all of a crown's relief. On cells larger than `FINE_M` this drops nothing.
 
-    On cells of up to `COARSE_M` single crowns go by their shape: most cells are rough, and the heights lie near to a
-    dome. This is the nearest quadratic surface, where it falls off to all sides. Rough roofs of old towns are saddles,
-    or have steps. A hipped roof falls off to all sides, but more of it is smooth.
+    On cells of up to `COARSE_M` single crowns are dropped by their shape: little of them is even, and the heights lie
+    near to a dome. A dome is the nearest quadratic surface, if it falls off to all sides. Rough roofs of old towns are
+    saddles, or have steps. A hipped roof falls off to all sides, but more of it is even.
 
     Parameters
     ----------
@@ -246,7 +249,7 @@ def _single_crowns(labels: Labels, even: NDArray[np.float64], heights: Grid) -> 
 
 def _is_dome(inside: Mask, heights: NDArray[np.floating], cell_m: float) -> bool:
     """Return whether the cells of an object lie near to a quadratic surface that falls off to all sides."""
-    # Places count from the object's own mean, so that tiles agree.
+    # Coordinates begin at the mean of the object's own cells, so that tiles agree.
     row, col = (cell_m * (place - place.mean()) for place in np.nonzero(inside))
     high = heights[inside].astype(np.float64)
     surface = np.column_stack((np.ones(len(high)), row, col, row * row, row * col, col * col))
