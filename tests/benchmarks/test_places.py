@@ -274,6 +274,10 @@ def test_of_a_razed_town_few_houses_are_left_on_bare_ground(town, share):
     if share == 1:
         np.testing.assert_array_equal(np.asarray(copy.z), np.asarray(cloud.z))
     else:
+        before = {tuple(echo) for echo in np.column_stack((cloud.X, cloud.Y, cloud.Z)).tolist()}
+        moved_down = [tuple(echo) not in before for echo in np.column_stack((copy.X, copy.Y, copy.Z)).tolist()]
+        assert (np.asarray(copy.return_number)[moved_down] <= 1).all()
+        assert (np.asarray(copy.number_of_returns)[moved_down] == 1).all()
         assert bare.sum() >= len(ground) + 0.3 * roofs.sum()
 
 
