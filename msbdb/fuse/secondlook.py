@@ -79,7 +79,7 @@ NEAR_M = 0.6
 
 EVEN, BARE = 1.5, 2.0
 """Ours, in sample: a cell of a crown is even up to so many times the limit of smoothness, or up to so many times the
-roughness of the bare cells around it."""
+roughness of the bare cells around it that have bare neighbours alone."""
 
 DOMED = 0.3
 """Ours, in sample: a smaller share of a crown is even; 0.5 with twice the limit does alike."""
@@ -191,8 +191,10 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     Notes
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
-    alone counts. Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it.
-    Nodata: invalid cells are no buildings. Objects of more than `SINGLE_M2` are no single crowns.
+    alone counts. Noise in plan shows beside walls, so all bare cells count there. Where single crowns are told, those
+    with bare neighbours alone count, as others are rough by the crowns beside them. Border: the square ends at the
+    lattice, and an object that it cuts is judged by what is left of it. Nodata: invalid cells are no buildings. Objects
+    of more than `SINGLE_M2` are no single crowns.
 
     Examples
     --------
@@ -210,21 +212,17 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     if cell_m > COARSE_M:
         return decided
     labels, count = label_zones(decided)
-    bare = heights.valid & (np.asarray(heights.values) < BARE_M) & (roughness_m < NO_PLANE_M)
-    side = 2 * round(AROUND_M / cell_m / 2) + 1
-    logs = np.zeros(bare.shape)
-    logs[bare] = np.log(np.maximum(roughness_m[bare], LEAST_M).astype(np.float64))
-    around = partial(uniform_filter, size=side, mode="constant")
-    weight, log = (found[decided] for found in in_threads(around, (bare.astype(np.float64), logs)))
-    # Less than one bare cell in the square leaves what rounding has left.
-    even_m = np.where(weight * side**2 > 0.5, np.exp(log / np.maximum(weight, 1 / side**2)), 0.0)
+    bare = heights.valid & (np.asarray(heights.values) < BARE_M)
+    around_m = partial(_mean_roughness, roughness_m=roughness_m, side=2 * round(AROUND_M / cell_m / 2) + 1)
+    # Beside walls noise in plan shows, but beside crowns bare cells are rough by the crowns.
+    noise_m, even_m = (found[decided] for found in in_threads(around_m, (bare, by_three(np.logical_and, bare))))
     own, own_m = labels[decided], roughness_m[decided]
 
     def smoother_than(limit_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the share of each object that is no rougher."""
         return _share_of_known(own, count, own_m <= limit_m, own_m, unknown=1.0)
 
-    limit_m = np.maximum(params.smooth_m, NOISE * even_m)
+    limit_m = np.maximum(params.smooth_m, NOISE * noise_m)
     even = smoother_than(np.maximum(EVEN * params.smooth_m, BARE * even_m))
     left = decided & ~chosen_cells(labels, _single_crowns(labels, even, heights))
     if cell_m > FINE_M:
@@ -234,6 +232,17 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
         rough &= smoother_than(times * limit_m) < share
     rough = chosen_cells(labels, rough)
     return left & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+
+
+def _mean_roughness(cells: Mask, *, roughness_m: Field, side: int) -> NDArray[np.float64]:
+    """Return the geometric mean of the known roughness of some cells in a square around each cell; 0 without any."""
+    cells = cells & (roughness_m < NO_PLANE_M)
+    logs = np.zeros(cells.shape)
+    logs[cells] = np.log(np.maximum(roughness_m[cells], LEAST_M).astype(np.float64))
+    weight, log = (uniform_filter(part, size=side, mode="constant") for part in (cells.astype(np.float64), logs))
+    # Less than one cell in the square leaves what rounding has left.
+    mean: NDArray[np.float64] = np.where(weight * side**2 > 0.5, np.exp(log / np.maximum(weight, 1 / side**2)), 0.0)
+    return mean
 
 
 def _single_crowns(labels: Labels, even: NDArray[np.float64], heights: Grid) -> Mask:

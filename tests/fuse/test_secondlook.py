@@ -17,6 +17,7 @@ from msbdb.fuse.secondlook import (
     without_rough,
 )
 from msbdb.grid import Grid, lattice
+from msbdb.labels import by_three
 from msbdb.params import FuseParams
 from msbdb.surface.texture import NO_PLANE_M, grid_samples, roughness
 
@@ -205,6 +206,24 @@ def test_a_rough_dome_is_a_crown(change, kept):
     rough = np.full(shape, dome["ground_m"], dtype=np.float32)
     rough[decided] = np.where(np.arange(side**2) < dome["even"] * side**2, 0.08, 0.2)
     found = without_rough(decided, rough, grid(high, dome["cell_m"]), PARAMS)
+    np.testing.assert_array_equal(found, decided & kept)
+
+
+@pytest.mark.parametrize(("bare_m", "kept"), [((0.8, 0.02), False), ((0.8, 0.2), True), ((0.02, 0.2), True)])
+def test_bare_cells_beside_what_is_raised_tell_nothing_about_crowns(bare_m, kept):
+    """Refused trees stand around a crown; the bare cells beside them and beyond have a roughness of their own."""
+    shape = (40, 40)
+    decided = block(shape, (14, 26), (14, 26))
+    row, col = np.indices(shape)
+    trees = (row % 5 < 2) & (col % 5 < 2) & ~block(shape, (12, 28), (12, 28))
+    raised = decided | trees
+    beside = by_three(np.logical_or, raised, beyond=np.False_) & ~raised
+    assert beside.sum() > (~raised & ~beside).sum() / 2
+    high = np.where(
+        decided, 12 - 0.1 * (row - 19.5) ** 2 - 0.1 * (col - 19.5) ** 2 + 0.2 * (-1) ** (row + col), 4 * trees
+    )
+    rough = np.select([raised, beside], [0.3, bare_m[0]], bare_m[1]).astype(np.float32)
+    found = without_rough(decided, rough, grid(high), PARAMS)
     np.testing.assert_array_equal(found, decided & kept)
 
 
