@@ -354,7 +354,7 @@ def without_leaning_crowns(
     A piece is what is left of an object without the house, the cells that all detectors take, and without the cells
     beside these. It goes if all of this holds. Hardly more than half of the detectors take it. It is hardly smooth. It
     is seldom flush with the house, and free on most of its edge. It is not larger than crowns are. An annex fails one
-    of these. A dome goes, too, whatever supports it (`without_rough`), if it is free on most of its edge.
+    of these. A dome goes, too, whatever supports it and however long its edge at the house is (`without_rough`).
 
     Parameters
     ----------
@@ -417,7 +417,7 @@ def without_leaning_crowns(
     )
     if heights.spec.cell_m <= COARSE_M:
         even = _share_of_known(labels, count, roughness_m <= EVEN * limit_m, roughness_m, unknown=1.0)
-        crowns |= (area_m2 >= params.piece_m2) & (beside <= BESIDE * edge) & _single_crowns(labels, even, heights)
+        crowns |= (area_m2 >= params.piece_m2) & _single_crowns(labels, even, heights)
     return decided & ~chosen_cells(labels, crowns)
 
 

@@ -133,6 +133,32 @@ def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept)
     np.testing.assert_array_equal(found, decided if kept else np.zeros_like(decided))
 
 
+@pytest.mark.parametrize(("beside_m", "kept"), [(0.02, False), (0.3, True)])
+def test_noise_beside_walls_tells_how_rough_roofs_are(beside_m, kept):
+    """Rough bare cells along a long hedge or roof make its own roughness noise; they have raised neighbours."""
+    shape = (60, 60)
+    decided = block(shape, (24, 36), (4, 56))
+    beside = by_three(np.logical_or, decided, beyond=np.False_) & ~decided
+    bare = decided | beside | block(shape, (0, 1), (0, 60))
+    rough = np.select([decided, beside], [0.3, beside_m], 0.02).astype(np.float32)
+    heights = grid(np.where(decided, crowns(shape), 0.0), 0.5)
+    heights = Grid(heights.values, bare, heights.spec)
+    np.testing.assert_array_equal(without_rough(decided, rough, heights, PARAMS), decided & kept)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bare_cells_out_of_reach_tell_nothing(seed):
+    """A hedge without bare cells around is rough, whatever the rounding of sums along its rows has left."""
+    shape = (30, 400)
+    random = np.random.default_rng(seed)
+    decided = block(shape, (9, 21), (300, 330))
+    valid = decided | (block(shape, (0, 30), (0, 200)) & (random.random(shape) < 0.5))
+    rough = np.where(decided, 0.3, random.uniform(0.01, 0.3, shape)).astype(np.float32)
+    heights = grid(np.where(decided, crowns(shape), 0.0), 0.5)
+    heights = Grid(heights.values, valid, heights.spec)
+    assert not without_rough(decided, rough, heights, PARAMS).any()
+
+
 @pytest.mark.parametrize("noise_m", [0.1, 0.25])
 def test_a_roof_that_noise_alone_makes_rough_stays(noise_m):
     """Of a roof the means of some cells are even, and of a hedge they are not, whatever the noise."""
@@ -255,10 +281,11 @@ def test_domes_are_judged_one_by_one():
         ({"bends": (0.1, -0.1)}, True),
         ({"cell_m": 1.2}, True),
         ({"rough_m": 0.08}, True),
-        ({"beside": 3}, True),
+        ({"beside": 3}, False),
+        ({"beside": 3, "bends": (0.1, -0.1)}, True),
         ({"side": 3, "bends": (0.5, 0.5)}, True),
     ],
-    ids=["crown", "saddle", "coarse cells", "even", "in a court", "9 m²"],
+    ids=["crown", "saddle", "coarse cells", "even", "in a court", "annex in a court", "9 m²"],
 )
 def test_a_dome_that_leans_on_a_house_goes_whatever_supports_it(change, kept):
     """Three of four detectors take a piece at the wall; only its shape tells that it is a crown."""
@@ -279,7 +306,8 @@ def test_a_dome_that_leans_on_a_house_goes_whatever_supports_it(change, kept):
     rough = np.where(crown | wall, piece["rough_m"], 0.02).astype(np.float32)
     share = np.where(house, 1.0, 0.75 * (crown | wall))
     left = without_leaning_crowns(house | wall | crown, share, rough, high, PARAMS, limit_m=0.06)
-    np.testing.assert_array_equal(left, house | wall | (crown & kept))
+    at_house = by_three(np.logical_or, house, beyond=np.False_)
+    np.testing.assert_array_equal(left, house | wall | (crown & (kept | at_house)))
 
 
 def test_an_object_whose_roughness_is_not_known_stays():
