@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt
 
 from msbdb.change.differences import Offset, earlier_heights
 from msbdb.change.surveywindows import Ground, read_around
-from msbdb.fuse.touching import divide
+from msbdb.fuse.houses.touching import divide
 from msbdb.grid import lattice
 from msbdb.labels import Labels
 from msbdb.outline.polygons import rasterise
@@ -124,8 +124,8 @@ def find_links(
     - they meet along a border of their surveys over twice ``thickness_m``, the ground between them is as high as a
       building, and no reason divides them there.
 
-    The reasons are those that divide touching houses within a survey (`msbdb.fuse.touching.divide`), looked for on the
-    heights of both surveys together. The ground beneath a building is interpolated in each survey apart, and two
+    The reasons are those that divide touching houses within a survey (`msbdb.fuse.houses.touching.divide`), looked for
+    on the heights of both surveys together. The ground beneath a building is interpolated in each survey apart, and two
     flights may count their levels from different zeros. So a reason counts where heights above ground and levels above
     sea both show it, if both are known.
     """

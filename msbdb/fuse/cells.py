@@ -6,14 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.detect.scene import Evidence, Regions
-from msbdb.fuse.secondlook import (
-    smooth_limit,
-    with_flush_planes,
-    without_crowns,
-    without_green,
-    without_leaning_crowns,
-    without_rough,
-)
+from msbdb.fuse.crowns import smooth_limit, without_crowns, without_green, without_leaning_crowns, without_rough
+from msbdb.fuse.roofplanes import with_flush_planes
 from msbdb.grid import Grid
 from msbdb.labels import Labels, Pairs, around, by_three, label_zones, minimum_cut, neighbours, small_zones
 from msbdb.params import FuseParams
@@ -42,9 +36,9 @@ def fuse_cells(
     difference in height: edges of buildings are cheap along steps. The cheapest division of all cells is taken
     (`msbdb.labels.minimum_cut`). Holes and pieces smaller than ``piece_m2`` are filled and dropped, and bumps and
     notches of a cell at the edges go. Cells below the mask stay where they are the edge of one building; those that
-    would join two buildings do not. A second look
-    (`msbdb.fuse.secondlook`) drops hedges, rough objects that hardly enough detectors support or that are green, and
-    crowns that lean on a house. It adds smooth regions that lie flush with a building.
+    would join two buildings do not. A second look drops hedges, rough objects that hardly enough detectors support or
+    that are green, single crowns, and crowns that lean on a house (`msbdb.fuse.crowns`). It adds smooth regions that
+    lie flush with a building (`msbdb.fuse.roofplanes`).
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from msbdb.detect.flatregions.initialisation import denoise
 from msbdb.detect.flatregions.mongus2013 import lowest_surface
 from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.cells import fuse_cells, is_fused
-from msbdb.fuse.touching import Division, divide
+from msbdb.fuse.houses.touching import Division, divide
 from msbdb.grid import Bounds, Grid
 from msbdb.kept import KeptRun, Packed, Rasters
 from msbdb.params import Params, as_dict, with_values

@@ -14,8 +14,8 @@ from msbdb.detect.scene import Regions, Scene
 from msbdb.fuse.buildings import buildings_from_parts, covered_shares, label_buildings, link_labels, with_support
 from msbdb.fuse.cellreasons import explain_cells, support_of
 from msbdb.fuse.cells import is_fused
+from msbdb.fuse.houses.touching import Division
 from msbdb.fuse.probability import refuse
-from msbdb.fuse.touching import Division
 from msbdb.grid import Grid, GridSpec
 from msbdb.kept import Packed, Rasters
 from msbdb.ledger import sum_up

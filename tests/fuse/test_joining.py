@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from msbdb.fuse.joining import DIFFER, MOMENTS, PAIRS, Joining
-from msbdb.fuse.roofpieces import RoofPieces, Touches
+from msbdb.fuse.houses.joining import DIFFER, MOMENTS, PAIRS, Joining
+from msbdb.fuse.houses.roofpieces import RoofPieces, Touches
 from msbdb.params import TouchingParams
 
 SIDE = 9

@@ -6,9 +6,9 @@ from affine import Affine
 from pyproj import CRS
 from scipy.ndimage import distance_transform_edt, gaussian_filter, median_filter, rotate
 
-from msbdb.fuse import roofpieces, touching
-from msbdb.fuse.joining import REASONS
-from msbdb.fuse.touching import Division, divide
+from msbdb.fuse.houses import roofpieces, touching
+from msbdb.fuse.houses.joining import REASONS
+from msbdb.fuse.houses.touching import Division, divide
 from msbdb.grid import Grid, GridSpec
 from msbdb.labels import boxes, label_zones, sizes
 from msbdb.params import TouchingParams

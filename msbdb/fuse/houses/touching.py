@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.ndimage import binary_fill_holes, distance_transform_edt, median_filter
 
-from msbdb.fuse.joining import MATERIAL, REASONS, Joining
-from msbdb.fuse.roofborders import find_roof_borders, reach_m
-from msbdb.fuse.roofdirections import find_directions
-from msbdb.fuse.roofmaterials import cut_rows
-from msbdb.fuse.roofpieces import SMOOTH_M, TRUNCATE, cut_bends, cut_pieces, measure_pieces, measure_touches
+from msbdb.fuse.houses.joining import MATERIAL, REASONS, Joining
+from msbdb.fuse.houses.roofborders import find_roof_borders, reach_m
+from msbdb.fuse.houses.roofdirections import find_directions
+from msbdb.fuse.houses.roofmaterials import cut_rows
+from msbdb.fuse.houses.roofpieces import SMOOTH_M, TRUNCATE, cut_bends, cut_pieces, measure_pieces, measure_touches
 from msbdb.grid import Grid
 from msbdb.labels import CellList, Labels, boxes, label_zones, look_up, touching_pairs, widened
 from msbdb.params import TouchingParams

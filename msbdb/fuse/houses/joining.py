@@ -6,8 +6,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from msbdb.fuse.roofdirections import CLEAR
-from msbdb.fuse.roofpieces import KINDS, RoofPieces, Touches, spread
+from msbdb.fuse.houses.roofdirections import CLEAR
+from msbdb.fuse.houses.roofpieces import KINDS, RoofPieces, Touches, spread
 from msbdb.params import TouchingParams
 
 PARCEL, MATERIAL = "parcel", "material"

@@ -1,16 +1,16 @@
-"""A second look at the cells that the detectors decided: roofs are planes, and planes do not end inside of a roof."""
+"""Crowns that the detectors took for roofs: rough and green objects, hedges, domes, and what leans on a house."""
 
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects, median, uniform_filter
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.ndimage import median, uniform_filter
 
+from msbdb.fuse.domes import COARSE_M, single_crowns
 from msbdb.fuse.probability import HOUSE_M2, building_probability
+from msbdb.fuse.roofplanes import measure_edges
 from msbdb.grid import Grid
-from msbdb.labels import Labels, by_three, chosen_cells, label_zones, neighbours, sizes, sums
+from msbdb.labels import Labels, by_three, chosen_cells, label_zones, sizes, sums
 from msbdb.morphology.windows import dilation
 from msbdb.params import FuseParams
 from msbdb.surface.texture import NO_PLANE_M, grid_samples, scatter
@@ -24,7 +24,6 @@ MOST = 0.5
 
 SOME = 0.1
 """A large object with a smaller smooth share may still be a group of crowns: roofs that were lost have 0.2 to 0.5."""
-
 
 HARDLY = 0.2
 """Ours, in sample: an object with a smaller smooth share is rough throughout, unless most of it is nearly smooth."""
@@ -68,24 +67,9 @@ CELL_POWER = 1.5
 STEPPED = 0.4
 """Ours, in sample: what is flush with the house along a larger share of the edge at it may be a part of its roof."""
 
-DROP_M = 0.7
-"""Ours, in sample: least fall of a crown to all sides, from its top to a circle of its area; 1 m does alike."""
-
-SINGLE_M2 = 200.0
-"""Ours: single crowns are no larger, as they are hardly wider than 16 m."""
-
-NEAR_M = 0.6
-"""Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.7 m do alike."""
-
 EVEN, BARE = 1.5, 2.0
 """Ours, in sample: a cell of a crown is even up to so many times the limit of smoothness, or up to so many times the
 roughness of the bare cells around it that have bare neighbours alone."""
-
-DOMED = 0.3
-"""Ours, in sample: a smaller share of a crown is even; 0.5 with twice the limit does alike."""
-
-COARSE_M = 1.0
-"""Ours: on larger cells hipped roofs of small houses are as rough as crowns, as simulated ones show."""
 
 
 def smooth_limit(params: FuseParams, cell_m: float) -> float:
@@ -169,9 +153,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
     of such noise, and all of a crown's relief. On cells larger than `FINE_M` this drops nothing.
 
-    On cells of up to `COARSE_M` single crowns are dropped by their shape: little of them is even, and the heights lie
-    near to a dome. A dome is the nearest quadratic surface, if it falls off to all sides. Rough roofs of old towns are
-    saddles, or have steps. A hipped roof falls off to all sides, but more of it is even.
+    On cells of up to `COARSE_M` single crowns are dropped by their shape, too (`msbdb.fuse.domes`): little of them is
+    even, and they are domes. Rough roofs of old towns are saddles, or have steps. A hipped roof falls off to all sides,
+    but more of it is even.
 
     Parameters
     ----------
@@ -193,8 +177,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
     alone counts. Noise in plan shows beside walls, so all bare cells count there. Where single crowns are told, those
     with bare neighbours alone count, as others are rough by the crowns beside them. Border: the square ends at the
-    lattice, and an object that it cuts is judged by what is left of it. Nodata: invalid cells are no buildings. Objects
-    of more than `SINGLE_M2` are no single crowns.
+    lattice, and an object that it cuts is judged by what is left of it. Nodata: invalid cells are no buildings.
 
     Examples
     --------
@@ -224,7 +207,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
 
     limit_m = np.maximum(params.smooth_m, NOISE * noise_m)
     even = smoother_than(np.maximum(EVEN * params.smooth_m, BARE * even_m))
-    left = decided & ~chosen_cells(labels, _single_crowns(labels, even, heights))
+    left = decided & ~chosen_cells(labels, single_crowns(labels, even, heights))
     if cell_m > FINE_M:
         return left
     rough = np.ones(count, dtype=np.bool_)
@@ -243,30 +226,6 @@ def _mean_roughness(cells: Mask, *, roughness_m: Field, side: int) -> NDArray[np
     # Less than one cell in the square leaves what rounding has left.
     mean: NDArray[np.float64] = np.where(weight * side**2 > 0.5, np.exp(log / np.maximum(weight, 1 / side**2)), 0.0)
     return mean
-
-
-def _single_crowns(labels: Labels, even: NDArray[np.float64], heights: Grid) -> Mask:
-    """Return which objects are domes, of those that are no larger than crowns and of which little is even."""
-    area_m2 = sizes(labels, len(even)) * heights.spec.cell_area_m2
-    crowns: Mask = (area_m2 <= SINGLE_M2) & (even < DOMED)
-    values, places = np.asarray(heights.values), find_objects(labels)
-    for number in np.flatnonzero(crowns).tolist():
-        inside = labels[places[number]] == number + 1
-        crowns[number] = _is_dome(inside, values[places[number]], heights.spec.cell_m)
-    return crowns
-
-
-def _is_dome(inside: Mask, heights: NDArray[np.floating], cell_m: float) -> bool:
-    """Return whether the cells of an object lie near to a quadratic surface that falls off to all sides."""
-    # Coordinates begin at the mean of the object's own cells, so that tiles agree.
-    row, col = (cell_m * (place - place.mean()) for place in np.nonzero(inside))
-    high = heights[inside].astype(np.float64)
-    surface = np.column_stack((np.ones(len(high)), row, col, row * row, row * col, col * col))
-    factors, *_ = np.linalg.lstsq(surface, high, rcond=None)
-    along, across, beside = factors[3:]
-    bends = np.linalg.eigvalsh([[2 * along, across], [across, 2 * beside]])
-    falls = bends.max() <= -2 * DROP_M / (cell_m**2 * len(high) / np.pi)
-    return bool(falls and np.median(np.abs(high - surface @ factors)) <= NEAR_M)
 
 
 def _only_noisy(rough: Mask, roughness_m: Field, heights: Grid) -> Mask:
@@ -417,119 +376,11 @@ def without_leaning_crowns(
     )
     if heights.spec.cell_m <= COARSE_M:
         even = _share_of_known(labels, count, roughness_m <= EVEN * limit_m, roughness_m, unknown=1.0)
-        crowns |= (area_m2 >= params.piece_m2) & _single_crowns(labels, even, heights)
+        crowns |= (area_m2 >= params.piece_m2) & single_crowns(labels, even, heights)
     return decided & ~chosen_cells(labels, crowns)
-
-
-def with_flush_planes(decided: Mask, candidates: Mask, heights: Grid, params: FuseParams) -> Mask:
-    """Add the smooth regions that lie flush with a building along enough of their edge: they are part of its roof.
-
-    A roof of glass, of panels or under plants may be lost to most detectors in the midst of a kept one. A lower annex,
-    a lorry or a crown beside the eaves has a step towards it.
-
-    Parameters
-    ----------
-    decided : (H, W) ndarray of bool
-        Cells of buildings.
-    candidates : (H, W) ndarray of bool
-        Smooth cells above the mask that at least one detector takes; those of ``decided`` do not count.
-    heights : Grid
-        Heights above ground, metres.
-    params : FuseParams
-        ``flush_m``: neighbours are flush where their heights differ by no more; regions are 4-connected flush
-        candidates. ``flush_share``: a region's least share of pairs towards other cells that are flush with a building.
-
-    Returns
-    -------
-    (H, W) ndarray of bool
-
-    Notes
-    -----
-    Border: pairs end at the lattice. Nodata: invalid cells are no candidates, and their pairs are not flush.
-    Linear in the cells.
-
-    Examples
-    --------
-    Of the cells between two roofs, those in their plane join them:
-
-    >>> from pyproj import CRS
-    >>> from msbdb.grid import lattice
-    >>> spec = lattice((0, 0.1, 6, 0.9), 1.0, CRS.from_epsg(2154))
-    >>> heights = Grid(np.float32([[9, 9, 9.1, 9, 4, 4, 9]]), np.ones((1, 7), dtype=bool), spec)
-    >>> decided = np.array([[True, True, False, False, False, False, True]])
-    >>> with_flush_planes(decided, ~decided, heights, FuseParams()).astype(int)
-    array([[1, 1, 1, 1, 0, 0, 1]])
-    """
-    candidates = candidates & ~decided & heights.valid
-    values = np.asarray(heights.values)
-    flush = [np.abs(values[one] - values[other]) <= params.flush_m for one, other in neighbours(decided.shape)]
-    labels, count = _flush_regions(candidates, flush)
-    edge, _, joined = measure_edges(labels, count, decided, values, params)
-    return decided | chosen_cells(labels, joined >= np.maximum(params.flush_share * edge, 1))
-
-
-def measure_edges(
-    labels: Labels, count: int, decided: Mask, values: NDArray[np.floating], params: FuseParams
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Count the pairs of neighbours on the edge of each region.
-
-    Parameters
-    ----------
-    labels : (H, W) ndarray of int32
-        Regions 1 to ``count``; 0 for none.
-    count : int
-        Number of regions.
-    decided : (H, W) ndarray of bool
-        Cells of buildings.
-    values : (H, W) ndarray of float, metres
-        Heights.
-    params : FuseParams
-        ``flush_m``.
-
-    Returns
-    -------
-    edge, beside, flush : (count,) ndarray of int64
-        Pairs of a cell of the region and one of four neighbours outside of it; those with a building; and of these
-        those whose heights differ by ``flush_m`` at most. Border: pairs end at the lattice.
-    """
-    edge, beside, flush = (np.zeros(count, dtype=np.int64) for _ in range(3))
-    cells = np.flatnonzero(labels)
-    own, value, width = labels.ravel()[cells], values.ravel()[cells], labels.shape[1]
-    col = cells % width
-    steps = ((-width, cells >= width), (width, cells < labels.size - width), (-1, col > 0), (1, col < width - 1))
-    for step, inside in steps:
-        place = np.flatnonzero(inside)
-        there = cells[place] + step
-        rim = labels.ravel()[there] != own[place]
-        place, there = place[rim], there[rim]
-        edge += sizes(own[place], count)
-        built = decided.ravel()[there]
-        place, there = place[built], there[built]
-        beside += sizes(own[place], count)
-        level = np.abs(value[place] - values.ravel()[there]) <= params.flush_m
-        flush += sizes(own[place[level]], count)
-    return edge, beside, flush
 
 
 def _opened(mask: Mask) -> Mask:
     """Return the opening of a mask by 3 by 3 cells; beyond the lattice nothing is in the mask."""
     none = np.False_
     return by_three(np.logical_or, by_three(np.logical_and, mask, beyond=none), beyond=none)
-
-
-def _flush_regions(candidates: Mask, flush: list[Mask]) -> tuple[Labels, int]:
-    """Label the candidates that paths of flush neighbours connect."""
-    total = int(np.count_nonzero(candidates))
-    node = np.zeros(candidates.shape, dtype=np.int32)
-    node[candidates] = np.arange(total, dtype=np.int32)
-    first, second = [], []
-    for (one, other), level in zip(neighbours(candidates.shape), flush, strict=True):
-        both = candidates[one] & candidates[other] & level
-        first.append(node[one][both])
-        second.append(node[other][both])
-    pairs = np.concatenate(first), np.concatenate(second)
-    graph = coo_matrix((np.ones(len(pairs[0]), dtype=np.bool_), pairs), shape=(total, total))
-    count, component = connected_components(graph, directed=False)
-    labels = np.zeros(candidates.shape, dtype=np.int32)
-    labels[candidates] = component + 1
-    return labels, int(count)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from msbdb.fuse.roofdirections import RoofDirections
-from msbdb.fuse.roofpieces import spread
+from msbdb.fuse.houses.roofdirections import RoofDirections
+from msbdb.fuse.houses.roofpieces import spread
 from msbdb.labels import Labels, boxes, label_zones, sizes
 from msbdb.params import TouchingParams
 from msbdb.spectral.colours import INTENSITY_STEPS

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from msbdb.fuse.roofdirections import RoofDirections
+from msbdb.fuse.houses.roofdirections import RoofDirections
 from msbdb.labels import Box, CellList, Labels, around, boxes, label_zones, sums, widened
 from msbdb.threads import in_threads
 
@@ -109,7 +109,7 @@ def cut_pieces(
     Two watersheds [1]_ are laid over each other. One floods the evidence from the cells that are at least ``core_m``
     from each barrier and each edge, so it follows steps and walls. The other floods the roofs turned upside down from
     their tops, so it follows valleys exactly, also where a dormer or a parapet interrupts them. Far too many pieces are
-    the result: slopes and dormers, too. `msbdb.fuse.touching` joins those that nothing separates.
+    the result: slopes and dormers, too. `msbdb.fuse.houses.touching` joins those that nothing separates.
 
     References
     ----------
