@@ -175,9 +175,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     Notes
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
-    alone counts. Noise in plan shows beside walls, so all bare cells count there. Where single crowns are told, those
-    with bare neighbours alone count, as others are rough by the crowns beside them. Border: the square ends at the
-    lattice, and an object that it cuts is judged by what is left of it. Nodata: invalid cells are no buildings.
+    alone counts. Noise in plan shows beside walls, so all bare cells count there. For single crowns those with bare
+    neighbours alone count, as others are rough by the crowns beside them. Border: the square ends at the lattice, and
+    an object that it cuts is judged by what is left of it. Nodata: invalid cells are no buildings.
 
     Examples
     --------
