@@ -1,6 +1,7 @@
 """The house itself: rooms that the architecture names, whole modules, and names that are used once."""
 
 import ast
+import importlib
 import importlib.metadata
 import subprocess
 import sys
@@ -68,6 +69,29 @@ def test_a_public_class_is_named_once():
         for name in public_classes(path):
             homes[name].append(str(path.relative_to(PACKAGE)))
     assert not {name: places for name, places in homes.items() if len(places) > 1}
+
+
+def test_scripts_import_what_there_is():
+    """No script, most of which have no suffix, names a module or a name of the package that has moved."""
+    scripts = [path for path in (ROOT / "scripts").rglob("*") if path.is_file()]
+    texts = {path: path.read_bytes() for path in scripts if "__pycache__" not in path.parts}
+    python = {path: text for path, text in texts.items() if path.suffix == ".py" or b"python" in text.split(b"\n")[0]}
+    imports = [
+        (path.name, node.module, name.name)
+        for path, text in python.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "msbdb"
+        for name in node.names
+    ]
+    assert ("touching", "msbdb.fuse.houses.touching", "divide") in imports
+    missing = []
+    for script, module, name in imports:
+        try:
+            if not hasattr(importlib.import_module(module), name):
+                importlib.import_module(f"{module}.{name}")
+        except ModuleNotFoundError:
+            missing.append((script, module, name))
+    assert not missing
 
 
 def test_every_module_and_room_begins_with_a_sentence():

@@ -175,9 +175,10 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     Notes
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
-    alone counts. Noise in plan shows beside walls, so all bare cells count there. For single crowns those with bare
-    neighbours alone count, as others are rough by the crowns beside them. Border: the square ends at the lattice, and
-    an object that it cuts is judged by what is left of it. Nodata: invalid cells are no buildings.
+    alone counts. For single crowns, those with bare neighbours alone count, as others are rough by the crowns beside
+    them. Otherwise all bare cells count: without those beside raised cells, a block with noise in plan was lost.
+    Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it. Nodata: invalid
+    cells are no buildings.
 
     Examples
     --------
@@ -197,7 +198,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     labels, count = label_zones(decided)
     bare = heights.valid & (np.asarray(heights.values) < BARE_M)
     around_m = partial(_mean_roughness, roughness_m=roughness_m, side=2 * round(AROUND_M / cell_m / 2) + 1)
-    # Beside walls noise in plan shows, but beside crowns bare cells are rough by the crowns.
+    # Bare cells beside raised ones show noise in plan, but beside crowns they are rough by the crowns.
     noise_m, even_m = (found[decided] for found in in_threads(around_m, (bare, by_three(np.logical_and, bare))))
     own, own_m = labels[decided], roughness_m[decided]
 

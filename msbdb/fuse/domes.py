@@ -13,7 +13,7 @@ DROP_M = 0.7
 """Ours, in sample: least fall of a crown to all sides, from its top to a circle of its area; 1 m does alike."""
 
 SINGLE_M2 = 200.0
-"""Ours: single crowns are no larger, as they are hardly wider than 16 m."""
+"""Ours, in sample: single crowns are no larger, as they are hardly wider than 16 m."""
 
 NEAR_M = 0.6
 """Ours, in sample: half of the cells of a crown lie this near to its dome; 0.5 and 0.7 m do alike."""

@@ -1,4 +1,4 @@
-"""The second look: rough objects of few votes go, smooth regions in a roof's plane come back."""
+"""Crowns that the detectors took for roofs go: rough and green objects, domes, and what leans on a house."""
 
 import numpy as np
 import pytest
