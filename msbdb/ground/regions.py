@@ -158,6 +158,23 @@ def edges_of(
     return own, beside, fall
 
 
+def beside_voids(measured: Mask) -> Mask:
+    """Return the cells beside the border of the lattice, or beside a void.
+
+    Parameters
+    ----------
+    measured : (H, W) ndarray of bool
+        Where no void is.
+
+    Returns
+    -------
+    (H, W) ndarray of bool
+    """
+    outside = ~np.pad(measured, 1)
+    beside: Mask = outside[:-2, 1:-1] | outside[2:, 1:-1] | outside[1:-1, :-2] | outside[1:-1, 2:]
+    return beside
+
+
 def sunk_roofs(surface: Grid, ground: Mask) -> Mask:
     """Return the regions of ground that other parts of a roof surround, far above the terrain around the building.
 
@@ -179,7 +196,7 @@ def sunk_roofs(surface: Grid, ground: Mask) -> Mask:
     """
     regions, count = label_zones(ground)
     cells = sizes(regions, count)
-    closed = (sizes(regions[ground & _beside_voids(surface.valid)], count) == 0) & (cells < cells.max(initial=0))
+    closed = (sizes(regions[ground & beside_voids(surface.valid)], count) == 0) & (cells < cells.max(initial=0))
     others = ground & ~chosen_cells(regions, closed)
     if not closed.any() or not others.any():
         return np.zeros_like(ground)
@@ -356,7 +373,7 @@ def _spanning(
             edges += np.bincount(regions[here][at], minlength=count)
             hidden += np.bincount(regions[here][at & ~ground[there]], minlength=count)
             touches[here] |= at & banks[there] & (np.abs(heights[here] - lowest[there]) < most_m)
-    cut, spanning = _beside_voids(measured) & (regions >= 0), np.zeros(count, dtype=np.bool_)
+    cut, spanning = beside_voids(measured) & (regions >= 0), np.zeros(count, dtype=np.bool_)
     for axis in axes:
         head, tail, sides = axis.count(touches, regions)
         head_cut, tail_cut, _ = axis.count(cut, regions)
@@ -404,13 +421,6 @@ class _Axis:
         share = (place - self.first[own]) / self.length[own]
         head, tail = (np.bincount(own[at], minlength=len(self.row)) for at in (share < END, share > 1 - END))
         return head, tail, np.bincount(own, minlength=len(self.row)) - head - tail
-
-
-def _beside_voids(measured: Mask) -> Mask:
-    """Return the cells beside the border of the lattice, or beside a void."""
-    outside = ~np.pad(measured, 1)
-    beside: Mask = outside[:-2, 1:-1] | outside[2:, 1:-1] | outside[1:-1, :-2] | outside[1:-1, 2:]
-    return beside
 
 
 def _even_m(cell_m: float, params: GroundParams) -> float:

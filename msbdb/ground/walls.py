@@ -19,6 +19,7 @@ from msbdb.ground.regions import (
     LEAST_M2,
     STEP_M,
     STEPS,
+    beside_voids,
     edges_of,
     halls,
     reached_by_ways,
@@ -36,9 +37,10 @@ Mask = NDArray[np.bool_]
 SEEN = 0.4
 """Ours, in sample: least share of a plateau's edge beside ground; 0.3 loses more roofs, 0.5 takes knolls for roofs."""
 
-FLANKS_M2 = 2000.0
-"""Ours, in sample: least area of a knoll with steep flanks, most of whose edge falls by less than `STEP_M`. From
-1,000 m² on, low halls among few echoes would go, too."""
+FLANKS_M2, AT_ONCE, HALVED = 2000.0, 0.6, 0.3
+"""Ours, in sample: least area of a knoll with steep flanks, and the largest share of its edge that falls by `STEP_M` at
+once: knolls have up to 0.6, an arena 0.67. From 1,000 m² on, low halls among few echoes would go, too. What has more
+than the last share of its edge at the border counts twice: half of a circle of cells has a third."""
 
 WIDE_M, STAYS = 20.0, 0.3
 """Ours, in sample: half-width of an opening that removes houses, and the least share of a tread that it does not lower.
@@ -279,7 +281,8 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
       plateau is higher than trees on its slopes; here trees decide nothing. Of the rest of the edge no more may fall
       than rises: trees and houses stand on a plateau, but a roof is higher than its annexes.
     - It is a larger knoll, and its flanks are too steep for the first sign: `SEEN` of the edge is seen, and it falls in
-      low steps, cell by cell. Halls fall by all of their height at once.
+      low steps, cell by cell. Halls fall by all of their height at once. Of a knoll that the border or a void cuts,
+      half may lie beyond.
     - It is a tread of a hillside: higher treads lie beside it, so that an opening wider than a house does not lower
       `STAYS` of it. Only that part is terrain, as the rest is houses. Halls are none, as walls bound them all around.
       Nor is what is as wide as the opening by itself, or free on more sides than `FREE`: a hall with a higher part, and
@@ -300,13 +303,15 @@ def _plateaus(heights: Heights, ground: Mask, measured: Mask, cell_m: float, par
         seen, hidden = around.ravel()[beside], above.ravel()[beside]
         wall = seen * _wall_share(fall, cell_m, params)
         high = seen & (fall >= STEP_M * max(cell_m, 1.0))
+        at_border = np.bincount(regions[above & beside_voids(measured)], minlength=count)
         edges, of_ground, walls, falls, rises, high_steps = (
             np.bincount(own, weights=each, minlength=count)
             for each in (seen | hidden, seen, wall, hidden & (fall > 0), hidden & (fall < 0), high)
         )
         is_seen = of_ground >= SEEN * edges
         knolls = is_seen & (walls * (1 + params.terrace_cost) < of_ground) & (rises >= falls)
-        knolls |= is_seen & (2 * high_steps < of_ground) & (cells * cell_m**2 >= FLANKS_M2)
+        whole = np.where(at_border > HALVED * (edges + at_border), 2, 1) * cells
+        knolls |= is_seen & (high_steps < AT_ONCE * of_ground) & (whole * cell_m**2 >= FLANKS_M2)
         treads = (left >= STAYS * cells) & (2 * cells * cell_m <= WIDE_M * edges)
         treads &= (of_ground <= FREE * edges) & (walls < params.podium_share * of_ground)
         more = above & ((large & knolls)[regions] | (stays & (large & treads)[regions]))

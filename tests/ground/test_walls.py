@@ -115,6 +115,36 @@ def test_a_knoll_whose_flanks_are_steep_all_around_is_ground():
     assert not ground[hall > 0].any()
 
 
+@pytest.mark.parametrize("cut_by", ["border", "void"])
+def test_a_knoll_that_is_cut_is_as_large_as_its_whole(cut_by):
+    """Half of a rock with steep flanks is ground, 1,600 m². So large a whole one may be a low hall among few echoes."""
+    row, col = np.indices((160, 240))
+    half, whole = (
+        np.clip(1.8 * away, 0, 6) for away in (33 - np.hypot(row, col - 50), 25 - np.hypot(row - 90, col - 150))
+    )
+    hall = 6.0 * ((row < 28) & (abs(col - 180) < 28))
+    surface = grid(half + whole + hall)
+    if cut_by == "void":
+        framed, inside = np.pad(half + whole + hall, 30), np.pad(np.ones(row.shape, dtype=bool), 30)
+        surface = replace(grid(framed), valid=inside)
+    ground = walled_ground(surface, PARAMS)[surface.valid].reshape(row.shape)
+    assert ground[half > 0].mean() > 0.9
+    assert not ground[whole == 6].any()
+    assert not ground[hall > 0].any()
+
+
+@pytest.mark.parametrize(("cliff", "is_ground"), [(0.4, True), (0.6, False)])
+def test_the_edge_of_a_knoll_may_fall_at_once_along_three_fifths(cliff, is_ground):
+    """A rock of 60 m, part of whose flanks is a cliff of 6 m; the others rise by 1.8 m a metre."""
+    row, col = np.indices((160, 160))
+    away = np.hypot(row - 80, col - 80)
+    cliffs = np.abs(np.arctan2(row - 80, col - 80)) < cliff * np.pi
+    rock = np.where(cliffs, 6.0 * (away < 27), np.clip(1.8 * (30 - away), 0, 6))
+    ground = walled_ground(grid(rock), PARAMS)
+    assert ground[away < 25].all() == is_ground
+    assert ground[away > 32].mean() > 0.97
+
+
 def test_a_hall_among_trees_is_a_building():
     """All that is seen of its edge is a wall."""
     heights, _ = plateau_among_trees(knoll=False)
