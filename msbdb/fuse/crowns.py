@@ -31,6 +31,10 @@ HARDLY = 0.2
 FINE_M = 0.75
 """Ours, in sample: on larger cells, those of fewer than 2 points/m², narrow roofs are as rough as crowns."""
 
+GROUP_M2, KNOWN = 100.0, 0.85
+"""Ours, in sample: there an object of this area is no narrow roof, but may be a group or a row of crowns, if planes
+were fitted to this share of it. Blocks with noise in plan have fewer."""
+
 BARE_M = 0.5
 """Ours: cells up to this height show how rough even surfaces of the survey are."""
 
@@ -151,7 +155,9 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     many small planes are. Nor does an object go that is even but for noise: where strips do not fit in plan, echoes of
     steep roofs scatter, and those of level ground do not. Such noise is much the same all over a roof, and
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
-    of such noise, and all of a crown's relief. On cells larger than `FINE_M` this drops nothing.
+    of such noise, and all of a crown's relief. On cells larger than `FINE_M` only objects of `GROUP_M2` and more are
+    dropped so, where planes are known for `KNOWN` of them. Their inner cells alone are judged: windows at an edge lie
+    half on the ground. On cells larger than `COARSE_M` nothing is dropped.
 
     On cells of up to `COARSE_M` single crowns are dropped by their shape, too (`msbdb.fuse.domes`): little of them is
     even, and they are domes. Rough roofs of old towns are saddles, or have steps. A hipped roof falls off to all sides,
@@ -176,7 +182,7 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
     alone counts. For single crowns, those with bare neighbours alone count, as others are rough by the crowns beside
-    them. Otherwise all bare cells count: without those beside raised cells, a block with noise in plan was lost.
+    them. Otherwise all bare cells count: without those beside raised cells, blocks with noise in plan were lost.
     Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it. Nodata: invalid
     cells are no buildings.
 
@@ -201,19 +207,17 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     # Bare cells beside raised ones show noise in plan, but beside crowns they are rough by the crowns.
     noise_m, even_m = (found[decided] for found in in_threads(around_m, (bare, by_three(np.logical_and, bare))))
     own, own_m = labels[decided], roughness_m[decided]
-
-    def smoother_than(limit_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the share of each object that is no rougher."""
-        return _share_of_known(own, count, own_m <= limit_m, own_m, unknown=1.0)
-
-    limit_m = np.maximum(params.smooth_m, NOISE * noise_m)
-    even = smoother_than(np.maximum(EVEN * params.smooth_m, BARE * even_m))
+    even = _share_of_known(own, count, own_m <= np.maximum(EVEN * params.smooth_m, BARE * even_m), own_m, unknown=1.0)
     left = decided & ~chosen_cells(labels, single_crowns(labels, even, heights))
-    if cell_m > FINE_M:
-        return left
     rough = np.ones(count, dtype=np.bool_)
+    if cell_m > FINE_M:
+        inner = by_three(np.logical_and, decided, beyond=np.False_)[decided]
+        own, own_m, noise_m = own[inner], own_m[inner], noise_m[inner]
+        cells, known = sizes(labels, count), sizes(labels[decided & (roughness_m < NO_PLANE_M)], count)
+        rough = (cells * heights.spec.cell_area_m2 >= GROUP_M2) & (known >= KNOWN * cells)
+    limit_m = np.maximum(params.smooth_m, NOISE * noise_m)
     for share, times in ((HARDLY, 1.0), *NEARLY):
-        rough &= smoother_than(times * limit_m) < share
+        rough &= _share_of_known(own, count, own_m <= times * limit_m, own_m, unknown=1.0) < share
     rough = chosen_cells(labels, rough)
     return left & ~(rough & ~_only_noisy(rough, roughness_m, heights))
 
@@ -251,7 +255,9 @@ def _share_of_known(
     known = roughness_m < NO_PLANE_M
     cells = sizes(labels[known], count)
     share = sizes(labels[known & smooth], count) / np.maximum(cells, 1)
-    found: NDArray[np.float64] = np.where(cells >= MOST * sizes(labels, count), share, np.maximum(share, unknown))
+    every = sizes(labels, count)
+    enough = (every > 0) & (cells >= MOST * every)
+    found: NDArray[np.float64] = np.where(enough, share, np.maximum(share, unknown))
     return found
 
 

@@ -99,7 +99,7 @@ def crowns(shape):
         (0.02, 0.02, 0.5, True),
         (0.1, 0.02, 0.5, True),
         (0.3, 0.12, 0.5, True),
-        (0.3, 0.02, 1, True),
+        (0.3, 0.02, 1.2, True),
     ],
     ids=["hedge", "roof", "nearly smooth roof", "noisy survey", "coarse cells"],
 )
@@ -110,6 +110,47 @@ def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept)
     rough = np.where(decided, np.float32(roof_m), np.float32(ground_m))
     found = without_rough(decided, rough, grid(np.where(decided, crowns(shape), 0.0), cell_m), PARAMS)
     np.testing.assert_array_equal(found, decided if kept else np.zeros_like(decided))
+
+
+ROW = {"cell_m": 1.0, "sides": (10, 11), "inner_m": 0.3, "edge_m": 0.3, "unknown": 0.1, "ground_m": 0.02, "even": False}
+"""A row of crowns between 1 and 2 points/m²."""
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [
+        ({}, False),
+        ({"edge_m": 0.02}, False),
+        ({"inner_m": 0.02}, True),
+        ({"sides": (9, 11)}, True),
+        ({"sides": (2, 60)}, True),
+        ({"unknown": 0.2}, True),
+        ({"ground_m": 0.12}, True),
+        ({"even": True}, True),
+    ],
+    ids=[
+        "row of crowns",
+        "smooth edge",
+        "rough edge alone",
+        "99 m²",
+        "no inner cells",
+        "few planes",
+        "noisy survey",
+        "even once averaged",
+    ],
+)
+def test_groups_of_crowns_are_no_buildings_on_cells_of_a_metre(change, kept):
+    """Inner cells of objects of 100 m² and more decide; each property of a roof alone keeps it."""
+    row = {**ROW, **change}
+    shape, (high, wide) = (70, 70), row["sides"]
+    decided = block(shape, (7, 7 + high), (5, 5 + wide))
+    inner = by_three(np.logical_and, decided, beyond=np.False_)
+    rough = np.select([inner, decided], [row["inner_m"], row["edge_m"]], row["ground_m"]).astype(np.float32)
+    cells = np.flatnonzero(decided)
+    rough.ravel()[cells[: round(row["unknown"] * len(cells))]] = NO_PLANE_M
+    relief = 6 * np.ones(shape) if row["even"] else 2 * crowns(shape)
+    found = without_rough(decided, rough, grid(np.where(decided, relief, 0.0), row["cell_m"]), PARAMS)
+    np.testing.assert_array_equal(found, decided & kept)
 
 
 @pytest.mark.parametrize(("beside_m", "kept"), [(0.02, False), (0.3, True)])
