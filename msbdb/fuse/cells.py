@@ -90,7 +90,7 @@ def fuse_cells(
     limit_m = smooth_limit(params, heights.spec.cell_m)
     share, clear = np.asarray(votes / every, dtype=np.float32), (needed + 1) / every
     decided = without_crowns(decided, share, roughness_m, params, clear=clear, cell_m=heights.spec.cell_m)
-    decided = without_rough(decided, roughness_m, heights, params)
+    decided = without_rough(decided, share, roughness_m, heights, params)
     if green is not None and "multiscale" in regions:
         multiscale = regions["multiscale"].labels > 0
         decided = without_green(decided, multiscale, green, roughness_m, params, cell_m=heights.spec.cell_m)

@@ -35,6 +35,11 @@ GROUP_M2, KNOWN = 100.0, 0.85
 """Ours, in sample: there an object of this area is no narrow roof, but may be a group or a row of crowns, if planes
 were fitted to this share of it. Blocks with noise in plan have fewer."""
 
+LOW_M, ALL, INNER, LARGE_M = 6.0, 0.875, 12, 1.5
+"""Ours, in sample: half of a house of two storeys at most is lower. A low object that has less support than this mean
+share, and of so many inner cells or more, is judged by the roughness of cells that lie amid bare ones, on cells of up
+to so many metres. On larger ones low houses are as rough."""
+
 BARE_M = 0.5
 """Ours: cells up to this height show how rough even surfaces of the survey are."""
 
@@ -147,7 +152,7 @@ def without_crowns(
     return decided & ~chosen_cells(labels, doubtful & (smooth < MOST))
 
 
-def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: FuseParams) -> Mask:
+def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid, params: FuseParams) -> Mask:
     """Drop the objects that are rough nearly throughout, whatever supports them: hedges, crowns and groups of crowns.
 
     Rough is what exceeds both the noise of a scanner and that of the bare cells around it. So a noisy survey, or two
@@ -157,7 +162,11 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
     of such noise, and all of a crown's relief. On cells larger than `FINE_M` only objects of `GROUP_M2` and more are
     dropped so, where planes are known for `KNOWN` of them. Their inner cells alone are judged: windows at an edge lie
-    half on the ground. On cells larger than `COARSE_M` nothing is dropped.
+    half on the ground. On cells larger than `COARSE_M` none of this is done.
+
+    Low objects have a second, stricter limit, on cells of up to `LARGE_M`. Blocks of old towns are rough and high, and
+    houses of one or two storeys have simple roofs. So a low object that not nearly all detectors take goes by the
+    roughness of the bare cells with bare neighbours alone, and by that of its own inner cells.
 
     On cells of up to `COARSE_M` single crowns are dropped by their shape, too (`msbdb.fuse.domes`): little of them is
     even, and they are domes. Rough roofs of old towns are saddles, or have steps. A hipped roof falls off to all sides,
@@ -167,6 +176,8 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     ----------
     decided : (H, W) ndarray of bool
         Cells of buildings; objects are 8-connected.
+    share : (H, W) ndarray of float32
+        Share of the detectors that take a cell for building.
     roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small window; `msbdb.surface.texture.NO_PLANE_M` where it is not known.
     heights : Grid
@@ -181,10 +192,10 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     Notes
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
-    alone counts. For single crowns, those with bare neighbours alone count, as others are rough by the crowns beside
-    them. Otherwise all bare cells count: without those beside raised cells, blocks with noise in plan were lost.
-    Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it. Nodata: invalid
-    cells are no buildings.
+    alone counts. For single crowns and low objects, those with bare neighbours alone count, as others are rough by the
+    crowns beside them. Otherwise all bare cells count: without those beside raised cells, blocks with noise in plan
+    were lost. Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it.
+    Nodata: invalid cells are no buildings.
 
     Examples
     --------
@@ -194,32 +205,51 @@ def without_rough(decided: Mask, roughness_m: Field, heights: Grid, params: Fuse
     >>> from msbdb.grid import lattice
     >>> spec = lattice((0, 0.1, 2.4, 0.4), 0.5, CRS.from_epsg(2154))
     >>> heights = Grid(np.float32([[4, 4, 0, 4, 4]]), np.ones((1, 5), dtype=bool), spec)
-    >>> rough = np.float32([[0.02, 0.03, 0.02, 0.3, 0.2]])
-    >>> without_rough(np.asarray(heights.values) > 2, rough, heights, FuseParams()).astype(int)
+    >>> rough, decided = np.float32([[0.02, 0.03, 0.02, 0.3, 0.2]]), np.asarray(heights.values) > 2
+    >>> without_rough(decided, np.float32(decided), rough, heights, FuseParams()).astype(int)
     array([[1, 1, 0, 0, 0]])
     """
     cell_m = heights.spec.cell_m
-    if cell_m > COARSE_M:
-        return decided
     labels, count = label_zones(decided)
+    if cell_m > LARGE_M or not count:
+        return decided
     bare = heights.valid & (np.asarray(heights.values) < BARE_M)
     around_m = partial(_mean_roughness, roughness_m=roughness_m, side=2 * round(AROUND_M / cell_m / 2) + 1)
     # Bare cells beside raised ones show noise in plan, but beside crowns they are rough by the crowns.
-    noise_m, even_m = (found[decided] for found in in_threads(around_m, (bare, by_three(np.logical_and, bare))))
-    own, own_m = labels[decided], roughness_m[decided]
-    even = _share_of_known(own, count, own_m <= np.maximum(EVEN * params.smooth_m, BARE * even_m), own_m, unknown=1.0)
-    left = decided & ~chosen_cells(labels, single_crowns(labels, even, heights))
+    noise_m, even_m = in_threads(around_m, (bare, by_three(np.logical_and, bare)))
+    inner = by_three(np.logical_and, decided, beyond=np.False_)
+    throughout = partial(_rough_throughout, labels, count, roughness_m=roughness_m, params=params)
+    low = _low(labels, count, share, heights) & (sizes(labels[inner], count) >= INNER) & throughout(inner, even_m)
+    rough = np.zeros(count, dtype=np.bool_)
+    single = np.zeros(count, dtype=np.bool_)
+    if cell_m <= COARSE_M:
+        known = decided & (roughness_m < NO_PLANE_M)
+        even = roughness_m <= np.maximum(EVEN * params.smooth_m, BARE * even_m)
+        single = single_crowns(labels, _share_of_known(labels, count, even, roughness_m, unknown=1.0), heights)
+        cells = sizes(labels, count)
+        grouped = (cells * heights.spec.cell_area_m2 >= GROUP_M2) & (sizes(labels[known], count) >= KNOWN * cells)
+        rough = throughout(inner, noise_m) & grouped if cell_m > FINE_M else throughout(decided, noise_m)
+    rough = chosen_cells(labels, rough)
+    return decided & ~chosen_cells(labels, single | low) & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+
+
+def _rough_throughout(
+    labels: Labels, count: int, cells: Mask, bare_m: NDArray[np.float64], *, roughness_m: Field, params: FuseParams
+) -> Mask:
+    """Return the objects of whose cells hardly any are even, and not most are nearly so, beside bare ones."""
+    own, own_m = labels[cells], roughness_m[cells]
+    limit_m = np.maximum(params.smooth_m, NOISE * bare_m[cells])
     rough = np.ones(count, dtype=np.bool_)
-    if cell_m > FINE_M:
-        inner = by_three(np.logical_and, decided, beyond=np.False_)[decided]
-        own, own_m, noise_m = own[inner], own_m[inner], noise_m[inner]
-        cells, known = sizes(labels, count), sizes(labels[decided & (roughness_m < NO_PLANE_M)], count)
-        rough = (cells * heights.spec.cell_area_m2 >= GROUP_M2) & (known >= KNOWN * cells)
-    limit_m = np.maximum(params.smooth_m, NOISE * noise_m)
     for share, times in ((HARDLY, 1.0), *NEARLY):
         rough &= _share_of_known(own, count, own_m <= times * limit_m, own_m, unknown=1.0) < share
-    rough = chosen_cells(labels, rough)
-    return left & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+    return rough
+
+
+def _low(labels: Labels, count: int, share: Field, heights: Grid) -> Mask:
+    """Return the objects of which half is lower than houses of two storeys, and that not nearly all detectors take."""
+    middle_m = np.asarray(median(np.asarray(heights.values), labels, np.arange(1, count + 1)))
+    low: Mask = (middle_m < LOW_M) & (sums(labels, share, count) < ALL * sizes(labels, count))
+    return low
 
 
 def _mean_roughness(cells: Mask, *, roughness_m: Field, side: int) -> NDArray[np.float64]:

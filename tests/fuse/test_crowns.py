@@ -17,6 +17,11 @@ from msbdb.surface.texture import NO_PLANE_M, grid_samples, roughness
 PARAMS = FuseParams()
 
 
+def supported_by_all(decided, rough, heights):
+    """Return what stays where all detectors take the objects."""
+    return without_rough(decided, decided.astype(np.float32), rough, heights, PARAMS)
+
+
 @pytest.mark.parametrize(
     ("votes", "rough_share", "kept"),
     [(2, 0.4, True), (2, 0.6, False), (3, 1.0, True), (4, 1.0, True)],
@@ -108,7 +113,7 @@ def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept)
     shape = (60, 60)
     decided = block(shape, (20, 40), (20, 40))
     rough = np.where(decided, np.float32(roof_m), np.float32(ground_m))
-    found = without_rough(decided, rough, grid(np.where(decided, crowns(shape), 0.0), cell_m), PARAMS)
+    found = supported_by_all(decided, rough, grid(np.where(decided, crowns(shape), 0.0), cell_m))
     np.testing.assert_array_equal(found, decided if kept else np.zeros_like(decided))
 
 
@@ -149,7 +154,7 @@ def test_groups_of_crowns_are_no_buildings_on_cells_of_a_metre(change, kept):
     cells = np.flatnonzero(decided)
     rough.ravel()[cells[: round(row["unknown"] * len(cells))]] = NO_PLANE_M
     relief = 6 * np.ones(shape) if row["even"] else 2 * crowns(shape)
-    found = without_rough(decided, rough, grid(np.where(decided, relief, 0.0), row["cell_m"]), PARAMS)
+    found = supported_by_all(decided, rough, grid(np.where(decided, relief, 0.0), row["cell_m"]))
     np.testing.assert_array_equal(found, decided & kept)
 
 
@@ -163,7 +168,7 @@ def test_noise_beside_walls_tells_how_rough_roofs_are(beside_m, kept):
     rough = np.select([decided, beside], [0.3, beside_m], 0.02).astype(np.float32)
     heights = grid(np.where(decided, crowns(shape), 0.0), 0.5)
     heights = Grid(heights.values, bare, heights.spec)
-    np.testing.assert_array_equal(without_rough(decided, rough, heights, PARAMS), decided & kept)
+    np.testing.assert_array_equal(supported_by_all(decided, rough, heights), decided & kept)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -176,7 +181,7 @@ def test_bare_cells_out_of_reach_tell_nothing(seed):
     rough = np.where(decided, 0.3, random.uniform(0.01, 0.3, shape)).astype(np.float32)
     heights = grid(np.where(decided, crowns(shape), 0.0), 0.5)
     heights = Grid(heights.values, valid, heights.spec)
-    assert not without_rough(decided, rough, heights, PARAMS).any()
+    assert not supported_by_all(decided, rough, heights).any()
 
 
 @pytest.mark.parametrize("noise_m", [0.1, 0.25])
@@ -188,7 +193,7 @@ def test_a_roof_that_noise_alone_makes_rough_stays(noise_m):
     for top, kept in ((5 + 0.4 * np.indices(shape)[0], True), (crowns(shape), False)):
         heights = grid(np.where(decided, top + noise, 0.0), 0.5)
         rough = np.where(decided, roughness(grid_samples(heights), 1.5), np.float32(0.02))
-        assert without_rough(decided, np.maximum(rough, 0.25 * decided), heights, PARAMS).any() == kept
+        assert supported_by_all(decided, np.maximum(rough, 0.25 * decided), heights).any() == kept
 
 
 @pytest.mark.parametrize(
@@ -202,8 +207,90 @@ def test_what_is_as_rough_all_over_as_noise_makes_a_steep_roof_stays(share, roug
     decided = block(shape, (20, 40), (20, 40))
     rough = np.full(shape, 0.02, dtype=np.float32)
     rough[decided] = np.where(np.arange(400) < 400 * share, rougher_m, 0.17)
-    found = without_rough(decided, rough, grid(np.where(decided, crowns(shape), 0.0), 0.5), PARAMS)
+    found = supported_by_all(decided, rough, grid(np.where(decided, crowns(shape), 0.0), 0.5))
     np.testing.assert_array_equal(found, decided & kept)
+
+
+LOW = {
+    "cell_m": 1.2,
+    "sides": (8, 9),
+    "high": ((1.0, 4.0),),
+    "share": 0.8,
+    "inner_m": 0.3,
+    "edge_m": 0.02,
+    "beside_m": 0.3,
+    "ground_m": 0.02,
+    "unknown": 0.4,
+}
+"""A row of low crowns at 0.6 points/m²."""
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [
+        ({}, False),
+        ({"cell_m": 0.5}, False),
+        ({"cell_m": 1.5}, False),
+        ({"cell_m": 2.0}, True),
+        ({"high": ((0.4, 7.0), (0.6, 5.0))}, False),
+        ({"high": ((0.6, 7.0), (0.4, 5.0))}, True),
+        ({"share": 0.85}, False),
+        ({"share": 0.9}, True),
+        ({"sides": (5, 6)}, False),
+        ({"sides": (5, 5)}, True),
+        ({"inner_m": 0.02}, True),
+        ({"inner_m": 0.11}, True),
+        ({"ground_m": 0.11}, True),
+        ({"unknown": 0.6}, True),
+    ],
+    ids=[
+        "row of low crowns",
+        "fine cells",
+        "cells of 1.5 m",
+        "cells of 2 m",
+        "two fifths above 6 m",
+        "three fifths above 6 m",
+        "hardly less support",
+        "nearly all support",
+        "12 inner cells",
+        "9 inner cells",
+        "rough edge alone",
+        "nearly smooth",
+        "noisy survey",
+        "planes for few",
+    ],
+)
+def test_low_objects_are_judged_by_the_even_ground_around(change, kept):
+    """Bare cells beside them are as rough as they are, and tell nothing; each property of a roof alone keeps it."""
+    low = {**LOW, **change}
+    shape, (high, wide) = (60, 60), low["sides"]
+    decided = block(shape, (20, 20 + high), (20, 20 + wide))
+    inner = by_three(np.logical_and, decided, beyond=np.False_)
+    beside = by_three(np.logical_or, decided, beyond=np.False_) & ~decided
+    rough = np.select([inner, decided, beside], [low["inner_m"], low["edge_m"], low["beside_m"]], low["ground_m"])
+    cells = np.flatnonzero(inner)
+    rough.ravel()[cells[: round(low["unknown"] * len(cells))]] = NO_PLANE_M
+    shares, tops = zip(*low["high"], strict=True)
+    heights = np.zeros(shape)
+    ends = np.rint(np.cumsum(shares) * decided.sum()).astype(int)
+    heights[decided] = np.repeat(tops, np.diff([0, *ends]))
+    found = without_rough(
+        decided, np.float32(low["share"] * decided), rough.astype(np.float32), grid(heights, low["cell_m"]), PARAMS
+    )
+    np.testing.assert_array_equal(found, decided & kept)
+
+
+def test_low_objects_go_one_by_one():
+    """Of three low objects on coarse cells, the rough one goes; the order of the labels does not matter."""
+    shape = (60, 60)
+    first, second, third = (block(shape, (at, at + 8), (at, at + 8)) for at in (5, 25, 45))
+    decided = first | second | third
+    rough = np.where(second, np.float32(0.3), np.float32(0.02))
+    share = np.float32(0.75 * decided)
+    found = without_rough(decided, share, rough, grid(4.0 * decided, 1.2), PARAMS)
+    np.testing.assert_array_equal(found, first | third)
+    none = np.zeros(shape, dtype=bool)
+    assert not without_rough(none, share, rough, grid(4.0 * decided, 1.2), PARAMS).any()
 
 
 DOME = {"bends": (0.1, 0.1), "off_m": 0.3, "even": 0.0, "side": 14, "cell_m": 1.0, "ground_m": 0.02}
@@ -251,7 +338,7 @@ def test_a_rough_dome_is_a_crown(change, kept):
     high = np.where(decided, 12 - along * row**2 - across * col**2 + off, 0.0)
     rough = np.full(shape, dome["ground_m"], dtype=np.float32)
     rough[decided] = np.where(np.arange(side**2) < dome["even"] * side**2, 0.08, 0.2)
-    found = without_rough(decided, rough, grid(high, dome["cell_m"]), PARAMS)
+    found = supported_by_all(decided, rough, grid(high, dome["cell_m"]))
     np.testing.assert_array_equal(found, decided & kept)
 
 
@@ -269,7 +356,7 @@ def test_bare_cells_beside_what_is_raised_tell_nothing_about_crowns(bare_m, kept
         decided, 12 - 0.1 * (row - 19.5) ** 2 - 0.1 * (col - 19.5) ** 2 + 0.2 * (-1) ** (row + col), 4 * trees
     )
     rough = np.select([raised, beside], [0.3, bare_m[0]], bare_m[1]).astype(np.float32)
-    found = without_rough(decided, rough, grid(high), PARAMS)
+    found = supported_by_all(decided, rough, grid(high))
     np.testing.assert_array_equal(found, decided & kept)
 
 
@@ -291,7 +378,7 @@ def test_domes_are_judged_one_by_one():
     decided = cut | ridge | court | house
     rough = np.where(decided, np.float32(0.3), np.float32(0.02))
     off = 0.3 * np.where((row + col) % 2, 1, -1) * decided
-    np.testing.assert_array_equal(without_rough(decided, rough, grid(high + off), PARAMS), ridge | house)
+    np.testing.assert_array_equal(supported_by_all(decided, rough, grid(high + off)), ridge | house)
 
 
 @pytest.mark.parametrize(
@@ -336,9 +423,9 @@ def test_an_object_whose_roughness_is_not_known_stays():
     decided = block(shape, (20, 40), (20, 40))
     heights = grid(np.where(decided, crowns(shape), 0.0), 0.5)
     unknown = np.full(shape, NO_PLANE_M, dtype=np.float32)
-    np.testing.assert_array_equal(without_rough(decided, unknown, heights, PARAMS), decided)
+    np.testing.assert_array_equal(supported_by_all(decided, unknown, heights), decided)
     hedge = np.where(decided, np.float32(0.3), unknown)
-    assert not without_rough(decided, hedge, heights, PARAMS).any()
+    assert not supported_by_all(decided, hedge, heights).any()
     few = without_crowns(decided, 0.5 * decided, unknown, PARAMS, clear=0.625, cell_m=0.5)
     np.testing.assert_array_equal(few, decided)
     green = without_green(decided, ~decided, decided, unknown, PARAMS, cell_m=0.5)
