@@ -15,7 +15,7 @@ from msbdb.surface.heights import Surface
 from msbdb.surface.noise import height_noise, without_noise
 from msbdb.surface.squares import Squares, around
 from msbdb.surface.structure import VEGETATION, Structure, rough_cells, structural_cover
-from msbdb.surface.texture import Texture, echoes, roughness
+from msbdb.surface.texture import LEAST_SAMPLES, WIDEST_SAMPLES, Texture, echoes, roughness, widest_window_m
 from msbdb.surveyplan import CROWN_CLASSES_M, PointFacts
 from msbdb.threads import in_threads
 
@@ -79,25 +79,31 @@ def texture_of(surface: Surface, points: PointCloud | None, params: Params) -> T
     """
     small_m, wide_m, mask_m = params.cover.window_m, params.cover.wide_window_m, params.surface.mask_m
 
-    def relief(window_m: float) -> tuple[Field, Field]:
-        known = surface.roughness.get(window_m)
-        seen = roughness(surface.samples, window_m) if known is None else known
+    def relief(window: tuple[float, int]) -> tuple[Field, Field]:
+        known = surface.roughness.get(window)
+        seen = roughness(surface.samples, *window) if known is None else known
         noise_m = height_noise(seen, surface.ndsm)
         return without_noise(seen, noise_m), noise_m
 
-    (rough, noise_m), (wide, _) = in_threads(relief, (small_m, wide_m))
+    windows = _windows(params.cover, surface.ndsm.spec.cell_m)
+    (rough, noise_m), (wide, _), (widest, _) = in_threads(relief, windows)
     found = (
         None
         if points is None
         else echoes(points, surface.ndsm, surface.dtm, small_m=small_m, wide_m=wide_m, mask_m=mask_m)
     )
-    return Texture(surface.ndsm, rough, wide, found, mask_m, noise_m if noise_m.any() else None)
+    return Texture(surface.ndsm, rough, wide, found, mask_m, noise_m if noise_m.any() else None, widest)
 
 
-def roughness_by_window(samples: Samples, params: CoverParams) -> dict[float, Field]:
-    """Return the roughness of samples, noise included, by the sides of the small and the wide window, metres."""
-    windows_m = (params.window_m, params.wide_window_m)
-    return {window_m: roughness(samples, window_m) for window_m in windows_m}
+def roughness_by_window(samples: Samples, params: CoverParams) -> dict[tuple[float, int], Field]:
+    """Return the roughness of samples, noise included, by window: its side in metres, and the least samples."""
+    return {window: roughness(samples, *window) for window in _windows(params, samples.spec.cell_m)}
+
+
+def _windows(params: CoverParams, cell_m: float) -> tuple[tuple[float, int], ...]:
+    """Return the sides of the small, wide and widest window, metres, each with the least samples of a plane."""
+    widest_m = widest_window_m(params.wide_window_m, cell_m)
+    return (params.window_m, LEAST_SAMPLES), (params.wide_window_m, LEAST_SAMPLES), (widest_m, WIDEST_SAMPLES)
 
 
 def crown_cells(texture: Texture, params: CoverParams) -> Field | None:

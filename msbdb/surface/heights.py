@@ -54,7 +54,7 @@ class Surface:
         First echoes, or cells of the source raster, a square metre; see `density_of_cells`.
     terrain_known : bool
         Whether the terrain has its level; False where the source has heights above ground.
-    roughness : mapping of float to (H, W) ndarray of float32
+    roughness : mapping of (float, int) to (H, W) ndarray of float32
         Roughness of the samples by the side of the window, both in metres, where it was measured beside the terrain.
     """
 
@@ -65,7 +65,7 @@ class Surface:
     ground_filter: str
     density: float
     terrain_known: bool = True
-    roughness: Mapping[float, NDArray[np.float32]] = field(default_factory=dict)
+    roughness: Mapping[tuple[float, int], NDArray[np.float32]] = field(default_factory=dict)
 
 
 def normalise(dsm: Grid, dtm: Grid) -> Grid:

@@ -49,7 +49,7 @@ class Structure:
     roughness_m : (H, W) ndarray of float32, metres
         Residual of the best plane in the small window; `msbdb.surface.texture.NO_PLANE_M` where it has too few samples.
     filled_m : (H, W) ndarray of float32, metres
-        The same, and there the residual in the wide window.
+        The same, and there the residual in the smallest window that has enough.
     noise_m : (H, W) ndarray of float32 or None, metres
         What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
     crowns : (2, N) ndarray of float32 or None
@@ -91,8 +91,9 @@ def structural_cover(
 
     Notes
     -----
-    Where the small window has too few samples for a plane, as beside strips that overlap, the wide one is judged:
-    sparse is not rough. In the odds with echoes such cells keep the penalty that they were calibrated with.
+    Where the small window has too few samples for a plane, as beside strips that overlap, the wide one is judged, and
+    where that has too few the widest: sparse is not rough. In the odds with echoes such cells keep the penalty that
+    they were calibrated with, and split echoes there are leaves.
     Without echoes the limits of roughness grow with the windows on cells above 0.6 m.
 
     With w the trust, the log-odds are w times the part of single echoes and 1 - w times that of roughness alone, less
@@ -102,7 +103,7 @@ def structural_cover(
     wider, filled_m, echoes = _for_wider_windows(params, ndsm.spec.cell_m), texture.filled_m, texture.echoes
     trust, most = np.zeros((1, 1), dtype=np.float32), 0.0
     if echoes is None:
-        odds = _rough_odds(filled_m, wide_m, wider)
+        odds = _rough_odds(filled_m, texture.filled_wide_m, wider)
     else:
         leafy = leaf_share(wide_m, ndsm.spec.cell_m, params)
         echoes = replace(
@@ -118,7 +119,7 @@ def structural_cover(
             trust = trust * recorded
         odds = _echo_odds(small_m, echoes, trust, params)
         if trust.min() < 1:
-            odds += (1 - trust) * _rough_odds(filled_m, wide_m, wider)
+            odds += (1 - trust) * _rough_odds(filled_m, texture.filled_wide_m, wider)
     probability = _sigmoid(odds)
     with_echoes_m, alone_m = (_smooth_m(each, ndsm.spec.cell_m) for each in (params, wider))
     smooth = filled_m < trust * with_echoes_m + (1 - trust) * alone_m
@@ -131,7 +132,7 @@ def structural_cover(
 def rough_cells(texture: Texture, params: CoverParams) -> Mask:
     """Return the (H, W) cells that are vegetation by the roughness around them alone, before regions are judged."""
     cell_m = texture.ndsm.spec.cell_m
-    odds = _rough_odds(texture.filled_m, texture.wide_roughness_m, _for_wider_windows(params, cell_m))
+    odds = _rough_odds(texture.filled_m, texture.filled_wide_m, _for_wider_windows(params, cell_m))
     [share] = smooth_shares((_sigmoid(odds),), texture.raised, params.smooth_m / cell_m)
     return texture.raised & (share <= 0.5)
 

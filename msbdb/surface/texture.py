@@ -23,6 +23,9 @@ NO_PLANE_M = 5.0
 LEAST_SAMPLES = 5
 """A plane always fits fewer samples, or nearly: of a crown, too."""
 
+WIDEST_SAMPLES = 7
+"""Ours, in sample: least samples for a plane in the widest window, as the best of many such windows counts."""
+
 JITTER = 0.5
 """Ours, in sample: of the variance of a place by chance in a cell. Surfaces of triangles have 0, of single echoes 1."""
 
@@ -66,6 +69,8 @@ class Texture:
         Height of the mask (V17), metres.
     noise_m : (H, W) ndarray of float32 or None, metres
         What noise of the heights added to the residual in the small window, and is taken off; None where nothing is.
+    widest_roughness_m : (H, W) ndarray of float32 or None, metres
+        Residual in windows wider than the wide ones, for cells among too few samples; None where nobody measured it.
     """
 
     ndsm: Grid
@@ -74,6 +79,7 @@ class Texture:
     echoes: Echoes | None
     mask_m: float
     noise_m: Field | None = None
+    widest_roughness_m: Field | None = None
 
     @property
     def raised(self) -> Mask:
@@ -82,8 +88,14 @@ class Texture:
 
     @property
     def filled_m(self) -> Field:
-        """The roughness in the small window, and in the wide one where the small one has too few samples."""
-        return np.where(self.roughness_m < NO_PLANE_M, self.roughness_m, self.wide_roughness_m)
+        """The roughness in the small window, or in the smallest one with samples enough for a plane."""
+        return np.where(self.roughness_m < NO_PLANE_M, self.roughness_m, self.filled_wide_m)
+
+    @property
+    def filled_wide_m(self) -> Field:
+        """The roughness in the wide window, or in the widest one where the wide one has too few samples."""
+        wide, widest = self.wide_roughness_m, self.widest_roughness_m
+        return wide if widest is None else np.where(wide < NO_PLANE_M, wide, widest)
 
 
 def window_cells(window_m: float, cell_m: float) -> int:
@@ -97,7 +109,18 @@ def window_cells(window_m: float, cell_m: float) -> int:
     return max(3, 2 * math.floor(window_m / cell_m / 2) + 1)
 
 
-def roughness(samples: Samples, window_m: float) -> Field:
+def widest_window_m(wide_window_m: float, cell_m: float) -> float:
+    """Return the side of the widest window, metres: a cell wider on each side than the wide one.
+
+    Examples
+    --------
+    >>> widest_window_m(2.5, 1.0), widest_window_m(2.5, 0.5)
+    (5.0, 3.5)
+    """
+    return (window_cells(wide_window_m, cell_m) + 2) * cell_m
+
+
+def roughness(samples: Samples, window_m: float, least: int = LEAST_SAMPLES) -> Field:
     """Return how far the first echoes scatter from their best plane, in the best window that holds the cell.
 
     Parameters
@@ -106,11 +129,13 @@ def roughness(samples: Samples, window_m: float) -> Field:
         First echoes nearest to the cells' centres, with their true places.
     window_m : float
         Side of the square window, metres.
+    least : int
+        Fewer samples make no plane; at least `LEAST_SAMPLES`.
 
     Returns
     -------
     (H, W) ndarray of float32, metres
-        At most ``NO_PLANE_M``; that value also where no window holds five samples that span a plane.
+        At most ``NO_PLANE_M``; that value also where no window holds so many samples that span a plane.
 
     Notes
     -----
@@ -137,11 +162,11 @@ def roughness(samples: Samples, window_m: float) -> Field:
     >>> roughness(samples, 3.0)[2].round(2)
     array([0. , 0. , 0.3, 0. , 0. ], dtype=float32)
     """
-    best: Field = erosion(scatter(samples, window_m), window_cells(window_m, samples.spec.cell_m), None)
+    best: Field = erosion(scatter(samples, window_m, least), window_cells(window_m, samples.spec.cell_m), None)
     return best
 
 
-def scatter(samples: Samples, window_m: float) -> Field:
+def scatter(samples: Samples, window_m: float, least: int = LEAST_SAMPLES) -> Field:
     """Return how far the samples scatter from their best plane in the window around each cell, as for `roughness`."""
     size = window_cells(window_m, samples.spec.cell_m)
     if not samples.observed.any():
@@ -149,7 +174,7 @@ def scatter(samples: Samples, window_m: float) -> Field:
     # Heights are taken from the middle of their range, so that the sums of their squares keep their digits.
     origin = float(np.nanmin(samples.z) + np.nanmax(samples.z)) / 2
     places = (samples.east, samples.north, np.float64(JITTER * samples.within_m**2 / 12))
-    return _plane_residual(samples.z, places, origin, samples.spec.cell_m, size // 2)
+    return _plane_residual(samples.z, places, origin, samples.spec.cell_m, (size // 2, least))
 
 
 def grid_samples(surface: Grid, within_m: float = 0.0) -> Samples:
@@ -237,13 +262,16 @@ def _echo_counts(
 
 
 @kernel
-def _plane_residual(z: Floats, places: tuple[Field, Field, float], origin: float, cell: float, half: int) -> Field:
+def _plane_residual(
+    z: Floats, places: tuple[Field, Field, float], origin: float, cell: float, window: tuple[int, int]
+) -> Field:
     """Residual of the least-squares plane through the samples of each window.
 
-    ``places`` are the samples' offsets from the centres, and the variance that is not known of them, square metres.
-    The moments are summed by columns and then over the columns, whose eastings are shifted to the window's centre.
+    ``window`` is half of its side in cells, and the least samples of a plane. ``places`` are the samples' offsets from
+    the centres, and the variance that is not known of them, square metres. The moments are summed by columns and then
+    over the columns, whose eastings are shifted to the window's centre.
     """
-    (east, north, unknown_m2), (height, width) = places, z.shape
+    (east, north, unknown_m2), (half, least), (height, width) = places, window, z.shape
     out = np.full(z.shape, np.float32(NO_PLANE_M))
     for row in range(height):
         columns = _column_moments(z, (east, north), (origin, cell), row, half)
@@ -254,7 +282,7 @@ def _plane_residual(z: Floats, places: tuple[Field, Field, float], origin: float
             n, se, sn, sz, see = sums[0, col], sums[1, col], sums[2, col], sums[3, col], sums[4, col]
             sen, snn, sez, snz, szz = sums[5, col], sums[6, col], sums[7, col], sums[8, col], sums[9, col]
             # Without branches, as below; what has no plane is divided by 1, and not taken.
-            enough = n >= LEAST_SAMPLES
+            enough = n >= least
             n = n if enough else 1.0
             cee, cen, cnn = see - se * se / n, sen - se * sn / n, snn - sn * sn / n
             cez, cnz, czz = sez - se * sz / n, snz - sn * sz / n, szz - sz * sz / n

@@ -13,8 +13,17 @@ from msbdb.params import Params, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import cover_from_surface, cover_with_colours, normalise, surface_from_rasters
+from msbdb.surface.gridding import Samples
 from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_shares, structural_cover
-from msbdb.surface.texture import NO_PLANE_M, Echoes, Texture
+from msbdb.surface.texture import (
+    LEAST_SAMPLES,
+    NO_PLANE_M,
+    WIDEST_SAMPLES,
+    Echoes,
+    Texture,
+    roughness,
+    widest_window_m,
+)
 
 Scene = scenes.Scene
 PARAMS = with_values(Params(), {"surface": {"cell_m": 0.5}})
@@ -91,8 +100,11 @@ def test_roughness_that_is_known_changes_nothing_and_counts_for_its_window_alone
     points = scenes.under_trees().points
     surface = build_surface(points, PARAMS)
     wider = with_values(PARAMS, {"cover": {"window_m": 2.5}})
-    assert set(surface.roughness) == {PARAMS.cover.window_m, PARAMS.cover.wide_window_m}
-    for params in (PARAMS, wider):
+    widest_m = widest_window_m(PARAMS.cover.wide_window_m, surface.dsm.spec.cell_m)
+    as_wide_as_the_widest = with_values(PARAMS, {"cover": {"window_m": widest_m}})
+    windows = ((PARAMS.cover.window_m, LEAST_SAMPLES), (PARAMS.cover.wide_window_m, LEAST_SAMPLES))
+    assert set(surface.roughness) == {*windows, (widest_m, WIDEST_SAMPLES)}
+    for params in (PARAMS, as_wide_as_the_widest, wider):
         known, anew = (cover_from_surface(each, points, params) for each in (surface, replace(surface, roughness={})))
         np.testing.assert_array_equal(known.roughness_m, anew.roughness_m)
         np.testing.assert_array_equal(known.cover.index, anew.cover.index)
@@ -209,6 +221,67 @@ def test_where_samples_are_too_few_the_wide_window_decides(wide_m, expected, ech
     found = structural_cover(Texture(ndsm, rough, np.float32(wide_m) * one, echoes, 2.0), None, PARAMS.cover)
     assert set(np.unique(found.cover.index[raised])) == {expected}
     assert (found.roughness_m == rough).all()
+
+
+@pytest.mark.parametrize(("widest_m", "expected"), [(0.03, ROOF), (0.6, VEGETATION)])
+def test_where_the_wide_window_has_too_few_samples_the_widest_decides(widest_m, expected):
+    """A roof or a crown of 10 x 10 m without a plane in the small and the wide window, and without echoes or trust."""
+    spec = lattice((0, 0, 20, 20), 0.5, scenes.UTM33)
+    heights = np.zeros(spec.shape, dtype=np.float32)
+    heights[10:30, 10:30] = 6.0
+    ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
+    one = np.ones_like(heights)
+    none = np.where(heights > 0, np.float32(NO_PLANE_M), np.float32(0.02))
+    texture = Texture(ndsm, none, none, None, 2.0, widest_roughness_m=np.float32(widest_m) * one)
+    for without_trust in (texture, replace(texture, echoes=Echoes(0 * one, 0 * one, 0 * one, one))):
+        found = structural_cover(without_trust, None, PARAMS.cover, recorded=0 * one)
+        assert set(np.unique(found.cover.index[heights > 0])) == {expected}
+        np.testing.assert_array_equal(found.roughness_m, none)
+    known = replace(texture, roughness_m=0.05 * one, wide_roughness_m=0.05 * one)
+    assert set(np.unique(structural_cover(known, None, PARAMS.cover).cover.index[heights > 0])) == {ROOF}
+
+
+def test_a_plane_in_the_widest_window_alone_is_no_glass():
+    """A roof of which most pulses are split is glass where the wide window has a plane, and leaves where none is."""
+    spec = lattice((0, 0, 20, 20), 0.5, scenes.UTM33)
+    heights = np.zeros(spec.shape, dtype=np.float32)
+    heights[10:30, 10:30] = 6.0
+    one = np.ones_like(heights)
+    split = np.where(heights > 0, one, 0)
+    texture = Texture(
+        Grid(heights, np.ones(spec.shape, dtype=bool), spec),
+        0.02 * one,
+        0.02 * one,
+        Echoes(split, split, split, one),
+        2.0,
+        widest_roughness_m=0.02 * one,
+    )
+    for wide_m, expected in ((0.02, ROOF), (NO_PLANE_M, VEGETATION)):
+        found = structural_cover(replace(texture, wide_roughness_m=wide_m * one), None, PARAMS.cover)
+        assert set(np.unique(found.cover.index[heights > 0])) == {expected}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_roofs_between_strips_that_do_not_overlap_are_found(seed):
+    """Two houses and a clump of crowns on cells of 1 m, of which a third was measured, without echoes."""
+    spec = lattice((0.0, 0.0, 79.9, 59.9), 1.0, scenes.UTM33)
+    random = np.random.default_rng(seed)
+    east, north = spec.xy(*np.indices(spec.shape))
+    across = np.minimum(abs(east - 14), abs(east - 46))
+    houses = (across < 5) & (abs(north - 40) < 10)
+    crowns = (east - 62) ** 2 + (north - 18) ** 2 < 12**2
+    heights = np.where(houses, 5 + 0.6 * (5 - across), 0.0)
+    heights[crowns] = random.uniform(3, 12, np.count_nonzero(crowns))
+    measured = random.random(spec.shape) < 1 / 3
+    zero = np.zeros(spec.shape, dtype=np.float32)
+    samples = Samples(np.where(measured, heights, np.nan), zero, zero, spec)
+    dsm = Grid(heights.astype(np.float32), np.ones(spec.shape, dtype=bool), spec)
+    surface = surface_from_rasters(dsm, dsm.with_values(zero))
+    inner = houses & (across < 4) & (abs(north - 40) < 9)
+    assert (roughness(samples, 3.0)[inner] == NO_PLANE_M).mean() > 0.3
+    roofs = cover_from_surface(replace(surface, samples=samples), None, Params()).cover.labelled("building")
+    assert roofs[inner].mean() > 0.9
+    assert roofs[crowns].mean() < 0.15
 
 
 def test_the_share_of_leaves_rises_between_its_limits_which_grow_with_the_cell():

@@ -126,7 +126,7 @@ def test_noise_is_as_rough_under_few_samples_as_under_many(half, seen_share):
     cells = np.indices((150, 150)).sum(axis=0)
     z = np.where(rng.random(cells.shape) < seen_share, 0.3 * cells + rng.normal(0, 0.2, cells.shape), np.nan)
     zero = np.zeros(cells.shape, dtype=np.float32)
-    residual = _plane_residual(z, (zero, zero, 0.0), 40.0, 0.5, half)
+    residual = _plane_residual(z, (zero, zero, 0.0), 40.0, 0.5, (half, LEAST_SAMPLES))
     assert np.mean(residual[residual < NO_PLANE_M] ** 2) == pytest.approx(0.04, rel=0.05)
 
 
@@ -146,6 +146,17 @@ def test_four_echoes_tell_no_plane_and_five_do():
     assert np.all(roughness(Samples(corners, zero, zero, spec_of(3, 3)), 1.5) == NO_PLANE_M)
     corners[1, 1] = 1.0
     assert np.all(roughness(Samples(corners, zero, zero, spec_of(3, 3)), 1.5) == 0)
+
+
+@pytest.mark.parametrize(("measured", "least", "known"), [(5, 5, True), (4, 5, False), (7, 7, True), (6, 7, False)])
+def test_fewer_samples_make_no_plane(measured, least, known):
+    """On a plane of 5 by 5 cells; where the samples do not lie on a line."""
+    z = np.full((5, 5), np.nan)
+    cells = np.random.default_rng(measured).permutation(25)[:measured]
+    z.ravel()[cells] = np.indices((5, 5)).sum(axis=0).ravel()[cells]
+    zero = np.zeros((5, 5), dtype=np.float32)
+    found = roughness(Samples(z, zero, zero, spec_of(5, 5)), 5 * spec_of(5, 5).cell_m, least)
+    np.testing.assert_allclose(found, 0.0 if known else NO_PLANE_M, atol=1e-6)
 
 
 @pytest.mark.parametrize(("slope", "share"), [(0.0, 0.0), (0.5, 0.5), (1.0, 0.5), (2.0, 1.0)])

@@ -209,7 +209,7 @@ def build_surface(points: PointCloud, params: Params, given: Callable[[GridSpec]
     spec = lattice_of_points(points, params)
     aligned = None if given is None else align_grid(given(spec), spec, role="DTM")
 
-    def measure() -> tuple[Grid, Samples, dict[float, NDArray[np.float32]]]:
+    def measure() -> tuple[Grid, Samples, dict[tuple[float, int], NDArray[np.float32]]]:
         dsm, samples = grid_surface(points, spec, params)
         return dsm, samples, roughness_by_window(samples, params.cover)
 
