@@ -14,7 +14,7 @@ from msbdb.points.cloud import PointCloud
 from msbdb.run.preparation.drafts import build_surface
 from msbdb.surface import cover_from_surface, cover_with_colours, normalise, surface_from_rasters
 from msbdb.surface.gridding import Samples
-from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, smooth_shares, structural_cover
+from msbdb.surface.structure import ROOF, VEGETATION, leaf_share, rough_cells, smooth_shares, structural_cover
 from msbdb.surface.texture import (
     LEAST_SAMPLES,
     NO_PLANE_M,
@@ -237,6 +237,7 @@ def test_where_the_wide_window_has_too_few_samples_the_widest_decides(widest_m, 
         found = structural_cover(without_trust, None, PARAMS.cover, recorded=0 * one)
         assert set(np.unique(found.cover.index[heights > 0])) == {expected}
         np.testing.assert_array_equal(found.roughness_m, none)
+    assert rough_cells(texture, PARAMS.cover)[heights > 0].all() == (expected == VEGETATION)
     known = replace(texture, roughness_m=0.05 * one, wide_roughness_m=0.05 * one)
     assert set(np.unique(structural_cover(known, None, PARAMS.cover).cover.index[heights > 0])) == {ROOF}
 
