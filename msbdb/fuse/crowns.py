@@ -247,7 +247,8 @@ def _rough_throughout(
 
 def _low(labels: Labels, count: int, share: Field, heights: Grid) -> Mask:
     """Return the objects of which half is lower than houses of two storeys, and that not nearly all detectors take."""
-    middle_m = np.asarray(median(np.asarray(heights.values), labels, np.arange(1, count + 1)))
+    inside = labels > 0
+    middle_m = np.asarray(median(np.asarray(heights.values)[inside], labels[inside], np.arange(1, count + 1)))
     low: Mask = (middle_m < LOW_M) & (sums(labels, share, count) < ALL * sizes(labels, count))
     return low
 
@@ -274,7 +275,8 @@ def _only_noisy(rough: Mask, roughness_m: Field, heights: Grid) -> Mask:
     spec = heights.spec
     scattered = scatter(grid_samples(Grid(mean, rough, spec)), WINDOW_PX * spec.cell_m)
     known = np.where((scattered < NO_PLANE_M) & (roughness_m < NO_PLANE_M), labels, 0)
-    averaged, of_cells = (median(part, known, np.arange(1, count + 1)) for part in (scattered, roughness_m))
+    numbers = np.arange(1, count + 1)
+    averaged, of_cells = (median(part[rough], known[rough], numbers) for part in (scattered, roughness_m))
     return chosen_cells(labels, averaged < AVERAGED * of_cells)
 
 
