@@ -35,10 +35,17 @@ GROUP_M2, KNOWN = 100.0, 0.85
 """Ours, in sample: there an object of this area is no narrow roof, but may be a group or a row of crowns, if planes
 were fitted to this share of it. Blocks with noise in plan have fewer."""
 
-LOW_M, ALL, INNER, LARGE_M = 6.0, 0.875, 12, 1.5
-"""Ours, in sample: half of a house of two storeys at most is lower. A low object that has less support than this mean
-share, and of so many inner cells or more, is judged by the roughness of cells that lie amid bare ones, on cells of up
-to so many metres. On larger ones low houses are as rough."""
+LOW_M = 6.0
+"""Ours, in sample: half of a low object lies below this height above ground, as of houses of two storeys at most."""
+
+NEARLY_ALL = 0.875
+"""Ours, in sample: nearly all detectors take an object of this mean support: half a vote of four is lacking."""
+
+LEAST_INNER = 12
+"""Ours, in sample: with fewer inner cells than these the roughness of a low object is chance."""
+
+LARGEST_CELL_M = 1.5
+"""Ours, in sample: on larger cells low houses are as rough as crowns."""
 
 BARE_M = 0.5
 """Ours: cells up to this height show how rough even surfaces of the survey are."""
@@ -164,9 +171,9 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     dropped so, where planes are known for `KNOWN` of them. Their inner cells alone are judged: windows at an edge lie
     half on the ground. On cells larger than `COARSE_M` none of this is done.
 
-    Low objects have a second, stricter limit, on cells of up to `LARGE_M`. Blocks of old towns are rough and high, and
-    houses of one or two storeys have simple roofs. So a low object that not nearly all detectors take goes by the
-    roughness of the bare cells with bare neighbours alone, and by that of its own inner cells.
+    Low objects have a second, stricter limit, on cells of up to `LARGEST_CELL_M`. Blocks of old towns are rough and
+    high, and houses of one or two storeys have simple roofs. So the inner cells of a low object that not nearly all
+    detectors take are compared with the bare cells with bare neighbours alone, and its means are not asked.
 
     On cells of up to `COARSE_M` single crowns are dropped by their shape, too (`msbdb.fuse.domes`): little of them is
     even, and they are domes. Rough roofs of old towns are saddles, or have steps. A hipped roof falls off to all sides,
@@ -211,7 +218,7 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     """
     cell_m = heights.spec.cell_m
     labels, count = label_zones(decided)
-    if cell_m > LARGE_M or not count:
+    if cell_m > LARGEST_CELL_M or not count:
         return decided
     bare = heights.valid & (np.asarray(heights.values) < BARE_M)
     around_m = partial(_mean_roughness, roughness_m=roughness_m, side=2 * round(AROUND_M / cell_m / 2) + 1)
@@ -219,7 +226,7 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     noise_m, even_m = in_threads(around_m, (bare, by_three(np.logical_and, bare)))
     inner = by_three(np.logical_and, decided, beyond=np.False_)
     throughout = partial(_rough_throughout, labels, count, roughness_m=roughness_m, params=params)
-    low = _low(labels, count, share, heights) & (sizes(labels[inner], count) >= INNER) & throughout(inner, even_m)
+    low = _low(labels, count, share, heights) & (sizes(labels[inner], count) >= LEAST_INNER) & throughout(inner, even_m)
     rough = np.zeros(count, dtype=np.bool_)
     single = np.zeros(count, dtype=np.bool_)
     if cell_m <= COARSE_M:
@@ -236,7 +243,7 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
 def _rough_throughout(
     labels: Labels, count: int, cells: Mask, bare_m: NDArray[np.float64], *, roughness_m: Field, params: FuseParams
 ) -> Mask:
-    """Return the objects of whose cells hardly any are even, and not most are nearly so, beside bare ones."""
+    """Return the objects of which hardly a cell is as even as the bare ones around, and too few are nearly so."""
     own, own_m = labels[cells], roughness_m[cells]
     limit_m = np.maximum(params.smooth_m, NOISE * bare_m[cells])
     rough = np.ones(count, dtype=np.bool_)
@@ -246,10 +253,10 @@ def _rough_throughout(
 
 
 def _low(labels: Labels, count: int, share: Field, heights: Grid) -> Mask:
-    """Return the objects of which half is lower than houses of two storeys, and that not nearly all detectors take."""
+    """Return the objects of which half lies below `LOW_M`, and that not nearly all detectors take."""
     inside = labels > 0
     middle_m = np.asarray(median(np.asarray(heights.values)[inside], labels[inside], np.arange(1, count + 1)))
-    low: Mask = (middle_m < LOW_M) & (sums(labels, share, count) < ALL * sizes(labels, count))
+    low: Mask = (middle_m < LOW_M) & (sums(labels, share, count) < NEARLY_ALL * sizes(labels, count))
     return low
 
 

@@ -55,7 +55,8 @@ class Surface:
     terrain_known : bool
         Whether the terrain has its level; False where the source has heights above ground.
     roughness : mapping of (float, int) to (H, W) ndarray of float32
-        Roughness of the samples by the side of the window, both in metres, where it was measured beside the terrain.
+        Roughness of the samples, metres, where it was measured beside the terrain: by the side of the window, metres,
+        and the least samples of a plane.
     """
 
     dsm: Grid

@@ -281,7 +281,7 @@ def test_low_objects_are_judged_by_the_even_ground_around(change, kept):
 
 
 def test_low_objects_go_one_by_one():
-    """Of three low objects on coarse cells, the rough one goes; the order of the labels does not matter."""
+    """Of three low objects on coarse cells the rough one goes; without any object nothing is dropped."""
     shape = (60, 60)
     first, second, third = (block(shape, (at, at + 8), (at, at + 8)) for at in (5, 25, 45))
     decided = first | second | third
