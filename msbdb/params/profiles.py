@@ -100,7 +100,7 @@ ALONE: dict[str, dict[str, Any]] = {"fuse": {"votes": False}}
 """Each detector by itself, as in its paper."""
 
 VU: dict[str, dict[str, Any]] = {
-    "surface": {"cell_m": 1.0, "storeys_from": "zone"},
+    "surface": {"cell_m": 1.0, "storeys_from": "zone", "below_top_m": 0.0},
     "ground": {"ground_filter": "wavelet"},
     "scale": {
         "scales_m2": (50.0, 100.0, 200.0, 500.0, 1000.0),

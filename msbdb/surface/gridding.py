@@ -17,12 +17,17 @@ from msbdb.threads import kernel
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Squares = tuple[Frame, tuple[int, int], int]
+"""A lattice, its rows and columns of cells, and into how many squares each cell is divided along an axis."""
 
 CELL_LADDER_M = (0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Round cell sizes, so that surveys of like density, and tiles of one survey, share a lattice.
 
 No cell is smaller than 0.3 m: dense surveys come out worse on cells of 0.25 m, where a window of 0.9 m has five cells.
 """
+
+PLACE_M = 0.3
+"""Echoes about this near to each other in plan are of one place: the width of the spot that a pulse lights."""
 
 OCCUPANCY_CELL_M = 2.0
 """Cell on which the covered area is counted for the density."""
@@ -118,10 +123,29 @@ def cell_size(points_m2: float, *, literal: bool = False) -> float:
     return float(ladder[np.argmin(np.abs(np.log(ladder / spacing)))])
 
 
-def sample_nearest(points: PointCloud, spec: GridSpec) -> Samples:
-    """Take for each cell the first echo nearest to its centre (V14, V15); ties go to the lower point."""
-    arrays = (points.x, points.y, points.z)
-    return Samples(*_nearest(arrays, points.first_echo, spec.frame, spec.shape), spec)
+def sample_nearest(points: PointCloud, spec: GridSpec, below_top_m: float = 0.0) -> Samples:
+    """Take for each cell the first echo nearest to its centre (V14, V15); ties go to the lower point.
+
+    Parameters
+    ----------
+    points : PointCloud
+        The points, in any order.
+    spec : GridSpec
+        The lattice.
+    below_top_m : float
+        Each cell is divided into squares of about `PLACE_M`. A first echo that lies farther than this below the highest
+        one of its square, metres, is on a wall, beside its foot, or within a crown, and is not taken. 0 takes all.
+
+    Returns
+    -------
+    Samples
+        A cell that holds a first echo has a sample, as the highest one of a square is always taken.
+    """
+    arrays, chosen = (points.x, points.y, points.z), points.first_echo
+    if below_top_m > 0:
+        parts = max(1, round(spec.cell_m / PLACE_M))
+        chosen = _near_tops(arrays, chosen, (spec.frame, spec.shape, parts), below_top_m)
+    return Samples(*_nearest(arrays, chosen, spec.frame, spec.shape), spec)
 
 
 def count_first(points: PointCloud, spec: GridSpec) -> NDArray[np.uint16]:
@@ -322,6 +346,39 @@ def _nearest(
         east[row, col] = de
         up[row, col] = dn
     return best_z, east, up
+
+
+@kernel
+def _square_of(x: float, y: float, squares: Squares) -> tuple[int, int]:
+    """Row and column of the square that holds a point; row -1 outside of the lattice."""
+    frame, shape, parts = squares
+    row, col = cell_of(x, y, frame, shape)
+    if row < 0:
+        return -1, -1
+    east = (x - (frame.east_m + (frame.col + col) * frame.cell_m)) / frame.cell_m
+    south = (frame.north_m - (frame.row + row) * frame.cell_m - y) / frame.cell_m
+    # By rounding, a point on the edge of a cell may lie a little outside of it.
+    down, right = min(max(int(south * parts), 0), parts - 1), min(max(int(east * parts), 0), parts - 1)
+    return row * parts + down, col * parts + right
+
+
+@kernel
+def _near_tops(xyz: tuple[Floats, Floats, Floats], chosen: Mask, squares: Squares, below_m: float) -> Mask:
+    """Keep the chosen points that lie no farther than a distance below the highest one of their square."""
+    x, y, z = xyz
+    _, shape, parts = squares
+    tops = np.full((shape[0] * parts, shape[1] * parts), -np.inf, dtype=np.float32)
+    for i in range(x.size):
+        if chosen[i]:
+            row, col = _square_of(x[i], y[i], squares)
+            if row >= 0:
+                tops[row, col] = max(tops[row, col], np.float32(z[i]))
+    kept = np.zeros(x.size, dtype=np.bool_)
+    for i in range(x.size):
+        if chosen[i]:
+            row, col = _square_of(x[i], y[i], squares)
+            kept[i] = row >= 0 and np.float32(z[i]) >= tops[row, col] - below_m
+    return kept
 
 
 @kernel

@@ -247,7 +247,7 @@ def grid_surface(points: PointCloud, spec: GridSpec, params: Params) -> tuple[Gr
     samples : Samples
         The heights as they were measured.
     """
-    samples = sample_nearest(points, spec)
+    samples = sample_nearest(points, spec, params.surface.below_top_m)
     gap_cells = max(LEAST_GAP_CELLS, params.surface.max_gap_m / spec.cell_m)
     heights, valid = fill_gaps(samples, gap_cells)
     return Grid(heights.astype(np.float32), valid, spec), samples

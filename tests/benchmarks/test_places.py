@@ -16,6 +16,7 @@ from cases.copies import (
     thinned_east_of,
     with_class_alone,
     with_echoes_apart,
+    with_echoes_on_walls,
     with_fewer_later,
     with_outliers,
 )
@@ -23,6 +24,7 @@ from cases.labelled import Objects, Place, cell_for, first_density, reference_of
 from cases.measures import GIVEN, OWN, Case, measure
 from cases.othergrounds import smrf
 from cases.rasters import as_rasters
+from scipy.spatial import KDTree
 from simulated import hills, scenes, trees
 from simulated.files import write_points
 from support.processes import BENCHMARKS, load_script
@@ -111,6 +113,31 @@ def test_a_copy_that_is_sparser_in_the_east_keeps_all_of_the_west(town):
     east, few_x = np.asarray(copy.x), np.asarray(few.x)
     np.testing.assert_array_equal(east[east < line], x[x < line])
     np.testing.assert_array_equal(east[east >= line], few_x[few_x >= line])
+
+
+def test_echoes_on_walls_stand_between_the_ground_and_the_edge_of_a_roof(town):
+    """As many as asked, single ones, at the edges of roofs; a build finds the houses with them as without."""
+    place, (cloud,), data = town
+    density, count = first_density([cloud]), len(cloud.points)
+    copy = with_echoes_on_walls(cloud, 0.5, density)
+    np.testing.assert_array_equal(
+        np.column_stack((copy.x, copy.y, copy.z))[:count], np.column_stack((cloud.x, cloud.y, cloud.z))
+    )
+    assert set(np.asarray(copy.return_number)[count:]) == set(np.asarray(copy.number_of_returns)[count:]) == {1}
+    places, classes = np.column_stack((cloud.x, cloud.y, cloud.z)), np.asarray(cloud.classification)
+    new = np.column_stack((copy.x, copy.y, copy.z))[count:]
+    roofs, ground = (places[classes == number] for number in (BUILDING_CLASS, GROUND_CLASS))
+    assert KDTree(roofs[:, :2]).query(new[:, :2])[0].max() <= 0.11
+    assert KDTree(ground[:, :2]).query(new[:, :2])[0].max() <= 1.1
+    assert (new[:, 2] > ground[:, 2].min()).all()
+    assert (new[:, 2] < roofs[:, 2].max()).all()
+    few = with_echoes_on_walls(cloud, 0.1, density)
+    assert (len(copy.points) - count) / (len(few.points) - count) == pytest.approx(5, rel=0.2)
+    reference = reference_of(place, [cloud], data, 0.5)
+    without, with_walls = (
+        measure(Case("town", place.crs, [each], reference, {}), (OWN,))["buildings"] for each in (cloud, copy)
+    )
+    assert with_walls > without - 1
 
 
 def moved(cloud, copy):

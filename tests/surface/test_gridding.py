@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from msbdb.errors import NodataError
 from msbdb.grid import GridSpec, lattice
+from msbdb.params import Params, with_values
 from msbdb.points.cellindex import cell_place, index_cells
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import (
@@ -26,6 +27,7 @@ from msbdb.surface.gridding import (
     nearest_cells,
     sample_nearest,
 )
+from msbdb.surface.heights import grid_surface
 
 CRS_M = CRS.from_epsg(32633)
 SPEC = lattice((0.0, 0.0, 3.9, 3.9), 1.0, CRS_M)
@@ -50,21 +52,27 @@ def grid_points(side_m: float, spacing_m: float) -> PointCloud:
     return PointCloud(x, y, np.zeros(x.size), CRS_M)
 
 
-def naive_nearest(points: PointCloud, spec: GridSpec) -> NDArray[np.float64]:
-    """Sort the first echoes of each cell by distance and height, and take the first."""
+def naive_nearest(points: PointCloud, spec: GridSpec, parts: int = 1, below_m: float = np.inf) -> NDArray[np.float64]:
+    """Sort the first echoes near the tops of their squares by distance and height, and take each cell's first."""
     z = np.full(spec.shape, np.nan)
     row, col = spec.rowcol(points.x, points.y)
     east, north = spec.xy(row, col)
     distance = (points.x - east) ** 2 + (points.y - north) ** 2
+    right, down = (np.floor((off / spec.cell_m + 0.5) * parts) for off in (points.x - east, north - points.y))
     for r in range(spec.shape[0]):
         for c in range(spec.shape[1]):
             here = [
-                (d, h)
-                for d, h, *at, n in zip(distance, points.z, row, col, points.return_number, strict=True)
+                (d, h, place)
+                for d, h, *at, place, n in zip(
+                    distance, points.z, row, col, zip(right, down, strict=True), points.return_number, strict=True
+                )
                 if at == [r, c] and n == 1
             ]
-            if here:
-                z[r, c] = min(here)[1]
+            near = [
+                (d, h) for d, h, place in here if h >= max(top for _, top, other in here if other == place) - below_m
+            ]
+            if near:
+                z[r, c] = min(near)[1]
     return z
 
 
@@ -75,6 +83,35 @@ def test_each_cell_takes_the_first_echo_nearest_to_its_centre(rows):
     samples = sample_nearest(points, SPEC)
     np.testing.assert_array_equal(samples.z, naive_nearest(points, SPEC))
     np.testing.assert_array_equal(samples.observed, np.isfinite(samples.z))
+
+
+@given(POINTS, st.sampled_from([0.5, 1.0, 2.5]))
+def test_echoes_far_below_the_top_of_their_square_are_not_taken(rows, below_m):
+    """The kernel agrees with a sort of those near the top; cells of 0.5 and 1 m have 2 and 3 squares each way."""
+    points = cloud(rows)
+    for cell_m, parts in ((0.5, 2), (1.0, 3)):
+        spec = lattice((0.0, 0.0, 3.9, 3.9), cell_m, CRS_M)
+        samples = sample_nearest(points, spec, below_m)
+        np.testing.assert_array_equal(samples.z, naive_nearest(points, spec, parts, below_m))
+        np.testing.assert_array_equal(samples.observed, sample_nearest(points, spec).observed)
+
+
+def test_echoes_on_a_wall_do_not_fray_the_edge_of_a_roof():
+    """On the surface a level roof ends at its wall, whatever the wall's echoes and the ground beside its foot are."""
+    random = np.random.default_rng(3)
+    x, y = random.uniform(0, 12, (2, 12_000))
+    roof = x < 6
+    wall = np.column_stack([random.uniform(low, high, 900) for low, high in ((5.8, 5.99), (0, 12), (0, 6))])
+    points = PointCloud(*np.vstack((np.column_stack((x, y, 6.0 * roof)), wall)).T, CRS_M)
+    spec = lattice((0.0, 0.0, 11.9, 11.9), 0.3, CRS_M)
+    frayed, sharp = (
+        grid_surface(points, spec, with_values(Params(), {"surface": {"below_top_m": below_m}}))[0].values
+        for below_m in (0.0, 1.5)
+    )
+    edge = spec.rowcol(np.array([5.95]), np.array([6.0]))[1][0]
+    assert (frayed[:, : edge + 1] < 4.5).any(axis=1).mean() > 0.3
+    assert (sharp[:, : edge + 1] < 4.5).any(axis=1).mean() < 0.05
+    assert (sharp[:, edge + 2 :] == 0).all()
 
 
 def test_ties_go_to_the_lower_point():
@@ -98,9 +135,10 @@ def test_the_order_of_the_points_does_not_matter(rows, random):
     shuffled = rows.copy()
     random.shuffle(shuffled)
     one, other = cloud(rows), cloud(shuffled)
-    a, b = sample_nearest(one, SPEC), sample_nearest(other, SPEC)
-    for name in ("z", "east", "north"):
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    for below_m in (0.0, 1.0):
+        a, b = sample_nearest(one, SPEC, below_m), sample_nearest(other, SPEC, below_m)
+        for name in ("z", "east", "north"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
     np.testing.assert_array_equal(lowest(one, SPEC).values, lowest(other, SPEC).values)
     if one.first_echo.any():
         assert density(one) == density(other)
@@ -309,11 +347,12 @@ def test_no_window_changes_the_samples_of_a_cell(rows, data):
     # Eighths become tenths of a metre, so that edges and ties of cells of 0.3 m are met.
     x, y = np.round(table[:, :2].T * 8) * 0.1 + np.array([[100_000.0], [5_000_000.0]])
     points = PointCloud(x, y, table[:, 2], CRS_M)
-    whole = sample_nearest(points, lattice(points.bounds, 0.3, CRS_M))
+    cell_m, below_m = data.draw(st.sampled_from([(0.3, 0.0), (0.6, 1.0)]))
+    whole = sample_nearest(points, lattice(points.bounds, cell_m, CRS_M), below_m)
     chosen = y >= data.draw(st.sampled_from(y.tolist()))
     chosen &= x <= data.draw(st.sampled_from(x[chosen].tolist()))
     part = points.take(chosen)
-    window = sample_nearest(part, lattice(part.bounds, 0.3, CRS_M))
+    window = sample_nearest(part, lattice(part.bounds, cell_m, CRS_M), below_m)
     row, col = (own - first for own, first in zip(window.spec.origin, whole.spec.origin, strict=True))
     cells = np.s_[row : row + window.spec.shape[0], col : col + window.spec.shape[1]]
     full = window.observed & (count_first(part, window.spec) == count_first(points, whole.spec)[cells])

@@ -32,6 +32,12 @@ LOW_M = 0.3
 NEAREST = 8
 """The ground of a razed house is a mean of so many echoes around it, by their distance."""
 
+FOOT_M, LEAST_WALL_M = 1.0, 2.5
+"""A wall stands where an echo of the ground lies within the first of one of a roof, and lower by the second, metres."""
+
+INWARD_M, OUTWARD_M = 0.05, 0.1
+"""How far echoes of a wall lie from the roof's echo above it, towards the roof and away from it, metres."""
+
 PULSE_TOLERANCE = 0.1
 """Times name pulses where there are as many of them as first echoes, but for this share."""
 
@@ -94,6 +100,50 @@ def of_two_strips(cloud: laspy.LasData, *, aside_m: float, up_m: float) -> laspy
     copy = copied(cloud)
     other = _drawn(cloud, 0.5)
     copy.x, copy.z = np.asarray(cloud.x) + aside_m * other, np.asarray(cloud.z) + up_m * other
+    return copy
+
+
+def with_echoes_on_walls(cloud: laspy.LasData, share: float, density: float) -> laspy.LasData:
+    """Return a copy of a tile with classes and with single echoes on its walls, as oblique sensors record them.
+
+    Parameters
+    ----------
+    cloud : LasData
+        With classes of ground and of roofs.
+    share : float
+        Echoes a square metre of wall, per first echo a square metre of ground.
+    density : float
+        First echoes a square metre of ground.
+    """
+    places, classes = np.column_stack((cloud.x, cloud.y, cloud.z)), np.asarray(cloud.classification)
+    ground = np.flatnonzero(classes == GROUND_CLASS)
+    roofs = np.flatnonzero((classes == BUILDING_CLASS) & (np.asarray(cloud.return_number) <= 1))
+    spacing_m = density**-0.5
+    reach_m = max(FOOT_M, 1.5 * spacing_m)
+    distance, nearest = KDTree(places[roofs, :2]).query(places[ground, :2], distance_upper_bound=reach_m)
+    near = np.flatnonzero(np.isfinite(distance))
+    near = near[np.argsort(distance[near], kind="stable")]
+    # Each echo at the edge of a roof stands for one spacing of wall, above the ground that is nearest to it.
+    edges, first = np.unique(roofs[nearest[near]], return_index=True)
+    feet = ground[near[first]]
+    high = places[edges, 2] - places[feet, 2] > LEAST_WALL_M
+    edges, feet = edges[high], feet[high]
+    random = np.random.default_rng(SEED)
+    of = np.repeat(
+        np.arange(edges.size), random.poisson(share * density * spacing_m * (places[edges, 2] - places[feet, 2]))
+    )
+    away = places[feet, :2] - places[edges, :2]
+    away /= np.maximum(np.hypot(*away.T), 0.1)[:, None]
+    new = np.empty((of.size, 3))
+    new[:, :2] = places[edges[of], :2] + random.uniform(-INWARD_M, OUTWARD_M, (of.size, 1)) * away[of]
+    new[:, 2] = random.uniform(places[feet[of], 2], places[edges[of], 2])
+    count = len(cloud.points)
+    copy = taken(cloud, np.concatenate((np.arange(count), edges[of])))
+    copy.x, copy.y, copy.z = np.concatenate((places, new)).T
+    for name in ("return_number", "number_of_returns"):
+        echo = np.asarray(copy[name]).copy()
+        echo[count:] = 1
+        copy[name] = echo
     return copy
 
 

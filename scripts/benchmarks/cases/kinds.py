@@ -27,6 +27,7 @@ from cases.copies import (
     thinned,
     thinned_east_of,
     with_echoes_apart,
+    with_echoes_on_walls,
     with_fewer_later,
     with_outliers,
 )
@@ -62,6 +63,9 @@ NOISE = {
     "outliers": partial(with_outliers, share=0.005, low_m=10, high_m=50),
 }
 """The kinds of noisy copies: standard deviations in metres, a shift of half of the pulses, and a share of outliers."""
+
+WALLS = (0.1, 0.3)
+"""Echoes a square metre of wall, per first echo a square metre of ground, in copies by oblique sensors."""
 
 THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
 
@@ -145,6 +149,15 @@ def with_noise(data: Path, names: set[str]) -> Iterator[Case]:
         for kind, noisy in NOISE.items():
             copies = [noisy(cloud) for cloud in case.clouds]
             yield Case(f"{case.name}, {kind}", case.crs, copies, case.reference, {})
+
+
+def by_oblique_sensors(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places with echoes on walls; the reference is that of the other echoes."""
+    for case in as_they_are(data, names & set(THINNED)):
+        density = first_density(case.clouds)
+        for share in WALLS:
+            copies = [with_echoes_on_walls(cloud, share, density) for cloud in case.clouds]
+            yield Case(f"{case.name}, {share:g}", case.crs, copies, case.reference, {})
 
 
 def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
