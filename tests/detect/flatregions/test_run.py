@@ -211,10 +211,13 @@ def test_regions_do_not_depend_on_the_direction():
 @pytest.mark.parametrize("scene", [podium_tower, courtyard, wall])
 @pytest.mark.parametrize("density", [4.0, 11.0])
 def test_buildings_are_found_whole(scene, density):
-    """A podium with a tower, a perimeter block with its yard, and a house beside a wall, to a cell of the edge."""
+    """A podium with a tower, a perimeter block with its yard, and a house beside a wall, to a cell of the edge.
+
+    A cell in which a roof ends is roof, if one of its echoes is. So a house of 180 m2 on cells of 0.3 m grows by 2 %.
+    """
     completeness, correctness, found = agreement(scene, Params(), density=density)
     assert completeness > 0.98
-    assert correctness > 0.98
+    assert correctness > 0.97
     assert len(found.regions) == 1
 
 
