@@ -357,8 +357,8 @@ def _square_of(x: float, y: float, squares: Squares) -> tuple[int, int]:
         return -1, -1
     east = (x - (frame.east_m + (frame.col + col) * frame.cell_m)) / frame.cell_m
     south = (frame.north_m - (frame.row + row) * frame.cell_m - y) / frame.cell_m
-    # By rounding, a point on the edge of a cell may lie a little outside of it.
-    down, right = min(max(int(south * parts), 0), parts - 1), min(max(int(east * parts), 0), parts - 1)
+    # By rounding, a point on the edge of a cell may lie a little outside of it; int() takes what is below 0 for 0.
+    down, right = min(int(south * parts), parts - 1), min(int(east * parts), parts - 1)
     return row * parts + down, col * parts + right
 
 
