@@ -29,6 +29,9 @@ No cell is smaller than 0.3 m: dense surveys come out worse on cells of 0.25 m, 
 PLACE_M = 0.3
 """Echoes about this near to each other in plan are of one place: the width of the spot that a pulse lights."""
 
+LEVEL_M, LEAST_BEHIND = 0.5, 3
+"""Ours, in sample: neighbouring heights of a roof differ by less, metres, and so many cells lie behind its edge."""
+
 OCCUPANCY_CELL_M = 2.0
 """Cell on which the covered area is counted for the density."""
 
@@ -133,19 +136,25 @@ def sample_nearest(points: PointCloud, spec: GridSpec, below_top_m: float = 0.0)
     spec : GridSpec
         The lattice.
     below_top_m : float
-        Each cell is divided into squares of about `PLACE_M`. A first echo that lies farther than this below the highest
-        one of its square, metres, is on a wall, beside its foot, or within a crown, and is not taken. 0 takes all.
+        Each cell is divided into squares of about `PLACE_M`. The nearest echo may be on a wall, or beside its foot. So
+        the cell takes the nearest of those within `LEVEL_M` of the highest one of their square, if that is more than
+        this above it, metres, and if `LEAST_BEHIND` of the eight cells around have their nearest echo within `LEVEL_M`
+        of its height: a roof goes on behind its edge, and a crown does not. 0 takes the nearest of all.
 
     Returns
     -------
     Samples
-        A cell that holds a first echo has a sample, as the highest one of a square is always taken.
+        A cell that holds a first echo has a sample.
     """
     arrays, chosen = (points.x, points.y, points.z), points.first_echo
+    z, east, north = _nearest(arrays, chosen, spec.frame, spec.shape)
     if below_top_m > 0:
         parts = max(1, round(spec.cell_m / PLACE_M))
-        chosen = _near_tops(arrays, chosen, (spec.frame, spec.shape, parts), below_top_m)
-    return Samples(*_nearest(arrays, chosen, spec.frame, spec.shape), spec)
+        high = _near_tops(arrays, chosen, (spec.frame, spec.shape, parts))
+        others = _nearest(arrays, high, spec.frame, spec.shape)
+        edge = _continued(z, others[0], below_top_m)
+        z[edge], east[edge], north[edge] = (values[edge] for values in others)
+    return Samples(z, east, north, spec)
 
 
 def count_first(points: PointCloud, spec: GridSpec) -> NDArray[np.uint16]:
@@ -363,8 +372,8 @@ def _square_of(x: float, y: float, squares: Squares) -> tuple[int, int]:
 
 
 @kernel
-def _near_tops(xyz: tuple[Floats, Floats, Floats], chosen: Mask, squares: Squares, below_m: float) -> Mask:
-    """Keep the chosen points that lie no farther than a distance below the highest one of their square."""
+def _near_tops(xyz: tuple[Floats, Floats, Floats], chosen: Mask, squares: Squares) -> Mask:
+    """Keep the chosen points that are level with the highest one of their square."""
     x, y, z = xyz
     _, shape, parts = squares
     tops = np.full((shape[0] * parts, shape[1] * parts), -np.inf, dtype=np.float32)
@@ -377,8 +386,26 @@ def _near_tops(xyz: tuple[Floats, Floats, Floats], chosen: Mask, squares: Square
     for i in range(x.size):
         if chosen[i]:
             row, col = _square_of(x[i], y[i], squares)
-            kept[i] = row >= 0 and np.float32(z[i]) >= tops[row, col] - below_m
+            kept[i] = row >= 0 and np.float32(z[i]) >= tops[row, col] - LEVEL_M
     return kept
+
+
+@kernel
+def _continued(nearest: Floats, others: Floats, below_m: float) -> Mask:
+    """Mark the cells whose other height is so far above that of the nearest echo, and goes on in enough neighbours."""
+    height, width = nearest.shape
+    found = np.zeros(nearest.shape, dtype=np.bool_)
+    for row in range(height):
+        for col in range(width):
+            z = others[row, col]
+            if not z - nearest[row, col] > below_m:
+                continue
+            behind = 0
+            for r in range(max(row - 1, 0), min(row + 2, height)):
+                for c in range(max(col - 1, 0), min(col + 2, width)):
+                    behind += (r != row or c != col) and abs(nearest[r, c] - z) <= LEVEL_M
+            found[row, col] = behind >= LEAST_BEHIND
+    return found
 
 
 @kernel
