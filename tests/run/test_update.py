@@ -5,7 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import shapely
 from simulated import scenes
 from simulated.files import write_points
 from support.sizes import sample
@@ -16,6 +18,7 @@ from msbdb import api
 from msbdb.database import canonical_dump, footprint_at, open_database, write_build
 from msbdb.errors import InputError
 from msbdb.params import profile, with_values
+from msbdb.run.inventory import borders
 from msbdb.run.inventory import update as module
 from msbdb.tables import HEIGHTS
 
@@ -173,3 +176,16 @@ def test_operators_labels_survive_that_a_survey_is_built_again(points: Path, tmp
     assert any(f"label 'building' of class {number} was not kept" in sentence for sentence in report.notices)
     assert not msbdb.build([points], db=db, params=wide, **SPRING).changed
     assert np.all(api.classes(db)["labelled_by"] == "automatic")
+
+
+@pytest.mark.parametrize("level_m", [20.43, 8.1, 12.35])
+def test_a_level_roof_that_crosses_a_border_has_its_ridge_at_its_eaves(level_m: float) -> None:
+    """The ridge above the ground is a difference, which by rounding may lie below the eaves: no database takes that."""
+    names = {*borders.HIGHEST, *borders.LOWEST, *borders.MEANS, *borders.COUNTS, "volume_m3"}
+    for ground_m in np.arange(0, 300) / 100:
+        eaves_m = round(level_m - ground_m, 2)
+        levels = {"z_ground": ground_m, "z_eaves": level_m, "z_ridge": level_m, "eaves": eaves_m, "ridge": eaves_m}
+        row = dict.fromkeys(names, 0.9) | levels | {"area_m2": 25.0, "state": "confirmed"}
+        found = borders.combined(pd.DataFrame([row | {"geometry": shapely.box(0, 0, 5, 5)}]), shapely.box(0, 0, 5, 5))
+        assert found["ridge"] >= found["eaves"]
+        assert found["ridge"] == pytest.approx(eaves_m)

@@ -275,7 +275,9 @@ def combined(pieces: pd.DataFrame, shape: shapely.Geometry) -> dict[str, Any]:
         known = _known(pieces, name)[0]
         found[name] = float(known.sum() * factor) if known.size else None
     if found["z_ridge"] is not None and found["z_ground"] is not None:
-        found["ridge"] = found["z_ridge"] - found["z_ground"]
+        ridge = found["z_ridge"] - found["z_ground"]
+        # By rounding, the difference may lie below the eaves of a level roof.
+        found["ridge"] = ridge if found["eaves"] is None else max(ridge, found["eaves"])
     for name in COUNTS:
         if found[name] is not None:
             found[name] = round(found[name])
