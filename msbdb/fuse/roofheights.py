@@ -361,7 +361,8 @@ def _levels(roofs: Roofs, heavy: Mask, shares: NDArray[np.int64], count: int) ->
     highest = np.full(count, -np.inf)
     np.maximum.at(highest, building, np.maximum(roofs.ridge[order], level))
     ridge[building] = highest[building]
-    return eaves, main, top, ridge
+    # By rounding, the mean of equal levels may lie above them, and eaves above their ridge.
+    return np.minimum(eaves, ridge), main, top, ridge
 
 
 def _around(

@@ -231,6 +231,17 @@ def test_a_shift_of_the_terrain_moves_the_levels_alone(shift_m: float) -> None:
         assert high[name].to_numpy() == pytest.approx(low[name].to_numpy() + shift, abs=0.011)
 
 
+@pytest.mark.parametrize("height_m", [3.625, 5.125])
+def test_the_eaves_of_a_level_roof_are_not_above_its_ridge(height_m: float) -> None:
+    """By rounding, a mean of equal levels may lie above them, and no database takes eaves above the ridge."""
+    labels = np.zeros((37, 35), dtype=np.int32)
+    labels[8:29, 8:27] = 1
+    for terrain_m in np.arange(0, 300, 7) / 100:
+        found = heights_of(height_m * labels, labels, terrain=terrain_m, cell_m=1.0).iloc[0]
+        assert found["ridge"] >= found["eaves"]
+        assert found["z_ridge"] >= found["z_eaves"]
+
+
 def test_heights_above_ground_have_no_level_above_sea() -> None:
     """Eaves and ridge are known all the same."""
     surface, labels = box(6.5)
