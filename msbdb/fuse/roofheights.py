@@ -20,7 +20,7 @@ from msbdb.kept import PER_METRE
 from msbdb.labels import Labels, boxes, label_zones, neighbours, quantiles, sizes, sums, widened
 from msbdb.params import HeightParams, SurfaceParams
 from msbdb.parts.clusters import storeys
-from msbdb.surface.gridding import nearest_cells
+from msbdb.surface.gaps import nearest_cells
 from msbdb.threads import together
 
 Floats = NDArray[np.float64]

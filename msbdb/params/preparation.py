@@ -28,7 +28,7 @@ class SurfaceParams:
         "Empty cells this near to a measured cell, or within two cells, take its value; others stay invalid.",
         ours="water and canals stay open, however far a crown leans over them", low=0, high=1000)
     below_top_m: float = param(1.5, "m",
-        "At an edge, where a cell's nearest echo is so far below another within 0.3 m, that one counts; 0 is off.",
+        "A cell whose nearest echo lies so far below a roof's edge takes the height of the roof; 0 is off.",
         ours="walls, and ground beside their foot; half a storey: 0.5 to 2.5 m differ by 0.3 points of quality at most",
         low=0, high=100)
     mask_m: float = param(2.0, "m", "Cells of the nDSM below this height belong to no building.", paper="V17",

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from msbdb.errors import GridMismatchError, InputError
 from msbdb.grid import Bands, Frame, GridSpec
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import cell_of, nearest_cells
+from msbdb.surface.gaps import nearest_cells
+from msbdb.surface.gridding import cell_of
 from msbdb.threads import in_threads, kernel
 
 Floats = NDArray[np.float64]

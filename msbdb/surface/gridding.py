@@ -1,9 +1,8 @@
-"""Gridding of points: the mean spacing, nearest and lowest values, and the filling of gaps.
+"""Gridding of points: the mean spacing, and the nearest, the highest and the lowest values of cells.
 
 Nothing here depends on the order of the points: ties go to the lower point, and sums are of whole numbers.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,24 +135,31 @@ def sample_nearest(points: PointCloud, spec: GridSpec, below_top_m: float = 0.0)
     spec : GridSpec
         The lattice.
     below_top_m : float
-        Each cell is divided into squares of about `PLACE_M`. The nearest echo may be on a wall, or beside its foot. So
-        the cell takes the nearest of those within `LEVEL_M` of the highest one of their square, if that is more than
-        this above it, metres, and if `LEAST_BEHIND` of the eight cells around have their nearest echo within `LEVEL_M`
-        of its height: a roof goes on behind its edge, and a crown does not. 0 takes the nearest of all.
+        How far the nearest echo of a cell may lie below a roof, metres; 0 takes the nearest of all. See the notes.
 
     Returns
     -------
     Samples
         A cell that holds a first echo has a sample.
+
+    Notes
+    -----
+    At an edge the nearest echo may lie on the wall, or on the ground beside its foot. So each cell is divided into
+    squares of about `PLACE_M`. Upper echoes are those within `LEVEL_M` of the highest one of their square. The nearest
+    upper echo is taken if both hold:
+
+    - it lies more than ``below_top_m`` above the nearest echo of all;
+    - `LEAST_BEHIND` of the eight cells around have their nearest echo within `LEVEL_M` of its height, as a roof goes on
+      behind its edge. Within a crown heights differ.
     """
     arrays, chosen = (points.x, points.y, points.z), points.first_echo
     z, east, north = _nearest(arrays, chosen, spec.frame, spec.shape)
     if below_top_m > 0:
         parts = max(1, round(spec.cell_m / PLACE_M))
-        high = _near_tops(arrays, chosen, (spec.frame, spec.shape, parts))
-        others = _nearest(arrays, high, spec.frame, spec.shape)
-        edge = _continued(z, others[0], below_top_m)
-        z[edge], east[edge], north[edge] = (values[edge] for values in others)
+        high = _upper_echoes(arrays, chosen, (spec.frame, spec.shape, parts))
+        upper = _nearest(arrays, high, spec.frame, spec.shape)
+        edge = _at_edges(z, upper[0], below_top_m)
+        z[edge], east[edge], north[edge] = (values[edge] for values in upper)
     return Samples(z, east, north, spec)
 
 
@@ -175,107 +181,6 @@ def lowest_heights(points: PointCloud, spec: GridSpec, chosen: NDArray[np.bool_]
     valid = np.isfinite(values)
     values[~valid] = 0.0
     return values, valid
-
-
-def fill_gaps(samples: Samples, reach_cells: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Fill empty cells with the height of the sample nearest to their centre (V14), up to a distance.
-
-    Parameters
-    ----------
-    samples : Samples
-        First echoes with their true places.
-    reach_cells : float
-        Largest distance between the centres of an empty cell and of an observed one that may fill it, in cells.
-
-    Returns
-    -------
-    filled : (H, W) ndarray of float64, metres
-        The heights, 0 where neither observed nor filled.
-    valid : (H, W) ndarray of bool
-        Observed or filled.
-
-    Notes
-    -----
-    Distances are those of the echoes, not of their cells, so that roofs neither grow nor shrink towards a side. Of
-    samples equally near, as in rasters, the lower one counts. In each column the nearest observed cells to the north
-    and the south are compared. Cost: linear in the cells times the distance that is searched.
-
-    Examples
-    --------
-    A gap between a street of 0 m and a roof of 6 m, with samples at the cells' centres; the middle cell is a tie:
-
-    >>> from pyproj import CRS
-    >>> z, none = np.array([[0.0, np.nan, np.nan, np.nan, 6.0]]), np.zeros((1, 5), dtype=np.float32)
-    >>> samples = Samples(z, none, none, lattice((0, 0.1, 4.9, 0.9), 1.0, CRS.from_epsg(2154)))
-    >>> fill_gaps(samples, 2.0)[0]
-    array([[0., 0., 0., 6., 6.]])
-    """
-    above, below = _observed_rows(samples.observed)
-    offsets = (samples.east, samples.north)
-    return _fill(samples.z, offsets, (above, below), samples.spec.cell_m, reach_cells)
-
-
-def nearest_cells(known: Mask, wanted: NDArray[np.integer], reach_cells: float) -> NDArray[np.int32]:
-    """Return the nearest known cell of each wanted one, as a distance transform does, but no farther than a reach.
-
-    Parameters
-    ----------
-    known : (H, W) ndarray of bool
-        The cells that may be found.
-    wanted : (N,) ndarray of int
-        Flat indices of the cells that look for one.
-    reach_cells : float
-        Largest distance between the centres of two cells, in cells; infinity is allowed.
-
-    Returns
-    -------
-    (N,) ndarray of int32
-        Flat indices; -1 where no cell is near enough.
-
-    Notes
-    -----
-    Of cells equally near, the western counts, then the northern: the rule of SciPy's distance transform. That transform
-    goes to the end of each gap, and takes several times as long where the reach is a few cells. In each column the
-    nearest known cells to the north and the south are compared.
-
-    Examples
-    --------
-    >>> nearest_cells(np.array([[True, False, True, False, False]]), np.array([1, 3, 4]), 1.0)
-    array([ 0,  2, -1], dtype=int32)
-    """
-    return _nearest_cells(_observed_rows(known), np.asarray(wanted, dtype=np.int64), float(reach_cells))
-
-
-@kernel
-def _nearest_cells(
-    rows: tuple[NDArray[np.int32], NDArray[np.int32]], wanted: NDArray[np.int64], reach: float
-) -> NDArray[np.int32]:
-    """Search the nearest known cells by columns farther and farther away."""
-    above, below = rows
-    width = above.shape[1]
-    found = np.full(wanted.size, np.int32(-1))
-    for place in range(wanted.size):
-        row, col = wanted[place] // width, wanted[place] % width
-        best = np.iinfo(np.int64).max
-        nearest_col = -1
-        for step in range(width):
-            if step > reach or step * step > best:
-                break
-            for side in range(2 if step else 1):
-                c = col + step if side else col - step
-                if c < 0 or c >= width:
-                    continue
-                for r in (above[row, c], below[row, c]):
-                    if r < 0:
-                        continue
-                    squared = step * step + (r - row) ** 2
-                    # The northern cell of a column comes first, so that of two it stays.
-                    if squared < best or (squared == best and c < nearest_col):
-                        best, nearest_col = squared, c
-                        found[place] = r * width + c
-        if math.sqrt(best) > reach:
-            found[place] = -1
-    return found
 
 
 @kernel
@@ -372,8 +277,8 @@ def _square_of(x: float, y: float, squares: Squares) -> tuple[int, int]:
 
 
 @kernel
-def _near_tops(xyz: tuple[Floats, Floats, Floats], chosen: Mask, squares: Squares) -> Mask:
-    """Keep the chosen points that are level with the highest one of their square."""
+def _upper_echoes(xyz: tuple[Floats, Floats, Floats], chosen: Mask, squares: Squares) -> Mask:
+    """Keep the chosen points that lie within `LEVEL_M` of the highest one of their square."""
     x, y, z = xyz
     _, shape, parts = squares
     tops = np.full((shape[0] * parts, shape[1] * parts), -np.inf, dtype=np.float32)
@@ -391,13 +296,13 @@ def _near_tops(xyz: tuple[Floats, Floats, Floats], chosen: Mask, squares: Square
 
 
 @kernel
-def _continued(nearest: Floats, others: Floats, below_m: float) -> Mask:
-    """Mark the cells whose other height is so far above that of the nearest echo, and goes on in enough neighbours."""
+def _at_edges(nearest: Floats, upper: Floats, below_m: float) -> Mask:
+    """Mark the cells whose upper echo lies so far above the nearest one, with enough neighbours at its height."""
     height, width = nearest.shape
     found = np.zeros(nearest.shape, dtype=np.bool_)
     for row in range(height):
         for col in range(width):
-            z = others[row, col]
+            z = upper[row, col]
             if not z - nearest[row, col] > below_m:
                 continue
             behind = 0
@@ -419,67 +324,3 @@ def _lowest(xyz: tuple[Floats, Floats, Floats], chosen: Mask, frame: Frame, shap
             if row >= 0:
                 values[row, col] = min(values[row, col], z[i])
     return values
-
-
-@kernel
-def _observed_rows(observed: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Rows of the nearest observed cells of a column, up to and from each cell; -1 without one."""
-    height, width = observed.shape
-    above = np.full(observed.shape, np.int32(-1))
-    below = np.full(observed.shape, np.int32(-1))
-    for row in range(height):
-        for col in range(width):
-            if observed[row, col]:
-                above[row, col] = row
-            elif row > 0:
-                above[row, col] = above[row - 1, col]
-    for row in range(height - 1, -1, -1):
-        for col in range(width):
-            if observed[row, col]:
-                below[row, col] = row
-            elif row < height - 1:
-                below[row, col] = below[row + 1, col]
-    return above, below
-
-
-@kernel
-def _fill(
-    z: Floats,
-    offsets: tuple[NDArray[np.float32], NDArray[np.float32]],
-    rows: tuple[NDArray[np.int32], NDArray[np.int32]],
-    cell: float,
-    reach: float,
-) -> tuple[Floats, Mask]:
-    """Take for each empty cell the nearest sample, searched by columns farther and farther away."""
-    height, width = z.shape
-    east, north = offsets
-    above, below = rows
-    filled = np.zeros(z.shape)
-    valid = np.zeros(z.shape, dtype=np.bool_)
-    limit = reach * reach * (1 + 1e-12)  # a distance of just the reach must not miss it by rounding
-    for row in range(height):
-        for col in range(width):
-            if above[row, col] == row:
-                filled[row, col] = z[row, col]
-                valid[row, col] = True
-                continue
-            best = np.inf
-            for step in range(width):
-                # A sample lies at most half a cell nearer than the centre of its column.
-                if step * step > limit or (max(step - 0.5, 0.0) * cell) ** 2 > best:
-                    break
-                for c in (col - step, col + step):
-                    if c < 0 or c >= width:
-                        continue
-                    # Farther observed cells of the column cannot be nearer than these two.
-                    for r in (above[row, c], below[row, c]):
-                        if r < 0 or step * step + (r - row) ** 2 > limit:
-                            continue
-                        e = (c - col) * cell + east[r, c]
-                        n = (row - r) * cell + north[r, c]
-                        d = e * e + n * n
-                        if d < best or (d == best and z[r, c] < filled[row, col]):
-                            best = d
-                            filled[row, col] = z[r, c]
-                            valid[row, col] = True
-    return filled, valid

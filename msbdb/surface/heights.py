@@ -14,7 +14,8 @@ from msbdb.morphology.windows import opening
 from msbdb.params import Params
 from msbdb.points.cloud import PointCloud
 from msbdb.points.lots import lots
-from msbdb.surface.gridding import Samples, fill_gaps, sample_nearest
+from msbdb.surface.gaps import fill_gaps
+from msbdb.surface.gridding import Samples, sample_nearest
 from msbdb.surface.texture import grid_samples
 from msbdb.surveyplan import PointFacts
 from msbdb.threads import in_threads, kernel

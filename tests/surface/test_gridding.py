@@ -17,15 +17,14 @@ from msbdb.grid import GridSpec, lattice
 from msbdb.params import Params, profile
 from msbdb.points.cellindex import cell_place, index_cells
 from msbdb.points.cloud import PointCloud
+from msbdb.surface.gaps import fill_gaps, nearest_cells
 from msbdb.surface.gridding import (
     CELL_LADDER_M,
     Samples,
     cell_size,
     count_first,
     density,
-    fill_gaps,
     lowest,
-    nearest_cells,
     sample_nearest,
 )
 from msbdb.surface.heights import grid_surface

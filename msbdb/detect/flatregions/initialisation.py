@@ -16,7 +16,8 @@ from msbdb.grid import Grid, GridSpec
 from msbdb.morphology import window_profile
 from msbdb.params import FlatRegionParams
 from msbdb.points.cloud import PointCloud
-from msbdb.surface.gridding import lowest_heights, nearest_cells
+from msbdb.surface.gaps import nearest_cells
+from msbdb.surface.gridding import lowest_heights
 from msbdb.threads import kernel
 
 logger = logging.getLogger(__name__)
