@@ -546,6 +546,7 @@ def test_v_shows_the_stages(api):
 
 def test_progress_is_drawn_on_terminals(api, monkeypatch):
     """On a terminal the build gets a callback, and the stage appears on the standard error."""
+    monkeypatch.setenv("TERM", "xterm")  # a dumb terminal, as of an editor, draws no bar
     screen = io.StringIO()
     console = Console(file=screen, force_terminal=True, width=100)
     monkeypatch.setattr(output, "stderr_console", lambda: console)
