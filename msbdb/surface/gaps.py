@@ -37,6 +37,7 @@ def fill_gaps(samples: Samples, reach_cells: float) -> tuple[NDArray[np.float64]
     A gap between a street of 0 m and a roof of 6 m, with samples at the cells' centres; the middle cell is a tie:
 
     >>> from pyproj import CRS
+    >>> from msbdb.grid import lattice
     >>> z, none = np.array([[0.0, np.nan, np.nan, np.nan, 6.0]]), np.zeros((1, 5), dtype=np.float32)
     >>> samples = Samples(z, none, none, lattice((0, 0.1, 4.9, 0.9), 1.0, CRS.from_epsg(2154)))
     >>> fill_gaps(samples, 2.0)[0]
