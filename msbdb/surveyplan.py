@@ -23,8 +23,11 @@ FORM = 1
 EVEN = 1.5
 """Ours, in sample: sparser parts of a survey have up to so many mean spacings; real places have 1.1 to 1.45."""
 
-USUAL_SPLIT = 0.8
-"""Ours: share of pulses that crowns split with all echoes. Each town chooses it by the others (decision 0043)."""
+USUAL_SPLIT = 0.55
+"""Ours: mean share of pulses that crowns split with all echoes. Each town chooses it by the others (decision 0043)."""
+
+LEAST_TRUST = 0.2
+"""Ours: shares of split pulses grow at most five times; otherwise one of few pulses would decide."""
 
 CROWN_CLASSES_M = (3.0, 4.0, 5.0, 6.0, 8.0)
 """Ours: heights between the classes of crowns, metres. A sensor separates echoes only some metres apart."""
@@ -123,6 +126,31 @@ class PointFacts:
         if not self.echoes:
             return [0.0] * len(CROWN_MIDDLES_M)
         return [min(1.0, split / USUAL_SPLIT) for split in self.crown_split or (1.0,) * len(CROWN_MIDDLES_M)]
+
+
+def usual_split(split: NDArray[np.floating[Any]], trust: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    """Return the share of pulses that a sensor would have split whose single echoes are trusted in full.
+
+    A weaker sensor splits fewer pulses of the same leaves, in proportion to the trust in its single echoes.
+
+    Parameters
+    ----------
+    split : ndarray
+        The recorded shares, from 0 to 1.
+    trust : ndarray
+        The trust at the same places, from 0 to 1; below `LEAST_TRUST` it counts as that.
+
+    Returns
+    -------
+    ndarray of float32
+        At most 1.
+
+    Examples
+    --------
+    >>> usual_split(np.float32([0.05, 0.2, 0.2]), np.float32([0.5, 0.5, 0.1])).round(2)
+    array([0.1, 0.4, 1. ], dtype=float32)
+    """
+    return np.asarray(np.minimum(split / np.maximum(trust, LEAST_TRUST), 1), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)

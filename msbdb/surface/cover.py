@@ -19,17 +19,14 @@ from msbdb.surface.texture import LEAST_SAMPLES, WIDEST_SAMPLES, Texture, echoes
 from msbdb.surveyplan import CROWN_CLASSES_M, PointFacts
 from msbdb.threads import in_threads
 
-LEAST_SHARE = 0.15
-"""Ours, in sample: rough cells split at least this share of what crowns split; see `recorded_echoes`."""
+LEAST_SPLIT = 0.12
+"""Ours, in sample: rough cells split at least this share of their pulses with all echoes; see `recorded_echoes`."""
 
 LEAST_M2 = 100.0
 """Ours: less area of rough cells does not show what was recorded around them, square metres."""
 
-PARTS = 1000
-"""Shares are counted in so many parts."""
-
-UPPER = 0.9
-"""Ours, in sample: a tenth or more of what roughness alone takes for vegetation is crowns, also where trees are few."""
+PARTS = 1_000_000
+"""Shares are counted in so many parts, whole numbers, whose sums depend neither on the order nor on the window."""
 
 Field = NDArray[np.float32]
 
@@ -130,9 +127,8 @@ def crown_cells(texture: Texture, params: CoverParams) -> Field | None:
 def crown_split(crowns: Sequence[Field]) -> tuple[float, ...] | None:
     """Return the share of pulses that the crowns of a survey split, by classes of height; None where none is known.
 
-    The upper decile counts: on coarse cells many roofs are as rough as crowns, and split hardly a pulse. High crowns
-    split no fewer pulses than low ones. So the shares are those that never fall with the height and are nearest to the
-    measured ones, by isotonic regression.
+    It is the mean over the crowns. High crowns split no fewer pulses than low ones. So the shares are those that never
+    fall with the height and are nearest to the measured ones, by isotonic regression.
 
     Parameters
     ----------
@@ -148,11 +144,9 @@ def crown_split(crowns: Sequence[Field]) -> tuple[float, ...] | None:
     if not shares.size:
         return None
     of = np.digitize(heights, CROWN_CLASSES_M)
-    cells = sizes(of + 1, len(CROWN_CLASSES_M) + 1)
-    upper = [
-        np.quantile(shares[of == number] if count else shares, UPPER) for number, count in enumerate(cells.tolist())
-    ]
-    rising = isotonic_regression(upper, weights=np.maximum(cells, 1)).x
+    cells, parts = sizes(of + 1, len(CROWN_CLASSES_M) + 1), np.rint(shares * PARTS).astype(np.int64)
+    means = [np.mean(parts[of == number] if count else parts) / PARTS for number, count in enumerate(cells.tolist())]
+    rising = isotonic_regression(means, weights=np.maximum(cells, 1)).x
     return tuple(np.round(rising, 6).tolist())
 
 
@@ -175,24 +169,23 @@ def recorded_echoes(texture: Texture, facts: PointFacts | None, params: CoverPar
 
     Notes
     -----
-    Rough cells are crowns and rough roofs. Over 3 by 3 squares their mean share of split pulses is `LEAST_SHARE` of
-    what crowns of the survey split or more, whatever is built there: at the places at hand, over hills and under
+    Rough cells are crowns and rough roofs. Over 3 by 3 squares their mean share of split pulses is `LEAST_SPLIT` or
+    more, times the trust in single echoes, whatever is built there: at the places at hand, over hills and under
     planted trees, and in 95 of 100 squares of copies with 0.3 to 1 first echo a square metre. Where it is less, single
     echoes are trusted in proportion. Squares with less than `LEAST_M2` of rough cells do not know, and count as 1. They
     lie on the absolute lattice, so that tiles agree. Border: squares end at the lattice. Nodata: cells that are not
     valid are not raised.
     """
-    if texture.echoes is None or facts is None or not facts.crown_split or max(facts.crown_split) == 0:
+    if texture.echoes is None or facts is None or facts.crown_split is None or facts.most_trust == 0:
         return None
     rough, squares = rough_cells(texture, params), Squares.of(texture.ndsm.spec)
     row, col = np.nonzero(rough)
     place, count = squares.rows[row] * squares.shape[1] + squares.cols[col], squares.shape[0] * squares.shape[1]
-    # Whole numbers, whose sums do not depend on the window.
     split = np.rint(texture.echoes.split[rough] * PARTS)
     cells, shares = (
         around(np.bincount(place, weights, count).astype(np.int64).reshape(squares.shape)) for weights in (None, split)
     )
-    usual = LEAST_SHARE * max(facts.crown_split) * PARTS
+    usual = LEAST_SPLIT * facts.most_trust * PARTS
     enough = cells * texture.ndsm.spec.cell_area_m2 >= LEAST_M2
     found = np.where(enough, np.minimum(shares / (usual * np.maximum(cells, 1)), 1), 1).astype(np.float32)
     return None if found.min(initial=1) == 1 else squares.on_cells(found)

@@ -19,7 +19,7 @@ from msbdb.landcover import ClassMap
 from msbdb.morphology.windows import dilation, erosion, opening
 from msbdb.params import CoverParams
 from msbdb.surface.texture import Echoes, Texture, window_cells
-from msbdb.surveyplan import PointFacts
+from msbdb.surveyplan import PointFacts, usual_split
 from msbdb.threads import in_threads
 
 ROOF, VEGETATION = 1, 2
@@ -79,7 +79,7 @@ def structural_cover(
         Heights, roughness and echoes.
     facts : PointFacts or None
         With the trust in single echoes as a sign of a roof; None trusts them in full. Split echoes are a sign of leaves
-        whatever the sensor.
+        whatever the sensor, and the more so the fewer it splits (`msbdb.surveyplan.usual_split`).
     params : CoverParams
         Weights and sizes.
     recorded : (H, W) ndarray of float32, optional
@@ -105,18 +105,18 @@ def structural_cover(
     if echoes is None:
         odds = _rough_odds(filled_m, texture.filled_wide_m, wider)
     else:
-        leafy = leaf_share(wide_m, ndsm.spec.cell_m, params)
-        echoes = replace(
-            echoes,
-            split=echoes.split * leafy,
-            split_best=echoes.split_best * leafy,
-            split_wide=echoes.split_wide * leafy,
-        )
         trust, most = np.ones((1, 1), dtype=np.float32), 1.0
         if facts is not None:
             trust, most = facts.echo_trust(np.asarray(ndsm.values)), facts.most_trust
         if recorded is not None:
             trust = trust * recorded
+        leafy = leaf_share(wide_m, ndsm.spec.cell_m, params)
+        echoes = replace(
+            echoes,
+            split=usual_split(echoes.split, trust) * leafy,
+            split_best=usual_split(echoes.split_best, trust) * leafy,
+            split_wide=usual_split(echoes.split_wide, trust) * leafy,
+        )
         odds = _echo_odds(small_m, echoes, trust, params)
         if trust.min() < 1:
             odds += (1 - trust) * _rough_odds(filled_m, texture.filled_wide_m, wider)

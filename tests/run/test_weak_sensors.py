@@ -121,34 +121,32 @@ def test_necks_of_roofs_may_be_thinner_where_echoes_are_trusted(trust, joined):
     assert (found[19, 40] == ROOF) == joined
 
 
-def test_the_share_that_crowns_split_is_an_upper_decile_over_all_blocks():
+def test_the_share_that_crowns_split_is_a_mean_over_all_blocks():
     """Of no cell it is unknown. By height it is that of all blocks together, and never falls as crowns get higher."""
     none = np.zeros((2, 0), dtype=np.float32)
     assert crown_split([]) is crown_split([none]) is None
     shares = np.linspace(0, 1, 401, dtype=np.float32)
     low, high = (np.stack([np.full_like(shares, height), shares * most]) for height, most in ((2.5, 0.2), (20.0, 1.0)))
     found = crown_split([low, high])
-    assert found[0] == pytest.approx(0.18)
-    assert found[5] == pytest.approx(0.9)
-    assert found[1:5] == (pytest.approx(np.quantile([*low[1], *high[1]], 0.9)),) * 4  # without a cell: as all
+    assert found == pytest.approx((0.1, 0.3, 0.3, 0.3, 0.3, 0.5))  # without a cell: as all
     assert crown_split([low[:, ::2], high, low[:, 1::2]]) == found
     falling = crown_split([np.stack([22.5 - low[0], low[1]]), np.stack([22.5 - high[0], high[1]])])
-    assert falling == (pytest.approx((0.18 + 0.9) / 2, abs=0.01),) * 6
+    assert falling == pytest.approx((0.3,) * 6)
 
 
 def test_the_facts_of_the_points_give_the_trust_in_single_echoes(grove, tmp_path):
-    """In full from 0.8 of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
+    """In full from 0.55 of the pulses on, in proportion below, and not at all without echoes; an older plan trusts."""
     plan = msbdb.plan(write_points(tmp_path / "grove.laz", grove.points))
     assert min(plan.points.crown_split) >= 0.4
     assert "crowns split" in plan.pairs()
     heights = np.array([2.0, 4.5, 50.0])
-    for split, trust in ((None, 1.0), (0.9, 1.0), (0.8, 1.0), (0.32, 0.4), (0.0, 0.0)):
+    for split, trust in ((None, 1.0), (0.9, 1.0), (0.55, 1.0), (0.22, 0.4), (0.0, 0.0)):
         facts = replace(plan.points, crown_split=None if split is None else (split,) * 6)
         for each in (facts, replace(grove.points, facts=facts)):
             assert each.most_trust == pytest.approx(trust)
             np.testing.assert_allclose(each.echo_trust(heights), trust, rtol=1e-6)
     # A sensor that separates echoes 5 m apart: low crowns give single ones.
-    apart = replace(plan.points, crown_split=(0.0, 0.16, 0.32, 0.8, 0.8, 0.8))
+    apart = replace(plan.points, crown_split=(0.0, 0.11, 0.22, 0.55, 0.8, 0.8))
     np.testing.assert_allclose(apart.echo_trust(heights), [0, 0.4, 1], rtol=1e-6)
     assert apart.most_trust == 1
     assert replace(plan.points, echoes=False).most_trust == 0
@@ -299,7 +297,7 @@ def rough_town(share, *, east_split=0.6):
 
 @pytest.mark.parametrize(("share", "west"), [(0.0, 0.0), (0.06, 0.5), (0.12, 1.0), (0.3, 1.0)])
 def test_echoes_count_as_recorded_as_far_as_rough_cells_split_pulses(share, west):
-    """In full from 0.15 of what crowns split in the survey; in part below; and as there where nothing is rough."""
+    """In full from 0.12 of the pulses on; in part below; and as there where nothing is rough."""
     facts = replace(with_facts(scenes.flat_field().points, 0.0).facts, echoes=True, crown_split=(0.4,) * 5 + (0.8,))
     texture = rough_town(share)
     found = recorded_echoes(texture, facts, PARAMS.cover)

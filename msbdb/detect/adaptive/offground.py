@@ -20,6 +20,7 @@ from msbdb.points.aside import let_go, set_aside
 from msbdb.points.cloud import PointCloud
 from msbdb.points.spacing import measure_density
 from msbdb.surface.noise import without_noise
+from msbdb.surveyplan import usual_split
 
 Floats = NDArray[np.float64]
 
@@ -101,8 +102,8 @@ class SurfaceEvidence:
     level : ndarray
         Mean degree to which the points around lie on planes, of those with neighbours enough for one.
     split : ndarray
-        Share of the points around that are of pulses with several echoes, as far as these suggest leaves; 0 where
-        the source has no echoes.
+        Share of the points around that are of pulses with several echoes, as far as these suggest leaves, and as a
+        sensor of full trust would have split them (`msbdb.surveyplan.usual_split`); 0 where the source has no echoes.
     """
 
     level: NDArray[np.float32]
@@ -185,7 +186,8 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
     The sphere is wide enough for planes on most of the ground, also where a dense strip raises the mean density, and
     reaches the next scan line: the points of one line always lie on some plane.
     Split echoes count in full up to ``leaf_level``, and not at all from ``glass_level`` on: such planes are glass or
-    nets. Among points more than 1 m apart a sphere spans several planes of a roof, so that ``level_m`` grows with them.
+    nets. They count for more where a sensor splits fewer pulses. Among points more than 1 m apart a sphere spans
+    several planes of a roof, so that ``level_m`` grows with them.
     """
     enough_m = math.sqrt(PLANE_POINTS / math.pi) * points.typical_m
     small_m = max(params.surface_factor * points.spacing_m, params.surface_least_m, enough_m, points.step_m)
@@ -202,7 +204,8 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
     level = around[:, 0] / np.maximum(around[:, 1], np.float32(1e-6))
     # For glass a plane must be seen: here points without a plane count against it.
     leafy = (params.glass_level - around[:, 0]) / (params.glass_level - params.leaf_level)
-    return SurfaceEvidence(level.astype(np.float32), around[:, 2] * np.clip(leafy, 0, 1).astype(np.float32))
+    split = usual_split(around[:, 2], points.echo_trust)
+    return SurfaceEvidence(level.astype(np.float32), split * np.clip(leafy, 0, 1).astype(np.float32))
 
 
 def classify_vegetation(points: OffGround, found: SurfaceEvidence, params: AdaptiveParams) -> NDArray[np.int8]:

@@ -47,6 +47,9 @@ FEW = (1.0, 0.5, 0.3)
 LATER, APART_M = (0.5, 0.3, 0.1), 5.0
 """Shares of the pulses that keep later echoes, and the least distance of the echoes of a pulse, metres."""
 
+WEAK, WEAK_APART_M, WEAK_M2 = (0.5, 0.1), 2.5, (2.0, 1.0)
+"""Shares and distance as those above, and first echoes a square metre, of thinned copies by weaker sensors."""
+
 RASTERS = (0.5, 1.0, 2.0)
 """Cells of the rasters, metres."""
 
@@ -169,12 +172,23 @@ def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
 def with_few_later_echoes(data: Path, names: set[str]) -> Iterator[Case]:
     """Yield copies of places as a weaker sensor records them, and as one that separates only echoes far apart."""
     for case in as_they_are(data, {name for name in names if not name.endswith("cadastre")}):
-        for share in LATER:
-            copies = [with_fewer_later(cloud, share) for cloud in case.clouds]
-            yield Case(f"{case.name}, {share:g}", case.crs, copies, case.reference, {})
-        if all(len(np.unique(pulses(cloud))) < len(cloud.points) for cloud in case.clouds):
-            copies = [with_echoes_apart(cloud, APART_M) for cloud in case.clouds]
-            yield Case(f"{case.name}, {APART_M:g} m apart", case.crs, copies, case.reference, {})
+        yield from _by_weaker_sensors(case, LATER, APART_M)
+
+
+def with_few_pulses_and_later_echoes(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield thinned copies of places as weaker sensors record them."""
+    for case in with_fewer_pulses(data, names, WEAK_M2):
+        yield from _by_weaker_sensors(case, WEAK, WEAK_APART_M)
+
+
+def _by_weaker_sensors(case: Case, shares: tuple[float, ...], apart_m: float) -> Iterator[Case]:
+    """Yield copies of a case with shares of the later echoes, and with echoes so far apart where pulses are known."""
+    for share in shares:
+        copies = [with_fewer_later(cloud, share) for cloud in case.clouds]
+        yield Case(f"{case.name}, {share:g}", case.crs, copies, case.reference, {})
+    if all(len(np.unique(pulses(cloud))) < len(cloud.points) for cloud in case.clouds):
+        copies = [with_echoes_apart(cloud, apart_m) for cloud in case.clouds]
+        yield Case(f"{case.name}, {apart_m:g} m apart", case.crs, copies, case.reference, {})
 
 
 def with_two_sensors(data: Path, names: set[str]) -> Iterator[Case]:
