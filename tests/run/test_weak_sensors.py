@@ -93,6 +93,14 @@ def test_trust_decides_only_what_is_rough_and_not_split(trust, rough_m, split, a
     assert set(found) == {always or (ROOF if trust == 1 else VEGETATION)}
 
 
+@pytest.mark.parametrize(("trust", "split", "kind"), [(0.2, 0.04, ROOF), (0.2, 0.2, VEGETATION), (1.0, 0.04, ROOF)])
+def test_the_fewer_pulses_a_sensor_splits_the_more_they_count(trust, split, kind):
+    """A hardly rough block, of which a weak sensor splits a fifth of what it splits in crowns, or all of that."""
+    heights = blocks_of(((10, 30), (10, 30), 6.0))
+    found = cover_of(heights, 0.1, np.where(heights > 0, split, 0), (trust,) * 6)[heights > 0]
+    assert set(found) == {kind}
+
+
 def test_trust_goes_by_the_height_above_ground():
     """By a sensor that separates echoes 5 m apart, a rough low block of single echoes is a hedge, a high one a roof."""
     heights = blocks_of(((10, 30), (10, 30), 2.5), ((10, 30), (50, 70), 9.0))

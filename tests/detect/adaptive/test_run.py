@@ -28,6 +28,7 @@ from msbdb.params import Params, profile, with_values
 from msbdb.points.cloud import PointCloud
 from msbdb.surface.gridding import cell_size, density
 from msbdb.surface.heights import heights_above
+from msbdb.surveyplan import LEAST_TRUST
 from msbdb.tables import CANDIDATE_REGION, REJECTION
 
 UTM = CRS.from_epsg(32633)
@@ -176,7 +177,7 @@ def off_ground_points(points, split, spacing_m=SPACING, typical_m=0.0, step_m=0.
         np.zeros(2),
         z,
         area,
-        np.full(len(x), split),
+        np.broadcast_to(split, len(x)),
         np.ones(1, dtype=np.float32),
         None,
         None,
@@ -194,6 +195,19 @@ def test_single_echoes_of_leaves_are_a_roof_only_where_they_are_trusted(trust):
         known = replace(off_ground_points(points, split=False), echo_trust=np.float32([trust]))
         kinds.append(np.mean(classify_vegetation(known, structure(known, params), params) > 0))
     assert kinds == [0, float(trust < 1)]
+
+
+def test_split_echoes_count_for_more_by_a_sensor_that_splits_fewer():
+    """By half of the trust a fifth of split echoes counts as two fifths; below `LEAST_TRUST` no more than by that."""
+    params, split = Params().adaptive, np.arange(len(TREE)) % 5 == 0
+    shares = []
+    for trust in (1.0, 0.5, LEAST_TRUST, 0.0):
+        known = replace(off_ground_points(TREE, split=split), echo_trust=np.float32([trust]))
+        shares.append(structure(known, params).split)
+    assert shares[0].max() < 0.4  # so that half of the trust reaches no more than all
+    np.testing.assert_allclose(shares[1], 2 * shares[0], rtol=1e-6)
+    np.testing.assert_allclose(shares[2], np.minimum(shares[0] / LEAST_TRUST, 1), rtol=1e-6)
+    np.testing.assert_array_equal(shares[3], shares[2])
 
 
 def test_single_echoes_are_trusted_where_later_ones_are_recorded():
