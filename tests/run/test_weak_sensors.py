@@ -64,16 +64,24 @@ def test_crowns_are_no_roofs_whatever_share_of_the_pulses_is_split(grove, share)
         assert built(facts)[0] > 0.7
 
 
-def cover_of(heights, rough_m, split, trusts):
-    """Return the cover of heights above ground on cells of 0.5 m, with the trust of each class of height."""
+def structure_of(heights, rough_m, splits, trusts):
+    """Return the structure of heights above ground on cells of 0.5 m, with the trust of each class of height.
+
+    The shares of split pulses are those of the cells, of the best small window and of the wide one.
+    """
     rows, cols = heights.shape
     spec = lattice((0, 0, (cols - 1) / 2, (rows - 1) / 2), 0.5, scenes.UTM33)
-    rough, split, solid = (np.broadcast_to(np.float32(each), spec.shape) for each in (rough_m, split, 1.0))
+    rough, *shares = (np.broadcast_to(np.float32(each), spec.shape) for each in (rough_m, *splits, 1.0))
     ndsm = Grid(heights, np.ones(spec.shape, dtype=bool), spec)
-    texture = Texture(ndsm, rough, rough, Echoes(split, split, split, solid), 2.0)
+    texture = Texture(ndsm, rough, rough, Echoes(*shares), 2.0)
     facts = with_facts(scenes.flat_field().points, 0.0).facts
     known = replace(facts, echoes=True, crown_split=tuple(trust * USUAL_SPLIT for trust in trusts))
-    return structural_cover(texture, known, PARAMS.cover).cover.index
+    return structural_cover(texture, known, PARAMS.cover)
+
+
+def cover_of(heights, rough_m, split, trusts):
+    """Return the cover by `structure_of`, with one share of split pulses in all windows."""
+    return structure_of(heights, rough_m, (split,) * 3, trusts).cover.index
 
 
 def blocks_of(*blocks, shape=(40, 80)):
@@ -99,6 +107,30 @@ def test_the_fewer_pulses_a_sensor_splits_the_more_they_count(trust, split, kind
     heights = blocks_of(((10, 30), (10, 30), 6.0))
     found = cover_of(heights, 0.1, np.where(heights > 0, split, 0), (trust,) * 6)[heights > 0]
     assert set(found) == {kind}
+
+
+@pytest.mark.parametrize("window", [1, 2])
+def test_half_of_the_trust_doubles_the_log_odds_of_split_pulses(window):
+    """In the best small window and in the wide one, each by itself."""
+    heights, lost = blocks_of(((10, 30), (10, 30), 6.0)), []
+    for trust in (1.0, 0.5):
+        odds = []
+        for split in (0.0, 0.1):
+            splits = [split if number == window else 0.0 for number in range(3)]
+            roof = structure_of(heights, 0.2, splits, (trust,) * 6).roof_probability[20, 20]
+            odds.append(np.log(roof / (1 - roof)))
+        lost.append(odds[0] - odds[1])
+    assert lost[0] > 0.3
+    assert lost[1] == pytest.approx(2 * lost[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(("share", "kind"), [(0.0, ROOF), (0.03, ROOF), (0.12, VEGETATION)])
+def test_regions_are_judged_by_what_a_strong_sensor_would_have_split(share, kind):
+    """Three tenths of a block are smooth: enough for half of the trust and few split pulses, not for an eighth."""
+    heights = blocks_of(((10, 30), (10, 30), 6.0))
+    rough = np.full(heights.shape, 0.2)
+    rough[10:16] = 0.02
+    assert set(structure_of(heights, rough, (share, 0.0, 0.0), (0.5,) * 6).cover.index[heights > 0]) == {kind}
 
 
 def test_trust_goes_by_the_height_above_ground():
@@ -330,6 +362,11 @@ def test_echoes_count_as_recorded_as_far_as_rough_cells_split_pulses(share, west
         rough = texture.roughness_m[cut]
         window = recorded_echoes(Texture(ndsm, rough, rough, Echoes(*fields), 2.0), facts, PARAMS.cover)
         np.testing.assert_array_equal(window[50:-50, 50:-50], found[cut][50:-50, 50:-50])
+    # A survey whose crowns split a fifth as many: so many are enough here, too.
+    weak = recorded_echoes(rough_town(share / 5), replace(facts, crown_split=(0.2 * USUAL_SPLIT,) * 6), PARAMS.cover)
+    assert (weak is None) == (west == 1)
+    if weak is not None:
+        np.testing.assert_allclose(weak[:, :150], west, atol=0.01)
     bare = replace(texture, ndsm=texture.ndsm.with_values(np.zeros_like(texture.ndsm.values), texture.ndsm.valid))
     assert recorded_echoes(bare, facts, PARAMS.cover) is None
     assert recorded_echoes(replace(texture, echoes=None), facts, PARAMS.cover) is None
