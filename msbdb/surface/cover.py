@@ -16,7 +16,7 @@ from msbdb.surface.noise import height_noise, without_noise
 from msbdb.surface.squares import Squares, around
 from msbdb.surface.structure import VEGETATION, Structure, rough_cells, structural_cover
 from msbdb.surface.texture import LEAST_SAMPLES, WIDEST_SAMPLES, Texture, echoes, roughness, widest_window_m
-from msbdb.surveyplan import CROWN_CLASSES_M, PointFacts
+from msbdb.surveyplan import CROWN_CLASSES_M, USUAL_SPLIT, PointFacts
 from msbdb.threads import in_threads
 
 LEAST_SPLIT = 0.12
@@ -27,6 +27,10 @@ LEAST_M2 = 100.0
 
 PARTS = 1_000_000
 """Shares are counted in so many parts, whole numbers, whose sums depend neither on the order nor on the window."""
+
+UPPER, STRONG = 0.9, (0.6, 0.9)
+"""Ours, in sample: a quantile of the shares of split pulses among crowns, and its values from which it begins to show a
+strong sensor, and shows one."""
 
 Field = NDArray[np.float32]
 
@@ -127,8 +131,10 @@ def crown_cells(texture: Texture, params: CoverParams) -> Field | None:
 def crown_split(crowns: Sequence[Field]) -> tuple[float, ...] | None:
     """Return the share of pulses that the crowns of a survey split, by classes of height; None where none is known.
 
-    It is the mean over the crowns. High crowns split no fewer pulses than low ones. So the shares are those that never
-    fall with the height and are nearest to the measured ones, by isotonic regression.
+    It is the mean over the crowns. But where trees are few, most of these cells are rough roofs. A weak sensor splits
+    nearly all pulses nowhere. So where a tenth of the cells do (`UPPER`), the share is that of a strong sensor, and in
+    proportion between the values of `STRONG`. High crowns split no fewer pulses than low ones. So the shares are those
+    that never fall with the height and are nearest to the measured ones, by isotonic regression.
 
     Parameters
     ----------
@@ -145,9 +151,16 @@ def crown_split(crowns: Sequence[Field]) -> tuple[float, ...] | None:
         return None
     of = np.digitize(heights, CROWN_CLASSES_M)
     cells, parts = sizes(of + 1, len(CROWN_CLASSES_M) + 1), np.rint(shares * PARTS).astype(np.int64)
-    means = [np.mean(parts[of == number] if count else parts) / PARTS for number, count in enumerate(cells.tolist())]
-    rising = isotonic_regression(means, weights=np.maximum(cells, 1)).x
+    split = [_split_of(parts[of == number] if count else parts) for number, count in enumerate(cells.tolist())]
+    rising = isotonic_regression(split, weights=np.maximum(cells, 1)).x
     return tuple(np.round(rising, 6).tolist())
+
+
+def _split_of(parts: NDArray[np.int64]) -> float:
+    """Return the share of pulses that crowns of one class split, from that of each of its cells."""
+    low, high = STRONG
+    strong = (np.quantile(parts, UPPER) / PARTS - low) / (high - low)
+    return float(max(np.mean(parts) / PARTS, USUAL_SPLIT * np.clip(strong, 0, 1)))
 
 
 def recorded_echoes(texture: Texture, facts: PointFacts | None, params: CoverParams) -> Field | None:

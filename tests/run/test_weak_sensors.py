@@ -166,12 +166,21 @@ def test_the_share_that_crowns_split_is_a_mean_over_all_blocks():
     none = np.zeros((2, 0), dtype=np.float32)
     assert crown_split([]) is crown_split([none]) is None
     shares = np.linspace(0, 1, 401, dtype=np.float32)
-    low, high = (np.stack([np.full_like(shares, height), shares * most]) for height, most in ((2.5, 0.2), (20.0, 1.0)))
+    low, high = (np.stack([np.full_like(shares, height), shares * most]) for height, most in ((2.5, 0.2), (20.0, 0.5)))
     found = crown_split([low, high])
-    assert found == pytest.approx((0.1, 0.3, 0.3, 0.3, 0.3, 0.5))  # without a cell: as all
+    assert found == pytest.approx((0.1, 0.175, 0.175, 0.175, 0.175, 0.25))  # without a cell: as all
     assert crown_split([low[:, ::2], high, low[:, 1::2]]) == found
     falling = crown_split([np.stack([22.5 - low[0], low[1]]), np.stack([22.5 - high[0], high[1]])])
-    assert falling == pytest.approx((0.3,) * 6)
+    assert falling == pytest.approx((0.175,) * 6)
+
+
+@pytest.mark.parametrize(
+    ("most", "split"), [(0.6, 0.06), (0.75, USUAL_SPLIT / 2), (0.9, USUAL_SPLIT), (1.0, USUAL_SPLIT)]
+)
+def test_a_sensor_is_strong_where_some_crowns_split_nearly_all_pulses(most, split):
+    """One rough cell in ten is a crown, and the others are roofs: a weak sensor splits most pulses nowhere."""
+    cells = np.stack([np.full(1000, 9.0), np.where(np.arange(1000) < 101, most, 0.0)])
+    assert crown_split([cells]) == pytest.approx((split,) * 6, abs=1e-3)
 
 
 def test_the_facts_of_the_points_give_the_trust_in_single_echoes(grove, tmp_path):
