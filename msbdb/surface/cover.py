@@ -28,9 +28,11 @@ LEAST_M2 = 100.0
 PARTS = 1_000_000
 """Shares are counted in so many parts, whole numbers, whose sums depend neither on the order nor on the window."""
 
-UPPER, STRONG = 0.9, (0.6, 0.9)
-"""Ours, in sample: a quantile of the shares of split pulses among crowns, and its values from which it begins to show a
-strong sensor, and shows one."""
+UPPER = 0.9
+"""Ours, in sample: this quantile of the shares of split pulses shows a strong sensor, also where trees are few."""
+
+DOUBTFUL, STRONG = 0.6, 0.9
+"""Ours, in sample: up to the first value of that quantile a sensor may be weak, from the second on it is strong."""
 
 Field = NDArray[np.float32]
 
@@ -132,9 +134,9 @@ def crown_split(crowns: Sequence[Field]) -> tuple[float, ...] | None:
     """Return the share of pulses that the crowns of a survey split, by classes of height; None where none is known.
 
     It is the mean over the crowns. But where trees are few, most of these cells are rough roofs. A weak sensor splits
-    nearly all pulses nowhere. So where a tenth of the cells do (`UPPER`), the share is that of a strong sensor, and in
-    proportion between the values of `STRONG`. High crowns split no fewer pulses than low ones. So the shares are those
-    that never fall with the height and are nearest to the measured ones, by isotonic regression.
+    nearly all pulses nowhere. So where a tenth of the cells does, the share is at least `USUAL_SPLIT`. This least share
+    rises from 0 to that while the upper decile goes from `DOUBTFUL` to `STRONG`. High crowns split no fewer pulses than
+    low ones. So the shares never fall with the height, and are nearest to the measured ones (isotonic regression).
 
     Parameters
     ----------
@@ -157,10 +159,9 @@ def crown_split(crowns: Sequence[Field]) -> tuple[float, ...] | None:
 
 
 def _split_of(parts: NDArray[np.int64]) -> float:
-    """Return the share of pulses that crowns of one class split, from that of each of its cells."""
-    low, high = STRONG
-    strong = (np.quantile(parts, UPPER) / PARTS - low) / (high - low)
-    return float(max(np.mean(parts) / PARTS, USUAL_SPLIT * np.clip(strong, 0, 1)))
+    """Return the share of pulses that crowns of one class split, from the shares of its cells in `PARTS`."""
+    mean, upper = np.mean(parts) / PARTS, np.quantile(parts, UPPER) / PARTS
+    return float(max(mean, np.interp(upper, (DOUBTFUL, STRONG), (0, USUAL_SPLIT))))
 
 
 def recorded_echoes(texture: Texture, facts: PointFacts | None, params: CoverParams) -> Field | None:
