@@ -172,11 +172,13 @@ class AdaptiveParams:
         ours="a planted roof is level, a crown is not; as for the cover", low=0, high=1)
     surface_factor: float = param(1.75, "spacings", "Radius within which the surface around a point is a plane.",
         ours="ten points, enough for a plane and its residuals", low=1, high=20)
-    surface_least_m: float = param(1.25, "m", "The same, at least.", ours="smaller than the narrowest roof plane",
+    surface_least_m: float = param(0.8, "m", "The same, at least.",
+        ours="most points of a roof lie as far from its ridge, eaves and dormers; 1.25 m took more crowns for roofs",
         low=0, high=20)
-    level_m: float = param(0.12, "m",
-        "Residual of the plane between level and not: at half of it a surface is level, at twice it is not.",
-        ours=CALIBRATED + ", as 0.1 m of ten points before the residual was freed of their number", low=0.005, high=5)
+    level_m: float = param(0.082, "m",
+        "Residual between level and not within a radius of 1 m: at half of it a surface is level, at twice it is not.",
+        ours="roofs and crowns are told apart best by 0.05 m, but not on surveys with echoes 20 cm aside",
+        low=0.005, high=5)
     around_factor: float = param(2.5, "spacings", "Radius of the shares.", ours="enough echoes for a share",
         low=1, high=50)
     around_least_m: float = param(2.5, "m", "The same, at least.",
@@ -193,7 +195,7 @@ class AdaptiveParams:
     blind_level_weight: float = param(9.4, "1", "level_weight, as far as single echoes are not trusted.",
         ours=CALIBRATED,
         low=0, high=100)
-    blind_bias: float = param(-3.0, "1", "bias, as far as single echoes are not trusted.",
+    blind_bias: float = param(-2.5, "1", "bias, as far as single echoes are not trusted.",
         ours=CALIBRATED, low=-50, high=50)
     least_odds: float = param(0.75, "1", "Points of smaller log-odds are vegetation; a large negative value keeps all.",
         ours=CALIBRATED, low=-50, high=50)
