@@ -49,6 +49,10 @@ from msbdb.run.inventory import update
 
 SPAWN = multiprocessing.get_context("spawn")
 
+# rasterio ignores it itself while it burns shapes. But filters of warnings belong to no thread, so that another thread
+# may restore them meanwhile.
+pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+
 
 def content(target: str) -> list[str]:
     """Return all but the numbers of events, which tell in which order they came."""

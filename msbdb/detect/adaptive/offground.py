@@ -34,7 +34,7 @@ SPHERE_POWER = 0.7
 """Ours, in sample: residuals of roofs grow by this power of the sphere's radius, as wide ones span several planes."""
 
 NOISE_LEFT = 0.5
-"""Noise is subtracted as a variance. Of ten points that is known to half, √(2/7), and so is about half of the noise."""
+"""Ours, in sample: share of the noise that is left of a residual. Its variance is known from few points alone."""
 
 GREEN = 1
 SCATTERED = 2
@@ -202,7 +202,7 @@ def structure(points: OffGround, params: AdaptiveParams) -> SurfaceEvidence:
     level_m = np.full(1, params.level_m * small_m**SPHERE_POWER, dtype=np.float32)
     if points.noise_m is not None:
         residuals = without_noise(residuals, points.noise_m)
-        level_m = np.hypot(level_m, np.float32(NOISE_LEFT) * points.noise_m)
+        level_m = np.hypot(level_m, NOISE_LEFT * points.noise_m)
     values = np.zeros((len(points), 3), dtype=np.float32)
     values[:, 0] = _degree(residuals, level_m)
     values[:, 1] = np.isfinite(residuals)
