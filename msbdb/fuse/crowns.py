@@ -35,6 +35,10 @@ GROUP_M2, KNOWN = 100.0, 0.85
 """Ours, in sample: there an object of this area is no narrow roof, but may be a group or a row of crowns, if planes
 were fitted to this share of it. Blocks with noise in plan have fewer."""
 
+CLEARLY = 0.77
+"""Ours, in sample: roofs that look rough throughout beside the even ground have more mean support; three of four are
+0.75."""
+
 LOW_M = 6.0
 """Ours, in sample: half of a low object lies below this height above ground, as of houses of two storeys at most."""
 
@@ -74,8 +78,8 @@ DENIED = 0.6
 BESIDE = 0.45
 """Ours, in sample: what has a larger share of its edge at buildings stands among them, as annexes in courts do."""
 
-LEANING_M2 = 600.0
-"""Ours, in sample: a larger piece is no crown, nor a row of them; 100 to 1,000 m² differ little."""
+LEANING_M2 = 400.0
+"""Ours, in sample: a larger piece is no crown, nor a row of them. On cells above 1 m most larger ones are wings."""
 
 CELL_POWER = 1.5
 """Ours, in sample: above 1 m the limit of smoothness grows by this power of the cell, as windows span several roofs."""
@@ -169,7 +173,8 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
     of such noise, and all of a crown's relief. On cells larger than `FINE_M` only objects of `GROUP_M2` and more are
     dropped so, where planes are known for `KNOWN` of them. Their inner cells alone are judged: windows at an edge lie
-    half on the ground. On cells larger than `COARSE_M` none of this is done.
+    half on the ground. There an object of no more support than `CLEARLY` goes, too, if it is rough beside the bare
+    cells with bare neighbours alone. On cells larger than `COARSE_M` none of this is done.
 
     Low objects have a second, stricter limit, on cells of up to `LARGEST_CELL_M`. Blocks of old towns are rough and
     high, and houses of one or two storeys have simple roofs. So the inner cells of a low object that not nearly all
@@ -199,10 +204,10 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     Notes
     -----
     The roughness of bare cells is their geometric mean in a square of `AROUND_M`; without any, the noise of a scanner
-    alone counts. For single crowns and low objects, those with bare neighbours alone count, as others are rough by the
-    crowns beside them. Otherwise all bare cells count: without those beside raised cells, blocks with noise in plan
-    were lost. Border: the square ends at the lattice, and an object that it cuts is judged by what is left of it.
-    Nodata: invalid cells are no buildings.
+    alone counts. For single crowns, low objects and those of little support on coarse cells, the bare cells with bare
+    neighbours alone count, as others are rough by the crowns beside them. Otherwise all bare cells count: without those
+    beside raised cells, blocks with noise in plan were lost. Border: the square ends at the lattice, and an object that
+    it cuts is judged by what is left of it. Nodata: invalid cells are no buildings.
 
     Examples
     --------
@@ -235,7 +240,11 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
         single = single_crowns(labels, _share_of_known(labels, count, even, roughness_m, unknown=1.0), heights)
         cells = sizes(labels, count)
         grouped = (cells * heights.spec.cell_area_m2 >= GROUP_M2) & (sizes(labels[known], count) >= KNOWN * cells)
-        rough = throughout(inner, noise_m) & grouped if cell_m > FINE_M else throughout(decided, noise_m)
+        if cell_m <= FINE_M:
+            rough = throughout(decided, noise_m)
+        else:
+            doubted = sums(labels, share, count) <= CLEARLY * cells
+            rough = grouped & (throughout(inner, noise_m) | doubted & throughout(inner, even_m))
     rough = chosen_cells(labels, rough)
     return decided & ~chosen_cells(labels, single | low) & ~(rough & ~_only_noisy(rough, roughness_m, heights))
 

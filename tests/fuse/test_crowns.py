@@ -117,8 +117,19 @@ def test_what_is_rough_throughout_is_no_building(roof_m, ground_m, cell_m, kept)
     np.testing.assert_array_equal(found, decided if kept else np.zeros_like(decided))
 
 
-ROW = {"cell_m": 1.0, "sides": (10, 11), "inner_m": 0.3, "edge_m": 0.3, "unknown": 0.1, "ground_m": 0.02, "even": False}
-"""A row of crowns between 1 and 2 points/m²."""
+ROW = {
+    "cell_m": 1.0,
+    "sides": (10, 11),
+    "share": 0.7,
+    "inner_m": 0.3,
+    "smooth": 0.0,
+    "edge_m": 0.3,
+    "unknown": 0.1,
+    "beside_m": 0.3,
+    "ground_m": 0.02,
+    "even": False,
+}
+"""A row of crowns between 1 and 2 points/m²; the ground beside it is as rough as it is."""
 
 
 @pytest.mark.parametrize(
@@ -132,6 +143,9 @@ ROW = {"cell_m": 1.0, "sides": (10, 11), "inner_m": 0.3, "edge_m": 0.3, "unknown
         ({"unknown": 0.2}, True),
         ({"ground_m": 0.12}, True),
         ({"even": True}, True),
+        ({"smooth": 0.19}, False),
+        ({"smooth": 0.23}, True),
+        ({"share": 1.0}, False),
     ],
     ids=[
         "row of crowns",
@@ -142,6 +156,9 @@ ROW = {"cell_m": 1.0, "sides": (10, 11), "inner_m": 0.3, "edge_m": 0.3, "unknown
         "few planes",
         "noisy survey",
         "even once averaged",
+        "hardly smooth",
+        "a fifth is smooth",
+        "all detectors take it",
     ],
 )
 def test_groups_of_crowns_are_no_buildings_on_cells_of_a_metre(change, kept):
@@ -150,25 +167,34 @@ def test_groups_of_crowns_are_no_buildings_on_cells_of_a_metre(change, kept):
     shape, (high, wide) = (70, 70), row["sides"]
     decided = block(shape, (7, 7 + high), (5, 5 + wide))
     inner = by_three(np.logical_and, decided, beyond=np.False_)
-    rough = np.select([inner, decided], [row["inner_m"], row["edge_m"]], row["ground_m"]).astype(np.float32)
+    beside = by_three(np.logical_or, decided, beyond=np.False_) & ~decided
+    kinds = [(inner, row["inner_m"]), (decided, row["edge_m"]), (beside, row["beside_m"])]
+    rough = np.select(*zip(*kinds, strict=True), row["ground_m"]).astype(np.float32)
     cells = np.flatnonzero(decided)
     rough.ravel()[cells[: round(row["unknown"] * len(cells))]] = NO_PLANE_M
+    known = np.flatnonzero(inner & (rough < NO_PLANE_M))
+    rough.ravel()[known[: round(row["smooth"] * len(known))]] = 0.02
     relief = 6 * np.ones(shape) if row["even"] else 2 * crowns(shape)
-    found = supported_by_all(decided, rough, grid(np.where(decided, relief, 0.0), row["cell_m"]))
+    heights = grid(np.where(decided, relief, 0.0), row["cell_m"])
+    found = without_rough(decided, np.float32(row["share"] * decided), rough, heights, PARAMS)
     np.testing.assert_array_equal(found, decided & kept)
 
 
-@pytest.mark.parametrize(("beside_m", "kept"), [(0.02, False), (0.3, True)])
-def test_noise_beside_walls_tells_how_rough_roofs_are(beside_m, kept):
-    """Rough bare cells along a long hedge or roof make its own roughness noise; they have raised neighbours."""
+@pytest.mark.parametrize(
+    ("beside_m", "cell_m", "share", "kept"),
+    [(0.02, 0.5, 1.0, False), (0.3, 0.5, 0.7, True), (0.3, 1.0, 0.75, False), (0.3, 1.0, 0.8, True)],
+)
+def test_noise_beside_walls_shows_how_rough_roofs_are(beside_m, cell_m, share, kept):
+    """Rough bare cells along a roof make its own roughness noise; on cells of a metre, of what has clear support."""
     shape = (60, 60)
     decided = block(shape, (24, 36), (4, 56))
     beside = by_three(np.logical_or, decided, beyond=np.False_) & ~decided
     bare = decided | beside | block(shape, (0, 1), (0, 60))
     rough = np.select([decided, beside], [0.3, beside_m], 0.02).astype(np.float32)
-    heights = grid(np.where(decided, crowns(shape), 0.0), 0.5)
+    heights = grid(np.where(decided, 3 * crowns(shape), 0.0), cell_m)
     heights = Grid(heights.values, bare, heights.spec)
-    np.testing.assert_array_equal(supported_by_all(decided, rough, heights), decided & kept)
+    found = without_rough(decided, np.float32(share * decided), rough, heights, PARAMS)
+    np.testing.assert_array_equal(found, decided & kept)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -482,13 +508,13 @@ def test_what_leans_on_a_house_goes_if_all_its_evidence_is_poor(change, kept):
 
 @pytest.mark.parametrize(("depth", "kept"), [(10, False), (11, True)])
 def test_a_piece_larger_than_crowns_stays(depth, kept):
-    """A row of trees of 600 m² goes. What is larger is a wing whose roof few echoes show."""
+    """A row of trees of 400 m² goes. What is larger is a wing whose roof few echoes show."""
     shape = (80, 40)
-    house, wing = block(shape, (4, 70), (2, 12)), block(shape, (5, 65), (12, 13 + depth))
+    house, wing = block(shape, (4, 50), (2, 12)), block(shape, (5, 45), (12, 13 + depth))
     heights = grid(np.where(wing, 4.0, np.where(house, 6.0, 0.0)))
     share, rough = np.where(house, 1.0, wing / 2), np.where(wing, 0.3, 0.02).astype(np.float32)
     left = without_leaning_crowns(house | wing, share, rough, heights, PARAMS, limit_m=0.06)
-    assert np.array_equal(left, house | wing if kept else house | block(shape, (5, 65), (12, 13)))
+    assert np.array_equal(left, house | wing if kept else house | block(shape, (5, 45), (12, 13)))
 
 
 def test_an_object_that_not_all_detectors_see_has_no_leaning_pieces():
