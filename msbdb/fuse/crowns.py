@@ -36,8 +36,8 @@ GROUP_M2, KNOWN = 100.0, 0.85
 were fitted to this share of it. Blocks with noise in plan have fewer."""
 
 CLEARLY = 0.77
-"""Ours, in sample: roofs that look rough throughout beside the even ground have more mean support; three of four are
-0.75."""
+"""Ours, in sample: a roof that is rough throughout beside the even ground has more mean support than this. Crowns have
+0.75 at most, three of four detectors."""
 
 LOW_M = 6.0
 """Ours, in sample: half of a low object lies below this height above ground, as of houses of two storeys at most."""
@@ -173,8 +173,8 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     three quarters of it are within four times the limit; more of a crown is rougher. Means of 3 by 3 cells have a third
     of such noise, and all of a crown's relief. On cells larger than `FINE_M` only objects of `GROUP_M2` and more are
     dropped so, where planes are known for `KNOWN` of them. Their inner cells alone are judged: windows at an edge lie
-    half on the ground. There an object of no more support than `CLEARLY` goes, too, if it is rough beside the bare
-    cells with bare neighbours alone. On cells larger than `COARSE_M` none of this is done.
+    half on the ground. There an object of a mean support of up to `CLEARLY` goes, too, if it is rough compared with the
+    bare cells that have bare neighbours alone. On cells larger than `COARSE_M` none of this is done.
 
     Low objects have a second, stricter limit, on cells of up to `LARGEST_CELL_M`. Blocks of old towns are rough and
     high, and houses of one or two storeys have simple roofs. So the inner cells of a low object that not nearly all

@@ -49,8 +49,8 @@ from msbdb.run.inventory import update
 
 SPAWN = multiprocessing.get_context("spawn")
 
-# rasterio ignores it itself while it burns shapes. But filters of warnings belong to no thread, so that another thread
-# may restore them meanwhile.
+# rasterio itself silences this warning while it burns shapes. But all threads share the filters of warnings, so that
+# another thread may restore them meanwhile.
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 
 

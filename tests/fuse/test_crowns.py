@@ -129,7 +129,7 @@ ROW = {
     "ground_m": 0.02,
     "even": False,
 }
-"""A row of crowns between 1 and 2 points/m²; the ground beside it is as rough as it is."""
+"""A row of crowns between 1 and 2 points/m²; the bare cells beside it are as rough as the crowns."""
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_groups_of_crowns_are_no_buildings_on_cells_of_a_metre(change, kept):
     [(0.02, 0.5, 1.0, False), (0.3, 0.5, 0.7, True), (0.3, 1.0, 0.75, False), (0.3, 1.0, 0.8, True)],
 )
 def test_noise_beside_walls_shows_how_rough_roofs_are(beside_m, cell_m, share, kept):
-    """Rough bare cells along a roof make its own roughness noise; on cells of a metre, of what has clear support."""
+    """With rough bare cells beside it a rough roof stays; on cells of a metre only if most detectors take it."""
     shape = (60, 60)
     decided = block(shape, (24, 36), (4, 56))
     beside = by_three(np.logical_or, decided, beyond=np.False_) & ~decided
