@@ -85,7 +85,7 @@ def texture_of(surface: Surface, points: PointCloud | None, params: Params) -> T
     def relief(window: tuple[float, int]) -> tuple[Field, Field]:
         known = surface.roughness.get(window)
         seen = roughness(surface.samples, *window) if known is None else known
-        noise_m = height_noise(seen, surface.ndsm)
+        noise_m = height_noise(seen, surface.ndsm, window_m=window[0], mask_m=mask_m)
         return without_noise(seen, noise_m), noise_m
 
     windows = _windows(params.cover, surface.ndsm.spec.cell_m)

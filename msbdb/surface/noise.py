@@ -1,15 +1,17 @@
 """Noise of the heights: how rough even ground looks, beyond what a precise scanner leaves.
 
-Roofs carry the noise of the ground beside them. So what noise adds is taken from the roughness before roofs and
-crowns are separated by it. Strips that do not fit in height, and coarse ranges of older scanners, act alike.
+Ground is even where nothing stands on it: beside crowns it is rough by these. Roofs carry the noise of the ground
+around them. So what noise adds is taken from the roughness before roofs and crowns are separated by it. Strips that do
+not fit in height, and coarse ranges of older scanners, act alike.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msbdb.grid import Grid
+from msbdb.morphology.windows import dilation
 from msbdb.surface.squares import Squares, around
-from msbdb.surface.texture import NO_PLANE_M
+from msbdb.surface.texture import NO_PLANE_M, window_cells
 
 BARE_M = 0.5
 """Cells below this height are bare ground."""
@@ -17,7 +19,7 @@ BARE_M = 0.5
 STEP_M, STEPS = 0.005, 60
 """Width of the classes of roughness that are counted, metres, and their number; the last one is open."""
 
-SMOOTHEST = 0.25
+SMOOTHEST = 1 / 3
 """Even ground is among the smoothest quarter of the bare cells, as grass, kerbs and cars are rough."""
 
 PRECISE_M = 0.02
@@ -35,7 +37,7 @@ LEAST_CELLS = 50
 Field = NDArray[np.float32]
 
 
-def height_noise(roughness_m: Field, ndsm: Grid) -> Field:
+def height_noise(roughness_m: Field, ndsm: Grid, *, window_m: float, mask_m: float) -> Field:
     """Return the roughness that noise adds to even surfaces, by the bare ground around.
 
     Parameters
@@ -44,18 +46,23 @@ def height_noise(roughness_m: Field, ndsm: Grid) -> Field:
         Residual of the best plane (`msbdb.surface.texture.roughness`).
     ndsm : Grid
         Heights above ground, metres.
+    window_m : float
+        Side of the windows of that residual, metres.
+    mask_m : float
+        Height of the mask (V17), metres: bare cells of whose window none reaches it count.
 
     Returns
     -------
     (H, W) ndarray of float32, metres
         The median that noise alone would give; 0 where even ground is as smooth as a precise scanner sees it, and
-        where there is hardly any bare ground. At most 0.42 m.
+        where there is hardly any bare ground with nothing beside it. At most 0.42 m.
 
     Notes
     -----
     With q the lower quartile of the roughness of bare cells in 3 by 3 squares, noise is √(2 (q² - q₀²)), q₀ = 0.02 m.
     Squares lie on the absolute lattice, so that tiles agree: a cell's noise depends on ground up to 50 m away.
-    Border: squares end at the lattice. Nodata: cells that are not valid, or without a plane, do not count.
+    Bare cells beside crowns are rough by these: among dense trees a quarter of all bare cells is hardly less rough.
+    Border: squares and windows end at the lattice. Nodata: cells that are not valid, or without a plane, do not count.
     Linear in the cells.
 
     Examples
@@ -67,19 +74,21 @@ def height_noise(roughness_m: Field, ndsm: Grid) -> Field:
     >>> high = np.zeros((20, 20), dtype=np.float32)
     >>> high[5:15, 5:15] = 6
     >>> ndsm = Grid(high, high >= 0, lattice((0, 0.1, 19, 19.9), 1.0, CRS.from_epsg(2154)))
-    >>> height_noise(np.full((20, 20), 0.051, np.float32), ndsm)[10, 10].round(3)
+    >>> height_noise(np.full((20, 20), 0.051, np.float32), ndsm, window_m=1.5, mask_m=2.0)[10, 10].round(3)
     np.float32(0.069)
-    >>> height_noise(np.full((20, 20), 0.012, np.float32), ndsm).max()
+    >>> height_noise(np.full((20, 20), 0.012, np.float32), ndsm, window_m=1.5, mask_m=2.0).max()
     np.float32(0.0)
     """
     squares = Squares.of(ndsm.spec)
+    raised = ndsm.valid & (np.asarray(ndsm.values) >= mask_m)
+    beside = dilation(raised.astype(np.float32), window_cells(window_m, ndsm.spec.cell_m), None) > 0
     count = squares.shape[1]
     counts = np.zeros((*squares.shape, STEPS), dtype=np.int64)
     # One row of squares after the other, as places in the lattice take more memory than the roughness.
     for number, band in enumerate(counts):
         here = slice(*np.searchsorted(squares.rows, (number, number + 1)))
         high, rough_m = np.asarray(ndsm.values[here]), roughness_m[here]
-        bare = ndsm.valid[here] & (high < BARE_M) & (rough_m < NO_PLANE_M)
+        bare = ndsm.valid[here] & ~beside[here] & (high < BARE_M) & (rough_m < NO_PLANE_M)
         step = np.minimum((rough_m[bare] / STEP_M).astype(np.int64), STEPS - 1)
         col = np.broadcast_to(squares.cols, bare.shape)[bare]
         band[:] = np.bincount(col * STEPS + step, minlength=count * STEPS).reshape(count, STEPS)

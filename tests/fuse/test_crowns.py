@@ -319,7 +319,7 @@ def test_low_objects_go_one_by_one():
     assert not without_rough(none, share, rough, grid(4.0 * decided, 1.2), PARAMS).any()
 
 
-DOME = {"bends": (0.1, 0.1), "off_m": 0.3, "even": 0.0, "side": 14, "cell_m": 1.0, "ground_m": 0.02}
+DOME = {"bends": (0.1, 0.1), "off_m": 0.3, "even": 0.0, "side": 14, "cell_m": 1.0, "ground_m": 0.02, "share": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -336,6 +336,12 @@ DOME = {"bends": (0.1, 0.1), "off_m": 0.3, "even": 0.0, "side": 14, "cell_m": 1.
         ({"off_m": 0.65}, True),
         ({"side": 15, "bends": (0.02, 0.02)}, True),
         ({"cell_m": 1.2, "side": 11}, True),
+        ({"cell_m": 1.2, "side": 11, "share": 0.8}, True),
+        ({"cell_m": 1.2, "side": 11, "share": 0.75}, False),
+        ({"cell_m": 1.2, "side": 11, "share": 0.75, "even": 0.08}, False),
+        ({"cell_m": 1.2, "side": 11, "share": 0.75, "even": 0.12}, True),
+        ({"cell_m": 1.5, "side": 9, "share": 0.75}, False),
+        ({"cell_m": 1.6, "side": 9, "share": 0.75}, True),
         ({"ground_m": 0.11}, True),
     ],
     ids=[
@@ -350,6 +356,12 @@ DOME = {"bends": (0.1, 0.1), "off_m": 0.3, "even": 0.0, "side": 14, "cell_m": 1.
         "far from its dome",
         "225 m²",
         "coarse cells",
+        "coarse cells, more support than three of four",
+        "coarse cells, three of four",
+        "coarse cells, a twelfth is even",
+        "coarse cells, an eighth is even",
+        "cells of 1.5 m",
+        "cells of 1.6 m",
         "as noisy as the ground",
     ],
 )
@@ -364,7 +376,8 @@ def test_a_rough_dome_is_a_crown(change, kept):
     high = np.where(decided, 12 - along * row**2 - across * col**2 + off, 0.0)
     rough = np.full(shape, dome["ground_m"], dtype=np.float32)
     rough[decided] = np.where(np.arange(side**2) < dome["even"] * side**2, 0.08, 0.2)
-    found = supported_by_all(decided, rough, grid(high, dome["cell_m"]))
+    share = np.float32(dome["share"] * decided)
+    found = without_rough(decided, share, rough, grid(high, dome["cell_m"]), PARAMS)
     np.testing.assert_array_equal(found, decided & kept)
 
 

@@ -89,6 +89,9 @@ CROWNS, A_HECTARE = ("montpellier", "champs"), 100.0
 VILLAGES, LEFT, MANY = ("delft_1", "amsterdam", "sevilla_plaza"), 0.15, 250.0
 """The places of which this share of the roofs stays as villages, and the most trees a hectare there."""
 
+WOODED_M2 = (1.0, 0.5)
+"""First echoes a square metre of the thinned copies of wooded hills."""
+
 WINDOW_M = 300.0
 """Of a larger place only so much of the south-western corner is laid over hills."""
 
@@ -247,9 +250,7 @@ def under_trees(data: Path, names: set[str]) -> Iterator[Case]:
         for donor in CROWNS:
             if donor == case.name:
                 continue
-            [trees] = NAMED[donor].read(data)
-            crowns = crowns_of(trees, min(1.0, density / first_density([trees])))
-            clouds = [planted(cloud, crowns, A_HECTARE) for cloud in case.clouds]
+            clouds = _with_trees(case.clouds, density, donor, A_HECTARE, data)
             reference = reference_of(NAMED[case.name], clouds, data, case.reference.spec.cell_m)
             yield Case(f"{case.name}, {donor}", case.crs, clouds, reference, {})
             firsts = [first_only(cloud) for cloud in clouds]
@@ -262,9 +263,7 @@ def villages(data: Path, names: set[str]) -> Iterator[Case]:
         density = first_density(case.clouds)
         few = [razed(cloud, LEFT) for cloud in case.clouds]
         for donor, per_hectare in itertools.product(CROWNS, (A_HECTARE, MANY)):
-            [trees] = NAMED[donor].read(data)
-            crowns = crowns_of(trees, min(1.0, density / first_density([trees])))
-            clouds = [planted(cloud, crowns, per_hectare) for cloud in few]
+            clouds = _with_trees(few, density, donor, per_hectare, data)
             weaker = {
                 "": (density, copied),
                 ", a tenth": (density, partial(with_fewer_later, share=0.1)),
@@ -275,6 +274,32 @@ def villages(data: Path, names: set[str]) -> Iterator[Case]:
                 reference = reference_of(NAMED[case.name], clouds, data, cell_for(target))
                 copies = [recorded(cloud) for cloud in clouds]
                 yield Case(f"{case.name}, {donor}, {per_hectare:g}{kind}", case.crs, copies, reference, {})
+
+
+def over_wooded_hills(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield villages under many trees that are laid over relief: with all echoes, first ones alone, and few pulses."""
+    hills = reliefs(data)
+    for name in (each for each in VILLAGES if each in names):
+        place = NAMED[name]
+        few = [razed(south_west(cloud, WINDOW_M), LEFT) for cloud in place.read(data)]
+        density = first_density(few)
+        fewer = {f", {target:g}": (target, partial(thinned, share=target / density)) for target in WOODED_M2}
+        recorded = {"": (density, copied), ", first": (density, first_only)} | fewer
+        for donor in CROWNS:
+            clouds = _with_trees(few, density, donor, MANY, data)
+            for (hill, relief), (kind, (target, record)) in itertools.product(hills.items(), recorded.items()):
+                reference = reference_of(place, clouds, data, cell_for(target))
+                copies = [record(laid_over(cloud, relief)) for cloud in clouds]
+                yield Case(f"{name}, {donor}, {hill}{kind}", place.crs, copies, reference, {})
+
+
+def _with_trees(
+    clouds: list[laspy.LasData], density: float, donor: str, per_hectare: float, data: Path
+) -> list[laspy.LasData]:
+    """Return copies with trees of another place, of as many first echoes a square metre as there are."""
+    [trees] = NAMED[donor].read(data)
+    crowns = crowns_of(trees, min(1.0, density / first_density([trees])))
+    return [planted(cloud, crowns, per_hectare) for cloud in clouds]
 
 
 def mirrored_town(data: Path, names: set[str]) -> Iterator[Case]:
