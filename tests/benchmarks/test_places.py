@@ -10,6 +10,7 @@ from cases.copies import (
     of_two_strips,
     pulses,
     razed,
+    seen_from_aside,
     shaken,
     taken,
     thinned,
@@ -175,6 +176,31 @@ def test_outliers_lie_below_and_above(town):
     assert 0.08 < np.mean(z != 0) < 0.12
     assert -10 <= z.min() < -5
     assert 45 < z.max() <= 50
+
+
+@pytest.mark.parametrize(("azimuth_deg", "east", "north"), [(90.0, 1, 0), (180.0, 0, -1)])
+def test_buildings_hide_what_is_behind_them_from_a_strip_that_looks_aside(town, azimuth_deg, east, north):
+    """Ground beside walls is hidden where the roof is between it and the sensor, as far as roofs are high."""
+    _, (cloud,), _ = town
+    slope = 0.5
+    copy = seen_from_aside(cloud, slope, azimuth_deg)
+    x, y, z, roof = (np.asarray(cloud[name], dtype=float) for name in ("x", "y", "z", "classification"))
+    roof = roof == BUILDING_CLASS
+    gone = ~np.isin(np.asarray(cloud.gps_time), np.asarray(copy.gps_time))
+    assert len(copy.points) == np.count_nonzero(~gone) < len(cloud.points)
+    ground = (np.asarray(cloud.classification) == GROUND_CLASS) & (np.asarray(cloud.return_number) == 1)
+    roofs = KDTree(np.column_stack((x, y))[roof])
+    high_m = z[roof].max() - z[ground].min()
+    away_m, _ = roofs.query(np.column_stack((x, y))[ground & gone])
+    assert away_m.max() < slope * high_m + 1
+    # Two metres beside a wall, away from the sensor, next to nothing is seen of the ground; towards it all is.
+    edge = np.column_stack((x, y))[roof]
+    for side, most, least in ((-1, 1.0, 0.7), (1, 0.1, 0.0)):
+        beside = edge + side * 1.5 * np.array([east, north])
+        beside = beside[roofs.query(beside)[0] > 1.2]
+        distance, of = KDTree(np.column_stack((x, y))[ground]).query(beside)
+        share = gone[ground][of[distance < 0.5]].mean()
+        assert least <= share <= most
 
 
 def test_without_times_each_echo_is_a_pulse(town):

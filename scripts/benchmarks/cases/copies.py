@@ -41,6 +41,9 @@ INWARD_M, OUTWARD_M = 0.05, 0.1
 PULSE_TOLERANCE = 0.1
 """Times name pulses where there are as many of them as first echoes, but for this share."""
 
+VIEW_M, HIDING_M, CLEAR_M = 0.75, 40.0, 0.5
+"""Side of the squares whose highest echoes hide others, how far away, and by how much above the line of sight, metres."""
+
 
 def pulses(cloud: laspy.LasData) -> NDArray[np.int64]:
     """Return (N,) the number of each echo's pulse.
@@ -145,6 +148,42 @@ def with_echoes_on_walls(cloud: laspy.LasData, share: float, density: float) -> 
         echo[count:] = 1
         copy[name] = echo
     return copy
+
+
+def seen_from_aside(cloud: laspy.LasData, slope: float, azimuth_deg: float) -> laspy.LasData:
+    """Return a copy without the pulses that buildings hide from a single strip that looks aside.
+
+    Parameters
+    ----------
+    cloud : LasData
+        In metres, with classes of roofs.
+    slope : float
+        Tangent of the angle of view off the nadir: what stands H metres high hides this many times H.
+    azimuth_deg : float
+        Where the sensor flies, degrees from north to the east.
+
+    Notes
+    -----
+    The highest echoes of roofs in squares of `VIEW_M` hide the first echoes behind them. Crowns hide nothing, as pulses
+    go through them. A pulse goes as a whole.
+    """
+    x, y, z = (np.asarray(cloud[axis], dtype=np.float64) for axis in "xyz")
+    col, row = (((axis - axis.min()) / VIEW_M).astype(np.int64) for axis in (x, y))
+    highest = np.full((row.max() + 1, col.max() + 1), -np.inf)
+    roofs = np.asarray(cloud.classification) == BUILDING_CLASS
+    np.maximum.at(highest, (row[roofs], col[roofs]), z[roofs])
+    east, north = np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))
+    hidden, first = np.zeros(len(x), dtype=bool), np.asarray(cloud.return_number) <= 1
+    for away_m in np.arange(2 * VIEW_M, HIDING_M, VIEW_M):
+        there_col, there_row = (
+            np.floor((axis + away_m * step - axis.min()) / VIEW_M).astype(np.int64)
+            for axis, step in ((x, east), (y, north))
+        )
+        inside = (there_row >= 0) & (there_row < len(highest)) & (there_col >= 0) & (there_col < highest.shape[1])
+        top_m = highest[there_row[inside], there_col[inside]]
+        hidden[inside] |= top_m > z[inside] + away_m / slope + CLEAR_M
+    of = pulses(cloud)
+    return taken(cloud, ~np.isin(of, of[hidden & first]))
 
 
 def with_outliers(cloud: laspy.LasData, share: float, low_m: float, high_m: float) -> laspy.LasData:

@@ -21,6 +21,7 @@ from cases.copies import (
     on_lines,
     pulses,
     razed,
+    seen_from_aside,
     shaken,
     taken,
     thickened,
@@ -69,6 +70,9 @@ NOISE = {
 
 WALLS = (0.1, 0.3)
 """Echoes a square metre of wall, per first echo a square metre of ground, in copies by oblique sensors."""
+
+ASIDE, AZIMUTH_DEG = (0.36, 0.7), 70.0
+"""Tangents of the angles of view of single strips, of 20 and 35 degrees, and where their sensor flies."""
 
 THINNED = ("delft_1", "delft_2", "montpellier", "beziers_right", "amsterdam", "sevilla_plaza", "champs")
 
@@ -164,6 +168,16 @@ def by_oblique_sensors(data: Path, names: set[str]) -> Iterator[Case]:
         for share in WALLS:
             copies = [with_echoes_on_walls(cloud, share, density) for cloud in case.clouds]
             yield Case(f"{case.name}, {share:g}", case.crs, copies, case.reference, {})
+
+
+def by_single_strips(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield copies of places without what buildings hide from a strip that looks aside; the reference is of what is left."""
+    for case in as_they_are(data, names & set(THINNED)):
+        for slope in ASIDE:
+            copies = [seen_from_aside(cloud, slope, AZIMUTH_DEG) for cloud in case.clouds]
+            reference = reference_of(NAMED[case.name], copies, data, case.reference.spec.cell_m)
+            degrees = np.degrees(np.arctan(slope))
+            yield Case(f"{case.name}, {degrees:.0f} degrees", case.crs, copies, reference, {})
 
 
 def with_first_echoes(data: Path, names: set[str]) -> Iterator[Case]:
