@@ -23,8 +23,8 @@ MOST = 0.5
 """An object is smooth where this share of its cells is."""
 
 SOME = 0.1
-"""A large object with a smaller smooth share may still be a group of crowns: roofs that were lost have 0.2 to 0.5. So
-may a dome on coarse cells with a smaller even share."""
+"""A large object with a smaller smooth share may still be a group of crowns: roofs that were lost have 0.2 to 0.5.
+A small one with a smaller even share and little support is a crown on cells above `FINE_M`."""
 
 HARDLY = 0.2
 """Ours, in sample: an object with a smaller smooth share is rough throughout, unless most of it is nearly smooth."""
@@ -37,8 +37,8 @@ GROUP_M2, KNOWN = 100.0, 0.85
 were fitted to this share of it. Blocks with noise in plan have fewer."""
 
 CLEARLY = 0.77
-"""Ours, in sample: a roof that is rough throughout beside the even ground, or a rough dome on coarse cells, has more
-mean support than this. Crowns have 0.75 at most, three of four detectors."""
+"""Ours, in sample: a roof that is rough throughout beside the even ground, or hardly even, has more mean support than
+this. Crowns have 0.75 at most, three of four detectors."""
 
 LOW_M = 6.0
 """Ours, in sample: half of a low object lies below this height above ground, as of houses of two storeys at most."""
@@ -181,10 +181,13 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     high, and houses of one or two storeys have simple roofs. So the inner cells of a low object that not nearly all
     detectors take are compared with the bare cells with bare neighbours alone, and its means are not asked.
 
-    Single crowns are dropped by their shape, too (`msbdb.fuse.domes`): little of them is even, and they are domes.
-    Rough roofs of old towns are saddles, or have steps. A hipped roof falls off to all sides, but more of it is even.
-    On cells larger than `COARSE_M`, and up to `LARGEST_CELL_M`, small hipped roofs are as rough. There a dome goes only
-    if its mean support is up to `CLEARLY` and less than `SOME` of it is even.
+    On cells of up to `COARSE_M` single crowns are dropped by their shape, too (`msbdb.fuse.domes`): little of them is
+    even, and they are domes. Rough roofs of old towns are saddles, or have steps. A hipped roof falls off to all sides,
+    but more of it is even.
+
+    On cells larger than `FINE_M`, and up to `LARGEST_CELL_M`, an object of a mean support of up to `CLEARLY` goes if
+    less than `SOME` of it is even. Small roofs that one detector refuses have more. Of an object of `GROUP_M2` and more
+    less than `HARDLY` must be even, and on cells larger than `COARSE_M` it stays, as blocks are as rough there.
 
     Parameters
     ----------
@@ -234,22 +237,24 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     inner = by_three(np.logical_and, decided, beyond=np.False_)
     throughout = partial(_rough_throughout, labels, count, roughness_m=roughness_m, params=params)
     low = _low(labels, count, share, heights) & (sizes(labels[inner], count) >= LEAST_INNER) & throughout(inner, even_m)
-    cells = sizes(labels, count)
-    doubted = sums(labels, share, count) <= CLEARLY * cells
     even = roughness_m <= np.maximum(EVEN * params.smooth_m, BARE * even_m)
     even_share = _share_of_known(labels, count, even, roughness_m, unknown=1.0)
-    single = single_crowns(labels, even_share, heights)
-    rough = np.zeros(count, dtype=np.bool_)
-    if cell_m > COARSE_M:
-        single &= doubted & (even_share < SOME)
-    elif cell_m > FINE_M:
-        known = decided & (roughness_m < NO_PLANE_M)
-        grouped = (cells * heights.spec.cell_area_m2 >= GROUP_M2) & (sizes(labels[known], count) >= KNOWN * cells)
-        rough = grouped & (throughout(inner, noise_m) | doubted & throughout(inner, even_m))
-    else:
+    cells = sizes(labels, count)
+    grouped = cells * heights.spec.cell_area_m2 >= GROUP_M2
+    doubted = sums(labels, share, count) <= CLEARLY * cells
+    crowns, rough = low, np.zeros(count, dtype=np.bool_)
+    if cell_m <= COARSE_M:
+        crowns = crowns | single_crowns(labels, even_share, heights)
+    if cell_m <= FINE_M:
         rough = throughout(decided, noise_m)
+    else:
+        most = HARDLY if cell_m <= COARSE_M else 0.0
+        crowns = crowns | doubted & (even_share < np.where(grouped, most, SOME))
+    if FINE_M < cell_m <= COARSE_M:
+        known = sizes(labels[decided & (roughness_m < NO_PLANE_M)], count) >= KNOWN * cells
+        rough = grouped & known & (throughout(inner, noise_m) | doubted & throughout(inner, even_m))
     rough = chosen_cells(labels, rough)
-    return decided & ~chosen_cells(labels, single | low) & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+    return decided & ~chosen_cells(labels, crowns) & ~(rough & ~_only_noisy(rough, roughness_m, heights))
 
 
 def _rough_throughout(

@@ -20,13 +20,15 @@ STEP_M, STEPS = 0.005, 60
 """Width of the classes of roughness that are counted, metres, and their number; the last one is open."""
 
 SMOOTHEST = 1 / 3
-"""Even ground is among the smoothest quarter of the bare cells, as grass, kerbs and cars are rough."""
+"""Ours, in sample: even ground is among the smoothest third of these bare cells, as grass, kerbs and cars are rough."""
 
 PRECISE_M = 0.02
-"""That quarter is smoother than this on all surveys at hand. On cells above 1 m windows are wider, and it grows."""
+"""That third is smoother than this nearly everywhere on the open places. On cells above 1 m windows are wider, and it
+grows."""
 
 MEDIAN_OF_NOISE = 2.0
-"""Squared median of the roughness over its squared lower quartile, in windows of nine samples of noise alone."""
+"""Squared median of the roughness over its squared lower quartile, in windows of nine samples of noise alone. The
+quartile of noise alone is about the third of bare cells, of which some are rougher."""
 
 UNSEEN = 1 / 3
 """Less relief than this share of the noise is not seen in it: an even surface may have as much."""
@@ -59,9 +61,9 @@ def height_noise(roughness_m: Field, ndsm: Grid, *, window_m: float, mask_m: flo
 
     Notes
     -----
-    With q the lower quartile of the roughness of bare cells in 3 by 3 squares, noise is √(2 (q² - q₀²)), q₀ = 0.02 m.
+    With q the lower third of the roughness of these cells in 3 by 3 squares, noise is √(2 (q² - q₀²)), q₀ = 0.02 m.
     Squares lie on the absolute lattice, so that tiles agree: a cell's noise depends on ground up to 50 m away.
-    Bare cells beside crowns are rough by these: among dense trees a quarter of all bare cells is hardly less rough.
+    Bare cells beside crowns are rough by these: among dense trees hardly any is smooth.
     Border: squares and windows end at the lattice. Nodata: cells that are not valid, or without a plane, do not count.
     Linear in the cells.
 
@@ -94,9 +96,9 @@ def height_noise(roughness_m: Field, ndsm: Grid, *, window_m: float, mask_m: flo
         band[:] = np.bincount(col * STEPS + step, minlength=count * STEPS).reshape(count, STEPS)
     below = around(counts).cumsum(axis=2)
     total = below[:, :, -1]
-    quartile_m = STEP_M * (0.5 + np.argmax(below >= SMOOTHEST * total[:, :, None], axis=2))
+    third_m = STEP_M * (0.5 + np.argmax(below >= SMOOTHEST * total[:, :, None], axis=2))
     precise_m = PRECISE_M * max(1.0, ndsm.spec.cell_m)
-    noise_m = np.sqrt(MEDIAN_OF_NOISE * np.maximum(quartile_m**2 - precise_m**2, 0))
+    noise_m = np.sqrt(MEDIAN_OF_NOISE * np.maximum(third_m**2 - precise_m**2, 0))
     return squares.on_cells(np.where(total >= LEAST_CELLS, noise_m, 0).astype(np.float32))
 
 
