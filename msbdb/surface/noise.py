@@ -27,8 +27,8 @@ PRECISE_M = 0.02
 grows."""
 
 MEDIAN_OF_NOISE = 2.0
-"""Squared median of the roughness over its squared lower quartile, in windows of nine samples of noise alone. The
-quartile of noise alone is about the third of bare cells, of which some are rougher."""
+"""Squared median of the roughness over its squared lower quartile, in windows of nine samples of noise alone. With the
+third it gives what the quarter of all bare cells gave on noisy copies, by which the detectors' values were chosen."""
 
 UNSEEN = 1 / 3
 """Less relief than this share of the noise is not seen in it: an even surface may have as much."""
@@ -61,7 +61,8 @@ def height_noise(roughness_m: Field, ndsm: Grid, *, window_m: float, mask_m: flo
 
     Notes
     -----
-    With q the lower third of the roughness of these cells in 3 by 3 squares, noise is √(2 (q² - q₀²)), q₀ = 0.02 m.
+    The smoothest third of these cells in 3 by 3 squares has a roughness of up to q. Noise is √(2 (q² - q₀²)), with
+    q₀ = 0.02 m.
     Squares lie on the absolute lattice, so that tiles agree: a cell's noise depends on ground up to 50 m away.
     Bare cells beside crowns are rough by these: among dense trees hardly any is smooth.
     Border: squares and windows end at the lattice. Nodata: cells that are not valid, or without a plane, do not count.
