@@ -1,4 +1,4 @@
-"""Crowns that the detectors took for roofs: rough and green objects, hedges, domes, and what leans on a house."""
+"""Plants that the detectors took for roofs: rough and green objects, hedges, domes, scrub, what leans on a house."""
 
 from functools import partial
 
@@ -48,6 +48,12 @@ NEARLY_ALL = 0.875
 
 LEAST_INNER = 12
 """Ours, in sample: with fewer inner cells than these the roughness of a low object is chance."""
+
+STOREY_M = 4.0
+"""Ours: half of what has one storey lies below this height above ground."""
+
+SCRUB, SCRUB_BESIDE = 0.4, 0.3
+"""Ours, in sample: scrub has a smaller even share of its inner cells, as an object and as a part of one."""
 
 LARGEST_CELL_M = 1.5
 """Ours, in sample: on larger cells low houses are as rough as crowns."""
@@ -189,6 +195,11 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     less than `SOME` of it is even. Small roofs that one detector refuses have more. Of an object of `GROUP_M2` and more
     less than `HARDLY` must be even, and on cells larger than `COARSE_M` it stays, as blocks are as rough there.
 
+    What has one storey has a simple roof, so that scrub and crops go whatever supports them, on cells of up to
+    `COARSE_M`. Such an object goes if less than `SCRUB` of its inner cells is even. So does the part of an object that
+    is lower than `STOREY_M`, if less than `SCRUB_BESIDE` is even, from the area of a house on, and from `GROUP_M2` on
+    whatever supports it.
+
     Parameters
     ----------
     decided : (H, W) ndarray of bool
@@ -236,15 +247,18 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     noise_m, even_m = in_threads(around_m, (bare, by_three(np.logical_and, bare)))
     inner = by_three(np.logical_and, decided, beyond=np.False_)
     throughout = partial(_rough_throughout, labels, count, roughness_m=roughness_m, params=params)
-    low = _low(labels, count, share, heights) & (sizes(labels[inner], count) >= LEAST_INNER) & throughout(inner, even_m)
+    cells = sizes(labels, count)
+    middle_m, judged = _middle_heights(labels, count, heights), sizes(labels[inner], count) >= LEAST_INNER
+    low = (middle_m < LOW_M) & (sums(labels, share, count) < NEARLY_ALL * cells) & judged & throughout(inner, even_m)
     even = roughness_m <= np.maximum(EVEN * params.smooth_m, BARE * even_m)
     even_share = _share_of_known(labels, count, even, roughness_m, unknown=1.0)
-    cells = sizes(labels, count)
     grouped = cells * heights.spec.cell_area_m2 >= GROUP_M2
     doubted = sums(labels, share, count) <= CLEARLY * cells
     crowns, rough = low, np.zeros(count, dtype=np.bool_)
     if cell_m <= COARSE_M:
+        inner_share = _share_of_known(labels * inner, count, even, roughness_m, unknown=1.0)
         crowns = crowns | single_crowns(labels, even_share, heights)
+        crowns = crowns | (middle_m < STOREY_M) & judged & (inner_share < SCRUB)
     if cell_m <= FINE_M:
         rough = throughout(decided, noise_m)
     else:
@@ -254,7 +268,8 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
         known = sizes(labels[decided & (roughness_m < NO_PLANE_M)], count) >= KNOWN * cells
         rough = grouped & known & (throughout(inner, noise_m) | doubted & throughout(inner, even_m))
     rough = chosen_cells(labels, rough)
-    return decided & ~chosen_cells(labels, crowns) & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+    left = decided & ~chosen_cells(labels, crowns) & ~(rough & ~_only_noisy(rough, roughness_m, heights))
+    return left & ~_scrub_beside(left, share, even, roughness_m, heights) if cell_m <= COARSE_M else left
 
 
 def _rough_throughout(
@@ -269,12 +284,23 @@ def _rough_throughout(
     return rough
 
 
-def _low(labels: Labels, count: int, share: Field, heights: Grid) -> Mask:
-    """Return the objects of which half lies below `LOW_M`, and that not nearly all detectors take."""
+def _middle_heights(labels: Labels, count: int, heights: Grid) -> NDArray[np.float64]:
+    """Return the height above ground below which half of each object lies, metres."""
     inside = labels > 0
-    middle_m = np.asarray(median(np.asarray(heights.values)[inside], labels[inside], np.arange(1, count + 1)))
-    low: Mask = (middle_m < LOW_M) & (sums(labels, share, count) < NEARLY_ALL * sizes(labels, count))
-    return low
+    return np.asarray(median(np.asarray(heights.values)[inside], labels[inside], np.arange(1, count + 1)))
+
+
+def _scrub_beside(decided: Mask, share: Field, even: Mask, roughness_m: Field, heights: Grid) -> Mask:
+    """Return the cells of low parts of objects of which hardly a cell is even: scrub and crops that touch a house."""
+    low = _opened(decided & (np.asarray(heights.values) < STOREY_M))
+    labels, count = label_zones(low, connectivity=4)
+    cells = sizes(labels, count)
+    area_m2 = cells * heights.spec.cell_area_m2
+    doubted = sums(labels, share, count) <= CLEARLY * cells
+    inner = by_three(np.logical_and, low, beyond=np.False_)
+    inner_share = _share_of_known(labels * inner, count, even, roughness_m, unknown=1.0)
+    scrub = (area_m2 >= np.where(doubted, HOUSE_M2, GROUP_M2)) & (inner_share < SCRUB_BESIDE)
+    return chosen_cells(labels, scrub)
 
 
 def _mean_roughness(cells: Mask, *, roughness_m: Field, side: int) -> NDArray[np.float64]:

@@ -26,13 +26,13 @@ from cases.measures import GIVEN, OWN, Case, measure
 from cases.othergrounds import smrf
 from cases.rasters import as_rasters
 from scipy.spatial import KDTree
-from simulated import hills, scenes, trees
+from simulated import hills, scenes, scrub, trees
 from simulated.files import write_points
 from support.processes import BENCHMARKS, load_script
 
 from msbdb.grid import Grid, lattice
 from msbdb.io.raster import read_grid
-from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS
+from msbdb.points.cloud import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS
 
 HOUSES = scenes.row_houses(density=4.0)
 
@@ -284,6 +284,27 @@ def orchard():
     cloud.number_of_returns = np.tile(np.where(crown, 2, 1), 2).astype(np.uint8)
     cloud.gps_time, cloud.intensity = np.tile(np.arange(len(x)), 2).astype(float), np.full(2 * len(x), 100, np.uint16)
     return taken(cloud, kept)
+
+
+@pytest.mark.parametrize("kind", scrub.PLANTS)
+def test_low_plants_stand_on_bare_ground_alone(town, kind):
+    """They hide the ground for most pulses, and no other echo moves."""
+    _, (cloud,), _ = town
+    copy = scrub.overgrown(cloud, kind)
+    x, y, z = moved(cloud, copy)
+    grown = z > 0.2
+    assert not x.any()
+    assert not y.any()
+    np.testing.assert_array_equal(z[~grown], 0)
+    assert (np.asarray(cloud.classification)[grown] == GROUND_CLASS).all()
+    assert (np.asarray(cloud.return_number)[grown] == 1).all()
+    assert (np.asarray(copy.classification)[grown] == UNCLASSIFIED_CLASS).all()
+    bare = (np.asarray(cloud.classification) == GROUND_CLASS) & (np.asarray(cloud.return_number) == 1)
+    assert 0.05 < grown.sum() / bare.sum() < 0.4
+    assert 2.4 < np.median(z[grown]) < 3.0
+    _, rough_m, _ = scrub.PLANTS[kind]
+    assert z[grown].std() > 0.9 * rough_m
+    np.testing.assert_array_equal(scrub.overgrown(cloud, kind).z, copy.z)
 
 
 def test_trees_of_another_place_are_planted_with_their_columns(town, orchard):

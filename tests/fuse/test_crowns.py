@@ -419,6 +419,91 @@ def test_what_three_of_four_take_and_is_hardly_even_goes(change, kept):
     np.testing.assert_array_equal(found, decided & kept)
 
 
+SCRUB = {"high_m": 3.0, "even": 0.35, "side": 12, "cell_m": 0.5, "share": 1.0, "ground_m": 0.02, "edge_m": 0.08}
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [
+        ({}, False),
+        ({"high_m": 3.9}, False),
+        ({"high_m": 4.1}, True),
+        ({"even": 0.45}, True),
+        ({"side": 6}, False),
+        ({"side": 5}, True),
+        ({"cell_m": 1.0}, False),
+        ({"cell_m": 1.2}, True),
+        ({"ground_m": 0.06}, True),
+        ({"edge_m": 0.11}, False),
+    ],
+    ids=[
+        "scrub that all take",
+        "nearly a storey",
+        "higher than a storey",
+        "nearly half is even",
+        "16 inner cells",
+        "9 inner cells",
+        "cells of a metre",
+        "coarse cells",
+        "as rough as the ground",
+        "rough edge",
+    ],
+)
+def test_low_objects_that_are_mostly_uneven_go_whatever_supports_them(change, kept):
+    """A level object of a roughness that higher roofs may have; its edge does not count."""
+    scrub = {**SCRUB, **change}
+    shape, inside = (40, 40), (8, 8 + scrub["side"])
+    decided = block(shape, inside, inside)
+    inner = by_three(np.logical_and, decided, beyond=np.False_)
+    rough = np.full(shape, scrub["ground_m"], dtype=np.float32)
+    rough[decided] = scrub["edge_m"]
+    rough[inner] = np.where(np.arange(inner.sum()) < scrub["even"] * inner.sum(), 0.08, 0.11)
+    found = without_rough(
+        decided, np.float32(scrub["share"] * decided), rough, grid(scrub["high_m"] * decided, scrub["cell_m"]), PARAMS
+    )
+    np.testing.assert_array_equal(found, decided & kept)
+
+
+BESIDE = {"high_m": 3.0, "even": 0.25, "rows": 16, "cell_m": 0.5, "share": 0.75}
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [
+        ({}, False),
+        ({"high_m": 4.1}, True),
+        ({"even": 0.35}, True),
+        ({"rows": 12}, True),
+        ({"share": 0.8}, True),
+        ({"share": 1.0, "rows": 24}, True),
+        ({"share": 1.0, "rows": 26}, False),
+        ({"cell_m": 1.2}, True),
+    ],
+    ids=[
+        "64 m²",
+        "higher than a storey",
+        "a third is even",
+        "48 m²",
+        "more than three of four",
+        "96 m² that all take",
+        "104 m² that all take",
+        "coarse cells",
+    ],
+)
+def test_scrub_that_touches_a_house_goes_and_the_house_stays(change, kept):
+    """Of one object the low part is judged by itself: by its area, its support and its inner cells."""
+    beside = {**BESIDE, **change}
+    shape = (60, 60)
+    house, low = block(shape, (4, 24), (4, 20)), block(shape, (24, 24 + beside["rows"]), (4, 20))
+    inner = by_three(np.logical_and, low, beyond=np.False_)
+    rough = np.where(low, 0.11, 0.02).astype(np.float32)
+    rough[inner] = np.where(np.arange(inner.sum()) < beside["even"] * inner.sum(), 0.08, 0.11)
+    share = np.where(house, 1, beside["share"] * low).astype(np.float32)
+    heights = grid(np.where(house, 7, beside["high_m"] * low), beside["cell_m"])
+    found = without_rough(house | low, share, rough, heights, PARAMS)
+    np.testing.assert_array_equal(found, house | low & kept)
+
+
 @pytest.mark.parametrize(("bare_m", "kept"), [((0.8, 0.02), False), ((0.8, 0.2), True), ((0.02, 0.2), True)])
 def test_bare_cells_beside_what_is_raised_tell_nothing_about_crowns(bare_m, kept):
     """Refused trees stand around a crown; the bare cells beside them and beyond have a roughness of their own."""

@@ -10,6 +10,7 @@ import laspy
 import numpy as np
 from pyproj import CRS
 from simulated.hills import RELIEFS, Relief, lifted, relief_of
+from simulated.scrub import PLANTS, overgrown
 from simulated.trees import crowns_of, planted
 
 from cases.copies import (
@@ -92,6 +93,9 @@ CROWNS, A_HECTARE = ("montpellier", "champs"), 100.0
 
 VILLAGES, LEFT, MANY = ("delft_1", "amsterdam", "sevilla_plaza"), 0.15, 250.0
 """The places of which this share of the roofs stays as villages, and the most trees a hectare there."""
+
+OVERGROWN = ("delft_1", "delft_2", "montpellier", "beziers_left", "beziers_right", "amsterdam", "guldheden_east")
+"""The places with class 2 on whose ground low plants grow."""
 
 WOODED_M2 = (1.0, 0.5)
 """First echoes a square metre of the thinned copies of wooded hills."""
@@ -288,6 +292,14 @@ def villages(data: Path, names: set[str]) -> Iterator[Case]:
                 reference = reference_of(NAMED[case.name], clouds, data, cell_for(target))
                 copies = [recorded(cloud) for cloud in clouds]
                 yield Case(f"{case.name}, {donor}, {per_hectare:g}{kind}", case.crs, copies, reference, {})
+
+
+def with_low_plants(data: Path, names: set[str]) -> Iterator[Case]:
+    """Yield towns with scrub, hedges and crops on their bare ground; the reference is that of the echoes as they are."""
+    for case in as_they_are(data, names & set(OVERGROWN)):
+        for kind in PLANTS:
+            copies = [overgrown(cloud, kind) for cloud in case.clouds]
+            yield Case(f"{case.name}, {kind}", case.crs, copies, case.reference, {})
 
 
 def over_wooded_hills(data: Path, names: set[str]) -> Iterator[Case]:
