@@ -430,7 +430,7 @@ SCRUB = {"high_m": 3.0, "even": 0.35, "side": 12, "cell_m": 0.5, "share": 1.0, "
         ({"high_m": 4.1}, True),
         ({"even": 0.45}, True),
         ({"side": 6}, False),
-        ({"side": 5}, True),
+        ({"side": 5, "even": 0.3}, True),
         ({"cell_m": 1.0}, False),
         ({"cell_m": 1.2}, True),
         ({"ground_m": 0.06}, True),
