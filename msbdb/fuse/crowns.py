@@ -52,8 +52,8 @@ LEAST_INNER = 12
 STOREY_M = 4.0
 """Ours: half of what has one storey lies below this height above ground."""
 
-SCRUB, SCRUB_BESIDE = 0.4, 0.3
-"""Ours, in sample: scrub has a smaller even share of its inner cells, as an object and as a part of one."""
+SCRUB, SCRUB_GROUP, SCRUB_BESIDE = 0.4, 0.6, 0.3
+"""Ours, in sample: scrub has a smaller even share of its inner cells: an object, one of `GROUP_M2`, and a part."""
 
 LARGEST_CELL_M = 1.5
 """Ours, in sample: on larger cells low houses are as rough as crowns."""
@@ -196,8 +196,9 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     less than `HARDLY` must be even, and on cells larger than `COARSE_M` it stays, as blocks are as rough there.
 
     What has one storey has a simple roof, so that scrub and crops go whatever supports them, on cells of up to
-    `COARSE_M`. Such an object goes if less than `SCRUB` of its inner cells is even. So does the part of an object that
-    is lower than `STOREY_M`, if less than `SCRUB_BESIDE` is even, from the area of a house on, and from `GROUP_M2` on
+    `COARSE_M`. Such an object goes if less than `SCRUB` of its inner cells is even, or less than `SCRUB_GROUP` from
+    `GROUP_M2` on. What is higher in it and even stays, a house among plants. So does the part of an object that is
+    lower than `STOREY_M` go, if less than `SCRUB_BESIDE` is even, from the area of a house on, and from `GROUP_M2` on
     whatever supports it.
 
     Parameters
@@ -248,17 +249,15 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     inner = by_three(np.logical_and, decided, beyond=np.False_)
     throughout = partial(_rough_throughout, labels, count, roughness_m=roughness_m, params=params)
     cells = sizes(labels, count)
-    middle_m, judged = _middle_heights(labels, count, heights), sizes(labels[inner], count) >= LEAST_INNER
-    low = (middle_m < LOW_M) & (sums(labels, share, count) < NEARLY_ALL * cells) & judged & throughout(inner, even_m)
+    low = _low(labels, count, inner, heights, LOW_M) & (sums(labels, share, count) < NEARLY_ALL * cells)
+    low &= throughout(inner, even_m)
     even = roughness_m <= np.maximum(EVEN * params.smooth_m, BARE * even_m)
     even_share = _share_of_known(labels, count, even, roughness_m, unknown=1.0)
     grouped = cells * heights.spec.cell_area_m2 >= GROUP_M2
     doubted = sums(labels, share, count) <= CLEARLY * cells
     crowns, rough = low, np.zeros(count, dtype=np.bool_)
     if cell_m <= COARSE_M:
-        inner_share = _share_of_known(labels * inner, count, even, roughness_m, unknown=1.0)
         crowns = crowns | single_crowns(labels, even_share, heights)
-        crowns = crowns | (middle_m < STOREY_M) & judged & (inner_share < SCRUB)
     if cell_m <= FINE_M:
         rough = throughout(decided, noise_m)
     else:
@@ -269,7 +268,7 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
         rough = grouped & known & (throughout(inner, noise_m) | doubted & throughout(inner, even_m))
     rough = chosen_cells(labels, rough)
     left = decided & ~chosen_cells(labels, crowns) & ~(rough & ~_only_noisy(rough, roughness_m, heights))
-    return left & ~_scrub_beside(left, share, even, roughness_m, heights) if cell_m <= COARSE_M else left
+    return left & ~_scrub(left, share, even, roughness_m, heights) if cell_m <= COARSE_M else left
 
 
 def _rough_throughout(
@@ -284,23 +283,33 @@ def _rough_throughout(
     return rough
 
 
-def _middle_heights(labels: Labels, count: int, heights: Grid) -> NDArray[np.float64]:
-    """Return the height above ground below which half of each object lies, metres."""
+def _low(labels: Labels, count: int, inner: Mask, heights: Grid, limit_m: float) -> Mask:
+    """Return the objects of which half lies below a height above ground, and that have `LEAST_INNER` inner cells."""
     inside = labels > 0
-    return np.asarray(median(np.asarray(heights.values)[inside], labels[inside], np.arange(1, count + 1)))
+    middle_m = np.asarray(median(np.asarray(heights.values)[inside], labels[inside], np.arange(1, count + 1)))
+    low: Mask = (middle_m < limit_m) & (sizes(labels[inner], count) >= LEAST_INNER)
+    return low
 
 
-def _scrub_beside(decided: Mask, share: Field, even: Mask, roughness_m: Field, heights: Grid) -> Mask:
-    """Return the cells of low parts of objects of which hardly a cell is even: scrub and crops that touch a house."""
-    low = _opened(decided & (np.asarray(heights.values) < STOREY_M))
-    labels, count = label_zones(low, connectivity=4)
-    cells = sizes(labels, count)
-    area_m2 = cells * heights.spec.cell_area_m2
-    doubted = sums(labels, share, count) <= CLEARLY * cells
-    inner = by_three(np.logical_and, low, beyond=np.False_)
-    inner_share = _share_of_known(labels * inner, count, even, roughness_m, unknown=1.0)
-    scrub = (area_m2 >= np.where(doubted, HOUSE_M2, GROUP_M2)) & (inner_share < SCRUB_BESIDE)
-    return chosen_cells(labels, scrub)
+def _scrub(decided: Mask, share: Field, even: Mask, roughness_m: Field, heights: Grid) -> Mask:
+    """Return the cells of plants lower than a storey: objects, but for the houses among them, and parts of others."""
+    even_of = partial(_share_of_known, smooth=even, roughness_m=roughness_m)
+    high = np.asarray(heights.values) >= STOREY_M
+    labels, count = label_zones(decided)
+    if not count:
+        return decided
+    area_m2 = sizes(labels, count) * heights.spec.cell_area_m2
+    core = by_three(np.logical_and, decided, beyond=np.False_)
+    scrub = even_of(labels * core, count, unknown=1.0) < np.where(area_m2 >= GROUP_M2, SCRUB_GROUP, SCRUB)
+    plants = chosen_cells(labels, scrub & _low(labels, count, core, heights, STOREY_M))
+    houses, count = label_zones(_opened(plants & high), connectivity=4)
+    plants &= ~chosen_cells(houses, even_of(houses, count, unknown=0.0) >= MOST)
+    beside = _opened(decided & ~plants & ~high)
+    parts, count = label_zones(beside, connectivity=4)
+    cells, core = sizes(parts, count), by_three(np.logical_and, beside, beyond=np.False_)
+    doubted = sums(parts, share, count) <= CLEARLY * cells
+    large = cells * heights.spec.cell_area_m2 >= np.where(doubted, HOUSE_M2, GROUP_M2)
+    return plants | chosen_cells(parts, large & (even_of(parts * core, count, unknown=1.0) < SCRUB_BESIDE))
 
 
 def _mean_roughness(cells: Mask, *, roughness_m: Field, side: int) -> NDArray[np.float64]:

@@ -435,6 +435,9 @@ SCRUB = {"high_m": 3.0, "even": 0.35, "side": 12, "cell_m": 0.5, "share": 1.0, "
         ({"cell_m": 1.2}, True),
         ({"ground_m": 0.06}, True),
         ({"edge_m": 0.11}, False),
+        ({"side": 20, "even": 0.55}, False),
+        ({"side": 20, "even": 0.65}, True),
+        ({"side": 19, "even": 0.55}, True),
     ],
     ids=[
         "scrub that all take",
@@ -447,6 +450,9 @@ SCRUB = {"high_m": 3.0, "even": 0.35, "side": 12, "cell_m": 0.5, "share": 1.0, "
         "coarse cells",
         "as rough as the ground",
         "rough edge",
+        "100 m², more than half is even",
+        "100 m², two thirds are even",
+        "90 m², more than half is even",
     ],
 )
 def test_low_objects_that_are_mostly_uneven_go_whatever_supports_them(change, kept):
@@ -494,7 +500,7 @@ def test_scrub_that_touches_a_house_goes_and_the_house_stays(change, kept):
     """Of one object the low part is judged by itself: by its area, its support and its inner cells."""
     beside = {**BESIDE, **change}
     shape = (60, 60)
-    house, low = block(shape, (4, 24), (4, 20)), block(shape, (24, 24 + beside["rows"]), (4, 20))
+    house, low = block(shape, (4, 32), (4, 20)), block(shape, (32, 32 + beside["rows"]), (4, 20))
     inner = by_three(np.logical_and, low, beyond=np.False_)
     rough = np.where(low, 0.11, 0.02).astype(np.float32)
     rough[inner] = np.where(np.arange(inner.sum()) < beside["even"] * inner.sum(), 0.08, 0.11)
@@ -502,6 +508,16 @@ def test_scrub_that_touches_a_house_goes_and_the_house_stays(change, kept):
     heights = grid(np.where(house, 7, beside["high_m"] * low), beside["cell_m"])
     found = without_rough(house | low, share, rough, heights, PARAMS)
     np.testing.assert_array_equal(found, house | low & kept)
+
+
+@pytest.mark.parametrize(("house_m", "high_m", "kept"), [(0.03, 6, True), (0.11, 6, False), (0.03, 3.5, False)])
+def test_a_house_among_scrub_stays(house_m, high_m, kept):
+    """Most of the object is scrub; of what is higher than a storey the even part is a house."""
+    shape = (60, 60)
+    low, house = block(shape, (4, 54), (4, 54)), block(shape, (20, 40), (20, 40))
+    rough = np.select([house, low], [house_m, 0.11], 0.02).astype(np.float32)
+    found = supported_by_all(low, rough, grid(np.where(house, high_m, 3.0 * low)))
+    np.testing.assert_array_equal(found, house & kept)
 
 
 @pytest.mark.parametrize(("bare_m", "kept"), [((0.8, 0.02), False), ((0.8, 0.2), True), ((0.02, 0.2), True)])
