@@ -195,11 +195,11 @@ def without_rough(decided: Mask, share: Field, roughness_m: Field, heights: Grid
     less than `SOME` of it is even. Small roofs that one detector refuses have more. Of an object of `GROUP_M2` and more
     less than `HARDLY` must be even, and on cells larger than `COARSE_M` it stays, as blocks are as rough there.
 
-    What has one storey has a simple roof, so that scrub and crops go whatever supports them, on cells of up to
+    What has one storey has a simple roof, so that scrub and crops go though detectors support them, on cells of up to
     `COARSE_M`. Such an object goes if less than `SCRUB` of its inner cells is even, or less than `SCRUB_GROUP` from
-    `GROUP_M2` on. What is higher in it and even stays, a house among plants. So does the part of an object that is
-    lower than `STOREY_M` go, if less than `SCRUB_BESIDE` is even, from the area of a house on, and from `GROUP_M2` on
-    whatever supports it.
+    `GROUP_M2` on if not nearly all detectors take it. What is higher in it and even stays, a house among plants. The
+    part of an object that is lower than `STOREY_M` goes, too, if less than `SCRUB_BESIDE` is even, from the area of a
+    house on, and from `GROUP_M2` on whatever supports it.
 
     Parameters
     ----------
@@ -298,9 +298,10 @@ def _scrub(decided: Mask, share: Field, even: Mask, roughness_m: Field, heights:
     labels, count = label_zones(decided)
     if not count:
         return decided
-    area_m2 = sizes(labels, count) * heights.spec.cell_area_m2
+    cells = sizes(labels, count)
+    grouped = (cells * heights.spec.cell_area_m2 >= GROUP_M2) & (sums(labels, share, count) < NEARLY_ALL * cells)
     core = by_three(np.logical_and, decided, beyond=np.False_)
-    scrub = even_of(labels * core, count, unknown=1.0) < np.where(area_m2 >= GROUP_M2, SCRUB_GROUP, SCRUB)
+    scrub = even_of(labels * core, count, unknown=1.0) < np.where(grouped, SCRUB_GROUP, SCRUB)
     plants = chosen_cells(labels, scrub & _low(labels, count, core, heights, STOREY_M))
     houses, count = label_zones(_opened(plants & high), connectivity=4)
     plants &= ~chosen_cells(houses, even_of(houses, count, unknown=0.0) >= MOST)
